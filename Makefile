@@ -1,0 +1,39 @@
+# Every target sets up what it needs; only Python (>= 3.10), pip and make must be there.
+PYTHON ?= python3
+VENV   ?= .venv
+BIN    := $(VENV)/bin
+OUT    ?= out/demo
+WORKERS ?= 2
+# One cache of compiled kernels for every process and every run.
+export NUMBA_CACHE_DIR ?= $(CURDIR)/$(VENV)/numba-cache
+
+.PHONY: help setup demo test soak lint bench
+
+help:  ## list the targets
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
+
+$(VENV)/.ready: requirements.lock pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -e .
+	@touch $@
+
+setup: $(VENV)/.ready  ## make the environment
+
+demo: $(VENV)/.ready  ## made scenes -> instructions -> episodes -> files, in minutes
+	$(BIN)/condvln demo --out $(OUT)
+
+lint: $(VENV)/.ready  ## style, types and the import contract
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+test: lint  ## lint, types, contracts and tests (under ten minutes)
+	$(BIN)/python -m pytest -n $(WORKERS) -m "not soak"
+
+soak: $(VENV)/.ready  ## full fuzzing, fault and determinism matrices
+	$(BIN)/python -m pytest -n $(WORKERS) -m soak
+
+bench: $(VENV)/.ready  ## side-by-side measurements, ratios in one run
+	$(BIN)/python -m benchmarks

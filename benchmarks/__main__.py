@@ -1,0 +1,27 @@
+"""``python -m benchmarks [NAME …]``: run all benchmarks, or those named, each in a process of its own."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+
+def main() -> int:
+    """Run the chosen modules one after the other; the worst exit code is ours."""
+    known = sorted(p.stem for p in Path(__file__).parent.glob("*.py") if not p.stem.startswith("_"))
+    chosen = sys.argv[1:] or known
+    unknown = sorted(set(chosen) - set(known))
+    if unknown:
+        print(f"no benchmark {', '.join(unknown)}; there are {', '.join(known)}", file=sys.stderr)
+        return 1
+    worst = 0
+    for name in chosen:
+        print(f"\n== {name} ==", flush=True)
+        run = subprocess.run([sys.executable, "-c", f"from benchmarks.{name} import main; main()"], check=False)
+        worst = max(worst, run.returncode)
+    return worst
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,99 @@
+"""Episodes proven a second by one core, and where the time goes.
+
+``python -m benchmarks verify`` makes an export of sample apartments and proves it. With ``CONDVLN_REAL_EXPORT`` and
+``CONDVLN_REAL_ROOT`` (an export of ReplicaCAD and the dataset's folder) it proves that one. Times are of the processor.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final
+
+from rich.console import Console
+
+from condvln.samples import make_samples
+from condvln.sources.registry import open_source
+from condvln.verify import Rules, placement, proof, prove_export
+from condvln.verify.files import ExportFiles
+from condvln.verify.surfaces import Shapes
+from condvln.verify.walks import Walks
+from jobs.generate import run_generate
+from schemas.config import Config, InstructionsConfig, SourceConfig
+from schemas.program import CATEGORIES
+
+__all__ = ["main"]
+
+SCENES: Final = 6
+PER_CATEGORY: Final = 20
+TARGET: Final = 1000
+"""Episodes a second and core, apart from navmesh work."""
+
+NAVMESH: Final[tuple[tuple[Any, str], ...]] = (
+    (Walks, "ask"),
+    (proof, "find_navmesh"),
+    (placement, "Obstacles"),
+    (placement, "_check_budget"),
+    (proof, "check_truth"),
+)
+"""What asks the navmesh: paths and distances, loading, the floor below furniture, and the walks with discrete steps."""
+
+
+def main() -> None:
+    """Print the rates."""
+    export, root = os.environ.get("CONDVLN_REAL_EXPORT"), os.environ.get("CONDVLN_REAL_ROOT")
+    if export and root:
+        _measure(Path(export), Path(root))
+        return
+    with TemporaryDirectory() as folder:
+        _measure(*_made(Path(folder)))
+
+
+def _made(folder: Path) -> tuple[Path, Path]:
+    make_samples(folder / "scenes", family="replicacad", scenes=SCENES, seed=0)
+    config = Config(
+        name="benchmark",
+        store=folder / "store",
+        export=folder / "export",
+        sources=(SourceConfig(family="replicacad", root=folder / "scenes"),),
+        instructions=InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, PER_CATEGORY)),
+    )
+    run_generate(config, inline=True, console=Console(file=io.StringIO()))
+    return folder / "export", folder / "scenes"
+
+
+def _measure(export: Path, root: Path) -> None:
+    source = open_source("replicacad", root)
+    spent: Counter[str] = Counter()
+    for _ in prove_export(export, Rules(), lambda _, scene_id: source.read(scene_id)):
+        pass  # kernels are compiled and files cached
+    for owner, name in NAVMESH:
+        setattr(owner, name, _timed(getattr(owner, name), "navmesh", spent))
+    setattr(Shapes, "_placed", _timed(Shapes._placed, "meshes", spent))  # noqa: B010
+    read = _timed(source.read, "scenes read", spent)
+    began = time.process_time()
+    proven = sum(c.proven for c in prove_export(export, Rules(), lambda _, scene_id: read(scene_id)))
+    total = time.process_time() - began
+    count = sum(len(run.rows) for run in ExportFiles(export).runs())
+    rest = total - spent["navmesh"]
+    print(f"{proven} of {count} episodes proven in {total:.2f} s of one core: {count / total:,.0f} a second")
+    for name, seconds in [*spent.items(), ("everything else", total - spent.total())]:
+        print(f"  {name:<16} {1e6 * seconds / count:8.0f} µs an episode")
+    print(f"apart from navmesh work: {count / rest:,.0f} episodes a second (target {TARGET:,})")
+    print(f"apart from reading scenes too: {count / (total - spent.total()):,.0f} episodes a second")
+
+
+def _timed(function: Callable[..., Any], name: str, spent: Counter[str]) -> Callable[..., Any]:
+    def timed(*args: Any, **kwargs: Any) -> Any:
+        began = time.process_time()
+        try:
+            return function(*args, **kwargs)
+        finally:
+            spent[name] += time.process_time() - began  # type: ignore[assignment]
+
+    return timed

@@ -1,0 +1,1 @@
+"""The science: pure functions from a scene to verified episodes, and the metrics."""

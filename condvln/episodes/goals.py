@@ -1,0 +1,171 @@
+"""Where an agent can stand to have reached an object."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from shapely import Polygon, contains_xy
+
+from condvln.episodes.footprint import Footprint
+from condvln.episodes.rules import EpisodeRules
+from condvln.navigation.protocol import PathfinderProtocol
+from condvln.scene import Room, Scene, SceneObject, round_mm
+
+__all__ = ["blocked_footprints", "goal_points", "is_standable", "wide_islands"]
+
+F64 = NDArray[np.float64]
+
+RING_SPACING: Final = 0.2
+"""Metres between neighbouring candidates around an object: a fifth of the smallest success ball's width."""
+RING_OFFSETS: Final = (0.12, 0.24, 0.36, 0.48)
+FAR_RING_OFFSETS: Final = (0.6, 0.75, 0.9)
+"""Offsets from the box's faces; the far ones only where none of the near ones can be stood on."""
+STOREY: Final = 2.2
+"""Metres an object's bottom may hang above the floor it is reached from (a picture, a wall cabinet)."""
+SINK: Final = 0.5
+"""Metres the floor may lie above an object's bottom (voxel height and floor thickness)."""
+WALL_ALLOWANCE: Final = 1.0
+"""Metres of detour around the box allowed between two of its goal points; more means a wall lies between them."""
+SNAP_TOLERANCE: Final = 0.05
+"""Metres a candidate may move sideways when snapped; more and it was not on the floor."""
+FLOOR_STANDING: Final = 0.5
+"""Objects whose bottom is lower than this above the floor stand in the agent's way."""
+
+
+def wide_islands(pathfinder: PathfinderProtocol, rules: EpisodeRules) -> tuple[int, ...]:
+    """Islands that an episode may stand on: wide enough, and with floor (a few are all slivers without area)."""
+    return tuple(
+        k
+        for k in range(pathfinder.num_islands)
+        if pathfinder.island_radius(k) >= rules.island_radius and pathfinder.island_area(k) > 0
+    )
+
+
+def is_standable(pathfinder: PathfinderProtocol, points: F64, rules: EpisodeRules) -> NDArray[np.bool_]:
+    """Which points (n, 3), already rounded to 1 mm, lie on an island wide enough."""
+    snapped = pathfinder.snap_points(points)
+    near = np.hypot(*(snapped - points)[:, [0, 2]].T) <= SNAP_TOLERANCE
+    level = np.abs(snapped[:, 1] - points[:, 1]) <= SNAP_TOLERANCE
+    wide = np.isin(pathfinder.get_islands(points), wide_islands(pathfinder, rules))
+    return np.asarray(near & level & wide, dtype=np.bool_)
+
+
+def blocked_footprints(
+    scene: Scene, pathfinder: PathfinderProtocol, max_climb: float
+) -> list[tuple[SceneObject, Footprint]]:
+    """Objects that stand on the floor although the navmesh runs on beneath them.
+
+    An object is ignored by the navmesh when the floor under the centre of its box can be stood on; furniture that
+    was built in has a hole (or its own top) there. Flat things that an agent steps over do not count.
+    """
+    found = []
+    for item in scene.objects:
+        room = scene.room_of.get(item.room_id)
+        box = Footprint.of(item)
+        if item.aabb is None or box is None or room is None:
+            continue
+        bottom, top = item.aabb[0][1], item.aabb[1][1]
+        base = max(room.floor_y, bottom) if room.annotation == "scene" else room.floor_y
+        if bottom - base >= FLOOR_STANDING or top - base <= max_climb:
+            continue
+        if room.annotation == "scene" and not _stands_low(item, pathfinder):
+            continue
+        below = np.array([[box.center[0], bottom, box.center[1]]])
+        snapped = pathfinder.snap_points(below)
+        on_floor = np.hypot(*(snapped - below)[0, [0, 2]]) <= SNAP_TOLERANCE and abs(snapped[0, 1] - bottom) < SINK
+        if on_floor:
+            found.append((item, box))
+    return found
+
+
+def _stands_low(item: SceneObject, pathfinder: PathfinderProtocol) -> bool:
+    """Whether the floor nearest to the object's bottom is less than FLOOR_STANDING below it."""
+    assert item.aabb is not None
+    bottom = np.array([[item.center[0], item.aabb[0][1], item.center[2]]])
+    snapped = pathfinder.snap_points(bottom)
+    return bool(np.isfinite(snapped).all() and item.aabb[0][1] - snapped[0, 1] < FLOOR_STANDING)
+
+
+def goal_points(
+    item: SceneObject,
+    room: Room,
+    pathfinder: PathfinderProtocol,
+    rules: EpisodeRules,
+    obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
+) -> F64:
+    """Navigable points (k, 3) around `item`, nearest to its box first, at most ``rules.goal_points``; empty if none.
+
+    All lie on one side of any wall: their geodesic to the point nearest the box is at most half the box's perimeter
+    plus 1 m.
+    """
+    box = Footprint.of(item)
+    if box is None:
+        box = Footprint(item.center[[0, 2]], np.zeros(2), np.eye(2))
+    bottom = float(item.aabb[0][1]) if item.aabb is not None else float(item.center[1])
+    for offsets, reach in ((RING_OFFSETS, rules.goal_reach), (FAR_RING_OFFSETS, rules.goal_reach_at_most)):
+        found = _standing_places(item, room, box, bottom, offsets, reach, pathfinder, rules, obstacles)
+        if len(found):
+            return _spread(found, box, rules.goal_points)
+    return np.empty((0, 3))
+
+
+def _standing_places(
+    item: SceneObject,
+    room: Room,
+    box: Footprint,
+    bottom: float,
+    offsets: Sequence[float],
+    reach: float,
+    pathfinder: PathfinderProtocol,
+    rules: EpisodeRules,
+    obstacles: Sequence[tuple[SceneObject, Footprint]],
+) -> F64:
+    flat = np.concatenate([box.ring(offset, RING_SPACING) for offset in offsets])
+    # Where no room tells the storey, the floor is the one nearest to the object's own bottom.
+    height = bottom if room.annotation == "scene" else room.floor_y
+    asked = np.column_stack([flat[:, 0], np.full(len(flat), height), flat[:, 1]])
+    # Asked island by island, so that the top of a table never hides the floor beneath it.
+    islands = wide_islands(pathfinder, rules)
+    tries = np.concatenate([asked] * len(islands)) if islands else asked[:0]
+    snapped = np.concatenate([pathfinder.snap_points(asked, island) for island in islands] or [asked[:0]])
+    good = np.isfinite(snapped).all(axis=1)
+    good &= np.hypot(*(snapped - tries)[:, [0, 2]].T) <= SNAP_TOLERANCE
+    points = np.unique(round_mm(snapped[good]), axis=0)
+    if not len(points):
+        return points
+    hang = bottom - points[:, 1]
+    keep = (
+        (hang <= STOREY) & (hang >= -SINK) & (box.distance(points) <= reach) & is_standable(pathfinder, points, rules)
+    )
+    if room.annotation != "scene":
+        keep &= np.abs(points[:, 1] - room.floor_y) <= SINK
+        if room.polygon is not None:
+            keep &= contains_xy(Polygon(room.polygon), points[:, 0], points[:, 2])
+    for other, footprint in obstacles:
+        if other.object_id != item.object_id:
+            keep &= footprint.distance(points) > 0.0
+    points = points[keep]
+    if not len(points):
+        return points
+    order = np.lexsort((points[:, 2], points[:, 0], box.distance(points)))
+    points = points[order]
+    walk = pathfinder.geodesic_distances(points[0], points)
+    same_side = walk <= box.half_perimeter + WALL_ALLOWANCE
+    return np.asarray(points[same_side], dtype=np.float64)
+
+
+def _spread(points: F64, box: Footprint, count: int) -> F64:
+    """The first point and then, one by one, the point farthest from those taken (nearer to the box on ties)."""
+    taken = [0]
+    gap = np.linalg.norm(points - points[0], axis=1)
+    while len(taken) < min(count, len(points)):
+        following = int(np.argmax(gap))
+        if gap[following] < RING_SPACING:
+            break
+        taken.append(following)
+        gap = np.minimum(gap, np.linalg.norm(points - points[following], axis=1))
+    chosen = points[taken]
+    return np.asarray(chosen[np.argsort(box.distance(chosen), kind="stable")], dtype=np.float64)

@@ -1,0 +1,257 @@
+"""Placing a program on a navmesh: one start, and for every leaf its goals, stops and path."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.episodes.footprint import Footprints
+from condvln.episodes.goals import blocked_footprints, goal_points, is_standable, wide_islands
+from condvln.episodes.routes import GoalField, Route, clearance
+from condvln.episodes.rules import EpisodeRules
+from condvln.instructions.stops import Stops
+from condvln.navigation.follower import FollowedRoute, Follower
+from condvln.navigation.pathfinder import Pathfinder
+from condvln.scene import Scene, SceneObject, round_mm
+from condvln.seeding import generator
+from schemas.program import Program
+
+__all__ = ["PlacedLeaf", "Placement", "Placer", "Rejected", "heading_degrees", "yaw_quaternion"]
+
+F64 = NDArray[np.float64]
+
+COMPASS_STEP: Final = math.pi / 4
+"""Yaw grid of texts that name the start heading: the eight compass points."""
+
+
+class Rejected(Exception):
+    """A program that can't be placed; `reason` is a key of ``rules.REASONS``."""
+
+    def __init__(self, reason: str) -> None:
+        self.reason = reason
+        super().__init__(reason)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PlacedLeaf:
+    """One leaf as if it were gold.
+
+    goals (k, 3) best first; its route; start → goal as Habitat measures it; the walk of an agent that knows the map.
+    """
+
+    objects: tuple[str, ...]
+    goals: F64
+    route: Route
+    geodesic_distance: float
+    walk: FollowedRoute
+
+    @property
+    def steps(self) -> int:
+        """Ground-truth actions, STOP included."""
+        return len(self.walk.actions)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Placement:
+    """Where an instruction begins and where each of its leaves lies; start (3,), yaw in radians about +Y."""
+
+    start: F64
+    yaw: float
+    leaves: tuple[PlacedLeaf, ...]
+    success_distance: float
+
+    @property
+    def steps(self) -> int:
+        """Ground-truth actions of the longest leaf: the same whichever leaf is gold."""
+        return max(leaf.steps for leaf in self.leaves)
+
+
+def yaw_quaternion(yaw: float) -> tuple[float, float, float, float]:
+    """Rotation ``[x, y, z, w]`` by `yaw` radians about +Y."""
+    return (0.0, math.sin(yaw / 2), 0.0, math.cos(yaw / 2))
+
+
+def heading_degrees(yaw: float) -> float:
+    """Compass heading, clockwise from north (−Z), in [0, 360)."""
+    return round(math.degrees(-yaw) % 360.0, 6) % 360.0
+
+
+class Placer:
+    """Places programs in one scene. Pure in (scene, navmesh, rules, seed): the order of calls changes nothing."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        pathfinder: Pathfinder,
+        rules: EpisodeRules,
+        seed: int,
+        *,
+        max_climb: float,
+        objects: Iterable[str] | None = None,
+    ) -> None:
+        self.scene = scene
+        self.pathfinder = pathfinder
+        self.rules = rules
+        self.seed = seed
+        self.tau = rules.success(scene.single_room)
+        self.obstacles = blocked_footprints(scene, pathfinder, max_climb)
+        self._follower = Follower(pathfinder, max_actions=rules.max_steps // 2)
+        self._solid = Footprints([footprint for _, footprint in self.obstacles])
+        wanted = sorted(scene.object_of if objects is None else objects)
+        goals = {}
+        for object_id in wanted:
+            points = self._goals(scene.object_of[object_id])
+            if len(points):
+                goals[object_id] = points
+        self.field = GoalField(pathfinder, goals)
+
+    def _goals(self, item: SceneObject) -> F64:
+        room = self.scene.room_of.get(item.room_id)
+        if room is None:
+            return np.empty((0, 3))
+        return goal_points(item, room, self.pathfinder, self.rules, self.obstacles)
+
+    @cached_property
+    def starts(self) -> F64:
+        """Seeded pool of starts (s, 3): on a wide island, on the floor, not inside anything that stands there."""
+        islands = wide_islands(self.pathfinder, self.rules)
+        if not islands:
+            return np.empty((0, 3))
+        rng = generator(self.seed, self.scene.scene_id, "starts")
+        drawn = np.concatenate(
+            [self.pathfinder.get_random_navigable_points(2 * self.rules.starts, rng, island) for island in islands]
+        )
+        points = np.unique(round_mm(drawn), axis=0)
+        keep = is_standable(self.pathfinder, points, self.rules)
+        for _, footprint in self.obstacles:
+            keep &= footprint.distance(points) > 0.0
+        points = points[keep]
+        # np.unique sorted them; the pool's order must not favour one end of the apartment.
+        order = generator(self.seed, self.scene.scene_id, "start order").permutation(len(points))
+        return np.asarray(points[order][: self.rules.starts], dtype=np.float64)
+
+    @cached_property
+    def _start_rows(self) -> F64:
+        return self.field.rows(self.starts)
+
+    @cached_property
+    def _gaps(self) -> F64:
+        return self.field.gaps(self.leaf_separation)
+
+    @property
+    def leaf_separation(self) -> float:
+        """Least geodesic between goals of two leaves."""
+        return 2 * self.tau + self.rules.leaf_gap
+
+    @cached_property
+    def stops(self) -> Stops:
+        """What a sampler of programs needs to know: which objects can be stood at, and which lie apart."""
+        on = np.zeros((len(self.field.goals), self.pathfinder.num_islands), dtype=bool)
+        for k, points in enumerate(self.field.goals.values()):
+            on[k, self.pathfinder.get_islands(points)] = True
+        # Far apart is no virtue where there is no way from one to the other.
+        shared = (on.astype(np.int64) @ on.T.astype(np.int64)) > 0
+        return Stops(tuple(self.field.goals), (self._gaps >= self.leaf_separation) & shared)
+
+    def gap(self, one: str, other: str) -> float:
+        """Least geodesic between two objects' goal points, or the leaf separation where they are surely farther."""
+        order = self._order
+        return float(self._gaps[order[one], order[other]])
+
+    @cached_property
+    def _order(self) -> dict[str, int]:
+        return {name: k for k, name in enumerate(self.field.goals)}
+
+    def check_objects(self, program: Program) -> None:
+        """Rules that need no start: every stop can be stood at, leaves and stops lie apart."""
+        stops = [[move.object_id for move in leaf.moves] for leaf in program.leaves]
+        if any(name not in self.field for moves in stops for name in moves):
+            raise Rejected("object_without_goal_point")
+        for k, one in enumerate(stops):
+            for other in stops[k + 1 :]:
+                if self.gap(one[-1], other[-1]) < self.leaf_separation:
+                    raise Rejected("leaves_too_close")
+        for moves in stops:
+            for one_stop, next_stop in pairwise(moves):
+                if self.gap(one_stop, next_stop) < 2 * self.tau:
+                    raise Rejected("moves_too_close")
+
+    def place(self, program: Program, instruction_id: str, *, compass: bool) -> Placement:
+        """One start for `program` under which every leaf keeps every rule; raises `Rejected` with the reason.
+
+        `compass`: the text names the start heading, so that the yaw is a compass point.
+        """
+        if not len(self.starts):
+            raise Rejected("no_start")
+        self.check_objects(program)
+        rng = generator(self.seed, self.scene.scene_id, "place", instruction_id)
+        possible = self._starts_in_range(program)
+        if not len(possible):
+            raise Rejected("no_start_in_range")
+        failures: Counter[str] = Counter()
+        for k in rng.permutation(possible)[: self.rules.starts_per_program]:
+            yaw = float(rng.uniform(-math.pi, math.pi))
+            if compass:
+                yaw = round(yaw / COMPASS_STEP) * COMPASS_STEP
+            try:
+                return self._place_at(program, self.starts[k], yaw)
+            except Rejected as rejected:
+                failures[rejected.reason] += 1
+        raise Rejected(max(sorted(failures), key=lambda reason: failures[reason]))
+
+    def _starts_in_range(self, program: Program) -> NDArray[np.int64]:
+        low, high = self.rules.range(self.scene.single_room)
+        rows = self._start_rows
+        good = np.ones(len(rows), dtype=bool)
+        for leaf in program.leaves:
+            goal = self.field.nearest(rows, leaf.goal.object_id)
+            good &= (goal >= low) & (goal <= high)
+            for move in leaf.moves:
+                good &= self.field.nearest(rows, move.object_id) > 2 * self.tau
+        return np.flatnonzero(good)
+
+    def _place_at(self, program: Program, start: F64, yaw: float) -> Placement:
+        routes = []
+        for leaf in program.leaves:
+            route = self.field.route(start, [move.object_id for move in leaf.moves])
+            if route is None:
+                raise Rejected("unreachable")
+            self._check_furniture(route.path)
+            routes.append(route)
+        goals = [
+            self.field.ordered_goals(route, leaf.goal.object_id)
+            for route, leaf in zip(routes, program.leaves, strict=True)
+        ]
+        self._check_separation(routes, goals)
+        leaves = []
+        for leaf, route, points in zip(program.leaves, routes, goals, strict=True):
+            direct = float(self.field.distances(start, leaf.goal.object_id).min())
+            walk = self._walk(start, yaw, route)
+            leaves.append(PlacedLeaf(tuple(m.object_id for m in leaf.moves), points, route, direct, walk))
+        return Placement(start, yaw, tuple(leaves), self.tau)
+
+    def _walk(self, start: F64, yaw: float, route: Route) -> FollowedRoute:
+        walk = self._follower.follow(start, yaw, route.stops)
+        if walk.outcome == "too long":
+            raise Rejected("over_step_budget")
+        if not walk.arrived:
+            raise Rejected("follower_stuck")
+        return walk
+
+    def _check_separation(self, routes: Sequence[Route], goals: Sequence[F64]) -> None:
+        for k, route in enumerate(routes):
+            for j, points in enumerate(goals):
+                if j != k and clearance(route.path, points) < self.tau:
+                    raise Rejected("path_enters_other_leaf")
+
+    def _check_furniture(self, path: F64) -> None:
+        if len(self._solid) and self._solid.crossings(path[:-1], path[1:]).any():
+            raise Rejected("path_through_furniture")

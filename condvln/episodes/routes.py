@@ -1,0 +1,140 @@
+"""Distances and walks between starts and goal points, each asked of the pathfinder once."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from condvln.navigation.protocol import PathfinderProtocol
+from condvln.scene import round_mm
+
+__all__ = ["GoalField", "Route", "clearance"]
+
+F64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Route:
+    """The way from a start through a leaf's stops.
+
+    stops (m, 3): the point chosen of each move, the last one the goal; path (n, 3) corner points rounded to 1 mm;
+    `length` in metres along the stops.
+    """
+
+    stops: F64
+    path: F64
+    length: float
+
+
+class GoalField:
+    """All goal points of a scene's objects, with cached geodesics from any point to all of them."""
+
+    def __init__(self, pathfinder: PathfinderProtocol, goals: Mapping[str, F64]) -> None:
+        self.pathfinder = pathfinder
+        self.goals = dict(goals)
+        self._span: dict[str, slice] = {}
+        at = 0
+        for name, points in self.goals.items():
+            self._span[name] = slice(at, at + len(points))
+            at += len(points)
+        self._points = np.concatenate([*self.goals.values(), np.empty((0, 3))])
+        self._owner = np.repeat(np.arange(len(self.goals)), [len(points) for points in self.goals.values()])
+        self._distances: dict[tuple[bytes, str], F64] = {}
+        self._paths: dict[bytes, F64 | None] = {}
+
+    def __contains__(self, object_id: str) -> bool:
+        return object_id in self._span
+
+    def distances(self, start: F64, object_id: str) -> F64:
+        """Geodesics (k,) from `start` to the goal points of one object; inf where there is no path."""
+        key = (start.tobytes(), object_id)
+        if key not in self._distances:
+            self._distances[key] = self._table(start[None], self.goals[object_id])[0]
+        return self._distances[key]
+
+    def rows(self, starts: F64) -> F64:
+        """Geodesics (s, P) from each of `starts` (s, 3) to every goal point of the scene."""
+        return self._table(starts, self._points)
+
+    def _table(self, starts: F64, ends: F64) -> F64:
+        table: F64 = np.array(self.pathfinder.distance_table(starts, ends), dtype=np.float64)
+        table[~np.isfinite(table)] = np.inf
+        return table
+
+    def nearest(self, rows: F64, object_id: str) -> F64:
+        """Least distance (s,) of each of `rows` (s, P) to one object."""
+        return np.asarray(rows[:, self._span[object_id]].min(axis=1), dtype=np.float64)
+
+    def gaps(self, enough: float) -> F64:
+        """Least geodesic (n, n) between goal points of every two objects, in the order of ``goals``.
+
+        Points farther apart than `enough` in a straight line are not asked and count as `enough`: a geodesic is never
+        shorter than that line. The diagonal is 0.
+        """
+        n = len(self.goals)
+        near = (
+            cKDTree(self._points).query_pairs(enough, output_type="ndarray") if n else np.empty((0, 2), dtype=np.intp)
+        )
+        # Sorted, since the tree promises no order and float32 paths differ by direction in their last bit.
+        near = near[np.lexsort(near.T[::-1])]
+        near = near[self._owner[near[:, 0]] != self._owner[near[:, 1]]]
+        gaps = np.full((n, n), enough)
+        if len(near):
+            asked = self.pathfinder.geodesic_distances(self._points[near[:, 0]], self._points[near[:, 1]])
+            walk = np.where(np.isfinite(asked), asked, np.inf).astype(np.float64)
+            np.minimum.at(gaps, (self._owner[near[:, 0]], self._owner[near[:, 1]]), walk)
+        both: F64 = np.minimum(gaps, gaps.T)
+        np.fill_diagonal(both, 0.0)
+        return both
+
+    def path(self, start: F64, end: F64) -> F64 | None:
+        """Corner points (n, 3) of the shortest path, rounded to 1 mm, or None."""
+        key = start.tobytes() + end.tobytes()
+        if key not in self._paths:
+            found = self.pathfinder.find_path(start, end)
+            self._paths[key] = round_mm(found.points) if math.isfinite(found.geodesic_distance) else None
+        return self._paths[key]
+
+    def route(self, start: F64, moves: Sequence[str]) -> Route | None:
+        """The walk from `start` past each object of `moves`, always to its goal point nearest from where one comes."""
+        at, length = start, 0.0
+        stops, pieces = [], [start[None]]
+        for name in moves:
+            away = self.distances(at, name)
+            best = int(np.argmin(away))
+            if not np.isfinite(away[best]):
+                return None
+            point = self.goals[name][best]
+            piece = self.path(at, point)
+            if piece is None:
+                return None
+            length += float(away[best])
+            pieces.append(piece[1:])
+            stops.append(point)
+            at = point
+        return Route(np.array(stops), np.concatenate(pieces), length)
+
+    def ordered_goals(self, route: Route, object_id: str) -> F64:
+        """Goal points (k, 3) of a leaf, the one its route ends at first, then as they come."""
+        points = self.goals[object_id]
+        first = int(np.flatnonzero((points == route.stops[-1]).all(axis=1))[0])
+        rest = [k for k in range(len(points)) if k != first]
+        return np.asarray(points[[first, *rest]], dtype=np.float64)
+
+
+def clearance(path: F64, points: F64) -> float:
+    """Least straight-line distance in metres between a polyline (n, 3) and points (k, 3).
+
+    A straight line is never longer than a geodesic, so a path that keeps clear by it keeps clear by both measures.
+    """
+    a, b = path[:-1, None], path[1:, None]
+    d = b - a
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = ((points[None] - a) * d).sum(axis=2) / (d * d).sum(axis=2)
+    t = np.clip(np.nan_to_num(t), 0.0, 1.0)[..., None]
+    return float(np.linalg.norm(points[None] - (a + t * d), axis=2).min())

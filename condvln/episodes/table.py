@@ -1,0 +1,123 @@
+"""Placed programs as rows: the episodes table before (PLACEMENTS) and after (EPISODES) its text is known."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from condvln.episodes.placing import PlacedLeaf, heading_degrees, yaw_quaternion
+from condvln.episodes.pool import Pool, PooledEpisode
+from condvln.scene import round_mm
+from schemas.program import Category
+from schemas.tables import EPISODES, REJECTIONS
+
+__all__ = ["PLACEMENTS", "TEXT_COLUMNS", "episode_id", "placements_table", "rejections_table", "with_text"]
+
+TEXT_COLUMNS: Final = ("words", "max_steps", "instruction_text")
+PLACEMENTS: Final = pa.schema([f for f in EPISODES if f.name not in TEXT_COLUMNS])
+"""The episodes table without what the wording decides."""
+
+ID_DIGITS: Final = 16
+"""Hex digits of an episode id: 64 bits, a collision in a million episodes has odds of 1 in 10⁷."""
+
+
+def episode_id(scene_id: str, instruction_id: str, start: NDArray[np.float64], yaw: float) -> str:
+    """Stable id from content: the scene, the instruction and the pose it starts from."""
+    pose = ",".join(f"{value:.3f}" for value in start) + f",{yaw:.6f}"
+    return hashlib.sha256("\x1f".join([scene_id, instruction_id, pose]).encode()).hexdigest()[:ID_DIGITS]
+
+
+def placements_table(scene_id: str, pool: Pool, compositions: Mapping[str, str], navmesh_sha256: str) -> pa.Table:
+    """The pool's episodes as PLACEMENTS rows; `compositions` by instruction id."""
+    rows = [_row(scene_id, e, compositions[e.instruction_id], navmesh_sha256) for e in pool.episodes]
+    return pa.Table.from_pylist(rows, schema=PLACEMENTS)
+
+
+def _row(scene_id: str, pooled: PooledEpisode, composition: str, navmesh_sha256: str) -> dict[str, Any]:
+    program, placement = pooled.program, pooled.placement
+    gold = program.gold_leaf()
+    leaf = placement.leaves[gold]
+    return {
+        "scene_id": scene_id,
+        "episode_id": episode_id(scene_id, pooled.instruction_id, placement.start, placement.yaw),
+        "instruction_id": pooled.instruction_id,
+        "group_id": None,
+        "category": program.category,
+        "composition": composition,
+        "observability": None,
+        "gold_leaf": gold,
+        "n_leaves": len(program.leaves),
+        "gold_label": program.leaves[gold].goal.label,
+        "moves": len(program.leaves[gold].moves),
+        "start_position": _point(placement.start),
+        "start_rotation": dict(zip("xyzw", yaw_quaternion(placement.yaw), strict=True)),
+        "start_heading_degrees": heading_degrees(placement.yaw),
+        "geodesic_distance": leaf.geodesic_distance,
+        "route_length": leaf.route.length,
+        "leaves": [_leaf(k, placed) for k, placed in enumerate(placement.leaves)],
+        "success_distance": placement.success_distance,
+        "ground_truth_steps": placement.steps,
+        "actions": [int(action) for action in leaf.walk.actions],
+        "locations": [_point(point) for point in round_mm(leaf.walk.locations)],
+        "navmesh_sha256": navmesh_sha256,
+    }
+
+
+def _leaf(index: int, leaf: PlacedLeaf) -> dict[str, Any]:
+    return {
+        "leaf": index,
+        "object_id": leaf.objects[-1],
+        "goals": [_point(point) for point in leaf.goals],
+        "subgoals": [
+            {"object_id": name, "position": _point(point)}
+            for name, point in zip(leaf.objects[:-1], leaf.route.stops[:-1], strict=True)
+        ],
+        "reference_path": [_point(point) for point in leaf.route.path],
+        "geodesic_distance": leaf.geodesic_distance,
+        "route_length": leaf.route.length,
+    }
+
+
+def _point(values: NDArray[np.float64]) -> dict[str, float]:
+    x, y, z = (float(value) for value in values)
+    return {"x": x, "y": y, "z": z}
+
+
+def with_text(placements: pa.Table, texts: Mapping[str, str], max_steps: int, steps_per_word: int) -> pa.Table:
+    """EPISODES rows: each placement with its text (by episode id), word count and step budget.
+
+    The budget is min(ceiling, max(steps a word × words, 2 × ground-truth actions)).
+    """
+    rows = placements.to_pylist()
+    for row in rows:
+        text = texts[row["episode_id"]]
+        row["words"] = len(text.split())
+        row["max_steps"] = min(max_steps, max(steps_per_word * row["words"], 2 * row["ground_truth_steps"]))
+        row["instruction_text"] = text
+    return pa.Table.from_pylist(rows, schema=EPISODES)
+
+
+def rejections_table(
+    scene_id: str,
+    stage: str,
+    counts: Mapping[tuple[Category, str], int],
+    examples: Mapping[tuple[Category, str], str] | None = None,
+) -> pa.Table:
+    """Counts by (category, reason) as REJECTIONS rows."""
+    rows = [
+        {
+            "scene_id": scene_id,
+            "stage": stage,
+            "category": category,
+            "reason": reason,
+            "count": count,
+            "example": (examples or {}).get((category, reason)),
+        }
+        for (category, reason), count in sorted(counts.items(), key=lambda item: (item[0][1], item[0][0]))
+    ]
+    return pa.Table.from_pylist(rows, schema=REJECTIONS)

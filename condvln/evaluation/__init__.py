@@ -1,0 +1,1 @@
+"""Episodes and what agents did in them → metrics, intervals, tables."""

@@ -1,0 +1,129 @@
+"""Reference agents that need no simulator and no learning: the ceiling, the floor, and what guessing is worth.
+
+Each walks on the navmesh in VLN-CE's actions; ``perfect`` alone glides along the reference path itself. Their expected
+scores are in docs/metrics.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Final, Protocol
+
+import numpy as np
+
+from condvln.evaluation.predictions import Prediction
+from condvln.evaluation.task import Task
+from condvln.evaluation.walker import heading_of
+from condvln.export.densify import PATH_SPACING, densify
+from condvln.navigation.follower import VLN_CE, Follower
+from condvln.navigation.pathfinder import Pathfinder
+from condvln.seeding import generator
+from schemas.errors import UsageError
+
+__all__ = ["AGENTS", "Agent", "agent_named", "predict_all", "walk_to_leaf"]
+
+
+class Agent(Protocol):
+    """What a reference agent does in one episode; the same for one seed, whatever came before."""
+
+    def __call__(self, task: Task, pathfinder: Pathfinder, seed: int) -> Prediction: ...
+
+
+def walk_to_leaf(task: Task, pathfinder: Pathfinder, leaf: int) -> Prediction:
+    """Through the leaf's subgoals to its best goal, and STOP; as far as the step budget goes."""
+    target = task.leaves[leaf]
+    heading = heading_of(task.start_rotation)
+    follower = Follower(pathfinder, VLN_CE)
+    route = follower.follow(task.start, heading, np.vstack([target.subgoals, target.goals[:1]]))
+    actions = route.actions[: task.max_steps]
+    poses = follower.walk(task.start, heading, actions)
+    stopped = len(actions) > 0 and actions[-1] == 0
+    positions = poses.positions.astype(np.float64)
+    return Prediction(task.episode_id, positions, bool(stopped), True, None, poses.headings)
+
+
+def perfect(task: Task, pathfinder: Pathfinder, seed: int) -> Prediction:
+    """The reference path of the gold leaf, 0.25 m at a time, whatever the headings."""
+    points = densify(task.gold.path, PATH_SPACING)
+    return Prediction(task.episode_id, points, True, False, None, np.zeros(len(points)))
+
+
+def oracle(task: Task, pathfinder: Pathfinder, seed: int) -> Prediction:
+    """Knows every condition's truth and the map."""
+    return walk_to_leaf(task, pathfinder, task.gold_leaf)
+
+
+def wrong_branch(task: Task, pathfinder: Pathfinder, seed: int) -> Prediction:
+    """Goes to some leaf, never the right one."""
+    others = [leaf for leaf in range(len(task.leaves)) if leaf != task.gold_leaf]
+    return walk_to_leaf(task, pathfinder, others[_draw(seed, "wrong-branch", task, len(others))])
+
+
+def random_leaf(task: Task, pathfinder: Pathfinder, seed: int) -> Prediction:
+    """Goes to any leaf, each as likely."""
+    return walk_to_leaf(task, pathfinder, _draw(seed, "random-leaf", task, len(task.leaves)))
+
+
+def always_then(task: Task, pathfinder: Pathfinder, seed: int) -> Prediction:
+    """Takes every condition for true."""
+    return walk_to_leaf(task, pathfinder, task.program.gold_leaf([True] * len(task.program.conditions)))
+
+
+def always_else(task: Task, pathfinder: Pathfinder, seed: int) -> Prediction:
+    """Takes every condition for false."""
+    return walk_to_leaf(task, pathfinder, task.program.gold_leaf([False] * len(task.program.conditions)))
+
+
+def nearest(task: Task, pathfinder: Pathfinder, seed: int) -> Prediction:
+    """Goes to the leaf whose goal is nearest to the start."""
+    return walk_to_leaf(task, pathfinder, int(np.argmin([leaf.geodesic_distance for leaf in task.leaves])))
+
+
+def coin_flip(task: Task, pathfinder: Pathfinder, seed: int) -> Prediction:
+    """Answers every condition it meets by a coin: shallow leaves are then likelier than deep ones."""
+    truths = generator(seed, "coin-flip", task.episode_id).integers(0, 2, len(task.program.conditions)).astype(bool)
+    return walk_to_leaf(task, pathfinder, task.program.gold_leaf(truths.tolist()))
+
+
+def stop_at_start(task: Task, pathfinder: Pathfinder, seed: int) -> Prediction:
+    """Says STOP and nothing else."""
+    points = np.vstack([task.start, task.start])
+    return Prediction(task.episode_id, points, True, True, 0, np.full(2, heading_of(task.start_rotation)))
+
+
+AGENTS: Final[Mapping[str, Agent]] = {
+    "perfect": perfect,
+    "oracle": oracle,
+    "wrong-branch": wrong_branch,
+    "random-leaf": random_leaf,
+    "coin-flip": coin_flip,
+    "always-then": always_then,
+    "always-else": always_else,
+    "nearest": nearest,
+    "stop-at-start": stop_at_start,
+}
+"""By the name that ``condvln walk --agent`` takes."""
+
+
+def agent_named(name: str) -> Agent:
+    """The agent of a name.
+
+    Raises
+    ------
+    UsageError : there is none
+    """
+    if name not in AGENTS:
+        raise UsageError(f"no agent {name!r}", remedy=f"There are {', '.join(AGENTS)}")
+    return AGENTS[name]
+
+
+def predict_all(
+    agent: Agent, tasks: Iterable[Task], pathfinder_of: Callable[[Task], Pathfinder], *, seed: int = 0
+) -> Iterator[Prediction]:
+    """Predictions of an agent, one episode at a time."""
+    for task in tasks:
+        yield agent(task, pathfinder_of(task), seed)
+
+
+def _draw(seed: int, purpose: str, task: Task, count: int) -> int:
+    return int(generator(seed, purpose, task.episode_id).integers(count))

@@ -1,0 +1,173 @@
+"""The Matterport3DSimulator variant: paths over the viewpoints of a connectivity graph.
+
+Definitions of R2R's ``eval.py``: distances are shortest paths in the graph, an episode succeeds when its last
+viewpoint is nearer than 3 m to the goal, there is no STOP flag. nDTW and CLS take the same distances, as the discrete
+agents' evaluators do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, NoReturn
+
+import numpy as np
+import numpy.typing as npt
+import orjson
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import shortest_path
+
+from condvln.evaluation.kernels.alignment import dtw_of_costs
+from condvln.evaluation.measures import FIDELITY_DISTANCE, length_weighted, spl
+from condvln.evaluation.predictions import GraphPrediction
+from condvln.navigation.connectivity import ViewpointGraph, read_connectivity
+from schemas.errors import FormatError, MissingFileError
+
+__all__ = ["ERROR_MARGIN", "GraphDistances", "GraphEpisode", "GraphScore", "evaluate_graph", "read_graph_episodes"]
+
+ERROR_MARGIN: Final = 3.0
+"""Metres; R2R's success distance."""
+
+Table = npt.NDArray[np.float64]
+
+
+class GraphDistances:
+    """Shortest distances between all viewpoints of a scan, metres, infinite where there is no way."""
+
+    def __init__(self, graph: ViewpointGraph) -> None:
+        self.numbers = {name: number for number, name in enumerate(graph.ids)}
+        # A zero would read as no edge.
+        weights = np.maximum(graph.lengths, np.finfo(float).tiny)
+        count = len(graph.ids)
+        edges = csr_array((weights, (graph.edges[:, 0], graph.edges[:, 1])), shape=(count, count))
+        self._table: Table = shortest_path(edges, method="D", directed=False)
+
+    @classmethod
+    def load(cls, path: Path) -> GraphDistances:
+        """Distances of ``<scan>_connectivity.json``.
+
+        Raises
+        ------
+        MissingFileError, FormatError : from :func:`~condvln.navigation.connectivity.read_connectivity`
+        """
+        return cls(read_connectivity(path))
+
+    def between(self, first: Sequence[int], second: Sequence[int]) -> Table:
+        """Distances of all pairs, (len(first), len(second))."""
+        found: Table = self._table[np.ix_(first, second)]
+        return found
+
+    def along(self, path: Sequence[int]) -> float:
+        """Length of a path, each two viewpoints in a row joined by their shortest way."""
+        return float(self._table[list(path[:-1]), list(path[1:])].sum())
+
+
+@dataclass(frozen=True)
+class GraphEpisode:
+    """One instruction of an R2R file."""
+
+    instruction_id: str
+    scan: str
+    path: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class GraphScore:
+    """Measures of one instruction; lengths in metres."""
+
+    path_length: float
+    navigation_error: float
+    success: float
+    oracle_success: float
+    spl: float
+    ndtw: float
+    sdtw: float
+    cls: float
+    missing: float
+
+
+def read_graph_episodes(path: Path) -> list[GraphEpisode]:
+    """Instructions of an R2R file, ids ``<path_id>_<number>``.
+
+    Raises
+    ------
+    FormatError : not an R2R file
+    """
+    try:
+        records = orjson.loads(path.read_bytes())
+        return [
+            GraphEpisode(f"{record['path_id']}_{number}", str(record["scan"]), tuple(map(str, record["path"])))
+            for record in records
+            for number in range(len(record["instructions"]))
+        ]
+    except (orjson.JSONDecodeError, KeyError, TypeError) as error:
+        raise FormatError(
+            f"not an R2R file ({type(error).__name__}: {error})", where=path, remedy="Name R2R_<split>.json"
+        ) from error
+
+
+def evaluate_graph(
+    episodes: Iterable[GraphEpisode],
+    predictions: Iterable[GraphPrediction],
+    graphs: Mapping[str, GraphDistances],
+    *,
+    margin: float = ERROR_MARGIN,
+    where: str = "",
+) -> dict[str, GraphScore]:
+    """Scores by instruction id; instructions without a prediction, or with an empty one, are failures.
+
+    Raises
+    ------
+    MissingFileError : a scan without a graph
+    FormatError : an unknown instruction or viewpoint, a path that begins elsewhere
+    """
+    tasks = {episode.instruction_id: episode for episode in episodes}
+    lacking = sorted({episode.scan for episode in tasks.values()} - set(graphs))
+    if lacking:
+        raise MissingFileError(
+            f"no connectivity graph of {len(lacking)} scans, such as {lacking[0]}",
+            remedy="Name the folder of <scan>_connectivity.json files",
+        )
+    found: dict[str, GraphScore] = {}
+    for prediction in predictions:
+        episode = tasks.get(prediction.instruction_id)
+        if episode is None:
+            _refuse(where, prediction.instruction_id, "no such instruction in this split")
+        graph = graphs[episode.scan]
+        unknown = [viewpoint for viewpoint in prediction.viewpoints if viewpoint not in graph.numbers]
+        if unknown:
+            _refuse(where, prediction.instruction_id, f"no viewpoint {unknown[0]!r} in scan {episode.scan}")
+        if prediction.viewpoints and prediction.viewpoints[0] != episode.path[0]:
+            _refuse(where, prediction.instruction_id, "the path begins at another viewpoint than the episode")
+        found[episode.instruction_id] = _score(episode, prediction.viewpoints, graph, margin)
+    return {name: found.get(name) or _score(task, (), graphs[task.scan], margin) for name, task in tasks.items()}
+
+
+def _score(episode: GraphEpisode, viewpoints: tuple[str, ...], graph: GraphDistances, margin: float) -> GraphScore:
+    reference = [graph.numbers[viewpoint] for viewpoint in episode.path]
+    missing = not viewpoints
+    path = [graph.numbers[viewpoint] for viewpoint in viewpoints or episode.path[:1]]
+    to_goal = graph.between(path, reference[-1:])[:, 0]
+    length = graph.along(path)
+    error = float(to_goal[-1])
+    success = not missing and error < margin
+    costs = graph.between(path, reference)
+    fidelity = 0.0 if missing else float(np.exp(-dtw_of_costs(costs) / (len(reference) * FIDELITY_DISTANCE)))
+    coverage = float(np.exp(-costs.min(axis=0) / FIDELITY_DISTANCE).mean())
+    reference_length = graph.along(reference)
+    return GraphScore(
+        path_length=length,
+        navigation_error=error,
+        success=float(success),
+        oracle_success=float(not missing and (to_goal < margin).any()),
+        spl=spl(success, float(graph.between(reference[:1], reference[-1:])[0, 0]), length),
+        ndtw=fidelity,
+        sdtw=success * fidelity,
+        cls=0.0 if missing else length_weighted(coverage, reference_length, length),
+        missing=float(missing),
+    )
+
+
+def _refuse(where: str, name: str, what: str) -> NoReturn:
+    raise FormatError(what, where=where or None, place=f"instruction {name}", remedy="See docs/metrics.md")

@@ -1,0 +1,149 @@
+"""Results that others' evaluators wrote episode by episode: ``stats_<id>.json`` files, or one object of them by id.
+
+Re-aggregated they get the tables and intervals of everything else. Only what is in them is used; their goals, budgets
+and success distances are their own (see docs/metrics.md before comparing). Numbers that are not finite count as
+undefined, never as 0.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from condvln.evaluation.branching import NO_LEAF
+from condvln.evaluation.evaluate import AXES, Evaluation
+from condvln.evaluation.json_entries import opened
+from condvln.evaluation.score import Rules, Score
+from condvln.evaluation.task import Task
+from schemas.errors import FormatError
+
+__all__ = ["NAMES", "evaluation_of_stats", "read_episode_stats"]
+
+NAMES: Final[Mapping[str, str]] = {
+    "distance_to_goal": "navigation_error",
+    "path_length": "path_length",
+    "success": "success",
+    "oracle_success": "oracle_success",
+    "spl": "spl",
+    "ndtw": "ndtw",
+    "sdtw": "sdtw",
+    "cls": "cls",
+    "steps_taken": "steps",
+    "collisions": "collisions",
+    "bsa": "bsa_all",
+    "branch_subgoal_accuracy": "bsa_all",
+    "csr": "csr_all",
+    "conditional_success_rate": "csr_all",
+}
+"""Their names and ours."""
+
+_PREFIX: Final = "stats_"
+
+
+def read_episode_stats(path: Path) -> dict[str, dict[str, float]]:
+    """Measures by episode id, under our names.
+
+    Parameters
+    ----------
+    path : a folder of ``stats_<id>.json``, one such file, or one file ``{id: {measure: number}}``
+
+    Raises
+    ------
+    FormatError : not such files, or one id twice
+    """
+    found: dict[str, dict[str, float]] = {}
+    for file in sorted(path.glob(f"{_PREFIX}*.json")) if path.is_dir() else [path]:
+        for name, stats, place in _of_file(file):
+            if name in found:
+                raise FormatError("stands twice", where=file, place=f"episode {name}", remedy="Keep one of the two")
+            found[name] = _measures(stats, file, place)
+    if not found:
+        raise FormatError("holds no episode", where=path, remedy=f"Name a folder of {_PREFIX}<id>.json files")
+    return found
+
+
+def _of_file(path: Path) -> Iterator[tuple[str, Mapping[str, Any], str]]:
+    # A file of one episode holds numbers, a file of many holds objects; json and not orjson, since these hold NaN.
+    with opened(path) as file:
+        try:
+            document = json.load(file)
+        except (ValueError, RecursionError) as error:
+            raise FormatError(f"is not JSON ({error})", where=path, remedy="Write the results again") from error
+    if isinstance(document, dict) and document and all(isinstance(value, dict) for value in document.values()):
+        yield from ((str(name), stats, f"episode {name}") for name, stats in document.items())
+    elif isinstance(document, dict) and path.stem.startswith(_PREFIX):
+        yield path.stem.removeprefix(_PREFIX), document, "the file"
+    else:
+        raise FormatError(
+            "is neither {id: {measure: number}} nor one episode's measures",
+            where=path,
+            remedy=f"Name a folder of {_PREFIX}<id>.json files or one object of them",
+        )
+
+
+def _measures(stats: Mapping[str, Any], path: Path, place: str) -> dict[str, float]:
+    measures = {}
+    for theirs, ours in NAMES.items():
+        value = stats.get(theirs)
+        if isinstance(value, dict):  # habitat-lab's collisions are {count, is_collision}
+            value = value.get("count")
+        if value is None:
+            continue
+        if not isinstance(value, int | float):
+            raise FormatError(f"{theirs} is not a number", where=path, place=place, remedy="Write the results again")
+        measures[ours] = float(value) if math.isfinite(value) else math.nan
+    return measures
+
+
+def evaluation_of_stats(
+    tasks: Sequence[Task], stats: Mapping[str, Mapping[str, float]], *, agent: str = "agent", where: str = ""
+) -> Evaluation:
+    """Scores of a split from such results; an episode without any is a failure.
+
+    Raises
+    ------
+    FormatError : results of an episode that is not in the split
+    """
+    known = {task.episode_id for task in tasks}
+    unknown = [name for name in stats if name not in known]
+    if unknown:
+        raise FormatError(
+            f"no episode {unknown[0]!r} in this split", where=where or None, remedy="Name the split they are of"
+        )
+    names = [item.name for item in fields(Score)]
+    rows = [_row(task, stats.get(task.episode_id)) for task in tasks]
+    return Evaluation(
+        agent,
+        Rules(),
+        tuple(task.episode_id for task in tasks),
+        tuple(task.group_id for task in tasks),
+        {axis: np.array([task.axes[axis] for task in tasks], dtype=object) for axis in AXES},
+        np.array([task.gold_leaf for task in tasks], dtype=np.int64),
+        np.array([len(task.leaves) for task in tasks], dtype=np.int64),
+        {name: np.array([row.get(name, math.nan) for row in rows], dtype=np.float64) for name in names},
+    )
+
+
+def _row(task: Task, stats: Mapping[str, float] | None) -> dict[str, float]:
+    if stats is None:
+        failed = dict.fromkeys(set(NAMES.values()) - {"navigation_error", "steps", "collisions"}, 0.0)
+        return {**failed, "missing": 1.0, **_by_the_paper(task, 0.0, 0.0, 0.0), "committed_leaf": float(NO_LEAF)}
+    row = {**stats, "missing": 0.0, "committed_leaf": float(NO_LEAF)}
+    success = stats.get("success", math.nan)
+    bsa = stats.get("bsa_all", math.nan) if len(task.gold.subgoals) else success
+    csr = stats.get("csr_all", float(bsa == 1 and success == 1) if not math.isnan(bsa) else math.nan)
+    return row | _by_the_paper(task, success, bsa, csr)
+
+
+def _by_the_paper(task: Task, success: float, bsa: float, csr: float) -> dict[str, float]:
+    """BSA and CSR over all episodes, and by the paper's rule for episodes without subgoals."""
+    if len(task.gold.subgoals):
+        return {"bsa": bsa, "csr": csr, "bsa_all": bsa, "csr_all": csr}
+    paper = 1.0 if success == 1 else math.nan
+    return {"bsa": paper, "csr": paper, "bsa_all": success, "csr_all": success}

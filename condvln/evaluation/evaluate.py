@@ -1,0 +1,132 @@
+"""A split and one agent's predictions → a table of scores, one row an episode."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from condvln.evaluation.nearness import Nearness
+from condvln.evaluation.predictions import Prediction
+from condvln.evaluation.score import Rules, Score, score
+from condvln.evaluation.task import Task
+from condvln.export.rxr import numeric_id
+from condvln.navigation.protocol import PathfinderProtocol
+from schemas.errors import FormatError
+
+__all__ = ["AXES", "SWEPT", "Evaluation", "evaluate"]
+
+AXES: Final = ("source", "scene", "category", "depth", "chain", "composition", "observability", "moves")
+"""Columns by which scores are grouped."""
+
+SWEPT: Final = ("success", "oracle_success", "spl", "bsa_all", "csr_all", "leaf_correct")
+"""Measures that depend on the success distance and are kept for each of a sweep."""
+
+PathfinderOf = Callable[[Task], PathfinderProtocol]
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Scores of one agent on one split.
+
+    Attributes
+    ----------
+    episode_ids, group_ids : of the n rows, in the order of the manifest
+    axes : (n,) object arrays by name (:data:`AXES`)
+    gold_leaf, n_leaves : (n,)
+    scores : (n,) float64 arrays by the names of :class:`~condvln.evaluation.score.Score`
+    sweep : by success distance, (n,) arrays by the names of :data:`SWEPT`
+    """
+
+    agent: str
+    rules: Rules
+    episode_ids: tuple[str, ...]
+    group_ids: tuple[str | None, ...]
+    axes: Mapping[str, npt.NDArray[np.object_]]
+    gold_leaf: npt.NDArray[np.int64]
+    n_leaves: npt.NDArray[np.int64]
+    scores: Mapping[str, npt.NDArray[np.float64]]
+    sweep: Mapping[float, Mapping[str, npt.NDArray[np.float64]]] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.episode_ids)
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One dictionary an episode: id, axes, scores; undefined measures are None."""
+        columns: dict[str, list[Any]] = {"episode_id": list(self.episode_ids)}
+        columns |= {name: values.tolist() for name, values in self.axes.items()}
+        columns |= {"gold_leaf": self.gold_leaf.tolist()}
+        for name, values in self.scores.items():
+            columns[name] = [None if np.isnan(value) else value for value in values.tolist()]
+        return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+
+
+def evaluate(
+    tasks: Sequence[Task],
+    predictions: Iterable[Prediction],
+    pathfinder_of: PathfinderOf,
+    rules: Rules | None = None,
+    *,
+    agent: str = "agent",
+    where: str = "",
+    radii: Sequence[float] = (),
+    prune: bool = True,
+) -> Evaluation:
+    """Score every task; tasks without a prediction count as failures.
+
+    Parameters
+    ----------
+    pathfinder_of : navigation backend of a task's scene
+    where : name of the predictions' file, for messages
+    radii : success distances of a sweep, metres
+    prune : ask distances only where they can matter; off, every position is asked about, for the same numbers
+
+    Raises
+    ------
+    FormatError : a prediction of an unknown episode, or two of one, or one that starts elsewhere
+    """
+    rules = rules or Rules()
+    numbers = {task.episode_id: number for number, task in enumerate(tasks)}
+    aliases = {str(numeric_id(name)): name for name in numbers}
+    scores: list[Score | None] = [None] * len(tasks)
+    swept: dict[float, list[Score | None]] = {radius: [None] * len(tasks) for radius in radii}
+
+    def judge(number: int, prediction: Prediction | None) -> None:
+        task = tasks[number]
+        nearness = Nearness(pathfinder_of(task), prune=prune)
+        scores[number] = score(task, prediction, nearness, rules, where)
+        for radius, kept in swept.items():
+            kept[number] = score(task, prediction, nearness, replace(rules, success_distance=radius), where)
+
+    for prediction in predictions:
+        name = prediction.episode_id if prediction.episode_id in numbers else aliases.get(prediction.episode_id, "")
+        if name not in numbers:
+            raise FormatError(
+                f"no episode {prediction.episode_id!r} in this split",
+                where=where or None,
+                remedy="Evaluate each split's predictions against that split",
+            )
+        if scores[numbers[name]] is not None:
+            raise FormatError(f"episode {name!r} is predicted twice", where=where or None, remedy="Keep one of the two")
+        judge(numbers[name], prediction)
+    for number in range(len(tasks)):
+        if scores[number] is None:
+            judge(number, None)
+    return Evaluation(
+        agent,
+        rules,
+        tuple(numbers),
+        tuple(task.group_id for task in tasks),
+        {axis: np.array([task.axes[axis] for task in tasks], dtype=object) for axis in AXES},
+        np.array([task.gold_leaf for task in tasks], dtype=np.int64),
+        np.array([len(task.leaves) for task in tasks], dtype=np.int64),
+        _columns(scores, [item.name for item in fields(Score)]),
+        {radius: _columns(kept, SWEPT) for radius, kept in swept.items()},
+    )
+
+
+def _columns(scores: Sequence[Score | None], names: Iterable[str]) -> dict[str, npt.NDArray[np.float64]]:
+    return {name: np.array([getattr(row, name) for row in scores], dtype=np.float64) for name in names}

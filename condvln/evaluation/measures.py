@@ -1,0 +1,82 @@
+"""The measures of a path against a goal or a reference, as pure functions.
+
+Formulas as in habitat-lab (``tasks/nav/nav.py``), VLN-CE (``habitat_extensions/measures.py``), Ilharco et al. 2019
+(nDTW, SDTW) and Jain et al. 2019 (CLS); docs/metrics.md tells where published evaluators differ.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from condvln.evaluation.kernels.alignment import coverage_distances, dtw, fast_dtw
+
+__all__ = ["FIDELITY_DISTANCE", "cls", "length_weighted", "ndtw", "path_length", "spl", "without_repeats"]
+
+Points = npt.NDArray[np.float64]
+
+FIDELITY_DISTANCE: Final = 3.0
+"""Metres; the threshold of nDTW and CLS in R2R and VLN-CE, whatever the success distance."""
+
+_FAST_RADIUS: Final = 1
+_NOTHING: Final = 1e-6
+"""Metres below which a length counts as none."""
+
+
+def path_length(positions: Points) -> float:
+    """Sum of the Euclidean steps of a path (n, 3), metres."""
+    return float(np.sqrt(np.square(np.diff(positions, axis=0)).sum(axis=1)).sum())
+
+
+def without_repeats(positions: Points) -> Points:
+    """A path without the points that equal their predecessor: turns on the spot are no part of it."""
+    if len(positions) == 0:
+        return positions
+    moved = (np.diff(positions, axis=0) != 0).any(axis=1)
+    return positions[np.concatenate(([True], moved))]
+
+
+def spl(success: bool, shortest: float, length: float) -> float:
+    """Success weighted by path length: S · L ÷ max(L, P) (Anderson et al. 2018).
+
+    An unreachable goal gives 0 and a start on the goal without a step gives S, where the plain quotient gives NaN.
+    """
+    if not success or not np.isfinite(shortest):
+        return 0.0
+    if shortest < _NOTHING and length < _NOTHING:
+        return 1.0
+    return shortest / max(shortest, length)
+
+
+def ndtw(path: Points, reference: Points, distance: float = FIDELITY_DISTANCE, *, fast: bool = False) -> float:
+    """Normalised dynamic time warping: exp(−DTW(P, R) ÷ (|R| · d)).
+
+    Parameters
+    ----------
+    path : (n, 3) positions, n ≥ 1; repeats of the predecessor are dropped
+    reference : (m, 3) dense locations
+    fast : VLN-CE's approximation (``fastdtw``, radius 1), never below the exact sum
+    """
+    walked = np.ascontiguousarray(without_repeats(path), dtype=np.float64)
+    wanted = np.ascontiguousarray(reference, dtype=np.float64)
+    total = fast_dtw(walked, wanted, _FAST_RADIUS) if fast else dtw(walked, wanted)
+    return float(np.exp(-total / (len(wanted) * distance)))
+
+
+def cls(path: Points, reference: Points, distance: float = FIDELITY_DISTANCE) -> float:
+    """Coverage weighted by length score.
+
+    Coverage is the mean over the reference of exp(−distance to the path ÷ d); the length score compares the path's
+    length with coverage × the reference's. A reference of no length scores its coverage when the path has none either.
+    """
+    near = coverage_distances(np.ascontiguousarray(path, dtype=np.float64), np.ascontiguousarray(reference))
+    return length_weighted(float(np.exp(-near / distance).mean()), path_length(reference), path_length(path))
+
+
+def length_weighted(coverage: float, reference_length: float, length: float) -> float:
+    """CLS of a coverage and two lengths, metres."""
+    expected = coverage * reference_length
+    total = expected + abs(expected - length)
+    return coverage if total == 0 else coverage * expected / total

@@ -1,0 +1,76 @@
+"""The navmesh of each episode, found by the manifest's path below some folders and proven by its hash."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import OrderedDict
+from collections.abc import Sequence
+from pathlib import Path, PurePosixPath
+from typing import Final
+
+from condvln.evaluation.task import Task
+from condvln.navigation.pathfinder import Pathfinder
+from schemas.errors import FormatError, MissingFileError, PathEscapeError
+
+__all__ = ["NavmeshFolder"]
+
+_KEPT: Final = 64
+"""Pathfinders kept in memory: predictions name scenes in any order."""
+
+
+class NavmeshFolder:
+    """Pathfinders by the path and hash of their navmesh.
+
+    Parameters
+    ----------
+    roots : folders looked in, in order: the export itself first, then the datasets' own
+    """
+
+    def __init__(self, roots: Sequence[Path]) -> None:
+        self._roots = tuple(roots)
+        self._pathfinders: OrderedDict[str, Pathfinder] = OrderedDict()
+
+    def __call__(self, task: Task) -> Pathfinder:
+        """The pathfinder of a task's scene.
+
+        Raises
+        ------
+        MissingFileError : the navmesh is in none of the folders
+        FormatError : what is there is another file than the episodes were made on
+        """
+        found = self._pathfinders.get(task.navmesh_sha256)
+        if found is None:
+            path = self._find(task)
+            found = self._pathfinders[task.navmesh_sha256] = Pathfinder.load(path)
+            if len(self._pathfinders) > _KEPT:
+                self._pathfinders.popitem(last=False)
+        self._pathfinders.move_to_end(task.navmesh_sha256)
+        return found
+
+    def _find(self, task: Task) -> Path:
+        relative = PurePosixPath(task.navmesh)
+        if relative.is_absolute() or ".." in relative.parts:
+            raise PathEscapeError(
+                f"the navmesh {task.navmesh!r} lies outside of every root",
+                place=f"episode {task.episode_id}",
+                remedy="Export the split again",
+            )
+        others = []
+        for root in self._roots:
+            path = root / relative
+            if path.is_file():
+                if hashlib.sha256(path.read_bytes()).hexdigest() == task.navmesh_sha256:
+                    return path
+                others.append(path)
+        if others:
+            raise FormatError(
+                "not the navmesh that the episodes were made on: its hash differs",
+                where=others[0],
+                place=f"episode {task.episode_id}",
+                remedy="Use the file of the dataset's version that the manifest names, or export again",
+            )
+        raise MissingFileError(
+            f"no navmesh {task.navmesh} below {', '.join(map(str, self._roots)) or 'any folder'}",
+            place=f"episode {task.episode_id}",
+            remedy="Name the dataset's folder with --navmesh-root",
+        )

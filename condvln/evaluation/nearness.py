@@ -1,0 +1,91 @@
+"""Geodesic distances of a path to goals, asked only where the answer can matter.
+
+A geodesic is never shorter than the straight line between the two snapped points, so a position farther than that from
+a goal need not be asked about: except where snapping moved a point, since habitat-sim measures from the point as given.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from condvln.navigation.protocol import PathfinderProtocol
+
+__all__ = ["SLACK", "SNAPPED", "Nearness", "SnappedPath"]
+
+Points = npt.NDArray[np.float64]
+
+SLACK: Final = 0.01
+"""Metres added to a radius before the straight line rules a position out: float32 sums and points up to 1 cm off the
+mesh."""
+
+SNAPPED: Final = 0.01
+"""A point that snapping moves farther than this (metres) is always asked about."""
+
+_WAVE: Final = 8
+"""Candidates asked about in the first batch; each batch is twice the one before."""
+
+
+@dataclass(frozen=True, eq=False)
+class SnappedPath:
+    """A path (n, 3), where each of its points snaps to (NaN where nowhere), and which were moved by it."""
+
+    positions: Points
+    snapped: Points
+    moved: npt.NDArray[np.bool_]
+
+
+class Nearness:
+    """Distances in one scene; unreachable is infinite, never NaN."""
+
+    def __init__(self, pathfinder: PathfinderProtocol, *, prune: bool = True) -> None:
+        self._pathfinder = pathfinder
+        self._prune = prune
+
+    def snap(self, positions: Points) -> SnappedPath:
+        """A path made ready for the questions below."""
+        # An agent that turns stays where it is: those poses are snapped once.
+        fresh = np.concatenate(([True], (np.diff(positions, axis=0) != 0).any(axis=1)))
+        once = np.asarray(self._pathfinder.snap_points(positions[fresh]), dtype=np.float64).reshape(-1, 3)
+        snapped = once[np.cumsum(fresh) - 1]
+        shift = np.sqrt(np.square(snapped - positions).sum(axis=1))
+        return SnappedPath(positions, snapped, shift > SNAPPED)
+
+    def distance(self, point: Points, goals: Points) -> float:
+        """Metres from ``point`` (3,) to the nearest of ``goals`` (k, 3), as habitat-sim's multi-goal query has it."""
+        found = float(self._pathfinder.geodesic_distance(point, goals))
+        return found if np.isfinite(found) else float("inf")
+
+    def ever_within(self, path: SnappedPath, goals: Points, radius: float) -> bool:
+        """Is some position of ``path`` nearer than ``radius`` to one of ``goals``?"""
+        candidates, straight = self._candidates(path, goals, radius)
+        order = candidates[np.argsort(straight[candidates], kind="stable")]
+        return any(self.distance(path.positions[at], goals) < radius for at in order)
+
+    def first_within(self, path: SnappedPath, goal: Points, radius: float, begin: int = 0) -> int | None:
+        """Index of the first position at or after ``begin`` that is nearer than ``radius`` to ``goal`` (3,)."""
+        candidates = self._candidates(path, goal[None], radius)[0]
+        candidates = candidates[np.searchsorted(candidates, begin) :]
+        size = _WAVE
+        while len(candidates):
+            wave, candidates = candidates[:size], candidates[size:]
+            distances = np.asarray(self._pathfinder.geodesic_distances(path.positions[wave], goal[None]))
+            near = np.flatnonzero(distances < radius)
+            if len(near):
+                return int(wave[near[0]])
+            size *= 2
+        return None
+
+    def _candidates(self, path: SnappedPath, goals: Points, radius: float) -> tuple[npt.NDArray[np.intp], Points]:
+        """Positions that must be asked about, and the straight-line distance of all to the nearest snapped goal."""
+        targets = self.snap(goals)
+        apart = path.snapped[:, None, :] - targets.snapped[None, :, :]
+        lines = np.sqrt(np.square(apart).sum(axis=2))
+        straight = np.where(np.isnan(lines), np.inf, lines).min(axis=1)
+        if not self._prune:
+            return np.arange(len(path.positions)), straight
+        must = (straight < radius + SLACK) | path.moved | targets.moved.any()
+        return np.flatnonzero(must), straight

@@ -1,0 +1,66 @@
+"""SR, BSA and CSR against depth and chain, with intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from condvln.evaluation.aggregate import by_axis
+from condvln.evaluation.evaluate import Evaluation
+
+__all__ = ["SHOWN", "axis_figure", "save_figures"]
+
+SHOWN: Final = (("success", "SR"), ("bsa", "BSA"), ("csr", "CSR"))
+_AXES: Final = ("depth", "chain")
+_SHIFT: Final = 0.06
+"""Agents stand beside each other by this share of a unit of the axis, so that their intervals can be told apart."""
+
+
+def axis_figure(evaluations: Sequence[Evaluation], axis: str, *, seed: int = 0) -> Figure:
+    """One panel a measure, one line an agent; percent with 95 % intervals."""
+    figure = Figure(figsize=(3.4 * len(SHOWN), 3.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(1, len(SHOWN), sharey=True, squeeze=False)[0]
+    keys = tuple(key for key, _ in SHOWN)
+    for number, evaluation in enumerate(evaluations):
+        rows = by_axis(evaluation, axis, seed=seed, measures=keys)
+        places = np.array([float(row.group[axis]) for row in rows]) + (number - (len(evaluations) - 1) / 2) * _SHIFT
+        for panel, (key, _) in zip(panels, SHOWN, strict=True):
+            means, low, high = (
+                100 * np.array([getattr(row.estimates[key], name) for row in rows]) for name in ("mean", "low", "high")
+            )
+            bars = np.nan_to_num(np.vstack([means - low, high - means])).clip(min=0)
+            panel.errorbar(places, means, yerr=bars, marker="o", capsize=3, label=evaluation.agent)
+    for panel, (_, heading) in zip(panels, SHOWN, strict=True):
+        _dress(panel, axis, heading, evaluations)
+    panels[-1].legend(frameon=False, fontsize="small")
+    return figure
+
+
+def _dress(panel: Any, axis: str, heading: str, evaluations: Sequence[Evaluation]) -> None:
+    panel.set_title(heading)
+    panel.set_xlabel(axis)
+    panel.set_ylim(0, 100)
+    panel.set_xticks(sorted({int(value) for evaluation in evaluations for value in evaluation.axes[axis]}))
+    panel.grid(axis="y", alpha=0.3)
+    panel.spines[["top", "right"]].set_visible(False)
+    if heading == SHOWN[0][1]:
+        panel.set_ylabel("%")
+
+
+def save_figures(evaluations: Sequence[Evaluation], folder: Path, *, seed: int = 0) -> list[Path]:
+    """Write ``depth.png``, ``depth.pdf``, ``chain.png`` and ``chain.pdf``; the same scores give the same bytes."""
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    for axis in _AXES:
+        figure = axis_figure(evaluations, axis, seed=seed)
+        for suffix, metadata in (("png", {"Software": None}), ("pdf", {"CreationDate": None, "Producer": None})):
+            path = folder / f"{axis}.{suffix}"
+            figure.savefig(path, dpi=150, metadata=metadata)
+            written.append(path)
+    return written

@@ -1,0 +1,168 @@
+"""Tables as terminal text, Markdown, LaTeX (booktabs), JSON and CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+from typing import Any, Final
+
+from rich import box
+from rich.table import Table as RichTable
+
+from condvln.evaluation.tables import Cell, Column, Table
+
+__all__ = ["as_csv", "as_document", "as_latex", "as_markdown", "as_rich", "written"]
+
+_NOTHING: Final = "–"
+_SCALE: Final = {"percent": 100.0}
+_DECIMALS: Final = {"percent": 1, "metres": 2, "number": 1, "p": 4, "count": 0}
+_ARROWS: Final = {"higher": "↑", "lower": "↓", "": ""}
+_LATEX_ARROWS: Final = {"higher": r"$\uparrow$", "lower": r"$\downarrow$", "": ""}
+_LATEX_ESCAPES: Final = {
+    "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
+    "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "τ": r"$\tau$", "–": "--",
+}  # fmt: skip
+
+
+def written(cell: Cell, column: Column, *, interval: bool = True) -> str:
+    """A cell as people read it: percent and metres rounded, the interval in brackets, episodes left out told."""
+    if cell.value is None or (isinstance(cell.value, float) and math.isnan(cell.value)):
+        return _NOTHING
+    if isinstance(cell.value, str) or column.kind == "text":
+        return str(cell.value)
+    text = _number(cell.value, column)
+    if interval and not math.isnan(cell.low):
+        text += f" [{_number(cell.low, column)}, {_number(cell.high, column)}]"
+    if cell.n is not None and cell.n != cell.total:
+        text += f" ({cell.n})"
+    return text
+
+
+def _number(value: float, column: Column) -> str:
+    return f"{value * _SCALE.get(column.kind, 1.0):.{_DECIMALS[column.kind]}f}"
+
+
+def as_rich(table: Table) -> RichTable:
+    """For a terminal."""
+    shown = RichTable(title=table.title, caption=table.note or None, box=box.SIMPLE_HEAD, title_justify="left")
+    for column in table.columns:
+        heading = f"{column.heading} {_ARROWS[column.better]}".strip()
+        shown.add_column(heading, justify="left" if column.kind == "text" else "right", no_wrap=column.kind == "text")
+    for row in table.rows:
+        shown.add_row(*(written(cell, column) for cell, column in zip(row, table.columns, strict=True)))
+    return shown
+
+
+def as_markdown(table: Table) -> str:
+    """A titled pipe table."""
+    headings = [f"{column.heading} {_ARROWS[column.better]}".strip() for column in table.columns]
+    rules = ["---" if column.kind == "text" else "---:" for column in table.columns]
+    lines = [f"### {table.title}", "", _piped(headings), _piped(rules)]
+    for row in table.rows:
+        cells = [written(cell, column) for cell, column in zip(row, table.columns, strict=True)]
+        lines.append(_piped([text.replace("|", r"\|") for text in cells]))
+    if table.note:
+        lines += ["", table.note]
+    return "\n".join(lines) + "\n"
+
+
+def _piped(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cells) + " |"
+
+
+def as_latex(table: Table) -> str:
+    """A booktabs ``table`` float: values without intervals, the best of each block in bold."""
+    align = "".join("l" if column.kind == "text" else "r" for column in table.columns)
+    headings = [f"{_escaped(column.heading)} {_LATEX_ARROWS[column.better]}".strip() for column in table.columns]
+    lines = [
+        r"\begin{table}[t]",
+        r"  \centering",
+        rf"  \caption{{{_escaped(table.title)}. {_escaped(table.note)}}}",
+        rf"  \label{{tab:{table.name}}}",
+        rf"  \begin{{tabular}}{{{align}}}",
+        r"    \toprule",
+        "    " + " & ".join(headings) + r" \\",
+        r"    \midrule",
+    ]
+    for number, block in enumerate(_blocks(table)):
+        if number and table.blocks:
+            lines.append(r"    \midrule")
+        best = [_best(block, index, column) for index, column in enumerate(table.columns)]
+        for row in block:
+            cells = []
+            for cell, column, top in zip(row, table.columns, best, strict=True):
+                text = _escaped(written(cell, column, interval=False))
+                cells.append(rf"\textbf{{{text}}}" if top is not None and cell.value == top else text)
+            lines.append("    " + " & ".join(cells) + r" \\")
+    lines += [r"    \bottomrule", r"  \end{tabular}", r"\end{table}", ""]
+    return "\n".join(lines)
+
+
+def _blocks(table: Table) -> list[list[tuple[Cell, ...]]]:
+    blocks: list[list[tuple[Cell, ...]]] = []
+    last: tuple[Any, ...] | None = None
+    for row in table.rows:
+        key = tuple(cell.value for cell in row[: table.blocks])
+        if not blocks or key != last:
+            blocks.append([])
+        blocks[-1].append(row)
+        last = key
+    return blocks
+
+
+def _best(block: Sequence[tuple[Cell, ...]], index: int, column: Column) -> float | None:
+    values = [row[index].value for row in block]
+    numbers = [value for value in values if isinstance(value, int | float) and not math.isnan(value)]
+    if not column.better or len(numbers) < 2:
+        return None
+    return max(numbers) if column.better == "higher" else min(numbers)
+
+
+def _escaped(text: str) -> str:
+    return "".join(_LATEX_ESCAPES.get(character, character) for character in text)
+
+
+def as_document(table: Table) -> dict[str, Any]:
+    """For JSON: unrounded numbers, undefined ones null."""
+    rows = []
+    for row in table.rows:
+        entry: dict[str, Any] = {}
+        for cell, column in zip(row, table.columns, strict=True):
+            if cell.n is None:
+                entry[column.key] = _plain(cell.value)
+            else:
+                entry[column.key] = {
+                    "mean": _plain(cell.value),
+                    "low": _plain(cell.low),
+                    "high": _plain(cell.high),
+                    "n": cell.n,
+                    "total": cell.total,
+                }
+        rows.append(entry)
+    return {"name": table.name, "title": table.title, "note": table.note, "rows": rows}
+
+
+def _plain(value: float | int | str | None) -> float | int | str | None:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def as_csv(table: Table) -> str:
+    """Unrounded, with ``_low``, ``_high`` and ``_n`` columns where a number has an interval; undefined cells are
+    empty."""
+    header: list[str] = []
+    wide = [any(row[index].n is not None for row in table.rows) for index in range(len(table.columns))]
+    for column, has_interval in zip(table.columns, wide, strict=True):
+        header += [column.key]
+        header += [f"{column.key}_low", f"{column.key}_high", f"{column.key}_n"] if has_interval else []
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(header)
+    for row in table.rows:
+        cells: list[Any] = []
+        for cell, has_interval in zip(row, wide, strict=True):
+            cells.append(_plain(cell.value))
+            cells += [_plain(cell.low), _plain(cell.high), cell.n] if has_interval else []
+        writer.writerow(cells)
+    return out.getvalue()

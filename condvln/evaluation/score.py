@@ -1,0 +1,218 @@
+"""All measures of one episode."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from condvln.evaluation.branching import NO_LEAF, committed_leaf, first_divergence
+from condvln.evaluation.measures import FIDELITY_DISTANCE, cls, ndtw, path_length, spl
+from condvln.evaluation.nearness import Nearness, SnappedPath
+from condvln.evaluation.predictions import Prediction
+from condvln.evaluation.subgoals import DistanceMode, reached_in_order, reached_in_order_euclidean
+from condvln.evaluation.task import Task
+from schemas.errors import FormatError
+
+__all__ = ["START_TOLERANCE", "Rules", "Score", "score"]
+
+START_TOLERANCE: Final = 0.25
+"""Metres a path may begin away from the episode's start: one forward step. More means another episode or another
+frame."""
+
+NAN: Final = float("nan")
+Points = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Rules:
+    """How episodes are judged; the defaults are those of docs/metrics.md. Metres."""
+
+    distance: DistanceMode = "geodesic"
+    """How the distance to a subgoal is measured. Goals are always geodesic, as in Habitat."""
+    success_distance: float | None = None
+    """In place of each episode's own."""
+    oracle_success_distance: float | None = None
+    """In place of the success distance where it is larger: a path that succeeds has come near."""
+    fidelity_distance: float = FIDELITY_DISTANCE
+    fast_dtw: bool = False
+    """nDTW by VLN-CE's approximation."""
+    keep_budget: bool = True
+    """Paths are cut at the episode's step budget."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """Measures of one episode; lengths in metres, rates 0 or 1 where not a fraction, NaN where a measure is undefined.
+
+    ``bsa`` and ``csr`` follow the paper: an episode without subgoals counts as reached when it succeeds and is left
+    out when it fails. ``bsa_all`` and ``csr_all`` are over every episode: without subgoals they are the success.
+    """
+
+    path_length: float
+    navigation_error: float
+    """To the nearest goal point; straight line where ``unreachable``."""
+    success: float
+    oracle_success: float
+    spl: float
+    spl_route: float
+    ndtw: float
+    sdtw: float
+    cls: float
+    bsa: float
+    csr: float
+    bsa_all: float
+    csr_all: float
+    steps: float
+    """Actions, STOP included; NaN where the format does not tell."""
+    collisions: float
+    committed_leaf: int
+    leaf_correct: float
+    wrong_branch: float
+    no_commit: float
+    divergence: float
+    """Decisions right before the first wrong one; NaN where none was wrong."""
+    stopped: float
+    unreachable: float
+    over_budget: float
+    missing: float
+    """No prediction, or an empty path."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Walk:
+    """What is judged of a prediction: the path within budget."""
+
+    path: SnappedPath
+    stopped: bool
+    over_budget: bool
+
+
+def score(task: Task, prediction: Prediction | None, nearness: Nearness, rules: Rules, where: str = "") -> Score:
+    """Measures of what ``prediction`` did in ``task``; a missing prediction and an empty path are failures.
+
+    Raises
+    ------
+    FormatError : the path begins elsewhere than the episode; ``where`` names the file
+    """
+    if prediction is None or len(prediction.positions) == 0:
+        return _failure(task, nearness)
+    _check_start(task, prediction, where)
+    walk = _judged(task, prediction, nearness, rules)
+    radius = task.success_distance if rules.success_distance is None else rules.success_distance
+    oracle_radius = max(radius, rules.oracle_success_distance or 0.0)
+    positions, goals = walk.path.positions, task.gold.goals
+    error = nearness.distance(positions[-1], goals)
+    success = walk.stopped and error < radius
+    ever = error < oracle_radius or nearness.ever_within(walk.path, goals, oracle_radius)
+    length = path_length(positions)
+    fidelity = ndtw(positions, task.reference, rules.fidelity_distance, fast=rules.fast_dtw)
+    reached = _reached(task, walk, nearness, rules, radius)
+    bsa_all, bsa = _subgoal_accuracy(reached, len(task.gold.subgoals), success)
+    leaf = _leaf(task, walk, nearness, radius)
+    divergence = first_divergence(task.program, task.gold_leaf, leaf)
+    unreachable = not np.isfinite(error)
+    return Score(
+        path_length=length,
+        navigation_error=_straight(positions[-1], goals) if unreachable else error,
+        success=float(success),
+        oracle_success=float(ever),
+        spl=spl(success, nearness.distance(task.start, goals), length),
+        spl_route=spl(success, task.gold.route_length, length),
+        ndtw=fidelity,
+        sdtw=success * fidelity,
+        cls=cls(positions, task.reference, rules.fidelity_distance),
+        bsa=bsa,
+        csr=NAN if np.isnan(bsa) else float(success and bsa == 1.0),
+        bsa_all=bsa_all,
+        csr_all=float(success and bsa_all == 1.0),
+        steps=len(positions) - 1.0 if prediction.counts_actions else NAN,
+        collisions=NAN if prediction.collisions is None else float(prediction.collisions),
+        committed_leaf=leaf,
+        leaf_correct=float(leaf == task.gold_leaf),
+        wrong_branch=float(leaf not in (task.gold_leaf, NO_LEAF)),
+        no_commit=float(leaf == NO_LEAF),
+        divergence=NAN if divergence is None else float(divergence),
+        stopped=float(walk.stopped),
+        unreachable=float(unreachable),
+        over_budget=float(walk.over_budget),
+        missing=0.0,
+    )
+
+
+def _check_start(task: Task, prediction: Prediction, where: str) -> None:
+    off = float(np.linalg.norm(prediction.positions[0] - task.start))
+    if off > START_TOLERANCE:
+        raise FormatError(
+            f"the path begins {off:.2f} m from the episode's start",
+            where=where or None,
+            place=f"episode {task.episode_id}",
+            remedy="Positions are metres in Habitat's frame, the start first; is this the file of another split?",
+        )
+
+
+def _judged(task: Task, prediction: Prediction, nearness: Nearness, rules: Rules) -> _Walk:
+    positions, stopped = prediction.positions, prediction.stopped
+    over = rules.keep_budget and prediction.counts_actions and len(positions) - 1 > task.max_steps
+    if over:
+        positions, stopped = positions[: task.max_steps + 1], False
+    return _Walk(nearness.snap(positions), stopped, over)
+
+
+def _reached(task: Task, walk: _Walk, nearness: Nearness, rules: Rules, radius: float) -> int:
+    if rules.distance == "euclidean":
+        return reached_in_order_euclidean(walk.path.positions, task.gold.subgoals, radius)
+    return reached_in_order(nearness, walk.path, task.gold.subgoals, radius)
+
+
+def _subgoal_accuracy(reached: int, subgoals: int, success: bool) -> tuple[float, float]:
+    """Over all episodes, and by the paper's rule (NaN: left out)."""
+    if subgoals:
+        return reached / subgoals, reached / subgoals
+    return float(success), 1.0 if success else NAN
+
+
+def _leaf(task: Task, walk: _Walk, nearness: Nearness, radius: float) -> int:
+    if not walk.stopped:
+        return NO_LEAF
+    end = walk.path.positions[-1]
+    return committed_leaf([nearness.distance(end, leaf.goals) for leaf in task.leaves], radius)
+
+
+def _straight(point: Points, goals: Points) -> float:
+    return float(np.sqrt(np.square(goals - point).sum(axis=1)).min())
+
+
+def _failure(task: Task, nearness: Nearness) -> Score:
+    """Nothing was handed in: the agent is taken to stand at the start and to fail everything."""
+    error = nearness.distance(task.start, task.gold.goals)
+    unreachable = not np.isfinite(error)
+    bsa = 0.0 if len(task.gold.subgoals) else NAN
+    return Score(
+        path_length=0.0,
+        navigation_error=_straight(task.start, task.gold.goals) if unreachable else error,
+        success=0.0,
+        oracle_success=0.0,
+        spl=0.0,
+        spl_route=0.0,
+        ndtw=0.0,
+        sdtw=0.0,
+        cls=0.0,
+        bsa=bsa,
+        csr=bsa,
+        bsa_all=0.0,
+        csr_all=0.0,
+        steps=NAN,
+        collisions=NAN,
+        committed_leaf=NO_LEAF,
+        leaf_correct=0.0,
+        wrong_branch=0.0,
+        no_commit=1.0,
+        divergence=NAN,
+        stopped=0.0,
+        unreachable=float(unreachable),
+        over_budget=0.0,
+        missing=1.0,
+    )

@@ -1,0 +1,75 @@
+"""An export's split and files of predictions → evaluations, one an agent."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from condvln.evaluation.episode_stats import evaluation_of_stats, read_episode_stats
+from condvln.evaluation.evaluate import Evaluation, evaluate
+from condvln.evaluation.navmeshes import NavmeshFolder
+from condvln.evaluation.predictions import read_predictions
+from condvln.evaluation.score import Rules
+from condvln.evaluation.task import Task, read_tasks
+from schemas.errors import MissingFileError, UsageError
+
+__all__ = ["SplitOptions", "evaluate_split", "split_tasks"]
+
+
+@dataclass(frozen=True)
+class SplitOptions:
+    """How files are read and judged."""
+
+    rules: Rules = field(default_factory=Rules)
+    radii: tuple[float, ...] = ()
+    """Success distances of a sweep, metres."""
+    navmesh_roots: tuple[Path, ...] = ()
+    """Folders of the datasets whose navmeshes the export does not ship."""
+    assume_stop: bool = False
+
+
+def split_tasks(export: Path, split: str) -> list[Task]:
+    """Tasks of one split of an export, with its dense ground truth.
+
+    Raises
+    ------
+    MissingFileError : the export has no such split
+    """
+    manifest = export / "manifest" / f"{split}.jsonl"
+    if not manifest.is_file():
+        there = sorted(path.stem for path in (export / "manifest").glob("*.jsonl"))
+        raise MissingFileError(
+            f"no split {split!r} here", where=manifest, remedy=f"There are: {', '.join(there) or 'none'}"
+        )
+    truth = export / "vlnce" / split / f"{split}_gt.json.gz"
+    return list(read_tasks(manifest, truth if truth.is_file() else None))
+
+
+def evaluate_split(
+    export: Path, split: str, predictions: Sequence[Path], options: SplitOptions | None = None
+) -> tuple[list[Evaluation], list[Task]]:
+    """One evaluation for each file (or folder of ``stats_*.json``), agents named after the files.
+
+    Raises
+    ------
+    UsageError : two files of one name
+    InputError : from the readers
+    """
+    options = options or SplitOptions()
+    names = [path.name.removesuffix(".gz").removesuffix(".json").removesuffix(".jsonl") for path in predictions]
+    if len(set(names)) != len(names):
+        raise UsageError("two prediction files have one name", remedy="Agents are named after their files: rename one")
+    tasks = split_tasks(export, split)
+    navmeshes = NavmeshFolder((export, *options.navmesh_roots))
+    found = []
+    for name, path in zip(names, predictions, strict=True):
+        if path.is_dir() or path.name.startswith("stats_"):
+            stats = read_episode_stats(path)
+            found.append(evaluation_of_stats(tasks, stats, agent=name, where=str(path)))
+            continue
+        handed_in = read_predictions(path, assume_stop=options.assume_stop)
+        found.append(
+            evaluate(tasks, handed_in, navmeshes, options.rules, agent=name, where=str(path), radii=options.radii)
+        )
+    return found, tasks

@@ -1,0 +1,291 @@
+"""The tables of an evaluation, as data; ``render`` turns them into text."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Final, Literal
+
+from condvln.evaluation.aggregate import (
+    Summary,
+    by_axis,
+    compare,
+    divergences,
+    group_accuracy,
+    leaf_confusion,
+    summary,
+    sweep_summary,
+)
+from condvln.evaluation.evaluate import SWEPT, Evaluation
+from condvln.evaluation.task import Task
+
+__all__ = [
+    "BRANCH_COLUMNS",
+    "MAIN_COLUMNS",
+    "Cell",
+    "Column",
+    "Table",
+    "all_tables",
+    "axis_table",
+    "branch_table",
+    "comparison_table",
+    "confusion_tables",
+    "divergence_table",
+    "group_table",
+    "main_table",
+    "sweep_table",
+    "twin_tables",
+]
+
+Kind = Literal["text", "count", "metres", "percent", "number", "p"]
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column: the measure it shows, its heading, and how its numbers are written."""
+
+    key: str
+    heading: str
+    kind: Kind
+    better: Literal["higher", "lower", ""] = ""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One number with its interval and how many of how many episodes it is over, or a text."""
+
+    value: float | int | str | None
+    low: float = float("nan")
+    high: float = float("nan")
+    n: int | None = None
+    total: int | None = None
+
+
+@dataclass(frozen=True)
+class Table:
+    """A titled table; ``blocks`` is the number of leading columns whose change begins a new block."""
+
+    name: str
+    title: str
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    note: str = ""
+    blocks: int = 0
+
+
+MAIN_COLUMNS: Final = (
+    Column("path_length", "TL", "metres"),
+    Column("navigation_error", "NE", "metres", "lower"),
+    Column("oracle_success", "OSR", "percent", "higher"),
+    Column("success", "SR", "percent", "higher"),
+    Column("spl", "SPL", "percent", "higher"),
+    Column("spl_route", "SPL-route", "percent", "higher"),
+    Column("ndtw", "nDTW", "percent", "higher"),
+    Column("sdtw", "SDTW", "percent", "higher"),
+    Column("cls", "CLS", "percent", "higher"),
+    Column("bsa", "BSA", "percent", "higher"),
+    Column("csr", "CSR", "percent", "higher"),
+    Column("bsa_all", "BSA-all", "percent", "higher"),
+    Column("csr_all", "CSR-all", "percent", "higher"),
+)
+
+BRANCH_COLUMNS: Final = (
+    Column("success", "SR", "percent", "higher"),
+    Column("leaf_correct", "right leaf", "percent", "higher"),
+    Column("wrong_branch", "wrong branch", "percent", "lower"),
+    Column("no_commit", "no commit", "percent", "lower"),
+    Column("stopped", "stopped", "percent"),
+    Column("steps", "steps", "number"),
+    Column("collisions", "collisions", "number", "lower"),
+    Column("unreachable", "unreachable", "percent"),
+    Column("over_budget", "over budget", "percent"),
+    Column("missing", "missing", "percent"),
+)
+
+_SWEEP_COLUMNS: Final = (
+    Column("oracle_success", "OSR", "percent", "higher"),
+    Column("success", "SR", "percent", "higher"),
+    Column("spl", "SPL", "percent", "higher"),
+    Column("bsa_all", "BSA-all", "percent", "higher"),
+    Column("csr_all", "CSR-all", "percent", "higher"),
+    Column("leaf_correct", "right leaf", "percent", "higher"),
+)
+
+_AGENT: Final = Column("agent", "agent", "text")
+_EPISODES: Final = Column("episodes", "n", "count")
+_NOTE: Final = (
+    "Means with 95 % intervals, scenes drawn with replacement. BSA and CSR leave out failed episodes without subgoals, "
+    "as the paper does (in brackets: how many count); BSA-all and CSR-all are over every episode."
+)
+
+
+def main_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Table:
+    """Main results by source and agent, and over all sources where there are several."""
+    return _grouped("main", "Main results", evaluations, ("source",), MAIN_COLUMNS, seed, note=_NOTE)
+
+
+def axis_table(
+    evaluations: Sequence[Evaluation], *axes: str, columns: Sequence[Column] = MAIN_COLUMNS, seed: int = 0
+) -> Table:
+    """Results by one axis or several: category, depth, chain, composition, observability, moves, scene."""
+    return _grouped("by_" + "_".join(axes), f"Results by {' and '.join(axes)}", evaluations, axes, columns, seed)
+
+
+def branch_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Table:
+    """Which branch was taken, by source and agent."""
+    return _grouped("branches", "Branches taken", evaluations, ("source",), BRANCH_COLUMNS, seed)
+
+
+def sweep_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Table:
+    """Results at each success distance of the sweep."""
+    found = [(e.agent, row) for e in evaluations for row in sweep_summary(e, seed=seed)]
+    found.sort(key=lambda pair: pair[1].group["success_distance"])
+    columns = (Column("success_distance", "τ", "metres"), _AGENT, *_SWEEP_COLUMNS, _EPISODES)
+    assert {column.key for column in _SWEEP_COLUMNS} == {*SWEPT}
+    rows = tuple(
+        (Cell(row.group["success_distance"]), Cell(agent), *_cells(row, _SWEEP_COLUMNS), Cell(row.episodes))
+        for agent, row in found
+    )
+    return Table("sweep", "Success distance swept", columns, rows, blocks=1)
+
+
+def group_table(evaluations: Sequence[Evaluation]) -> Table:
+    """Counterfactual groups: right in every episode of the group, or only now and then?"""
+    columns = (
+        _AGENT,
+        Column("groups", "groups", "count"),
+        Column("episodes", "n", "count"),
+        Column("all_right", "all succeed", "percent", "higher"),
+        Column("all_leaves_right", "all leaves right", "percent", "higher"),
+        Column("single", "SR of the same", "percent", "higher"),
+    )
+    rows = []
+    for evaluation in evaluations:
+        found = group_accuracy(evaluation)
+        values = (found.groups, found.episodes, found.all_right, found.all_leaves_right, found.single)
+        rows.append((Cell(evaluation.agent), *map(Cell, values)))
+    return Table("groups", "Counterfactual groups", columns, tuple(rows))
+
+
+def confusion_tables(evaluation: Evaluation) -> list[Table]:
+    """By category, the leaf to reach against the leaf reached."""
+    tables = []
+    for category, counts in leaf_confusion(evaluation).items():
+        leaves = counts.shape[0]
+        columns = (
+            Column("gold_leaf", "gold leaf", "count"),
+            *(Column(f"leaf_{leaf}", f"leaf {leaf}", "count") for leaf in range(leaves)),
+            Column("none", "none", "count"),
+        )
+        rows = tuple((Cell(leaf), *(Cell(int(value)) for value in counts[leaf])) for leaf in range(leaves))
+        title = f"Leaves of {category}: {evaluation.agent}"
+        tables.append(Table(f"leaves_{category}_{evaluation.agent}", title, columns, rows))
+    return tables
+
+
+def divergence_table(evaluations: Sequence[Evaluation], tasks: Sequence[Task]) -> Table:
+    """Share of wrong answers at each condition of the gold route, among agents that had answered all before it
+    rightly."""
+    columns = (
+        _AGENT,
+        Column("place", "condition", "count"),
+        Column("met", "met", "count"),
+        Column("erred", "wrong here", "percent", "lower"),
+    )
+    rows = []
+    for evaluation in evaluations:
+        for place, (met, erred) in divergences(evaluation, tasks).items():
+            rows.append((Cell(evaluation.agent), Cell(place + 1), Cell(met), Cell(erred / met)))
+    return Table("divergence", "Where agents leave the right branch", columns, tuple(rows), blocks=1)
+
+
+def comparison_table(
+    evaluations: Sequence[Evaluation],
+    measures: Sequence[str] = ("success", "spl", "ndtw", "csr_all", "leaf_correct"),
+    *,
+    seed: int = 0,
+) -> Table:
+    """Each pair of agents: difference and p-value of a paired permutation test by scene."""
+    columns = (
+        Column("first", "agent", "text"),
+        Column("second", "against", "text"),
+        Column("measure", "measure", "text"),
+        Column("difference", "difference", "percent"),
+        Column("p_value", "p", "p"),
+        Column("n", "n", "count"),
+        Column("scenes", "scenes", "count"),
+    )
+    rows = []
+    for first, second in combinations(evaluations, 2):
+        for measure in measures:
+            found = compare(first, second, measure, seed=seed)
+            values = (found.difference, found.p_value, found.n, found.scenes)
+            rows.append((Cell(first.agent), Cell(second.agent), Cell(measure), *map(Cell, values)))
+    note = "Agents' labels swapped scene by scene; with k scenes p is never below 2 ÷ 2^k."
+    return Table("comparison", "Agents compared", columns, tuple(rows), note, blocks=2)
+
+
+def twin_tables(original: Evaluation, oracle: Evaluation, *, seed: int = 0) -> list[Table]:
+    """One agent on a split and on its oracle-linear twin: what resolving the conditions costs it.
+
+    The gap is what the branching costs; what is left below 100 % under oracle text is plain instruction following.
+    """
+    pair = [
+        replace(oracle, agent=f"{original.agent}, oracle text"),
+        replace(original, agent=f"{original.agent}, conditional text"),
+    ]
+    return [
+        main_table(pair, seed=seed),
+        axis_table(pair, "category", seed=seed),
+        axis_table(pair, "observability", seed=seed),
+        comparison_table(pair, seed=seed),
+    ]
+
+
+def all_tables(evaluations: Sequence[Evaluation], tasks: Sequence[Task], *, seed: int = 0) -> list[Table]:
+    """Everything that one evaluation has to say."""
+    tables = [main_table(evaluations, seed=seed), branch_table(evaluations, seed=seed)]
+    for axis in ("category", "depth", "chain", "composition", "observability", "moves"):
+        tables.append(axis_table(evaluations, axis, seed=seed))
+    if any(evaluation.sweep for evaluation in evaluations):
+        tables.append(sweep_table(evaluations, seed=seed))
+    tables.append(divergence_table(evaluations, tasks))
+    tables += [table for evaluation in evaluations for table in confusion_tables(evaluation)]
+    if any(group is not None for evaluation in evaluations for group in evaluation.group_ids):
+        tables.append(group_table(evaluations))
+    if len(evaluations) > 1:
+        tables.append(comparison_table(evaluations, seed=seed))
+    return tables
+
+
+def _grouped(
+    name: str,
+    title: str,
+    evaluations: Sequence[Evaluation],
+    axes: Sequence[str],
+    columns: Sequence[Column],
+    seed: int,
+    note: str = "",
+) -> Table:
+    measures = tuple(column.key for column in columns)
+    blocks: dict[tuple[object, ...], list[tuple[str, Summary]]] = {}
+    for evaluation in evaluations:
+        for row in by_axis(evaluation, *axes, seed=seed, measures=measures):
+            blocks.setdefault(tuple(row.group.values()), []).append((evaluation.agent, row))
+    if len(blocks) > 1:
+        for evaluation in evaluations:
+            row = summary(evaluation, group=dict.fromkeys(axes, "all"), seed=seed, measures=measures)
+            blocks.setdefault(("all",) * len(axes), []).append((evaluation.agent, row))
+    rows = tuple(
+        (*(Cell("" if p is None else str(p)) for p in key), Cell(agent), *_cells(row, columns), Cell(row.episodes))
+        for key, found in blocks.items()
+        for agent, row in found
+    )
+    headings = tuple(Column(axis, axis, "text") for axis in axes)
+    return Table(name, title, (*headings, _AGENT, *columns, _EPISODES), rows, note, blocks=len(axes))
+
+
+def _cells(row: Summary, columns: Sequence[Column]) -> tuple[Cell, ...]:
+    found = (row.estimates[column.key] for column in columns)
+    return tuple(Cell(e.mean, e.low, e.high, e.n, e.total) for e in found)

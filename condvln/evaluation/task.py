@@ -1,0 +1,165 @@
+"""What an episode asks, as the metrics need it: read from the manifest and the ground truth of an export."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import ValidationError
+
+from condvln.evaluation.json_entries import entries, json_lines, parsed
+from condvln.export.densify import densify
+from schemas.errors import FormatError
+from schemas.evaluation import ManifestEpisode
+from schemas.program import Program
+from schemas.vlnce import GroundTruth
+
+__all__ = ["LeafTask", "Task", "read_ground_truth", "read_tasks", "task_of"]
+
+Points = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class LeafTask:
+    """One leaf: its goal points (k, 3), best first, its subgoals (m, 3) in order, and the corners (c, 3) of its
+    path."""
+
+    goals: Points
+    subgoals: Points
+    route_length: float
+    geodesic_distance: float
+    path: Points
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """One episode.
+
+    Attributes
+    ----------
+    axes : the episode's place in the tables: source, scene, category, depth, chain, composition, observability, moves
+    reference : (r, 3) dense locations of the gold route
+    success_distance : τ, metres
+    """
+
+    episode_id: str
+    group_id: str | None
+    text: str
+    axes: Mapping[str, str | int | None]
+    program: Program
+    gold_leaf: int
+    leaves: tuple[LeafTask, ...]
+    start: Points
+    start_rotation: tuple[float, float, float, float]
+    reference: Points
+    success_distance: float
+    max_steps: int
+    navmesh: str
+    navmesh_sha256: str
+
+    @property
+    def gold(self) -> LeafTask:
+        """The leaf to reach."""
+        return self.leaves[self.gold_leaf]
+
+
+def task_of(row: ManifestEpisode, locations: Points | None = None) -> Task:
+    """The task of a manifest row; without ``locations`` the gold reference path, made dense, is the reference."""
+    leaves = tuple(
+        LeafTask(
+            np.array(leaf.goals, dtype=np.float64),
+            np.array([subgoal.position for subgoal in leaf.subgoals], dtype=np.float64).reshape(-1, 3),
+            leaf.route_length,
+            leaf.geodesic_distance,
+            np.array(leaf.reference_path, dtype=np.float64),
+        )
+        for leaf in sorted(row.leaves, key=lambda leaf: leaf.leaf)
+    )
+    gold = next(leaf for leaf in row.leaves if leaf.leaf == row.gold_leaf)
+    axes: dict[str, str | int | None] = {
+        "source": row.source,
+        "scene": f"{row.source}/{row.scene_id}",
+        "category": row.category,
+        "depth": row.depth,
+        "chain": row.chain,
+        "composition": row.composition,
+        "observability": row.observability,
+        "moves": row.moves,
+    }
+    return Task(
+        row.episode_id,
+        row.group_id,
+        row.instruction_text,
+        axes,
+        row.program,
+        row.gold_leaf,
+        leaves,
+        np.array(row.start_position, dtype=np.float64),
+        row.start_rotation,
+        densify(gold.reference_path) if locations is None else locations,
+        row.success_distance,
+        row.max_steps,
+        row.navmesh,
+        row.navmesh_sha256,
+    )
+
+
+def read_tasks(manifest: Path, ground_truth: Path | None = None) -> Iterator[Task]:
+    """Tasks of a split in the order of its manifest; ``ground_truth`` is its ``_gt`` file.
+
+    Raises
+    ------
+    FormatError : a line that is not a manifest row, an id twice, an episode without ground truth
+    """
+    locations = read_ground_truth(ground_truth) if ground_truth is not None else None
+    seen: set[str] = set()
+    for number, line in json_lines(manifest):
+        try:
+            row = ManifestEpisode.model_validate_json(line)
+        except ValidationError as error:
+            first = error.errors()[0]
+            place = ".".join(str(part) for part in first["loc"])
+            raise _damaged(manifest, f"line {number}: {place}", str(first["msg"])) from error
+        if len(row.leaves) != len(row.program.leaves) or {leaf.leaf for leaf in row.leaves} != {
+            *range(len(row.leaves))
+        }:
+            raise _damaged(manifest, f"line {number}: leaves", "not one entry for each leaf of the program")
+        if not 0 <= row.gold_leaf < len(row.leaves):
+            raise _damaged(manifest, f"line {number}: gold_leaf", "no such leaf")
+        if row.episode_id in seen:
+            raise _damaged(manifest, f"line {number}: episode_id", f"{row.episode_id} stands twice")
+        seen.add(row.episode_id)
+        if locations is None:
+            yield task_of(row)
+        elif row.episode_id in locations:
+            yield task_of(row, locations[row.episode_id])
+        else:
+            raise _damaged(manifest, f"line {number}: episode_id", f"{row.episode_id} has no entry in {ground_truth}")
+
+
+def read_ground_truth(path: Path) -> dict[str, Points]:
+    """Locations (r, 3) of each episode of a ``_gt`` file.
+
+    Raises
+    ------
+    FormatError : not such a file
+    """
+    found = {}
+    for name, data in entries(path):
+        if name is None:
+            raise _damaged(path, "the file", "an array, not an object of episodes")
+        try:
+            truth = GroundTruth.model_validate(parsed(data, path, f"episode {name}"))
+        except ValidationError as error:
+            raise _damaged(path, f"episode {name}", str(error.errors()[0]["msg"])) from error
+        if not truth.locations:
+            raise _damaged(path, f"episode {name}: locations", "empty")
+        found[name] = np.array(truth.locations, dtype=np.float64)
+    return found
+
+
+def _damaged(path: Path, place: str, what: str) -> FormatError:
+    return FormatError(what, where=path, place=place, remedy="Export the split again")

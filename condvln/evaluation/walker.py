@@ -1,0 +1,179 @@
+"""A kinematic simulator on the navmesh: VLN-CE's four actions, Habitat's sliding steps, no rendering.
+
+What moves an agent here moves it there: a step is the pathfinder's ``try_step``, a turn is exact. What an agent can
+know is its pose, the instruction, and (where objects are given) the labels it could see; the manifest's truths stay
+with the evaluator.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from condvln.evaluation.predictions import Prediction
+from condvln.evaluation.task import Task
+from condvln.navigation.follower import FORWARD, LEFT, RIGHT, STOP, VLN_CE, ActionSpace
+from condvln.navigation.pathfinder import Pathfinder
+from schemas.errors import UsageError
+
+__all__ = ["Eyes", "Observation", "Policy", "SeenObject", "heading_of", "labels_in_view", "walk"]
+
+Points = npt.NDArray[np.float64]
+
+SIGHT: Final = 5.0
+"""Metres an agent sees (VLN-CE's fog of war)."""
+FIELD_OF_VIEW: Final = 90.0
+"""Degrees, horizontal (VLN-CE's camera)."""
+
+# An object round a corner is farther to walk to than to point at; this much is allowed for furniture in between.
+_DETOUR: Final = 1.2
+_DETOUR_METRES: Final = 0.5
+_BLOCKED: Final = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """What a policy is told before each action.
+
+    Attributes
+    ----------
+    position : (3,) metres, Habitat frame; heading : radians counter-clockwise from −z
+    labels : canonical labels of the objects in view, sorted; empty where the walker was given no eyes
+    collided : the last forward step was cut short
+    """
+
+    episode_id: str
+    instruction: str
+    position: Points
+    heading: float
+    step: int
+    max_steps: int
+    labels: tuple[str, ...]
+    collided: bool
+
+
+class Policy(Protocol):
+    """An agent. Keep state between ``begin`` calls only where an agent may."""
+
+    def begin(self, observation: Observation) -> None:
+        """A new episode; the observation is that of the start."""
+
+    def act(self, observation: Observation) -> int:
+        """STOP 0, FORWARD 1, LEFT 2 or RIGHT 3."""
+
+
+@dataclass(frozen=True)
+class SeenObject:
+    """An object that can be seen: its canonical label and centre."""
+
+    label: str
+    center: tuple[float, float, float]
+
+
+Eyes = Callable[[Task, Points, float], tuple[str, ...]]
+"""Labels in view from a position and heading."""
+
+
+def heading_of(rotation: Sequence[float]) -> float:
+    """Heading in radians, counter-clockwise from −z, of a rotation ``[x, y, z, w]`` about +y."""
+    return 2.0 * math.atan2(rotation[1], rotation[3]) % (2.0 * math.pi)
+
+
+def labels_in_view(
+    objects: Mapping[str, Sequence[SeenObject]],
+    pathfinder_of: Callable[[Task], Pathfinder],
+    *,
+    sight: float = SIGHT,
+    field_of_view: float = FIELD_OF_VIEW,
+) -> Eyes:
+    """Eyes that see objects within ``sight`` metres and the horizontal field of view (degrees).
+
+    There are no images here, so walls are guessed: an object is hidden when walking to it takes far longer than its
+    distance.
+
+    Parameters
+    ----------
+    objects : by scene, as in the axis ``scene`` (``<source>/<scene id>``)
+    """
+    cosine = math.cos(math.radians(field_of_view / 2))
+
+    def look(task: Task, position: Points, heading: float) -> tuple[str, ...]:
+        seen = objects.get(str(task.axes["scene"]), ())
+        if not seen:
+            return ()
+        centers = np.array([thing.center for thing in seen])
+        away = centers - position
+        flat = np.hypot(away[:, 0], away[:, 2])
+        ahead = away[:, 0] * -math.sin(heading) + away[:, 2] * -math.cos(heading)
+        near = (np.sqrt(np.square(away).sum(axis=1)) <= sight) & (ahead >= flat * cosine)
+        candidates = np.flatnonzero(near)
+        if not len(candidates):
+            return ()
+        walks = np.asarray(pathfinder_of(task).geodesic_distances(position[None], centers[candidates]))
+        open_view = walks <= flat[candidates] * _DETOUR + _DETOUR_METRES
+        return tuple(sorted({seen[index].label for index in candidates[open_view]}))
+
+    return look
+
+
+def walk(
+    task: Task,
+    policy: Policy,
+    pathfinder: Pathfinder,
+    *,
+    eyes: Eyes | None = None,
+    space: ActionSpace = VLN_CE,
+    sliding: bool = True,
+    max_steps: int | None = None,
+) -> Prediction:
+    """Let a policy walk one episode, to its STOP or the end of its step budget.
+
+    Raises
+    ------
+    UsageError : the policy answers something that is no action
+    """
+    limit = task.max_steps if max_steps is None else max_steps
+    step = pathfinder.try_step if sliding else pathfinder.try_step_no_sliding
+    position, facing, collided = task.start.astype(np.float32), 0, False
+    begin = heading_of(task.start_rotation)
+    positions, headings, collisions, stopped = [position], [begin], 0, False
+    while len(positions) <= limit and not stopped:
+        observation = Observation(
+            task.episode_id,
+            task.text,
+            position.astype(np.float64),
+            headings[-1],
+            len(positions) - 1,
+            limit,
+            eyes(task, position.astype(np.float64), headings[-1]) if eyes is not None else (),
+            collided,
+        )
+        if len(positions) == 1:
+            policy.begin(observation)
+        action = policy.act(observation)
+        collided = False
+        if action == FORWARD:
+            angle = begin + facing * math.radians(space.turn)
+            ahead = np.array([-math.sin(angle) * space.forward, 0.0, -math.cos(angle) * space.forward], np.float32)
+            reached = step(position, position + ahead)
+            collided = float(np.linalg.norm(reached - position)) < space.forward - _BLOCKED
+            collisions += collided
+            position = reached
+        elif action in (LEFT, RIGHT):
+            facing += 1 if action == LEFT else -1
+        elif action == STOP:
+            stopped = True
+        else:
+            raise UsageError(
+                f"{action!r} is no action", place=f"episode {task.episode_id}", remedy="Answer 0, 1, 2 or 3"
+            )
+        positions.append(position)
+        headings.append((begin + facing * math.radians(space.turn)) % (2.0 * math.pi))
+    return Prediction(
+        task.episode_id, np.array(positions, dtype=np.float64), stopped, True, int(collisions), np.array(headings)
+    )

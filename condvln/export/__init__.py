@@ -1,0 +1,1 @@
+"""Episode rows of a snapshot → the files that other people's loaders read."""

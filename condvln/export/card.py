@@ -1,0 +1,161 @@
+"""The dataset card: a Hugging Face ``README.md`` whose numbers all come from the export's own report."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import yaml
+
+from condvln.export.licences import SOURCES
+from condvln.export.report import ExportReport
+from condvln.export.splits import SPLITS
+
+__all__ = ["dataset_card"]
+
+_SIZES: Final = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
+_LARGEST: Final = "1M<n<10M"
+_AXES: Final = ("category", "composition", "observability", "moves", "success_distance", "source")
+
+
+def dataset_card(report: ExportReport, name: str) -> str:
+    """The card of one export; the same report gives the same text."""
+    sections = [
+        _front_matter(report, name),
+        f"# {name}",
+        _introduction(report),
+        "## Files",
+        _FILES,
+        "## Episodes",
+        _counts(report),
+        "## Balance",
+        _balance(report),
+        "## Licences",
+        _licences(report),
+        "## Datasheet",
+        _datasheet(report),
+    ]
+    return "\n\n".join(sections) + "\n"
+
+
+def _front_matter(report: ExportReport, name: str) -> str:
+    total = sum(report.episodes.values())
+    size = next((label for limit, label in _SIZES if total < limit), _LARGEST)
+    filled = [split for split in SPLITS if report.episodes.get(split)]
+    fields = {
+        "pretty_name": name,
+        "language": ["en"],
+        "license": "other",
+        "license_name": "terms-of-the-sources",
+        "task_categories": ["robotics"],
+        "tags": ["vision-and-language-navigation", "embodied-ai", "habitat", "vln-ce", "conditional-instructions"],
+        "size_categories": [size],
+        "configs": [
+            {
+                "config_name": "episodes",
+                "default": True,
+                "data_files": [{"split": split, "path": f"manifest/{split}.jsonl"} for split in filled],
+            }
+        ],
+    }
+    return "---\n" + yaml.safe_dump(fields, sort_keys=False, allow_unicode=True) + "---"
+
+
+def _introduction(report: ExportReport) -> str:
+    episodes, scenes = sum(report.episodes.values()), {scene for found in report.scenes.values() for scene in found}
+    return (
+        f"{episodes:,} navigation episodes in {len(scenes):,} indoor scenes whose instructions branch on what is "
+        "there: “If there's a coffee table in the kitchen, head to the stool north of the dishwasher, otherwise go "
+        "to the sink in the bathroom.” Every condition, target and distance was derived from the scene's geometry, "
+        f"and each episode knows the goals of *all* its branches. Snapshot `{report.snapshot}`."
+    )
+
+
+_FILES: Final = """\
+| path | content |
+|---|---|
+| `vlnce/<split>/` | stock R2R_VLNCE v1-3 episodes and dense ground truth; load in an unmodified VLN-CE |
+| `ansr/<split>/` | the same with top-level `subgoals` (dataset type ANSR-v1) |
+| `rxr/<split>/` | the same as RxR-VLN-CE guide files |
+| `oracle/<split>/` | the oracle-linear twin: only the instruction differs, it tells the right branch alone |
+| `r2r/` | discrete R2R over Matterport viewpoints, where scans of Matterport3D are in it |
+| `manifest/<split>.jsonl` | programs, truths, gold leaf, goals of every leaf: never show it to an agent |
+| `navmeshes/` | navmeshes built for scenes that ship none |
+| `configs/` | configuration files for VLN-CE, habitat-lab, Open-Nav, NaVid and NaVILA |
+| `export.json` | counts per cell, what was left out and why, SHA-256 of every file |
+
+Scene meshes are not included: get them from their sources and put them below `data/scene_datasets/`. Positions are
+metres in Habitat's frame (+Y up, −Z north), quaternions `[x, y, z, w]`."""
+
+
+def _counts(report: ExportReport) -> str:
+    splits = [split for split in SPLITS if report.episodes.get(split)]
+    lines = [_row(["", *splits]), _row(["---", *["---:"] * len(splits)])]
+    lines.append(_row(["episodes", *(f"{report.episodes[split]:,}" for split in splits)]))
+    lines.append(_row(["scenes", *(f"{len(report.scenes[split]):,}" for split in splits)]))
+    for axis in _AXES:
+        values = sorted({value for split in splits for value in report.shapes.get(split, {}).get(axis, {})})
+        for value in values:
+            counts = [report.shapes.get(split, {}).get(axis, {}).get(value, 0) for split in splits]
+            lines.append(_row([f"{axis.replace('_', ' ')}: {value}", *(f"{count:,}" for count in counts)]))
+    if report.r2r_episodes:
+        lines += ["", f"Of these, {report.r2r_episodes:,} are also in the discrete R2R files."]
+    return "\n".join(lines)
+
+
+def _balance(report: ExportReport) -> str:
+    lines = [
+        "Within each split, source and category every gold leaf is equally frequent. Truths of conditions on one "
+        "label in one type of room are evened as far as the pool allows; the share that is left (0 = even, 1 = the "
+        "label tells the truth):",
+        "",
+        *(f"* {source}: {value:.3f}" for source, value in sorted(report.truth_imbalance.items())),
+    ]
+    if report.left_out:
+        lines += ["", "Left out of the pool:", ""]
+        lines += [f"* {count:,} {reason}" for reason, count in sorted(report.left_out.items())]
+    short = report.shortfalls
+    if short:
+        lines += [
+            "",
+            "Cells with fewer episodes than asked for:",
+            "",
+            "| split | source | category | gold leaf | short |",
+        ]
+        lines.append("|---|---|---|---:|---:|")
+        lines += [_row([c.split, c.source, c.category, str(c.gold_leaf), str(c.shortfall)]) for c in short]
+    return "\n".join(lines)
+
+
+def _licences(report: ExportReport) -> str:
+    used = sorted({scene.split("/", 1)[0] for found in report.scenes.values() for scene in found})
+    lines = ["| source | terms | credit |", "|---|---|---|"]
+    for family in used:
+        known = SOURCES.get(family)
+        lines.append(_row([known.name, known.terms, known.credit]) if known else _row([family, "unknown", ""]))
+    lines += [
+        "",
+        "Text and coordinates here are derived from these datasets; their terms apply to the use of this one.",
+    ]
+    return "\n".join(lines)
+
+
+def _datasheet(report: ExportReport) -> str:
+    return f"""\
+* **Motivation.** Instructions that people give depend on what is found on the way; benchmarks of plain instructions
+  can't tell an agent that checks a condition from one that guesses.
+* **Composition.** One instance is an instruction, a start pose, a gold route with dense locations, and the goals of
+  every branch. Step budgets reach {report.most_steps}. Nothing in it relates to people.
+* **Collection.** Made by program from the sources' own annotations and geometry: relations by exact box and mesh
+  distances, routes on Habitat navmeshes, text from a grammar that a parser reads back. Nothing was labelled by hand.
+* **Preprocessing.** Candidates that break a rule (unreachable, ambiguous, near a threshold, too long) were dropped
+  and counted.
+* **Uses.** Evaluating and training vision-and-language navigation. Not a record of real homes' present state.
+* **Known limits.** English text from a grammar; annotation of scans is incomplete, so absence is claimed only in
+  rooms annotated completely enough; objects of unknown extent are used with more caution than others.
+* **Distribution and maintenance.** Rebuilt when a source changes; ids are content hashes and stay; `CHANGELOG.md`
+  tells what moved."""
+
+
+def _row(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cells) + " |"

@@ -1,0 +1,146 @@
+"""Configuration files for those who run the episodes: only the keys that must change from the consumer's own file.
+
+Paths are those of an export that is linked as ``data/datasets/condvln`` in the consumer's checkout, beside its
+``data/scene_datasets``. Success distances are set for SR, SPL and OSR alike; nDTW keeps R2R's 3 m. Keys as in VLN-CE's
+``vlnce_task.yaml`` and ``rxr_vlnce_english_task.yaml``, habitat-lab's ``vln_r2r.yaml`` and the ANSR-v1 tasks of
+Open-Nav.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import yaml
+
+from condvln.export.report import ExportReport
+from condvln.export.splits import SPLITS
+
+__all__ = ["LINK", "consumer_files"]
+
+LINK: Final = "data/datasets/condvln"
+"""Where the consumers' files expect the export."""
+
+_SCENES: Final = "data/scene_datasets/"
+_FIDELITY_DISTANCE: Final = 3.0
+_FALLBACK_SUCCESS_DISTANCE: Final = 1.0
+_BUDGET: Final = 500
+
+
+def consumer_files(report: ExportReport) -> dict[str, str]:
+    """Text by path below the export."""
+    radius, mixed = _success_distance(report)
+    split = next((s for s in ("val_unseen", "test", "val_seen", "train") if report.episodes.get(s)), "val_unseen")
+    steps = report.most_steps or _BUDGET
+    files = {
+        "configs/vlnce/condvln_task.yaml": _vlnce("vlnce", "VLN-CE-v1", split, radius, steps),
+        "configs/vlnce/condvln_oracle_task.yaml": _vlnce("oracle", "VLN-CE-v1", split, radius, steps),
+        "configs/vlnce/condvln_rxr_task.yaml": _rxr(split, radius, steps),
+        "configs/habitat_lab/condvln.yaml": _habitat_lab(split, radius, steps),
+        "configs/open_nav/condvln_task.yaml": _ansr(split, radius),
+        "configs/navid/condvln_task.yaml": _vlnce("vlnce", "VLN-CE-v1", split, radius, steps),
+        "configs/navid/condvln_experiment.yaml": _experiment("navid", split),
+        "configs/navila/condvln_task.yaml": _vlnce("vlnce", "VLN-CE-v1", split, radius, steps),
+        "configs/navila/condvln_experiment.yaml": _experiment("navila", split),
+    }
+    if not any("oracle/" in name for name in report.files):
+        del files["configs/vlnce/condvln_oracle_task.yaml"]
+    note = _note(radius, mixed)
+    return {path: note + yaml.safe_dump(document, sort_keys=False) for path, document in files.items()}
+
+
+def _success_distance(report: ExportReport) -> tuple[float, bool]:
+    """The commonest success distance, and whether there are others."""
+    counts: dict[str, int] = {}
+    for split in SPLITS:
+        for value, count in report.shapes.get(split, {}).get("success_distance", {}).items():
+            counts[value] = counts.get(value, 0) + count
+    if not counts:
+        return _FALLBACK_SUCCESS_DISTANCE, False
+    return float(max(sorted(counts), key=lambda value: counts[value])), len(counts) > 1
+
+
+def _note(radius: float, mixed: bool) -> str:
+    lines = [
+        f"# Link the export as {LINK} and put scene meshes below {_SCENES}.",
+        "# Merge these keys into your own file of this kind, or replace its paths by these.",
+    ]
+    if mixed:
+        lines.append(f"# Some episodes have another success distance than {radius:g} m (info.success_distance);")
+        lines.append("# `condvln evaluate` judges each by its own.")
+    return "\n".join(lines) + "\n"
+
+
+def _vlnce(variant: str, kind: str, split: str, radius: float, steps: int) -> dict[str, Any]:
+    folder = f"{LINK}/{variant}"
+    truth = {"SUCCESS_DISTANCE": _FIDELITY_DISTANCE, "GT_PATH": folder + "/{split}/{split}_gt.json.gz"}
+    return {
+        "ENVIRONMENT": {"MAX_EPISODE_STEPS": steps},
+        "SIMULATOR": {
+            "FORWARD_STEP_SIZE": 0.25,
+            "TURN_ANGLE": 15,
+            "AGENT_0": {"HEIGHT": 1.5, "RADIUS": 0.1},
+            "HABITAT_SIM_V0": {"ALLOW_SLIDING": True},
+        },
+        "TASK": {
+            "TYPE": "VLN-v0",
+            "SUCCESS_DISTANCE": radius,
+            "SUCCESS": {"SUCCESS_DISTANCE": radius},
+            "SPL": {"SUCCESS_DISTANCE": radius},
+            "ORACLE_SUCCESS": {"SUCCESS_DISTANCE": radius},
+            "NDTW": dict(truth),
+            "SDTW": dict(truth),
+        },
+        "DATASET": {
+            "TYPE": kind,
+            "SPLIT": split,
+            "DATA_PATH": folder + "/{split}/{split}.json.gz",
+            "SCENES_DIR": _SCENES,
+        },
+    }
+
+
+def _ansr(split: str, radius: float) -> dict[str, Any]:
+    document = _vlnce("ansr", "ANSR-v1", split, radius, _BUDGET)
+    del document["ENVIRONMENT"]  # Open-Nav counts waypoint moves, not steps: its own number stays
+    document["TASK"]["BRANCH_SELECTION_ACCURACY"] = {"SUCCESS_DISTANCE": radius}
+    return document
+
+
+def _rxr(split: str, radius: float, steps: int) -> dict[str, Any]:
+    document = _vlnce("rxr", "RxR-VLN-CE-v1", split, radius, steps)
+    folder = f"{LINK}/rxr"
+    document["TASK"]["NDTW"]["GT_PATH"] = document["TASK"]["SDTW"]["GT_PATH"] = (
+        folder + "/{split}/{split}_{role}_gt.json.gz"
+    )
+    document["TASK"] |= {"SENSORS": ["RXR_INSTRUCTION_SENSOR"], "INSTRUCTION_SENSOR_UUID": "rxr_instruction"}
+    document["DATASET"] |= {
+        "ROLES": ["guide"],
+        "LANGUAGES": ["en-US"],
+        "DATA_PATH": folder + "/{split}/{split}_{role}.json.gz",
+    }
+    return document
+
+
+def _habitat_lab(split: str, radius: float, steps: int) -> dict[str, Any]:
+    return {
+        "defaults": ["/benchmark/nav/vln_r2r", "_self_"],
+        "habitat": {
+            "environment": {"max_episode_steps": steps},
+            "task": {"measurements": {"success": {"success_distance": radius}}},
+            "simulator": {"forward_step_size": 0.25, "turn_angle": 15},
+            "dataset": {
+                "type": "R2RVLN-v1",
+                "split": split,
+                "data_path": LINK + "/vlnce/{split}/{split}.json.gz",
+                "scenes_dir": _SCENES,
+            },
+        },
+    }
+
+
+def _experiment(name: str, split: str) -> dict[str, Any]:
+    return {
+        "BASE_TASK_CONFIG_PATH": f"{LINK}/configs/{name}/condvln_task.yaml",
+        "EVAL": {"SPLIT": split, "EPISODE_COUNT": -1},
+        "RESULTS_DIR": f"results/{name}_condvln",
+    }

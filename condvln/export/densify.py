@@ -1,0 +1,70 @@
+"""Paths made dense, as ground truth must be.
+
+nDTW depends on the sampling of its reference: against bare corners a perfect walk in 0.25 m steps scores 0, against
+points 0.25 m apart it scores 1.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["PATH_SPACING", "densify", "densify_many"]
+
+PATH_SPACING: Final = 0.25
+"""Metres between points of a dense path at most: VLN-CE's forward step."""
+
+# Slack in units of the spacing, so that a segment of 2.5000000001 m is ten steps and not eleven.
+_SLACK: Final = 1e-6
+
+Array = npt.NDArray[np.float64]
+
+
+def densify(points: npt.ArrayLike, spacing: float = PATH_SPACING) -> Array:
+    """Points along the polyline, corners kept, each segment cut into equal parts of at most ``spacing`` metres.
+
+    Parameters
+    ----------
+    points : (n, 3) corners, metres, n ≥ 1
+    spacing : metres
+
+    Returns
+    -------
+    dense : (m, 3), m ≥ n less the corners that repeat their predecessor
+    """
+    corners = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+    return densify_many(corners, np.array([0, len(corners)], dtype=np.int64), spacing)[0]
+
+
+def densify_many(
+    points: Array, offsets: npt.NDArray[np.integer[Any]], spacing: float = PATH_SPACING
+) -> tuple[Array, npt.NDArray[np.int64]]:
+    """As :func:`densify` for many polylines that stand one after another.
+
+    Parameters
+    ----------
+    points : (n, 3) corners of all polylines
+    offsets : (p + 1,) polyline ``i`` is ``points[offsets[i]:offsets[i + 1]]``
+
+    Returns
+    -------
+    dense : (m, 3); offsets : (p + 1,) of the dense polylines
+    """
+    starts = np.asarray(offsets, dtype=np.int64)
+    if len(points) == 0:
+        return np.zeros((0, 3)), np.zeros(len(starts), dtype=np.int64)
+    # A point opens the segment to its successor; the last point of a polyline opens one of length zero, kept as one
+    # point.
+    following = np.minimum(np.arange(1, len(points) + 1), len(points) - 1)
+    is_last = np.zeros(len(points), dtype=bool)
+    is_last[starts[1:][np.diff(starts) > 0] - 1] = True
+    span = np.where(is_last[:, None], 0.0, points[following] - points)
+    pieces = np.ceil(np.sqrt((span * span).sum(axis=1)) / spacing - _SLACK).astype(np.int64)
+    pieces[is_last] = 1
+    total = np.concatenate(([0], np.cumsum(pieces)))
+    owner = np.repeat(np.arange(len(points)), pieces)
+    within = np.arange(total[-1]) - total[owner]
+    dense = points[owner] + span[owner] * (within / pieces[owner])[:, None]
+    return dense, total[starts]

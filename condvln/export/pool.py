@@ -1,0 +1,251 @@
+"""The light columns of all episodes of a snapshot, by which splits are chosen; the heavy ones are read when they are
+written.
+
+A million episodes must fit in a part of a gigabyte, so names are kept as 64-bit hashes: of a million, two collide with
+a probability of 3e-8, and then two programs are kept in one split that need not be.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from schemas.errors import StoreError
+from schemas.program import CATEGORIES
+
+__all__ = ["FIT", "INSTRUCTION_COLUMNS", "POOL_COLUMNS", "STEP_CEILING", "Pool", "PoolBuilder"]
+
+POOL_COLUMNS: Final = (
+    "scene_id",
+    "episode_id",
+    "instruction_id",
+    "group_id",
+    "category",
+    "composition",
+    "observability",
+    "gold_leaf",
+    "n_leaves",
+    "start_position",
+    "ground_truth_steps",
+    "max_steps",
+    "instruction_text",
+)
+INSTRUCTION_COLUMNS: Final = ("instruction_id", "conditions")
+
+STEP_CEILING: Final = 500
+"""Steps after which VLN-CE ends an episode."""
+
+FIT: Final = 0
+"""Code of an episode that may be in a split."""
+
+_OVER_BUDGET: Final = "over the step budget"
+_REPEAT: Final = "same text from the same start as another"
+
+Codes = npt.NDArray[np.int64]
+Hashes = npt.NDArray[np.uint64]
+
+
+@dataclass(frozen=True)
+class Pool:
+    """One entry an episode, in the order in which the snapshot is read.
+
+    ``source``, ``scene``, ``category``, ``stratum`` and ``unfit`` are indices into names; ``episode``, ``instruction``
+    and ``unit`` are hashes. ``conditions[offsets[i]:offsets[i + 1]]`` are the kinds of condition that the instruction
+    of episode ``i`` asks (label, room type, bare or with a relation), ``truths`` whether each holds.
+    ``reasons[unfit[i]]`` says why an episode can be in no split.
+    """
+
+    sources: tuple[str, ...]
+    scenes: tuple[tuple[str, str], ...]
+    strata: tuple[str, ...]
+    kinds: tuple[str, ...]
+    reasons: tuple[str, ...]
+    episode: Hashes
+    instruction: Hashes
+    unit: Hashes
+    grouped: npt.NDArray[np.bool_]
+    source: Codes
+    scene: Codes
+    category: Codes
+    leaf: Codes
+    n_leaves: Codes
+    stratum: Codes
+    unfit: Codes
+    offsets: Codes
+    conditions: Codes
+    truths: npt.NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.episode)
+
+
+@dataclass
+class _Names:
+    """Names in the order in which they were first seen."""
+
+    codes: dict[Any, int] = field(default_factory=dict)
+
+    def __call__(self, name: Any) -> int:
+        return self.codes.setdefault(name, len(self.codes))
+
+    def all(self, names: pa.Array) -> npt.NDArray[np.int32]:
+        """Codes of a whole column."""
+        encoded = names.dictionary_encode()
+        own = np.array([self(name) for name in encoded.dictionary.to_pylist()], dtype=np.int32)
+        return own[encoded.indices.to_numpy()] if len(own) else own
+
+    def listed(self) -> tuple[Any, ...]:
+        return tuple(self.codes)
+
+
+class PoolBuilder:
+    """Gathers batches of the tables, source by source."""
+
+    def __init__(self) -> None:
+        self._sources, self._scenes, self._strata, self._kinds = _Names(), _Names(), _Names(), _Names()
+        self._reasons = _Names({"": FIT})
+        self._columns: dict[str, list[npt.NDArray[Any]]] = {}
+        self._ids: list[pa.Array] = []
+        self._asked: list[tuple[Hashes, Codes, npt.NDArray[np.int32], npt.NDArray[np.bool_]]] = []
+
+    def add_instructions(self, source: str, batches: Iterable[pa.RecordBatch]) -> None:
+        """Note what the instructions of ``source`` ask (columns :data:`INSTRUCTION_COLUMNS`)."""
+        for batch in batches:
+            listed = batch.column("conditions")
+            asked = listed.flatten()
+            relation = pc.if_else(pc.is_valid(asked.field("qualifier")), "relation", "presence")
+            room = asked.field("room").field("label")
+            kinds = self._kinds.all(pc.binary_join_element_wise(asked.field("label"), room, relation, "\t"))
+            truths = asked.field("truth").to_numpy(zero_copy_only=False).astype(bool)
+            names = _hashes((source, name) for name in batch.column("instruction_id").to_pylist())
+            self._asked.append((names, pc.list_value_length(listed).to_numpy().astype(np.int64), kinds, truths))
+
+    def add_episodes(self, source: str, batch: pa.RecordBatch, barred: Mapping[str, str] | None = None) -> None:
+        """Append episodes of ``source`` (columns :data:`POOL_COLUMNS`); ``barred`` gives the reason by scene id."""
+        column = {name: batch.column(name).to_pylist() for name in POOL_COLUMNS if name not in _NUMBERS}
+        number = {name: batch.column(name).to_numpy().astype(np.int64) for name in _NUMBERS}
+        scenes, units = column["scene_id"], _units(column)
+        starts = [tuple(start.values()) for start in column["start_position"]]
+        reasons = [(barred or {}).get(scene, "") for scene in scenes]
+        over = (number["max_steps"] > STEP_CEILING) | (number["ground_truth_steps"] > number["max_steps"])
+        unfit = np.array([self._reasons(reason) for reason in reasons], dtype=np.int8)
+        unfit[(unfit == FIT) & over] = self._reasons(_OVER_BUDGET)
+        strata = [f"{c} {o or ''}".strip() for c, o in zip(column["composition"], column["observability"], strict=True)]
+        texts = zip(scenes, starts, column["instruction_text"], strict=True)
+        self._append(
+            source=np.full(batch.num_rows, self._sources(source), dtype=np.int16),
+            scene=np.array([self._scenes((source, scene)) for scene in scenes], dtype=np.int32),
+            episode=_hashes((name,) for name in column["episode_id"]),
+            instruction=_hashes((source, name) for name in column["instruction_id"]),
+            unit=_hashes((source, scene, unit) for scene, unit in zip(scenes, units, strict=True)),
+            grouped=np.array([group is not None for group in column["group_id"]], dtype=bool),
+            category=np.array([CATEGORIES.index(name) for name in column["category"]], dtype=np.int8),
+            leaf=number["gold_leaf"].astype(np.int8),
+            n_leaves=number["n_leaves"].astype(np.int8),
+            stratum=np.array([self._strata(name) for name in strata], dtype=np.int8),
+            text=_hashes((source, *parts) for parts in texts),
+            unfit=unfit,
+        )
+        self._ids.append(batch.column("episode_id"))
+
+    def _append(self, **columns: npt.NDArray[Any]) -> None:
+        for name, values in columns.items():
+            self._columns.setdefault(name, []).append(values)
+
+    def build(self) -> Pool:
+        """All that was added.
+
+        Raises
+        ------
+        StoreError : nothing was, or two episodes have one id
+        """
+        if not self._ids or not sum(map(len, self._ids)):
+            raise StoreError(
+                "the snapshot holds no episodes",
+                remedy="Its rejections table has the reasons; mend the sources or the configuration and generate again",
+            )
+        columns = {name: np.concatenate(parts) for name, parts in self._columns.items()}
+        self._refuse_repeats(columns["episode"])
+        fit = np.flatnonzero(columns["unfit"] == FIT)
+        again = np.ones(len(fit), dtype=bool)
+        again[np.unique(columns.pop("text")[fit], return_index=True)[1]] = False
+        columns["unfit"][fit[again]] = self._reasons(_REPEAT)
+        offsets, conditions, truths = self._conditions(columns["instruction"])
+
+        def codes(name: str) -> Codes:
+            return columns[name].astype(np.int64)
+
+        return Pool(
+            sources=self._sources.listed(),
+            scenes=self._scenes.listed(),
+            strata=self._strata.listed(),
+            kinds=self._kinds.listed(),
+            reasons=self._reasons.listed(),
+            grouped=columns["grouped"],
+            offsets=offsets,
+            conditions=conditions,
+            truths=truths,
+            episode=columns["episode"],
+            instruction=columns["instruction"],
+            unit=columns["unit"],
+            source=codes("source"),
+            scene=codes("scene"),
+            category=codes("category"),
+            leaf=codes("leaf"),
+            n_leaves=codes("n_leaves"),
+            stratum=codes("stratum"),
+            unfit=codes("unfit"),
+        )
+
+    def _refuse_repeats(self, names: Hashes) -> None:
+        unique, first = np.unique(names, return_index=True)
+        if len(unique) == len(names):
+            return
+        again = np.setdiff1d(np.arange(len(names)), first)
+        example = pa.chunked_array(self._ids)[int(again[0])]
+        raise StoreError(
+            f"{len(again)} episode ids stand twice in the snapshot, such as {example}",
+            remedy="List each scene under one source only, then generate again",
+        )
+
+    def _conditions(self, instructions: Hashes) -> tuple[Codes, Codes, npt.NDArray[np.bool_]]:
+        """What each episode's instruction asks; nothing where it is not known."""
+        names = _joined([part[0] for part in self._asked], np.uint64)
+        if not len(names):
+            nothing = np.zeros(0, dtype=np.int64)
+            return np.zeros(len(instructions) + 1, dtype=np.int64), nothing, nothing.astype(bool)
+        counts = _joined([part[1] for part in self._asked], np.int64)
+        kinds = _joined([part[2] for part in self._asked], np.int32)
+        truths = _joined([part[3] for part in self._asked], bool)
+        begins = np.concatenate(([0], np.cumsum(counts)))
+        order = np.argsort(names, kind="stable")
+        at = order[np.searchsorted(names, instructions, sorter=order).clip(max=len(names) - 1)]
+        mine = np.where(names[at] == instructions, counts[at], 0)
+        offsets = np.concatenate(([0], np.cumsum(mine))).astype(np.int64)
+        places = np.arange(offsets[-1]) - np.repeat(offsets[:-1] - begins[at], mine)
+        return offsets, kinds[places].astype(np.int64), truths[places]
+
+
+_NUMBERS: Final = ("gold_leaf", "n_leaves", "ground_truth_steps", "max_steps")
+
+
+def _units(column: Mapping[str, list[Any]]) -> list[str]:
+    """What is kept together: a counterfactual group, or the episodes of an instruction outside of one."""
+    pairs = zip(column["group_id"], column["instruction_id"], strict=True)
+    return [f"group {group}" if group is not None else f"instruction {instruction}" for group, instruction in pairs]
+
+
+def _hashes(names: Iterable[tuple[Any, ...]]) -> Hashes:
+    digests = [hashlib.blake2b("\0".join(map(str, parts)).encode(), digest_size=8).digest() for parts in names]
+    return np.frombuffer(b"".join(digests), dtype=">u8").astype(np.uint64)
+
+
+def _joined(parts: Sequence[npt.NDArray[Any]], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
+    return np.concatenate(parts) if parts else np.zeros(0, dtype=dtype)

@@ -1,0 +1,57 @@
+"""Discrete R2R over Matterport's viewpoints: ``R2R_<split>.json`` as Matterport3DSimulator's agents read it.
+
+Start, subgoals and goal become the viewpoints nearest to them, joined by shortest paths in the connectivity graph; the
+heading is radians clockwise from +y of the scan, which is −z here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from condvln.export.rows import Row
+from condvln.export.rxr import numeric_id
+from condvln.export.vlnce import gold
+from condvln.navigation.graph_pathfinder import GraphPathfinder
+
+__all__ = ["Graphs", "r2r_episode", "reason_against"]
+
+Graphs = Mapping[str, GraphPathfinder]
+"""Connectivity graph by scan."""
+
+
+def r2r_episode(row: Row, graph: GraphPathfinder) -> dict[str, Any] | str:
+    """The R2R item of one episode, or the reason why there is none."""
+    leaf = gold(row)
+    start = graph.viewpoint(row["start_position"])
+    stops = [graph.viewpoint(subgoal["position"]) for subgoal in leaf["subgoals"]] + [graph.viewpoint(leaf["goals"][0])]
+    ends = [graph.viewpoint(other["goals"][0]) for other in row["leaves"]]
+    reason = reason_against(start, stops, ends)
+    if reason is not None:
+        return reason
+    path = [str(start)]
+    for stop in stops:
+        part = graph.viewpoint_path(path[-1], str(stop))
+        if not part:
+            return "its viewpoints are not connected"
+        path += part[1:]
+    return {
+        "distance": graph.path_length(path),
+        "scan": row["scene_id"],
+        "path_id": numeric_id(row["episode_id"]),
+        "path": path,
+        "heading": math.radians(row["start_heading_degrees"]) % (2 * math.pi),
+        "instructions": [row["instruction_text"]],
+    }
+
+
+def reason_against(start: str | None, stops: list[str | None], ends: list[str | None]) -> str | None:
+    """Why an episode means nothing on the graph; None where it does."""
+    if start is None or None in stops or None in ends:
+        return "a start or goal with no viewpoint in reach"
+    if len(set(ends)) < len(ends):
+        return "two leaves at one viewpoint"
+    if start in ends:
+        return "a leaf at the start's viewpoint"
+    return None

@@ -1,0 +1,61 @@
+"""What an export wrote, what it left out and why; stands in the export as ``export.json``, written last."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from condvln.export.selection import Cell
+from schemas.version import SCHEMA_VERSION
+
+__all__ = ["ExportReport", "WrittenFile"]
+
+
+@dataclass(frozen=True)
+class WrittenFile:
+    """One file of the export: its size on disk and the hash of its bytes."""
+
+    bytes: int
+    sha256: str
+
+
+@dataclass
+class ExportReport:
+    """Counts of one export."""
+
+    snapshot: str
+    episodes: dict[str, int] = field(default_factory=dict)
+    scenes: dict[str, list[str]] = field(default_factory=dict)
+    """By split, ``<source>/<scene>``."""
+    cells: list[Cell] = field(default_factory=list)
+    left_out: dict[str, int] = field(default_factory=dict)
+    """Episodes of the pool in no split, by reason."""
+    truth_imbalance: dict[str, float] = field(default_factory=dict)
+    """By source: 0 = conditions on a label in a room type are true as often as false; 1 = the label gives it away."""
+    shapes: dict[str, dict[str, dict[str, int]]] = field(default_factory=dict)
+    """Episodes by split, axis and value."""
+    most_steps: int = 0
+    """Largest step budget of an episode."""
+    r2r_episodes: int = 0
+    r2r_left_out: dict[str, int] = field(default_factory=dict)
+    """Episodes of Matterport3D scans that mean nothing on the graph, by reason."""
+    vocabulary: int = 0
+    texts_cut: int = 0
+    """Texts with more tokens than are kept; ``instruction_text`` is whole."""
+    files: dict[str, WrittenFile] = field(default_factory=dict)
+    """By path below the export's folder."""
+
+    @property
+    def shortfalls(self) -> list[Cell]:
+        """Cells with fewer episodes than were wanted."""
+        return [cell for cell in self.cells if cell.shortfall]
+
+    def document(self) -> dict[str, Any]:
+        """The report as JSON; the same export gives the same document."""
+        cells = [{**asdict(cell), "shortfall": cell.shortfall} for cell in self.cells]
+        return {
+            "schema_version": SCHEMA_VERSION,
+            **{key: value for key, value in asdict(self).items() if key not in ("cells", "files")},
+            "cells": cells,
+            "files": {path: asdict(self.files[path]) for path in sorted(self.files)},
+        }

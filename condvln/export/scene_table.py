@@ -1,0 +1,63 @@
+"""Rows of the scenes table as an export needs them, and the navmeshes that go with it."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from urllib.parse import quote
+
+from condvln.export.rows import Row, rows_of
+from condvln.export.tables import SnapshotTables
+
+__all__ = ["NavmeshBytes", "SceneTable"]
+
+NavmeshBytes = Callable[[str, Row], bytes | None]
+"""The navmesh built for a scene, from its source and its row of the scenes table; None where it is lost."""
+
+
+class SceneTable:
+    """All scenes of a snapshot.
+
+    Parameters
+    ----------
+    navmeshes : gives built navmeshes, which are then files of the export; without it they are only named
+    """
+
+    def __init__(self, tables: SnapshotTables, navmeshes: NavmeshBytes | None) -> None:
+        self._navmeshes = navmeshes
+        self._rows = {
+            source: {row["scene_id"]: row for batch in tables.batches("scenes", source) for row in rows_of(batch)}
+            for source in tables.sources
+        }
+
+    def row(self, source: str, scene: str) -> Row:
+        """One row of the table."""
+        return self._rows[source][scene]
+
+    def barred(self, source: str) -> dict[str, str]:
+        """Scenes whose episodes can't be published, with the reason."""
+        reasons = {}
+        for scene, row in self._rows[source].items():
+            if row["navmesh_path"] is None:
+                reasons[scene] = "its scene has no navmesh"
+            elif self._is_shipped(row) and self.navmesh(source, scene) is None:
+                reasons[scene] = "the navmesh built for its scene is missing or changed"
+        return reasons
+
+    def navmesh(self, source: str, scene: str) -> bytes | None:
+        """The built navmesh as recorded; None where there is none or its hash is another."""
+        row = self._rows[source][scene]
+        data = self._navmeshes(source, row) if self._navmeshes is not None else None
+        if data is None or hashlib.sha256(data).hexdigest() != row["navmesh_sha256"]:
+            return None
+        return data
+
+    def navmesh_path(self, source: str, scene: str) -> tuple[str, bool]:
+        """Path of the navmesh for the manifest, and whether it is a file of the export."""
+        row = self._rows[source][scene]
+        if self._is_shipped(row):
+            return f"navmeshes/{source}/{quote(scene, safe='')}.navmesh", True
+        return str(row["navmesh_path"]), False
+
+    def _is_shipped(self, row: Row) -> bool:
+        return self._navmeshes is not None and bool(row["navmesh_built"])

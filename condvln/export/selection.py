@@ -1,0 +1,262 @@
+"""``select``: which episodes of the pool are published, and in which split.
+
+Three things hold of the result, so that nothing but the scene tells where to go: within each split, source and
+category every gold leaf is equally frequent; the axes are as even as the pool allows; and conditions on one label in
+one type of room are as often true as false, as far as the pool allows. What could not be had is counted.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from condvln.export.pool import FIT, Pool
+from condvln.export.splits import SPLITS, Split, fractions, scene_group
+from schemas.config import SplitsConfig
+from schemas.program import CATEGORIES
+
+__all__ = ["OUT", "Cell", "Selection", "select"]
+
+OUT: Final = -1
+"""Code of an episode that is in no split."""
+
+LOOKAHEAD: Final = 64
+"""Candidates looked at for each place: the more, the evener the truths; the fewer, the faster."""
+
+Terms = list[tuple[int, int]]
+"""Kind of each condition of an episode (of all episodes of a group), and +1 where it is true, −1 where false."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One split × source × category × gold leaf: what there was, what was wanted of it, and what was taken."""
+
+    split: Split
+    source: str
+    category: str
+    gold_leaf: int
+    available: int
+    wanted: int
+    selected: int
+
+    @property
+    def shortfall(self) -> int:
+        """Episodes wanted that could not be had."""
+        return max(0, self.wanted - self.selected)
+
+
+@dataclass
+class Selection:
+    """``split[i]`` is the index into :data:`SPLITS` of episode ``i`` of the pool, or :data:`OUT`."""
+
+    split: npt.NDArray[np.int8]
+    cells: list[Cell] = field(default_factory=list)
+    left_out: Counter[str] = field(default_factory=Counter)
+    truth_imbalance: dict[str, float] = field(default_factory=dict)
+    """By source: Σ |true − false| ÷ Σ (true + false) over label × room type × kind of condition, before and after."""
+
+
+def select(pool: Pool, config: SplitsConfig) -> Selection:
+    """Choose and place; the same pool and configuration give the same answer, whatever the order of their names."""
+    selection = Selection(np.full(len(pool), OUT, dtype=np.int8))
+    placed = _place(pool, config, selection.left_out)
+    order = _seeded_order(pool, config.seed)
+    for split_code, split in enumerate(SPLITS):
+        members = order[placed[order] == split_code]
+        # True less false, by source and kind of condition.
+        balances = [[0] * len(pool.kinds) for _ in pool.sources]
+        for category, name in enumerate(CATEGORIES):
+            blocks = {
+                source: members[(pool.category[members] == category) & (pool.source[members] == source)]
+                for source in range(len(pool.sources))
+            }
+            quotas = _quotas(pool, blocks, config.per_cell)
+            for source, block in blocks.items():
+                if len(block) == 0:
+                    continue
+                taken = _Picker(pool, block, quotas[source], balances[source]).pick()
+                selection.split[taken] = split_code
+                selection.left_out["beyond the balance"] += len(block) - len(taken)
+                selection.cells += _cells(pool, split, source, name, block, taken, config.per_cell or quotas[source])
+    for source, label in enumerate(pool.sources):
+        inside = pool.source == source
+        selection.truth_imbalance[label] = _imbalance(pool, inside & (selection.split != OUT))
+    return selection
+
+
+def _place(pool: Pool, config: SplitsConfig, left_out: Counter[str]) -> npt.NDArray[np.int8]:
+    """Split of each episode fit for one; no unit and no program falls into two."""
+    groups = [scene_group(family, scene, config) for family, scene in pool.scenes]
+    by_group = {"train": SPLITS.index("train"), "val_unseen": SPLITS.index("val_unseen"), "test": SPLITS.index("test")}
+    placed = np.array([by_group[group] for group in groups], dtype=np.int8)[pool.scene]
+    train = placed == by_group["train"]
+    placed[train & (fractions(pool.unit, config.seed, "val_seen") < config.val_seen_share)] = SPLITS.index("val_seen")
+    fit = np.flatnonzero(pool.unfit == FIT)
+    for code, count in enumerate(np.bincount(pool.unfit, minlength=len(pool.reasons)).tolist()):
+        if code != FIT and count:
+            left_out[pool.reasons[code]] += count
+    # A program that units of two splits share stays where it stands first.
+    _, first, which = np.unique(pool.instruction[fit], return_index=True, return_inverse=True)
+    torn = placed[fit] != placed[fit][first][which]
+    if torn.any():
+        left_out["its program is in another split"] += int(torn.sum())
+    kept = np.full(len(pool), OUT, dtype=np.int8)
+    kept[fit[~torn]] = placed[fit[~torn]]
+    return kept
+
+
+def _seeded_order(pool: Pool, seed: int) -> npt.NDArray[np.int64]:
+    """All episodes by the hash of their id, but one of each scene before the second of any."""
+    by_hash = np.argsort(fractions(pool.episode, seed, "order"), kind="stable")
+    by_scene = by_hash[np.argsort(pool.scene[by_hash], kind="stable")]
+    scenes = pool.scene[by_scene]
+    first = np.searchsorted(scenes, scenes, side="left")
+    turn = np.empty(len(pool), dtype=np.int64)
+    turn[by_scene] = np.arange(len(pool)) - first
+    return by_hash[np.argsort(turn[by_hash], kind="stable")]
+
+
+def _quotas(pool: Pool, blocks: dict[int, npt.NDArray[np.int64]], per_cell: int | None) -> dict[int, int]:
+    """Episodes of each leaf that each source gives: as many as its scarcest leaf has, the sources sharing
+    ``per_cell`` evenly."""
+    most = {source: _scarcest_leaf(pool, block) for source, block in blocks.items()}
+    if per_cell is None:
+        return most
+    given = dict.fromkeys(most, 0)
+    left = per_cell
+    # The source that can give least is asked first; what it leaves open is shared by the rest.
+    waiting = sorted(most, key=lambda source: (most[source], pool.sources[source]))
+    for position, source in enumerate(waiting):
+        given[source] = min(most[source], -(-left // (len(waiting) - position)))
+        left -= given[source]
+    return given
+
+
+def _scarcest_leaf(pool: Pool, block: npt.NDArray[np.int64]) -> int:
+    if len(block) == 0:
+        return 0
+    leaves = int(pool.n_leaves[block[0]])
+    return int(np.bincount(pool.leaf[block], minlength=leaves)[:leaves].min())
+
+
+class _Picker:
+    """Takes ``quota`` episodes of each leaf from one split × source × category."""
+
+    def __init__(self, pool: Pool, block: npt.NDArray[np.int64], quota: int, balance: list[int]) -> None:
+        self._pool = pool
+        self._balance = balance
+        self._block = block
+        self._n_leaves = int(pool.n_leaves[block[0]])
+        self._room = [quota] * self._n_leaves
+
+    def pick(self) -> npt.NDArray[np.int64]:
+        """The episodes taken, whole counterfactual groups before single ones."""
+        taken = list(self._whole_groups())
+        grouped = set(taken)
+        queues = self._queues([row for row in self._block.tolist() if row not in grouped], taken)
+        while any(self._room):
+            for leaf in range(self._n_leaves):
+                if self._room[leaf]:
+                    taken.append(self._take(queues[leaf]))
+                    self._room[leaf] -= 1
+        return np.array(taken, dtype=np.int64)
+
+    def _whole_groups(self) -> Iterator[int]:
+        groups: dict[int, list[int]] = defaultdict(list)
+        for row in self._block[self._pool.grouped[self._block]].tolist():
+            groups[int(self._pool.unit[row])].append(row)
+        queue = _Queue(list(groups.values())[::-1])
+        while (rows := self._evenest(queue)) is not None:
+            need = np.bincount(self._pool.leaf[rows], minlength=self._n_leaves).tolist()
+            if all(n <= room for n, room in zip(need, self._room, strict=True)):
+                self._room = [room - n for n, room in zip(need, self._room, strict=True)]
+                self._count(self._terms(rows))
+                yield from rows
+
+    def _queues(self, rows: Sequence[int], taken: Sequence[int]) -> list[dict[int, _Queue]]:
+        queues: list[dict[int, _Queue]] = [{} for _ in range(self._n_leaves)]
+        for row in reversed(rows):
+            leaf, stratum = int(self._pool.leaf[row]), int(self._pool.stratum[row])
+            queues[leaf].setdefault(stratum, _Queue()).waiting.append([row])
+        for row in taken:
+            queue = queues[int(self._pool.leaf[row])].get(int(self._pool.stratum[row]))
+            if queue is not None:
+                queue.taken += 1
+        return queues
+
+    def _take(self, by_stratum: dict[int, _Queue]) -> int:
+        """The candidate that evens the truths most, from the stratum that has least."""
+        stratum = min((q.taken, self._pool.strata[s], s) for s, q in by_stratum.items() if q.window or q.waiting)[2]
+        queue = by_stratum[stratum]
+        queue.taken += 1
+        rows = self._evenest(queue)
+        assert rows is not None
+        self._count(self._terms(rows))
+        return rows[0]
+
+    def _evenest(self, queue: _Queue) -> list[int] | None:
+        """Take out of the next candidates the one that adds least to Σ (true − false)²; the earliest of equals."""
+        while queue.waiting and len(queue.window) < LOOKAHEAD:
+            rows = queue.waiting.pop()
+            queue.window.append((rows, self._terms(rows)))
+        if not queue.window:
+            return None
+        balance = self._balance
+        tilts = [sum([balance[kind] * sign for kind, sign in terms]) for _, terms in queue.window]
+        return queue.window.pop(tilts.index(min(tilts)))[0]
+
+    def _terms(self, rows: list[int]) -> Terms:
+        pool = self._pool
+        terms: Terms = []
+        for row in rows:
+            span = slice(int(pool.offsets[row]), int(pool.offsets[row + 1]))
+            signs = np.where(pool.truths[span], 1, -1).tolist()
+            terms += zip(pool.conditions[span].tolist(), signs, strict=True)
+        return terms
+
+    def _count(self, terms: Terms) -> None:
+        for kind, sign in terms:
+            self._balance[kind] += sign
+
+
+@dataclass
+class _Queue:
+    """Candidates of one leaf and stratum: the next ones in ``window``, the later ones in ``waiting``, last first."""
+
+    waiting: list[list[int]] = field(default_factory=list)
+    window: list[tuple[list[int], Terms]] = field(default_factory=list)
+    taken: int = 0
+
+
+def _cells(
+    pool: Pool,
+    split: Split,
+    source: int,
+    category: str,
+    block: npt.NDArray[np.int64],
+    taken: npt.NDArray[np.int64],
+    wanted: int,
+) -> list[Cell]:
+    leaves = int(pool.n_leaves[block[0]])
+    available = np.bincount(pool.leaf[block], minlength=leaves)
+    selected = np.bincount(pool.leaf[taken], minlength=leaves)
+    return [
+        Cell(split, pool.sources[source], category, leaf, int(available[leaf]), wanted, int(selected[leaf]))
+        for leaf in range(leaves)
+    ]
+
+
+def _imbalance(pool: Pool, inside: npt.NDArray[np.bool_]) -> float:
+    """Σ |true − false| ÷ Σ (true + false) over the kinds of condition of the episodes ``inside``."""
+    chosen = np.repeat(inside, np.diff(pool.offsets))
+    kinds, truths = pool.conditions[chosen], pool.truths[chosen]
+    if len(kinds) == 0:
+        return 0.0
+    total = np.bincount(kinds, minlength=len(pool.kinds))
+    true = np.bincount(kinds[truths], minlength=len(pool.kinds))
+    return float(np.abs(2 * true - total).sum() / total.sum())

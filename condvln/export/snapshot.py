@@ -1,0 +1,202 @@
+"""A snapshot → an export folder: splits chosen, every variant written, everything counted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+import orjson
+
+from condvln.export.card import dataset_card
+from condvln.export.changelog import CHANGELOG, PublishedEpisodes, changes_between, with_entry
+from condvln.export.consumers import consumer_files
+from condvln.export.croissant import croissant
+from condvln.export.densify import PATH_SPACING
+from condvln.export.oracle import ORACLE_COLUMNS, OracleText, oracle_text_of
+from condvln.export.pool import INSTRUCTION_COLUMNS, POOL_COLUMNS, PoolBuilder
+from condvln.export.r2r import Graphs
+from condvln.export.report import ExportReport, WrittenFile
+from condvln.export.scene_table import NavmeshBytes, SceneTable
+from condvln.export.selection import OUT, Selection, select
+from condvln.export.splits import SPLITS
+from condvln.export.streams import atomic_stream
+from condvln.export.tables import SnapshotTables, joined_by_scene
+from condvln.export.tokens import TOKEN_LENGTH, Vocabulary
+from condvln.export.vlnce import SCENE_PATTERNS
+from condvln.export.writer import ExportWriter, Layout
+from schemas.config import SplitsConfig
+
+__all__ = ["INDEX", "ExportConfig", "NavmeshBytes", "export_snapshot"]
+
+INDEX: Final = "export.json"
+"""The export's own record, written when all else is in place."""
+
+Progress = Callable[[int, int], None]
+"""Told how many episodes of how many are written."""
+
+
+@dataclass(frozen=True)
+class ExportConfig:
+    """What is written and how."""
+
+    splits: SplitsConfig = field(default_factory=SplitsConfig)
+    scene_patterns: Mapping[str, str] = field(default_factory=lambda: dict(SCENE_PATTERNS))
+    """``scene_id`` by family, with ``{family}`` and ``{scene}``; the entry ``""`` serves the others."""
+    token_length: int = TOKEN_LENGTH
+    path_spacing: float = PATH_SPACING
+    """Metres between ground-truth locations at most, where no walked locations are known."""
+    vocabulary: Vocabulary | None = None
+    """A foreign vocabulary (that of a trained agent) in place of our own; its unknown words become UNK."""
+    sharded: bool = False
+    """Episodes in one file a scene, ``<split>/content/<scene>.json.gz``, as Habitat's own datasets have them."""
+    name: str = "CondVLN"
+    """Title of the dataset card."""
+
+
+def export_snapshot(
+    tables: SnapshotTables,
+    out: Path,
+    config: ExportConfig | None = None,
+    *,
+    oracle_texts: OracleText | None = None,
+    navmeshes: NavmeshBytes | None = None,
+    graphs: Graphs | None = None,
+    progress: Progress | None = None,
+) -> ExportReport:
+    """Write all splits of a snapshot below ``out`` in one pass over its rows, a scene in memory at a time.
+
+    Each file appears under its name when it is complete; ``export.json`` appears last and lists them all with their
+    hashes. The same snapshot and configuration give the same bytes (``CHANGELOG.md`` aside, the history of the folder).
+
+    Parameters
+    ----------
+    oracle_texts : linear texts; without them there is no oracle twin
+    navmeshes : gives built navmeshes, which are then shipped
+    graphs : connectivity by Matterport3D scan; with them the discrete R2R files are written
+
+    Raises
+    ------
+    StoreError : the snapshot has no episodes, is damaged, or the disk refused
+    """
+    config = config or ExportConfig()
+    report = ExportReport(tables.id)
+    scenes = SceneTable(tables, navmeshes)
+    selection, splits_of = _choose(tables, config, scenes)
+    report.cells = selection.cells
+    report.left_out = dict(sorted(selection.left_out.items()))
+    report.truth_imbalance = selection.truth_imbalance
+    vocabulary = config.vocabulary or Vocabulary.of(_texts(tables, splits_of, oracle_texts))
+    report.vocabulary = len(vocabulary.words)
+    report.episodes = dict.fromkeys(SPLITS, 0)
+    report.scenes = {split: [] for split in SPLITS}
+    former_files, former_snapshot = _former_export(out)
+    former_episodes = PublishedEpisodes.of(out) if former_snapshot not in ("", tables.id) else None
+    layout = Layout(dict(config.scene_patterns), config.token_length, config.path_spacing, config.sharded, tables.id)
+    writer = ExportWriter(out, layout, vocabulary, scenes, report, oracle_texts=oracle_texts, graphs=graphs)
+    with writer.open():
+        _write_rows(tables, splits_of, writer, report, progress)
+    _write_documents(out, config.name, report)
+    with atomic_stream(out / INDEX) as stream:
+        stream.write(orjson.dumps(report.document(), option=orjson.OPT_INDENT_2) + b"\n")
+    for path in former_files - set(report.files):
+        with suppress(OSError):
+            (out / path).unlink()
+    if former_episodes is not None:
+        _write_changelog(out, former_episodes)
+    return report
+
+
+def _write_rows(
+    tables: SnapshotTables,
+    splits_of: SplitCodes,
+    writer: ExportWriter,
+    report: ExportReport,
+    progress: Progress | None,
+) -> None:
+    total = int(sum((codes != OUT).sum() for codes in splits_of.values()))
+    for source, codes in splits_of.items():
+        at = 0
+        for scene, episodes, instructions in joined_by_scene(tables, source):
+            here = codes[at : at + len(episodes)].tolist()
+            at += len(episodes)
+            chosen = [
+                (code, row, instructions[row["instruction_id"]])
+                for code, row in zip(here, episodes, strict=True)
+                if code != OUT
+            ]
+            if chosen:
+                writer.add_scene(source, scene, chosen)
+            if progress is not None:
+                progress(sum(report.episodes.values()), total)
+
+
+def _write_documents(out: Path, name: str, report: ExportReport) -> None:
+    """The card, the metadata and the consumers' configuration files, all of which only restate the report."""
+    texts = {
+        **consumer_files(report),
+        "README.md": dataset_card(report, name),
+        "croissant.json": orjson.dumps(croissant(report, name), option=orjson.OPT_INDENT_2).decode() + "\n",
+    }
+    for path, text in texts.items():
+        with atomic_stream(out / path) as stream:
+            stream.write(text.encode())
+        report.files[path] = WrittenFile(stream.size, stream.digest.hexdigest())
+
+
+def _write_changelog(out: Path, former: PublishedEpisodes) -> None:
+    path = out / CHANGELOG
+    before = path.read_text(encoding="utf-8") if path.exists() else ""
+    with atomic_stream(path) as stream:
+        stream.write(with_entry(before, changes_between(former, PublishedEpisodes.of(out))).encode())
+
+
+SplitCodes = dict[str, npt.NDArray[np.int8]]
+"""By source, the split code of each row of the episodes table in reading order."""
+
+
+def _choose(tables: SnapshotTables, config: ExportConfig, scenes: SceneTable) -> tuple[Selection, SplitCodes]:
+    builder = PoolBuilder()
+    counts: dict[str, int] = {}
+    for source in tables.sources:
+        builder.add_instructions(source, tables.batches("instructions", source, INSTRUCTION_COLUMNS))
+        barred = scenes.barred(source)
+        for batch in tables.batches("episodes", source, POOL_COLUMNS):
+            builder.add_episodes(source, batch, barred)
+            counts[source] = counts.get(source, 0) + batch.num_rows
+    selection = select(builder.build(), config.splits)
+    ends = np.cumsum([counts.get(source, 0) for source in tables.sources])[:-1]
+    return selection, dict(zip(tables.sources, np.split(selection.split, ends), strict=True))
+
+
+def _texts(tables: SnapshotTables, splits_of: SplitCodes, oracle_texts: OracleText | None) -> Iterator[str]:
+    """All texts of all splits, the twins' included."""
+    for source, codes in splits_of.items():
+        at = 0
+        if oracle_texts is None:
+            for batch in tables.batches("episodes", source, ("instruction_text",)):
+                texts = batch.column(0).to_pylist()
+                yield from (text for text, code in zip(texts, codes[at:], strict=False) if code != OUT)
+                at += len(texts)
+            continue
+        for _, episodes, instructions in joined_by_scene(tables, source, ORACLE_COLUMNS):
+            for row in episodes:
+                if codes[at] != OUT:
+                    yield row["instruction_text"]
+                    yield oracle_text_of(oracle_texts, row, instructions[row["instruction_id"]])
+                at += 1
+
+
+def _former_export(out: Path) -> tuple[set[str], str]:
+    """Files that an earlier export wrote here by its own record, only what lies below ``out``; and its snapshot."""
+    try:
+        index = orjson.loads((out / INDEX).read_bytes())
+        paths = [PurePosixPath(name) for name in index["files"]]
+        snapshot = str(index["snapshot"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return set(), ""
+    return {str(path) for path in paths if not path.is_absolute() and ".." not in path.parts}, snapshot

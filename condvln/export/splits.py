@@ -1,0 +1,87 @@
+"""Which scenes belong to which group of splits: {train, val_seen}, {val_unseen} or {test}, never two.
+
+Families with official lists keep to them, so that nobody's pretrained agent has seen our test scenes. All other
+scenes go by the hash of their own id, so that a scene more moves no other.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from functools import cache
+from importlib import resources
+from typing import Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+import orjson
+
+from schemas.config import SplitsConfig
+
+__all__ = ["SPLITS", "Group", "Split", "fractions", "hash_fraction", "scene_group"]
+
+Split = Literal["train", "val_seen", "val_unseen", "test"]
+SPLITS: Final[tuple[Split, ...]] = ("train", "val_seen", "val_unseen", "test")
+
+Group = Literal["train", "val_unseen", "test"]
+"""A set of scenes; the group train holds the splits train and val_seen."""
+
+_GROUPS: Final[tuple[Group, ...]] = ("train", "val_unseen", "test")
+_LISTED: Final = ("mp3d", "gibson")
+
+# Floor plans 1-30 of kitchens, 201-230, 301-330 and 401-430 of the other room types: within each, 1-20 train, 21-25
+# val, 26-30 test.
+_ITHOR: Final = re.compile(r"FloorPlan(\d{1,3})(?:_physics)?$")
+_ROBOTHOR: Final = re.compile(r"FloorPlan_(Train|Val|Test)", re.IGNORECASE)
+# The base layouts of ReplicaCAD: sc0 and sc1 came in 21 stagings each; the remaining layouts and the apartments are
+# for test.
+_REPLICACAD: Final = re.compile(r"v3_sc(\d+)_staging_\d+$|apt_\d+$")
+
+
+def scene_group(family: str, scene_id: str, config: SplitsConfig) -> Group:
+    """Group of one scene, from its name alone."""
+    official = _official(family, scene_id)
+    if official is not None:
+        return official
+    at = hash_fraction(config.seed, family, scene_id)
+    bounds = (config.fractions[0], config.fractions[0] + config.fractions[1])
+    return _GROUPS[0] if at < bounds[0] else _GROUPS[1] if at < bounds[1] else _GROUPS[2]
+
+
+def fractions(hashes: npt.NDArray[np.uint64], seed: int, purpose: str) -> npt.NDArray[np.float64]:
+    """For each 64-bit hash a number in [0, 1) that depends on it, ``seed`` and ``purpose`` alone.
+
+    The mixer is SplitMix64's finaliser (Steele, Lea and Flood 2014).
+    """
+    salt = hashlib.blake2b(f"{seed}\0{purpose}".encode(), digest_size=8).digest()
+    mixed = hashes ^ np.uint64(int.from_bytes(salt, "big"))
+    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
+        mixed = (mixed ^ (mixed >> np.uint64(shift))) * np.uint64(factor)
+    mixed ^= mixed >> np.uint64(31)
+    found: npt.NDArray[np.float64] = (mixed >> np.uint64(11)).astype(np.float64) / 2.0**53
+    return found
+
+
+def hash_fraction(seed: int, *names: str) -> float:
+    """A number in [0, 1) that depends on ``seed`` and ``names`` alone."""
+    text = "\0".join((str(seed), *names)).encode()
+    return int.from_bytes(hashlib.blake2b(text, digest_size=8).digest(), "big") / 2.0**64
+
+
+def _official(family: str, scene_id: str) -> Group | None:
+    if family in _LISTED:
+        return _list_of(family).get(scene_id)
+    if family == "ithor" and (found := _ITHOR.match(scene_id)):
+        within = int(found[1]) % 100
+        return "train" if within <= 20 else "val_unseen" if within <= 25 else "test"
+    if family == "robothor" and (found := _ROBOTHOR.match(scene_id)):
+        return {"train": _GROUPS[0], "val": _GROUPS[1], "test": _GROUPS[2]}[found[1].lower()]
+    if family == "replicacad" and (found := _REPLICACAD.match(scene_id)):
+        return {"0": _GROUPS[0], "1": _GROUPS[1]}.get(found[1] or "", "test")
+    return None
+
+
+@cache
+def _list_of(family: str) -> dict[str, Group]:
+    lists = orjson.loads((resources.files("condvln.export") / "official" / f"{family}.json").read_bytes())
+    return {scene: group for group in _GROUPS for scene in lists[group].split()}

@@ -1,0 +1,158 @@
+"""Files that are either whole or not there: written beside their name, moved onto it when complete.
+
+gzip goes through zlib, whose output depends on nothing but its input, its level and its version; faster coders
+(ISA-L) choose their code by the processor they run on. The header carries no time and no file name, so the same rows
+give the same bytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import orjson
+
+from schemas.errors import StoreError
+
+__all__ = ["GZIP_LEVEL", "ByteStream", "JsonArrayStream", "atomic_copy", "atomic_stream", "read_gzip_json"]
+
+GZIP_LEVEL: Final = 4
+"""Measured on made episodes: level 4 is 2.2 times as fast as 6 for 10 % more bytes; see benchmarks/export.py."""
+
+_GZIP_WBITS: Final = 31
+_BUFFER: Final = 1 << 18
+
+
+class ByteStream:
+    """An open file under a provisional name; plain or gzip by the suffix of its final name.
+
+    Raises
+    ------
+    StoreError : from every method, where the disk refuses
+    """
+
+    def __init__(self, path: Path, level: int) -> None:
+        self.path = path
+        self.size = 0
+        self.digest = hashlib.sha256()
+        self._part = path.with_name(f".{path.name}.part")
+        self._compressor = zlib.compressobj(level, zlib.DEFLATED, _GZIP_WBITS) if path.suffix == ".gz" else None
+        self._pending: list[bytes] = []
+        self._pending_size = 0
+        with _refusals(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = self._part.open("wb")
+
+    def write(self, data: bytes) -> None:
+        """Append ``data`` (before compression)."""
+        self._pending.append(data)
+        self._pending_size += len(data)
+        if self._pending_size >= _BUFFER:
+            self._drain()
+
+    def commit(self) -> None:
+        """Write what is pending and move the file onto its final name."""
+        self._drain()
+        if self._compressor is not None:
+            self._put(self._compressor.flush())
+        with _refusals(self.path):
+            self._file.flush()
+            os.fsync(self._file.fileno())
+            self._file.close()
+            os.replace(self._part, self.path)
+
+    def abandon(self) -> None:
+        """Leave no trace."""
+        with suppress(OSError):
+            self._file.close()
+        with suppress(OSError):
+            self._part.unlink()
+
+    def _drain(self) -> None:
+        data = b"".join(self._pending)
+        self._pending.clear()
+        self._pending_size = 0
+        self._put(data if self._compressor is None else self._compressor.compress(data))
+
+    def _put(self, data: bytes) -> None:
+        if data:
+            with _refusals(self.path):
+                self._file.write(data)
+            self.digest.update(data)
+            self.size += len(data)
+
+
+@contextmanager
+def atomic_stream(path: Path, level: int = GZIP_LEVEL, *, closing: bytes = b"") -> Iterator[ByteStream]:
+    """A stream that becomes ``path`` when the block ends well, and leaves no trace when it does not.
+
+    ``closing`` is written last.
+
+    Raises
+    ------
+    StoreError : the disk refused (full, read-only, no such folder)
+    """
+    stream = ByteStream(path, level)
+    try:
+        yield stream
+        stream.write(closing)
+        stream.commit()
+    except BaseException:
+        stream.abandon()
+        raise
+
+
+def atomic_copy(source: Path, path: Path) -> None:
+    """Copy a file so that ``path`` is whole or not there.
+
+    Raises
+    ------
+    StoreError : the disk refused
+    """
+    part = path.with_name(f".{path.name}.part")
+    try:
+        with _refusals(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(source, part)
+            os.replace(part, path)
+    except BaseException:
+        with suppress(OSError):
+            part.unlink()
+        raise
+
+
+@contextmanager
+def _refusals(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise StoreError(
+            f"can't be written: {error.strerror or error}",
+            where=path,
+            remedy="Free some space or choose another export folder, then export again; nothing half-written is left",
+        ) from error
+
+
+@dataclass
+class JsonArrayStream:
+    """The growing part of a JSON array or object: entries with commas between them."""
+
+    stream: ByteStream
+    count: int = 0
+
+    def entry(self, data: bytes) -> None:
+        """Append one encoded entry."""
+        self.stream.write(b"," + data if self.count else data)
+        self.count += 1
+
+
+def read_gzip_json(path: Path) -> object:
+    """The document in a small gzip file of our own."""
+    return orjson.loads(zlib.decompress(path.read_bytes(), _GZIP_WBITS))

@@ -1,0 +1,142 @@
+"""Where an export reads its rows: a published snapshot's folder, or tables in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+from typing import Final, Protocol
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from condvln.export.rows import Row, rows_of
+from schemas.errors import FormatError, MissingFileError, StoreError
+
+__all__ = ["FolderTables", "MemoryTables", "SnapshotTables", "joined_by_scene", "rows_by_scene"]
+
+BATCH_ROWS: Final = 1024
+"""Rows decoded at a time: enough to spread the cost of Arrow's calls, few enough to keep memory flat."""
+
+
+class SnapshotTables(Protocol):
+    """The tables of one snapshot, source by source."""
+
+    @property
+    def id(self) -> str:
+        """Id of the snapshot."""
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Families with rows, sorted."""
+
+    def batches(self, table: str, source: str, columns: Sequence[str] | None = None) -> Iterator[pa.RecordBatch]:
+        """Rows of one table of one source in ascending order of ``scene_id``; all columns unless some are named."""
+
+
+@dataclass(frozen=True)
+class MemoryTables:
+    """Tables in memory: ``tables[source][name]``."""
+
+    id: str
+    tables: Mapping[str, Mapping[str, pa.Table]]
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Families with rows, sorted."""
+        return tuple(sorted(self.tables))
+
+    def batches(self, table: str, source: str, columns: Sequence[str] | None = None) -> Iterator[pa.RecordBatch]:
+        """See :class:`SnapshotTables`."""
+        found = self.tables[source][table]
+        yield from (found if columns is None else found.select(list(columns))).to_batches(max_chunksize=BATCH_ROWS)
+
+
+@dataclass(frozen=True)
+class FolderTables:
+    """The folder ``snapshots/<id>`` of a store: ``<table>/source=<family>/part-*.parquet``."""
+
+    folder: Path
+
+    @property
+    def id(self) -> str:
+        """Id of the snapshot: the folder's name."""
+        return self.folder.name
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Families with rows, sorted."""
+        prefix = "source="
+        return tuple(sorted(p.name[len(prefix) :] for p in (self.folder / "episodes").glob(f"{prefix}*") if p.is_dir()))
+
+    def batches(self, table: str, source: str, columns: Sequence[str] | None = None) -> Iterator[pa.RecordBatch]:
+        """See :class:`SnapshotTables`.
+
+        Raises
+        ------
+        MissingFileError : the table has no file for this source
+        FormatError : a part that is not Parquet
+        """
+        folder = self.folder / table / f"source={source}"
+        parts = [_opened(path) for path in sorted(folder.glob("part-*.parquet"))]
+        if not parts:
+            raise MissingFileError("no part of this table is there", where=folder, remedy="Generate the snapshot again")
+        for file in sorted(parts, key=_first_scene):
+            yield from file.iter_batches(BATCH_ROWS, columns=None if columns is None else list(columns))
+
+
+def _opened(path: Path) -> pq.ParquetFile:
+    try:
+        return pq.ParquetFile(path)
+    except (pa.ArrowInvalid, OSError) as error:
+        raise FormatError(f"not a Parquet file ({error})", where=path, remedy="Generate the snapshot again") from error
+
+
+def _first_scene(file: pq.ParquetFile) -> str:
+    for batch in file.iter_batches(1, columns=["scene_id"]):
+        return str(batch.column(0)[0])
+    return ""
+
+
+def rows_by_scene(batches: Iterator[pa.RecordBatch], where: str) -> Iterator[tuple[str, list[Row]]]:
+    """The rows of each scene together.
+
+    Raises
+    ------
+    StoreError : scenes that are not in ascending order, as the tables promise
+    """
+    last = ""
+    for scene, rows in groupby((row for batch in batches for row in rows_of(batch)), key=lambda row: row["scene_id"]):
+        if scene < last:
+            raise StoreError(
+                f"scene {scene!r} stands after {last!r}", where=where, remedy="Generate the snapshot again"
+            )
+        last = scene
+        yield scene, list(rows)
+
+
+def joined_by_scene(
+    tables: SnapshotTables, source: str, columns: Sequence[str] | None = None
+) -> Iterator[tuple[str, list[Row], dict[str, Row]]]:
+    """Scene id, its episodes, and its instructions by id; one scene at a time in memory.
+
+    Raises
+    ------
+    StoreError : an episode whose instruction is not in the snapshot
+    """
+    told = rows_by_scene(tables.batches("instructions", source), f"instructions of {source}")
+    scene_told, instructions = "", {}
+    for scene, episodes in rows_by_scene(tables.batches("episodes", source, columns), f"episodes of {source}"):
+        while scene_told < scene:
+            scene_told, rows = next(told, ("\U0010ffff", []))
+            instructions = {row["instruction_id"]: row for row in rows}
+        known = instructions if scene_told == scene else {}
+        missing = [row["instruction_id"] for row in episodes if row["instruction_id"] not in known]
+        if missing:
+            raise StoreError(
+                f"scene {scene!r} has an episode whose instruction {missing[0]!r} is missing",
+                where=f"instructions of {source}",
+                remedy="Generate the snapshot again",
+            )
+        yield scene, episodes, known

@@ -1,0 +1,85 @@
+"""The instruction vocabulary and the tokens that VLN-CE's text encoders read.
+
+Words are cut as habitat-lab's vocabulary does it (``habitat/datasets/utils.py``): lower case, ``'s`` a word of its
+own, commas and question marks dropped, runs of letters, digits, underscores and hyphens are words, what stands
+between them is one token. The file of R2R_VLNCE v1-3 re-tokenises to its own numbers by this rule.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+__all__ = ["PAD", "PAD_INDEX", "TOKEN_LENGTH", "UNK", "UNK_INDEX", "Vocabulary", "tokenize"]
+
+PAD: Final = "<pad>"
+UNK: Final = "<unk>"
+PAD_INDEX: Final = 0
+UNK_INDEX: Final = 1
+
+TOKEN_LENGTH: Final = 200
+"""Tokens an instruction is padded to, as in the preprocessed R2R_VLNCE v1-3: its users stack instructions into one
+array."""
+
+_DROPPED: Final = str.maketrans("", "", ",?")
+_WORD: Final = re.compile(r"([^\w-]+)")
+
+
+def tokenize(text: str) -> list[str]:
+    """Words and punctuation of ``text`` in order, lower case."""
+    parts = _WORD.split(text.lower().replace("'s", " 's").translate(_DROPPED))
+    return [word for part in parts if (word := part.strip())]
+
+
+@dataclass(frozen=True)
+class Vocabulary:
+    """Words in the order of their indices; the first two are PAD and UNK."""
+
+    words: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        if self.words[:2] != (PAD, UNK) or len(set(self.words)) != len(self.words):
+            raise ValueError("a vocabulary starts with <pad>, <unk> and names each word once")
+        object.__setattr__(self, "_index", {word: index for index, word in enumerate(self.words)})
+
+    @classmethod
+    def of(cls, texts: Iterable[str]) -> Vocabulary:
+        """All words of ``texts``, sorted by code point, so that the order of the texts does not matter."""
+        found: set[str] = set()
+        for text in texts:
+            found.update(tokenize(text))
+        return cls((PAD, UNK, *sorted(found - {PAD, UNK})))
+
+    @classmethod
+    def from_document(cls, document: dict[str, Any]) -> Vocabulary:
+        """The vocabulary of a VLN-CE file, such as the stock one that a trained agent's embeddings belong to."""
+        return cls(tuple(document["word_list"]))
+
+    def encode(self, text: str) -> list[int]:
+        """Indices of the tokens of ``text``; unknown words become UNK."""
+        index: dict[str, int] = self._index  # type: ignore[attr-defined]
+        return [index.get(word, UNK_INDEX) for word in tokenize(text)]
+
+    def padded(self, text: str, length: int = TOKEN_LENGTH) -> list[int]:
+        """As :meth:`encode`, padded with PAD to ``length``.
+
+        A longer text keeps its first ``length`` tokens: encoders take rows of one length, and ``instruction_text``
+        stays whole.
+        """
+        tokens = self.encode(text)[:length]
+        return tokens + [PAD_INDEX] * (length - len(tokens))
+
+    def document(self) -> dict[str, Any]:
+        """``instruction_vocab`` of a VLN-CE file, keys in the stock order."""
+        words: Sequence[str] = list(self.words)
+        return {
+            "word_list": words,
+            "word2idx_dict": {word: index for index, word in enumerate(words)},
+            "stoi": {word: index for index, word in enumerate(words)},
+            "itos": words,
+            "num_vocab": len(words),
+            "UNK_INDEX": UNK_INDEX,
+            "PAD_INDEX": PAD_INDEX,
+        }

@@ -1,0 +1,7 @@
+"""A linter for VLN-CE, ANSR-v1, RxR and R2R files, ours or a stranger's: what would crash a strict loader or skew a
+score."""
+
+from condvln.export.validation.findings import CODES, Finding, Severity
+from condvln.export.validation.folder import Options, validate
+
+__all__ = ["CODES", "Finding", "Options", "Severity", "validate"]

@@ -1,0 +1,72 @@
+"""Checks of ``{episodes, instruction_vocab}`` documents: stock VLN-CE, ANSR-v1 and RxR guides."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from condvln.export.tokens import PAD_INDEX, UNK_INDEX, Vocabulary
+from condvln.export.validation.document import Document, Kind, PathfinderOf
+from condvln.export.validation.episodes import EpisodeChecks
+from condvln.export.validation.findings import Report
+
+__all__ = ["check_document"]
+
+_TOP: Final = frozenset({"episodes", "instruction_vocab"})
+
+
+def check_document(report: Report, content: dict[str, Any], pathfinder_of: PathfinderOf | None = None) -> Document:
+    """Check one document; ``pathfinder_of`` adds the checks against navmeshes."""
+    episodes = content.get("episodes")
+    if not isinstance(episodes, list):
+        report.add("episodes", "wrong-type", "not a list")
+        return Document("vlnce")
+    for key in sorted(set(content) - _TOP):
+        report.add(key, "unknown-top-key", f"unknown key {key!r}")
+    if not episodes:
+        report.add("episodes", "no-episodes", "there is none")
+    document = Document(_kind(content, episodes))
+    document.vocabulary = _vocabulary(report, content.get("instruction_vocab"), document.kind)
+    checks = EpisodeChecks(report, document, pathfinder_of)
+    for number, episode in enumerate(episodes):
+        checks.check(f"episodes[{number}]", episode)
+    return document
+
+
+def _kind(content: dict[str, Any], episodes: list[Any]) -> Kind:
+    records = [episode for episode in episodes if isinstance(episode, dict)]
+    if 2 * sum("subgoals" in record for record in records) > len(records):
+        return "ansr"
+    told = [record["instruction"] for record in records if isinstance(record.get("instruction"), dict)]
+    # One key astray makes no other format of a file.
+    if 2 * sum("language" in instruction for instruction in told) > len(told):
+        return "rxr"
+    return "vlnce"
+
+
+def _vocabulary(report: Report, found: Any, kind: Kind) -> Vocabulary | None:
+    if found is None and kind == "rxr":
+        return None
+    if not isinstance(found, dict) or not isinstance(found.get("word_list"), list):
+        report.add("instruction_vocab", "missing-vocabulary", "no instruction_vocab.word_list")
+        return None
+    words = found["word_list"]
+    place = "instruction_vocab"
+    if not all(isinstance(word, str) for word in words):
+        report.add(f"{place}.word_list", "wrong-type", "not a list of words")
+        return None
+    if len(set(words)) != len(words) or words[:2] != ["<pad>", "<unk>"]:
+        report.add(f"{place}.word_list", "vocabulary-inconsistent", "does not begin <pad>, <unk>, or repeats a word")
+        return None
+    index = {word: number for number, word in enumerate(words)}
+    wanted: dict[str, Any] = {
+        "word2idx_dict": index,
+        "stoi": index,
+        "itos": words,
+        "num_vocab": len(words),
+        "UNK_INDEX": UNK_INDEX,
+        "PAD_INDEX": PAD_INDEX,
+    }
+    for key, value in wanted.items():
+        if key in found and found[key] != value:
+            report.add(f"{place}.{key}", "vocabulary-inconsistent", f"{key} does not agree with word_list")
+    return Vocabulary(tuple(words))

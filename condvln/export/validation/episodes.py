@@ -1,0 +1,277 @@
+"""Checks of single episodes, as the strict loaders and their measures take them.
+
+Allowed and required keys are those of ``VLNExtendedEpisode``, ``InstructionData``, ``RxRInstructionData`` and
+habitat-lab's ``VLNEpisode``, which are built from each record by keyword.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import Any, Final
+
+import numpy as np
+
+from condvln.export.tokens import PAD_INDEX, UNK_INDEX, tokenize
+from condvln.export.validation.document import Document, PathfinderOf
+from condvln.export.validation.findings import Report
+from condvln.export.validation.values import check_keys, is_number, is_point, points, straight
+
+__all__ = ["EpisodeChecks"]
+
+_REQUIRED: Final = frozenset(
+    {"episode_id", "trajectory_id", "scene_id", "start_position", "start_rotation", "instruction"}
+)
+_NEEDED: Final = frozenset({"goals", "reference_path"})
+"""habitat-lab's own loader fails without these, VLN-CE's only when it scores."""
+_ALLOWED: Final = (
+    _REQUIRED
+    | _NEEDED
+    | {"info", "start_room", "shortest_paths", "scene_dataset_config", "additional_obj_config_paths"}
+)
+_INSTRUCTION: Final = frozenset({"instruction_text", "instruction_tokens"})
+_RXR_INSTRUCTION: Final = frozenset(
+    {
+        "instruction_text",
+        "instruction_id",
+        "language",
+        "annotator_id",
+        "edit_distance",
+        "timed_instruction",
+        "instruction_tokens",
+        "split",
+    }
+)
+_GOAL: Final = frozenset({"position", "radius"})
+
+_JOINT: Final = 0.1
+"""Metres by which the ends of a reference path may miss start and goal."""
+_NORM: Final = 1e-3
+_UPRIGHT: Final = 1e-3
+_STRAIGHT: Final = 0.01
+"""Metres by which a geodesic may fall short of the straight line: ends are snapped."""
+_ON_MESH: Final = 0.5
+"""Metres of height between a point and the floor below it: Habitat's is_navigable."""
+_GEODESIC: Final = 0.02
+"""Metres by which a stored geodesic may differ from the navmesh's, and this share of it."""
+
+
+class EpisodeChecks:
+    """Checks of one document's episodes, one after the other; what they hold goes into ``document``."""
+
+    def __init__(self, report: Report, document: Document, pathfinder_of: PathfinderOf | None) -> None:
+        self._report = report
+        self._document = document
+        self._pathfinder_of = pathfinder_of
+        self._length: int | None = None
+        ansr = {"subgoals"} if document.kind == "ansr" else set()
+        self._required = _REQUIRED | _NEEDED | ansr
+        self._allowed = _ALLOWED | ansr
+        self._instruction_keys = _RXR_INSTRUCTION if document.kind == "rxr" else _INSTRUCTION
+
+    def check(self, place: str, episode: Any) -> None:
+        """All checks of one episode; each goes on from what the ones before left standing."""
+        if not isinstance(episode, dict):
+            self._report.add(place, "wrong-type", f"not an object but {type(episode).__name__}")
+            return
+        name = episode.get("episode_id")
+        if isinstance(name, str | int) and not isinstance(name, bool):
+            place = f"episode {name}"
+        check_keys(self._report, place, episode, self._required, self._allowed)
+        self._check_ids(place, episode)
+        self._check_scene(place, episode)
+        start = self._check_start(place, episode)
+        self._check_rotation(place, episode)
+        goals = self._check_goals(place, episode, "goals")
+        if "subgoals" in episode:
+            self._check_goals(place, episode, "subgoals")
+        self._check_reference(place, episode, start, goals)
+        self._check_geodesic(place, episode, start, goals)
+        self._check_instruction(place, episode, start)
+        self._check_navmesh(place, episode, start, goals)
+
+    def _check_ids(self, place: str, episode: dict[str, Any]) -> None:
+        for key in ("episode_id", "trajectory_id"):
+            value = episode.get(key)
+            if key in episode and (isinstance(value, bool) or not isinstance(value, str | int)):
+                self._report.add(f"{place}.{key}", "wrong-type", f"{value!r} is neither a number nor text")
+        name = str(episode.get("episode_id"))
+        if "episode_id" in episode:
+            if name in self._document.starts:
+                self._report.add(place, "duplicate-id", f"id {name} stands twice")
+            self._document.starts.setdefault(name, [])
+
+    def _check_scene(self, place: str, episode: dict[str, Any]) -> None:
+        scene = episode.get("scene_id")
+        if "scene_id" not in episode:
+            return
+        if not isinstance(scene, str):
+            self._report.add(f"{place}.scene_id", "wrong-type", f"{scene!r} is no text")
+            return
+        parts = scene.split("/")
+        doubled = any(a == b for a, b in pairwise(parts)) and len(parts) > 3
+        bad = scene.startswith("/") or "\\" in scene or ".." in parts or "" in parts or doubled
+        if bad or not scene.endswith((".glb", ".json", ".ply")) or len(parts) < 2:
+            self._report.add(f"{place}.scene_id", "scene-path", f"{scene!r}")
+        elif scene.startswith("data/"):
+            self._report.add(f"{place}.scene_id", "scene-prefix", f"{scene!r}")
+        self._document.scenes.add(scene)
+
+    def _check_start(self, place: str, episode: dict[str, Any]) -> list[float] | None:
+        if "start_position" not in episode:
+            return None
+        start = episode["start_position"]
+        if not points(self._report, f"{place}.start_position", [start]):
+            return None
+        self._document.starts[str(episode.get("episode_id"))] = start
+        return list(start)
+
+    def _check_rotation(self, place: str, episode: dict[str, Any]) -> None:
+        if "start_rotation" not in episode:
+            return
+        rotation, place = episode["start_rotation"], f"{place}.start_rotation"
+        if not is_point(rotation, 4):
+            self._report.add(place, "wrong-type", f"not four numbers: {rotation!r:.60}")
+            return
+        if not all(math.isfinite(part) for part in rotation):
+            self._report.add(place, "not-finite", f"{rotation}")
+            return
+        norm = math.hypot(*rotation)
+        if abs(norm - 1.0) > _NORM:
+            self._report.add(place, "rotation-norm", f"its norm is {norm:.4f}")
+            return
+        first, second, third, fourth = (abs(part) for part in rotation)
+        if first > _UPRIGHT or third > _UPRIGHT:
+            swapped = second <= _UPRIGHT and fourth <= _UPRIGHT
+            code = "rotation-order" if swapped else "rotation-tilted"
+            self._report.add(place, code, f"{rotation} is no turn about +y")
+
+    def _check_goals(self, place: str, episode: dict[str, Any], key: str) -> list[tuple[list[float], float]]:
+        goals, place = episode.get(key), f"{place}.{key}"
+        if key not in episode:
+            return []
+        if not isinstance(goals, list) or (not goals and key == "goals"):
+            self._report.add(place, "wrong-type", "not a list of goals" if goals != [] else "there is no goal")
+            return []
+        sound = []
+        for number, goal in enumerate(goals):
+            here = f"{place}[{number}]"
+            if not check_keys(self._report, here, goal, frozenset({"position"}), _GOAL):
+                continue
+            radius = goal.get("radius")
+            if radius is not None and not (is_number(radius) and math.isfinite(radius) and radius > 0):
+                self._report.add(f"{here}.radius", "goal-radius", f"{radius!r}")
+                radius = None
+            if points(self._report, f"{here}.position", [goal["position"]]):
+                sound.append((goal["position"], float(radius) if radius is not None else math.inf))
+        if key == "goals":
+            self._document.goals[str(episode.get("episode_id"))] = sound
+        return sound
+
+    def _check_reference(
+        self, place: str, episode: dict[str, Any], start: list[float] | None, goals: list[tuple[list[float], float]]
+    ) -> None:
+        path, place = episode.get("reference_path"), f"{place}.reference_path"
+        if "reference_path" not in episode or not points(self._report, place, path):
+            return
+        if not isinstance(path, list) or len(path) < 2:
+            self._report.add(place, "reference-short", f"{len(path or [])} points")
+            return
+        if start is not None and straight(path[0], start) > _JOINT:
+            self._report.add(place, "reference-start", f"begins {straight(path[0], start):.2f} m from the start")
+        if goals:
+            off = min(straight(path[-1], position) for position, _ in goals)
+            if off > _JOINT:
+                self._report.add(place, "reference-goal", f"ends {off:.2f} m from the nearest goal")
+
+    def _check_geodesic(
+        self, place: str, episode: dict[str, Any], start: list[float] | None, goals: list[tuple[list[float], float]]
+    ) -> None:
+        info = episode.get("info")
+        if info is not None and not isinstance(info, dict):
+            self._report.add(f"{place}.info", "wrong-type", f"not an object but {type(info).__name__}")
+            return
+        place = f"{place}.info.geodesic_distance"
+        if not info or "geodesic_distance" not in info:
+            self._report.add(place, "missing-geodesic", "is not given")
+            return
+        distance = info["geodesic_distance"]
+        if not is_number(distance) or not math.isfinite(distance) or distance < 0:
+            self._report.add(place, "geodesic-invalid", f"{distance!r}")
+            return
+        if start is None or not goals:
+            return
+        line = min(straight(start, position) for position, _ in goals)
+        if distance < line - _STRAIGHT:
+            self._report.add(place, "geodesic-too-short", f"{distance:.2f} m, but {line:.2f} m in a straight line")
+        if any(distance < radius for _, radius in goals if math.isfinite(radius)):
+            self._report.add(place, "start-is-goal", f"the start is {distance:.2f} m from the goal, inside its radius")
+
+    def _check_instruction(self, place: str, episode: dict[str, Any], start: list[float] | None) -> None:
+        if "instruction" not in episode:
+            return
+        instruction, place = episode["instruction"], f"{place}.instruction"
+        required = frozenset({"instruction_text"})
+        if not check_keys(self._report, place, instruction, required, self._instruction_keys):
+            return
+        text = instruction["instruction_text"]
+        if not isinstance(text, str):
+            self._report.add(f"{place}.instruction_text", "wrong-type", f"{text!r} is no text")
+            return
+        if not tokenize(text):
+            self._report.add(f"{place}.instruction_text", "empty-text", "there are no words")
+        if start is not None and isinstance(episode.get("scene_id"), str):
+            self._document.told[episode["scene_id"], text, tuple(start)] = str(episode.get("episode_id"))
+        if self._document.kind != "rxr":
+            self._check_tokens(f"{place}.instruction_tokens", instruction.get("instruction_tokens"), text)
+
+    def _check_tokens(self, place: str, tokens: Any, text: str) -> None:
+        if tokens is None:
+            return
+        if not isinstance(tokens, list) or not all(type(token) is int for token in tokens):
+            self._report.add(place, "wrong-type", "not a list of whole numbers")
+            return
+        self._length = len(tokens) if self._length is None else self._length
+        # Unpadded files are sound too; what loaders can't stack is padding to different lengths.
+        if len(tokens) != self._length and PAD_INDEX in tokens:
+            self._report.add(place, "token-length", f"{len(tokens)} tokens, {self._length} before")
+        vocabulary = self._document.vocabulary
+        if vocabulary is None:
+            return
+        outside = [token for token in tokens if not 0 <= token < len(vocabulary.words)]
+        if outside:
+            self._report.add(place, "token-range", f"{outside[0]} of {len(vocabulary.words)} words")
+            return
+        wanted = vocabulary.encode(text)[: len(tokens)]
+        if [token for token in tokens if token != PAD_INDEX] != wanted:
+            self._report.add(place, "token-mismatch", "other words than the text's")
+        elif UNK_INDEX in tokens:
+            words = [word for word in tokenize(text) if word not in vocabulary.words]
+            self._report.add(place, "unknown-words", f"{', '.join(words[:5])}")
+
+    def _check_navmesh(
+        self, place: str, episode: dict[str, Any], start: list[float] | None, goals: list[tuple[list[float], float]]
+    ) -> None:
+        if self._pathfinder_of is None or start is None or not goals:
+            return
+        pathfinder = self._pathfinder_of(str(episode.get("scene_id")))
+        if pathfinder is None:
+            return
+        if not pathfinder.is_navigable(np.array(start), _ON_MESH):
+            self._report.add(f"{place}.start_position", "start-off-mesh", f"{start}")
+            return
+        positions = np.array([position for position, _ in goals])
+        off = [p.tolist() for p in positions if not pathfinder.is_navigable(p, _ON_MESH)]
+        if off:
+            self._report.add(f"{place}.goals", "goal-off-mesh", f"{off[0]}")
+            return
+        found = float(pathfinder.geodesic_distance(np.array(start), positions))
+        if not math.isfinite(found):
+            self._report.add(place, "unreachable", "there is no way from the start to a goal")
+            return
+        info = episode.get("info")
+        told = info.get("geodesic_distance") if isinstance(info, dict) else None
+        if is_number(told) and told is not None and abs(told - found) > _GEODESIC * (1 + found):
+            self._report.add(
+                f"{place}.info.geodesic_distance", "geodesic-differs", f"{told:.3f} m, navmesh {found:.3f} m"
+            )

@@ -1,0 +1,126 @@
+"""What the linter can find: each defect has a name, a severity and a remedy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final, Literal
+
+__all__ = ["CODES", "Finding", "Report", "Rule", "Severity"]
+
+Severity = Literal["error", "warning"]
+"""An error crashes a known loader or makes a score wrong; a warning may be meant so."""
+
+
+@dataclass(frozen=True)
+class Rule:
+    """One kind of defect."""
+
+    severity: Severity
+    remedy: str
+
+
+CODES: Final[dict[str, Rule]] = {
+    # the file
+    "unreadable": Rule("error", "write the file again; it is cut, damaged or no JSON"),
+    "not-a-number": Rule("error", "JSON has no NaN or Infinity: drop the episode or give its true value"),
+    "unknown-shape": Rule("error", "a VLN-CE file is {episodes, instruction_vocab}, ground truth {id: …}, R2R a list"),
+    "unknown-top-key": Rule("warning", "loaders pass over it; remove it"),
+    "no-episodes": Rule("warning", "Habitat answers an empty dataset with 'No scenes to load'"),
+    # the vocabulary
+    "missing-vocabulary": Rule("error", "loaders read instruction_vocab.word_list and fail without it"),
+    "vocabulary-inconsistent": Rule("error", "word_list, stoi, itos, word2idx_dict and num_vocab must tell one story"),
+    "vocabulary-differs": Rule("error", "all splits share one vocabulary: embeddings are trained on its numbers"),
+    # keys
+    "unknown-key": Rule("error", "strict loaders raise TypeError: move it under info"),
+    "missing-key": Rule("error", "strict loaders need it"),
+    "wrong-type": Rule("error", "give a value of the type that loaders expect"),
+    # ids and scenes
+    "duplicate-id": Rule("error", "ids are compared as text and must differ: later results overwrite earlier ones"),
+    "scene-path": Rule("error", "scene_id is a path below scene_datasets such as mp3d/<scan>/<scan>.glb"),
+    "scene-prefix": Rule("warning", "loaders prefix SCENES_DIR themselves: leave data/scene_datasets/ out"),
+    # geometry
+    "not-finite": Rule("error", "drop the episode or give its true value"),
+    "rotation-norm": Rule("error", "a rotation is a unit quaternion"),
+    "rotation-order": Rule("error", "episodes hold [x, y, z, w]; this reads like [w, x, y, z]"),
+    "rotation-tilted": Rule("warning", "agents stand upright: a start rotation turns about +y alone"),
+    "reference-start": Rule("error", "reference_path begins at start_position"),
+    "reference-goal": Rule("error", "reference_path ends at a goal"),
+    "reference-short": Rule("error", "a reference path has two points at least"),
+    "goal-radius": Rule("error", "a goal's radius is a positive number of metres"),
+    "missing-geodesic": Rule("warning", "info.geodesic_distance is what trainers filter by"),
+    "geodesic-invalid": Rule("error", "a geodesic distance is finite and not negative: the goal may be unreachable"),
+    "geodesic-too-short": Rule("error", "no way is shorter than the straight line: wrong goal, start or frame"),
+    "start-is-goal": Rule("warning", "an agent that stops at once succeeds"),
+    # against the navmesh
+    "start-off-mesh": Rule("error", "snap the start to the navmesh of the agent's size"),
+    "goal-off-mesh": Rule("error", "snap goals to the navmesh: an object's centre snaps up to 4 m away, unseen"),
+    "unreachable": Rule("error", "start and goal lie on different islands: drop the episode"),
+    "geodesic-differs": Rule("error", "the stored distance is not the navmesh's: other navmesh, goal or start"),
+    # text
+    "empty-text": Rule("error", "an instruction needs words"),
+    "token-range": Rule("error", "a token is an index into the vocabulary"),
+    "token-length": Rule("error", "tokens of all instructions have one length: loaders stack them"),
+    "token-mismatch": Rule("warning", "tokens are not those of the text under this vocabulary"),
+    "unknown-words": Rule("warning", "words outside of the vocabulary read as UNK"),
+    # ground truth
+    "truth-missing": Rule("error", "nDTW raises KeyError for an episode without ground truth"),
+    "truth-unused": Rule("warning", "no episode has this id"),
+    "truth-empty": Rule("error", "locations hold one point at least"),
+    "truth-start": Rule("error", "locations begin at the episode's start"),
+    "truth-goal": Rule("warning", "locations end farther than a goal's radius from every goal"),
+    "truth-sparse": Rule("warning", "nDTW falls with sparse references: cut them to 0.25 m"),
+    "truth-steps": Rule("error", "locations are one more than forward_steps, which count the 1s of actions"),
+    "truth-actions": Rule("error", "actions are 0 to 3 and end with their only STOP"),
+    # across files
+    "scene-leak": Rule("error", "scenes of training, val_unseen and test must differ"),
+    "episode-leak": Rule("error", "one text from one start stands in two splits"),
+    # discrete R2R
+    "duplicate-viewpoint": Rule("warning", "a viewpoint follows itself"),
+    "heading-range": Rule("error", "headings are radians in [0, 2π)"),
+    "unknown-viewpoint": Rule("error", "not an included viewpoint of the scan"),
+    "path-disconnected": Rule("error", "two viewpoints in a row are not joined in the scan's graph"),
+    "distance-differs": Rule("error", "the stored distance is not the path's length"),
+}
+"""Every code, its severity and what to do about it."""
+
+
+@dataclass(frozen=True, order=True)
+class Finding:
+    """One defect at one place."""
+
+    file: str
+    place: str
+    code: str
+    message: str
+
+    @property
+    def severity(self) -> Severity:
+        """Of the code."""
+        return CODES[self.code].severity
+
+    @property
+    def remedy(self) -> str:
+        """Of the code."""
+        return CODES[self.code].remedy
+
+    def line(self) -> str:
+        """``file: place: code message``, as linters print."""
+        place = f"{self.place}: " if self.place else ""
+        return f"{self.file}: {place}{self.severity} [{self.code}] {self.message}"
+
+
+class Report:
+    """Findings of one file, in the order in which they were made."""
+
+    def __init__(self, file: str) -> None:
+        self.file = file
+        self._findings: list[Finding] = []
+
+    def add(self, place: str, code: str, message: str) -> None:
+        """Note a defect."""
+        assert code in CODES, code
+        self._findings.append(Finding(self.file, place, code, message))
+
+    def __iter__(self) -> Iterator[Finding]:
+        return iter(self._findings)

@@ -1,0 +1,159 @@
+"""The linter over files and folders: which file is what, which belong together, what must not stand in two splits."""
+
+from __future__ import annotations
+
+import gzip
+import zlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import orjson
+
+from condvln.evaluation.json_entries import nonstandard_number
+from condvln.export.validation.document import Document, PathfinderOf
+from condvln.export.validation.documents import check_document
+from condvln.export.validation.findings import Finding, Report
+from condvln.export.validation.r2r import check_r2r
+from condvln.export.validation.truths import check_truths
+from condvln.navigation.graph_pathfinder import GraphPathfinder
+
+__all__ = ["Options", "validate"]
+
+_SUFFIXES: Final = (".json", ".json.gz")
+_TRUTH: Final = "_gt"
+# Files of an export, and of the tools around one, that hold no episodes.
+_OTHERS: Final = ("export.json", "croissant.json", "embeddings.json.gz")
+
+_GROUPS: Final = {"train": "train", "val_seen": "train", "joint_train_envdrop": "train", "envdrop": "train"}
+"""Splits that may share scenes; every other split is a group of its own."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the files are checked against besides themselves."""
+
+    pathfinder_of: PathfinderOf | None = None
+    graphs: Mapping[str, GraphPathfinder] = field(default_factory=dict)
+
+
+def validate(path: Path, options: Options | None = None) -> list[Finding]:
+    """All findings of a file, or of the files of these formats below a folder; sorted by file.
+
+    Files that belong together are checked together: ``x.json.gz`` with ``x_gt.json.gz`` beside it, and the splits of
+    one folder for leakage.
+    """
+    options = options or Options()
+    files = [path] if path.is_file() else _files_below(path)
+    findings: list[Finding] = []
+    variants: dict[Path, dict[str, tuple[str, Document]]] = {}
+    documents: dict[Path, Document] = {}
+    for file in files:
+        if _is_truth(file):
+            continue
+        report = Report(_shown(file, path))
+        content = _content(report, file)
+        if isinstance(content, dict) and "episodes" in content:
+            document = check_document(report, content, options.pathfinder_of)
+            documents[file] = document
+            folder, split = _place(file)
+            variants.setdefault(folder, {}).setdefault(split, (report.file, document))
+        elif isinstance(content, list):
+            check_r2r(report, content, options.graphs)
+        elif content is not None:
+            report.add("", "unknown-shape", "neither episodes, nor ground truth, nor R2R items")
+        findings += report
+    for file in files:
+        if _is_truth(file):
+            findings += _check_truth_file(file, path, documents)
+    for splits in variants.values():
+        findings += _check_leaks(splits)
+    return sorted(findings, key=lambda finding: finding.file)
+
+
+def _files_below(path: Path) -> list[Path]:
+    found = [file for file in sorted(path.rglob("*")) if file.name.endswith(_SUFFIXES) and file.is_file()]
+    return [file for file in found if file.name not in _OTHERS and not file.name.startswith(".")]
+
+
+def _is_truth(file: Path) -> bool:
+    return _stem(file).endswith(_TRUTH)
+
+
+def _stem(file: Path) -> str:
+    return file.name.removesuffix(".gz").removesuffix(".json")
+
+
+def _shown(file: Path, root: Path) -> str:
+    return file.relative_to(root).as_posix() if root.is_dir() else file.name
+
+
+def _place(file: Path) -> tuple[Path, str]:
+    """Folder of the variant, and split: of ``<variant>/<split>/<split>.json.gz`` or
+    ``…/<split>/content/<scene>.json.gz``."""
+    folder = file.parent
+    if folder.name == "content":
+        return folder.parent.parent, folder.parent.name
+    split = _stem(file).removesuffix("_guide").removesuffix("_follower")
+    return (folder.parent, split) if folder.name == split else (folder, split)
+
+
+def _content(report: Report, file: Path) -> Any:
+    try:
+        data = file.read_bytes()
+        if file.name.endswith(".gz"):
+            data = gzip.decompress(data)
+    except (OSError, EOFError, zlib.error) as error:
+        report.add("", "unreadable", str(error))
+        return None
+    try:
+        return orjson.loads(data)
+    except orjson.JSONDecodeError as error:
+        name = nonstandard_number(data)
+        if name:
+            report.add("", "not-a-number", f"it holds {name}")
+        else:
+            report.add(f"line {error.lineno}", "unreadable", error.msg)
+        return None
+
+
+def _check_truth_file(file: Path, root: Path, documents: Mapping[Path, Document]) -> Report:
+    report = Report(_shown(file, root))
+    content = _content(report, file)
+    beside = [file.with_name(_stem(file).removesuffix(_TRUTH) + suffix) for suffix in _SUFFIXES]
+    document = next((documents[other] for other in beside if other in documents), None)
+    if document is not None and not document.starts:
+        document = _of_shards(file, documents)
+    if isinstance(content, dict):
+        check_truths(report, content, document)
+    elif content is not None:
+        report.add("", "unknown-shape", "ground truth is {id: {locations, …}}")
+    return report
+
+
+def _of_shards(truth: Path, documents: Mapping[Path, Document]) -> Document | None:
+    """The episodes of all shards together."""
+    together = Document("vlnce")
+    for file, document in documents.items():
+        if file.parent == truth.parent / "content":
+            together.starts |= document.starts
+            together.goals |= document.goals
+    return together if together.starts else None
+
+
+def _check_leaks(splits: Mapping[str, tuple[str, Document]]) -> Iterator[Finding]:
+    """What two splits of one folder must not share."""
+    names = sorted(splits)
+    for number, split in enumerate(names):
+        file, document = splits[split]
+        for other in names[:number]:
+            _, earlier = splits[other]
+            shared = sorted(document.scenes & earlier.scenes)
+            if shared and _GROUPS.get(split, split) != _GROUPS.get(other, other):
+                yield Finding(file, "", "scene-leak", f"{len(shared)} scenes are in {other} too, such as {shared[0]}")
+            for key in sorted(document.told.keys() & earlier.told.keys()):
+                place = f"episode {document.told[key]}"
+                yield Finding(file, place, "episode-leak", f"is episode {earlier.told[key]} of {other}")
+            if None not in (document.vocabulary, earlier.vocabulary) and document.vocabulary != earlier.vocabulary:
+                yield Finding(file, "instruction_vocab", "vocabulary-differs", f"is not that of {other}")

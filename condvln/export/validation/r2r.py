@@ -1,0 +1,73 @@
+"""Checks of discrete R2R files, against the scans' graphs where they are given."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from itertools import pairwise
+from typing import Any, Final
+
+from condvln.export.validation.findings import Report
+from condvln.export.validation.values import check_keys, is_number
+from condvln.navigation.graph_pathfinder import GraphPathfinder
+from schemas.errors import CondVLNError
+
+__all__ = ["check_r2r"]
+
+_REQUIRED: Final = frozenset({"scan", "path_id", "path", "heading", "instructions"})
+_ALLOWED: Final = _REQUIRED | {"distance"}
+_DISTANCE: Final = 0.02
+"""Metres: R2R rounds distances to 1 cm."""
+
+
+def check_r2r(report: Report, items: list[Any], graphs: Mapping[str, GraphPathfinder] | None = None) -> set[str]:
+    """Check one file; its scans."""
+    if not items:
+        report.add("", "no-episodes", "there is none")
+    seen: set[str] = set()
+    scans: set[str] = set()
+    for number, item in enumerate(items):
+        place = f"[{number}]"
+        # R2R's readers take plain dictionaries: a key more does no harm.
+        keys = _ALLOWED | set(item) if isinstance(item, dict) else _ALLOWED
+        if not check_keys(report, place, item, _REQUIRED, frozenset(keys)):
+            continue
+        place = f"path {item['path_id']}"
+        if str(item["path_id"]) in seen:
+            report.add(place, "duplicate-id", "stands twice")
+        seen.add(str(item["path_id"]))
+        scans.add(str(item["scan"]))
+        _check(report, place, item, (graphs or {}).get(str(item["scan"])))
+    return scans
+
+
+def _check(report: Report, place: str, item: dict[str, Any], graph: GraphPathfinder | None) -> None:
+    heading, texts, path = item["heading"], item["instructions"], item["path"]
+    if not is_number(heading) or not 0 <= heading < 2 * math.pi:
+        report.add(f"{place}.heading", "heading-range", f"{heading!r}")
+    if not isinstance(texts, list) or not texts or not all(isinstance(text, str) for text in texts):
+        report.add(f"{place}.instructions", "wrong-type", "not a list of texts")
+    elif not all(text.strip() for text in texts):
+        report.add(f"{place}.instructions", "empty-text", "one has no words")
+    if not isinstance(path, list) or len(path) < 2 or not all(isinstance(viewpoint, str) for viewpoint in path):
+        report.add(f"{place}.path", "wrong-type", "not a list of two viewpoints or more")
+        return
+    if any(a == b for a, b in pairwise(path)):
+        report.add(f"{place}.path", "duplicate-viewpoint", "a viewpoint follows itself")
+    if graph is not None:
+        _check_graph(report, place, item, graph)
+
+
+def _check_graph(report: Report, place: str, item: dict[str, Any], graph: GraphPathfinder) -> None:
+    unknown = [viewpoint for viewpoint in item["path"] if viewpoint not in graph.graph.ids]
+    if unknown:
+        report.add(f"{place}.path", "unknown-viewpoint", unknown[0])
+        return
+    try:
+        length = graph.path_length(item["path"])
+    except CondVLNError as error:
+        report.add(f"{place}.path", "path-disconnected", error.what)
+        return
+    told = item.get("distance")
+    if "distance" in item and (not is_number(told) or not abs(float(told or 0) - length) <= _DISTANCE):
+        report.add(f"{place}.distance", "distance-differs", f"{told!r}, the graph has {length:.2f} m")

@@ -1,0 +1,227 @@
+"""All files of an export, written side by side in one pass over the rows."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+from urllib.parse import quote
+
+from condvln.export.ansr import ansr_bytes
+from condvln.export.manifest import manifest_row
+from condvln.export.oracle import OracleText, oracle_episode, oracle_text_of
+from condvln.export.r2r import Graphs, r2r_episode
+from condvln.export.report import ExportReport, WrittenFile
+from condvln.export.rows import Row
+from condvln.export.rxr import rxr_episode
+from condvln.export.scene_table import SceneTable
+from condvln.export.splits import SPLITS
+from condvln.export.streams import ByteStream, JsonArrayStream, atomic_copy, atomic_stream
+from condvln.export.tokens import Vocabulary, tokenize
+from condvln.export.vlnce import (
+    DocumentWriter,
+    document_writer,
+    encode,
+    ground_truth,
+    scene_file,
+    truth_writer,
+    vlnce_episode,
+)
+
+__all__ = ["ExportWriter", "Layout"]
+
+_MP3D: Final = "mp3d"
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How episodes are written."""
+
+    scene_patterns: dict[str, str]
+    token_length: int
+    path_spacing: float
+    sharded: bool
+    snapshot: str
+
+
+@dataclass
+class _SplitFiles:
+    """Open files of one split."""
+
+    name: str
+    truth: DocumentWriter
+    manifest: ByteStream
+    documents: dict[str, DocumentWriter] = field(default_factory=dict)
+    """By variant; with shards, those of the scene at hand."""
+    r2r: JsonArrayStream | None = None
+
+
+class ExportWriter:
+    """Writes rows as they come, scene by scene.
+
+    Every file has its final name only after :meth:`open`'s block ended well; ground truth, the same for all variants,
+    is then copied.
+    """
+
+    def __init__(
+        self,
+        out: Path,
+        layout: Layout,
+        vocabulary: Vocabulary,
+        scenes: SceneTable,
+        report: ExportReport,
+        *,
+        oracle_texts: OracleText | None = None,
+        graphs: Graphs | None = None,
+    ) -> None:
+        self._out = out
+        self._layout = layout
+        self._vocabulary = vocabulary
+        self._scenes = scenes
+        self._report = report
+        self._oracle_texts = oracle_texts
+        self._graphs = graphs
+        self._variants = ("vlnce", "ansr", "rxr") if oracle_texts is None else ("vlnce", "ansr", "rxr", "oracle")
+        self._splits: list[_SplitFiles] = []
+        self._r2r_left_out: Counter[str] = Counter()
+        self._shards: set[str] = set()
+
+    @contextmanager
+    def open(self) -> Iterator[None]:
+        """All files of all splits, for as long as rows come."""
+        streams: list[ByteStream] = []
+        with ExitStack() as stack:
+            self._splits = [self._opened(stack, split, streams) for split in SPLITS]
+            yield
+        for stream in streams:
+            self._note(stream)
+        self._copy_truths()
+        self._report.r2r_left_out = dict(sorted(self._r2r_left_out.items()))
+
+    def _opened(self, stack: ExitStack, split: str, streams: list[ByteStream]) -> _SplitFiles:
+        truth = stack.enter_context(truth_writer(self._out / self._truth_name("vlnce", split)))
+        manifest = stack.enter_context(atomic_stream(self._out / "manifest" / f"{split}.jsonl"))
+        files = _SplitFiles(split, truth, manifest)
+        for variant in self._variants:
+            path = self._out / variant / split / f"{self._stem(variant, split)}.json.gz"
+            files.documents[variant] = stack.enter_context(document_writer(path, self._vocabulary_of(variant)))
+        streams += [truth.entries.stream, manifest, *(d.entries.stream for d in files.documents.values())]
+        if self._graphs:
+            stream = stack.enter_context(atomic_stream(self._out / "r2r" / f"R2R_{split}.json", closing=b"]\n"))
+            stream.write(b"[")
+            files.r2r = JsonArrayStream(stream)
+            streams.append(stream)
+        return files
+
+    def _vocabulary_of(self, variant: str) -> Vocabulary | None:
+        """RxR's loader knows no vocabulary."""
+        return None if variant == "rxr" else self._vocabulary
+
+    @staticmethod
+    def _stem(variant: str, split: str) -> str:
+        return f"{split}_guide" if variant == "rxr" else split
+
+    def _truth_name(self, variant: str, split: str) -> str:
+        return f"{variant}/{split}/{self._stem(variant, split)}_gt.json.gz"
+
+    def add_scene(self, source: str, scene: str, rows: list[tuple[int, Row, Row]]) -> None:
+        """Write the chosen episodes of one scene: (split code, row of episodes, row of instructions)."""
+        for code in sorted({code for code, _, _ in rows}):
+            files = self._splits[code]
+            self._report.scenes[files.name].append(f"{source}/{scene}")
+            mine = [(row, instruction) for at, row, instruction in rows if at == code]
+            self._report.episodes[files.name] += len(mine)
+            with self._documents(files, source, scene) as documents:
+                for row, instruction in mine:
+                    self._add(files, documents, source, row, instruction)
+        path, shipped = self._scenes.navmesh_path(source, scene)
+        if rows and shipped:
+            with atomic_stream(self._out / path) as stream:
+                stream.write(self._scenes.navmesh(source, scene) or b"")
+            self._note(stream)
+
+    @contextmanager
+    def _documents(self, files: _SplitFiles, source: str, scene: str) -> Iterator[dict[str, DocumentWriter]]:
+        """Where the scene's episodes go: the split's own files, or shards as Habitat's ``content`` folders hold
+        them."""
+        if not self._layout.sharded:
+            yield files.documents
+            return
+        shards = {}
+        with ExitStack() as stack:
+            for variant in self._variants:
+                path = self._shard(variant, files.name, source, scene)
+                shards[variant] = stack.enter_context(document_writer(path, self._vocabulary_of(variant)))
+            yield shards
+        for writer in shards.values():
+            self._note(writer.entries.stream)
+
+    def _shard(self, variant: str, split: str, source: str, scene: str) -> Path:
+        folder = f"{variant}/{split}/content"
+        name = f"{folder}/{quote(scene, safe='')}.json.gz"
+        if name in self._shards:  # another source has a scene of this name
+            name = f"{folder}/{source}-{quote(scene, safe='')}.json.gz"
+        self._shards.add(name)
+        return self._out / name
+
+    def _add(
+        self, files: _SplitFiles, documents: dict[str, DocumentWriter], source: str, row: Row, instruction: Row
+    ) -> None:
+        text, length = row["instruction_text"], self._layout.token_length
+        tokens = self._vocabulary.padded(text, length)
+        self._report.texts_cut += tokens[-1] != 0 and len(tokenize(text)) > length
+        stock = vlnce_episode(row, scene_file(source, row["scene_id"], self._layout.scene_patterns), tokens)
+        encoded = encode(stock)
+        documents["vlnce"].add(encoded)
+        documents["ansr"].add(ansr_bytes(encoded, row))
+        documents["rxr"].add(encode(rxr_episode(stock, row, files.name)))
+        if self._oracle_texts is not None:
+            linear = oracle_text_of(self._oracle_texts, row, instruction)
+            twin = oracle_episode(stock, linear, self._vocabulary.padded(linear, length))
+            documents["oracle"].add(encode(twin))
+        truth = encode(ground_truth(row, self._layout.path_spacing))
+        files.truth.add(encode(row["episode_id"]) + b":" + truth)
+        navmesh, _ = self._scenes.navmesh_path(source, row["scene_id"])
+        names = {"source": source, "split": files.name, "navmesh": navmesh, "snapshot": self._layout.snapshot}
+        files.manifest.write(encode(manifest_row(row, instruction, **names)) + b"\n")
+        self._note_shape(source, row, files.name)
+        if files.r2r is not None and source == _MP3D:
+            self._add_r2r(files.r2r, row)
+
+    def _add_r2r(self, stream: JsonArrayStream, row: Row) -> None:
+        graph = (self._graphs or {}).get(row["scene_id"])
+        found: dict[str, Any] | str = "no connectivity graph of its scan" if graph is None else r2r_episode(row, graph)
+        if isinstance(found, str):
+            self._r2r_left_out[found] += 1
+        else:
+            stream.entry(encode(found))
+            self._report.r2r_episodes += 1
+
+    def _note_shape(self, source: str, row: Row, split: str) -> None:
+        shape = self._report.shapes.setdefault(split, {})
+        for key, value in (
+            ("source", source),
+            ("category", row["category"]),
+            ("composition", row["composition"]),
+            ("observability", row["observability"] or "not told"),
+            ("moves", row["moves"]),
+            ("success_distance", row["success_distance"]),
+        ):
+            counts = shape.setdefault(key, {})
+            counts[str(value)] = counts.get(str(value), 0) + 1
+        self._report.most_steps = max(self._report.most_steps, row["max_steps"])
+
+    def _copy_truths(self) -> None:
+        for split in SPLITS:
+            written = self._report.files[self._truth_name("vlnce", split)]
+            for variant in self._variants[1:]:
+                name = self._truth_name(variant, split)
+                atomic_copy(self._out / self._truth_name("vlnce", split), self._out / name)
+                self._report.files[name] = written
+
+    def _note(self, stream: ByteStream) -> None:
+        name = stream.path.relative_to(self._out).as_posix()
+        self._report.files[name] = WrittenFile(stream.size, stream.digest.hexdigest())

@@ -1,0 +1,176 @@
+"""Draws conditions of wanted truths about the rooms of one scene.
+
+Kind, predicate and room of a condition are drawn without regard to the truth it must have, and it is asked only where
+one of the opposite truth could stand in its place.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from condvln.instructions.conditions import ConditionPool, Question
+from condvln.instructions.config import PREDICATE_GROUPS, InstructionConfig
+from condvln.instructions.degeneracy import Claim, Presupposed, clash
+from condvln.instructions.draws import Draws
+from condvln.instructions.referents import Referents
+from condvln.instructions.rejection import GivenUp
+from condvln.labels import Vocabulary
+from schemas.program import Condition, ObjectRef, Predicate, Program, Qualifier, RoomRef
+
+__all__ = ["Asker"]
+
+Statements = tuple[Callable[[bool, int], Question], Mapping[bool, Sequence[float]]]
+"""The statement of a truth at a place, and weights of the places, summed up, by truth."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Room:
+    referents: Referents
+    pool: ConditionPool
+    groups: tuple[tuple[tuple[Predicate, ...], float], ...]
+
+
+class Asker:
+    """Draws conditions.
+
+    Parameters
+    ----------
+    rooms : per room id its referents and what can be asked of it
+
+    Attributes
+    ----------
+    rooms : ids of those of which something can be asked with either truth
+    clashes : how often each rule of ``degeneracy`` cost a condition another try
+    """
+
+    def __init__(
+        self,
+        rooms: Mapping[str, tuple[Referents, ConditionPool]],
+        config: InstructionConfig,
+        vocabulary: Vocabulary,
+        *,
+        single_room: bool,
+    ) -> None:
+        self._config, self._vocabulary = config, vocabulary
+        self._label_only = config.label_only(single_room)
+        parts = {name: _Room(referents, pool, self._groups(pool)) for name, (referents, pool) in sorted(rooms.items())}
+        self._rooms = {name: part for name, part in parts.items() if part.groups or part.pool.presence}
+        self.rooms = tuple(self._rooms)
+        self.clashes: Counter[str] = Counter()
+        self._made: dict[tuple[RoomRef, Question], Condition] = {}
+
+    def _groups(self, pool: ConditionPool) -> tuple[tuple[tuple[Predicate, ...], float], ...]:
+        weights = self._config.group_weights
+        groups = [
+            (tuple(p for p in predicates if p in pool.relations), weights[group])
+            for group, predicates in PREDICATE_GROUPS.items()
+        ]
+        there = [(predicates, weight) for predicates, weight in groups if predicates]
+        # A group of weight 0 serves where nothing else does.
+        return tuple(there if any(weight for _, weight in there) else [(predicates, 1.0) for predicates, _ in there])
+
+    def conditions(
+        self, truths: Sequence[bool], stops: Iterable[ObjectRef], names: Mapping[str, RoomRef], draws: Draws
+    ) -> tuple[Condition, ...]:
+        """Conditions of these truths, in their order, that break no rule beside each other and the stops.
+
+        Parameters
+        ----------
+        names : the rooms to ask about, by id, as the text calls them
+
+        Raises
+        ------
+        GivenUp
+            No statement is left for one of them.
+        """
+        rooms = [room for room in names if room in self._rooms]
+        given = Presupposed.by(stops)
+        asked: list[Condition] = []
+        for truth in truths:
+            claims = [Claim.of(condition) for condition in asked]
+            for _ in range(self._config.attempts if rooms else 0):
+                room = draws.choice(rooms)
+                pair = self._pair(names[room], self._statements(room, draws), claims, given, draws)
+                if pair is not None:
+                    asked.append(pair[truth])
+                    break
+            else:
+                raise GivenUp("no_condition")
+        return tuple(asked)
+
+    def twin(self, program: Program, index: int, draws: Draws) -> Condition | None:
+        """A condition of the opposite truth that can take the place of one of `program`'s; None where there is none.
+
+        Of the same room, kind and predicate, and where it can be of the same label.
+        """
+        old = program.conditions[index]
+        if old.room.room_id not in self._rooms:
+            return None
+        part = self._rooms[old.room.room_id]
+        claims = [Claim.of(condition) for k, condition in enumerate(program.conditions) if k != index]
+        given = Presupposed.by(move for leaf in program.leaves for move in leaf.moves)
+        truth = not old.truth
+        if old.qualifier is not None:
+            relation = part.pool.relations.get(old.qualifier.predicate)
+            questions = (
+                [] if relation is None else [relation.question(truth, k) for k in range(len(relation.cells[truth]))]
+            )
+        else:
+            questions = list(part.pool.presence.questions[truth]) if part.pool.presence else []
+        made = [self._condition(old.room, question) for question in questions]
+        sound = [c for c in made if clash(Claim.of(c), claims, given, self._vocabulary) is None]
+        alike = [condition for condition in sound if condition.label == old.label]
+        return draws.choice(alike or sound) if sound else None
+
+    def _pair(
+        self, room: RoomRef, statements: Statements, claims: Sequence[Claim], given: Presupposed, draws: Draws
+    ) -> dict[bool, Condition] | None:
+        """A true and a false condition of one kind and predicate, either of which may stand."""
+        question, sums = statements
+        found: dict[bool, Condition] = {}
+        for truth in (True, False):
+            for _ in range(self._config.attempts):
+                condition = self._condition(room, question(truth, draws.cumulative(sums[truth])))
+                rule = clash(Claim.of(condition), claims, given, self._vocabulary)
+                if rule is None:
+                    found[truth] = condition
+                    break
+                self.clashes[rule] += 1
+            else:
+                return None
+        return found
+
+    def _statements(self, room: str, draws: Draws) -> Statements:
+        """Statements of one kind and predicate."""
+        part = self._rooms[room]
+        presence = part.pool.presence
+        if presence is not None:
+            # Where hardly anything that varies can be asked, it is asked hardly ever.
+            share = self._label_only * min(1.0, *(sums[-1] for sums in presence.sums.values()))
+            if draws.uniform() < share or not part.groups:
+                return presence.question, presence.sums
+        predicates = draws.weighted(part.groups, [weight for _, weight in part.groups])[0]
+        relation = part.pool.relations[draws.weighted(predicates, [part.pool.relations[p].mass for p in predicates])]
+        return relation.question, relation.sums
+
+    def _condition(self, room: RoomRef, question: Question) -> Condition:
+        key = (room, question)
+        if key not in self._made:
+            qualifier = None
+            if question.predicate is not None and question.anchor is not None:
+                arrays = self._rooms[room.room_id].referents.arrays
+                qualifier = Qualifier(
+                    predicate=question.predicate,
+                    anchor_id=arrays.object_ids[question.anchor],
+                    anchor_label=arrays.labels[question.anchor],
+                )
+            self._made[key] = Condition(
+                label=question.label,
+                room=room,
+                qualifier=qualifier,
+                truth=question.truth,
+                witnesses=question.witnesses,
+            )
+        return self._made[key]

@@ -1,0 +1,207 @@
+"""What can be asked of a room: statements known true and statements known false, each with a margin.
+
+Presence: "there is a lamp in the bedroom". Relation: "there is a lamp near the bed", its false twins asking for the
+same lamps near something else, or for something else that is there but not near the bed. Both kinds claim absence when
+false, so rooms whose annotation is not complete are asked nothing: a truth only ever claimed there would give itself
+away.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.instructions.priors import PriorBits
+from condvln.instructions.referents import Referents
+from condvln.instructions.statements import StatementTruths, statement_truths
+from condvln.labels import Vocabulary
+from schemas.program import Predicate
+
+__all__ = ["ConditionPool", "Question", "RelationPool", "balanced_weights", "informative_weights"]
+
+BALANCING_ROUNDS: Final = 30
+"""Rounds of proportional fitting; the marginals of real rooms settle to 1e-3 within about ten."""
+
+LEAST_WEIGHT: Final = 1e-6
+"""A cell whose weight has fallen below this share of the largest counts as ruled out by the fitting."""
+
+EVIDENCE: Final = 8
+"""Rooms in which a statement must have been seen before one that never varied is held to be foretold by its words."""
+
+PSEUDOCOUNT: Final = 0.5
+"""Added to both truths of a statement, so that few rooms don't count as certainty (Jeffreys' prior)."""
+
+F64 = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """A statement about a room by labels and indices: ``exists(label [predicate anchor])``."""
+
+    label: str
+    truth: bool
+    witnesses: tuple[str, ...]
+    predicate: Predicate | None = None
+    anchor: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class RelationPool:
+    """Statements with one predicate about one room.
+
+    cells[truth] : (row, column) of the statements' tables; sums[truth] : their weights, summed up for drawing;
+    mass : geometric mean of the two truths' total weights, how much there is to ask
+    """
+
+    truths: StatementTruths
+    object_ids: tuple[str, ...]
+    cells: Mapping[bool, tuple[tuple[int, int], ...]]
+    sums: Mapping[bool, tuple[float, ...]]
+    mass: float
+
+    def question(self, truth: bool, cell: int) -> Question:
+        """The statement of one cell."""
+        row, column = self.cells[truth][cell]
+        witnesses = np.flatnonzero(self.truths.exact[row] & self.truths.held[:, column]) if truth else ()
+        return Question(
+            label=self.truths.labels[row],
+            truth=truth,
+            witnesses=tuple(self.object_ids[i] for i in witnesses),
+            predicate=self.truths.predicate,
+            anchor=int(self.truths.anchors[column]),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PresencePool:
+    """Statements of presence about one room, and their weights, summed up for drawing."""
+
+    questions: Mapping[bool, tuple[Question, ...]]
+    sums: Mapping[bool, tuple[float, ...]]
+
+    def question(self, truth: bool, place: int) -> Question:
+        """One statement."""
+        return self.questions[truth][place]
+
+
+@dataclass(frozen=True, eq=False)
+class ConditionPool:
+    """All statements about one room; a kind or predicate is there only with both truths."""
+
+    presence: PresencePool | None
+    relations: Mapping[Predicate, RelationPool]
+
+    @classmethod
+    def of(
+        cls, referents: Referents, bits: PriorBits, elsewhere: Iterable[str], vocabulary: Vocabulary
+    ) -> ConditionPool:
+        """The statements about one room.
+
+        Parameters
+        ----------
+        bits : which labels are plausible in this type of room, and how often its statements are true
+        elsewhere : labels that may be claimed absent: those of the scene's other rooms, or of other scenes
+        """
+        if not referents.room.complete:
+            return cls(None, {})
+        return cls(_presence(referents, bits, elsewhere, vocabulary), _relations(referents, bits, vocabulary))
+
+
+def _presence(
+    referents: Referents, bits: PriorBits, elsewhere: Iterable[str], vocabulary: Vocabulary
+) -> PresencePool | None:
+    room_type, labels = referents.room.label, referents.arrays.labels
+    here = set(labels)
+    varies = bits.varies.get(room_type, frozenset())
+    plausible = bits.plausible.get(room_type, frozenset())
+    members: dict[str, list[str]] = {}
+    for name, label, fit in zip(referents.arrays.object_ids, labels, referents.nameable, strict=True):
+        if fit and label in varies:
+            members.setdefault(label, []).append(name)
+    true = [Question(label, True, tuple(members[label])) for label in sorted(members)]
+    false = [
+        Question(label, False, ())
+        for label in sorted(set(elsewhere) & plausible)
+        if vocabulary.fit_for_text(label) and not here & vocabulary.overlapping(label)
+    ]
+    questions, sums = {}, {}
+    for truth, found in ((True, true), (False, false)):
+        weighed = [(q, informative_weights(*bits.counts.get((room_type, q.label, "", ""), (0, 0)))) for q in found]
+        questions[truth] = tuple(q for q, weights in weighed if weights[truth] > 0.0)
+        sums[truth] = tuple(accumulate(weights[truth] for _, weights in weighed if weights[truth] > 0.0))
+    return PresencePool(questions, sums) if all(questions.values()) else None
+
+
+def _relations(referents: Referents, bits: PriorBits, vocabulary: Vocabulary) -> dict[Predicate, RelationPool]:
+    pools: dict[Predicate, RelationPool] = {}
+    for truths in statement_truths(referents, vocabulary):
+        weights = _informative_tables(referents, truths, bits)
+        if weights is None:
+            weights = balanced_weights(truths.true, truths.false)
+        if weights is None or not all(table.any() for table in weights.values()):
+            continue
+        cells = {truth: np.argwhere(table > 0.0) for truth, table in weights.items()}
+        pools[truths.predicate] = RelationPool(
+            truths=truths,
+            object_ids=referents.arrays.object_ids,
+            cells={truth: tuple((int(r), int(c)) for r, c in found) for truth, found in cells.items()},
+            sums={truth: tuple(np.cumsum(table[table > 0.0]).tolist()) for truth, table in weights.items()},
+            mass=float(min(weights[True].sum(), weights[False].sum())),
+        )
+    return pools
+
+
+def informative_weights(n_true: int, n_false: int) -> dict[bool, float]:
+    """Weights with which to ask a statement where it is true and where it is false, from how often it is either.
+
+    Asked in its true rooms with the share of false ones and the other way round, a statement comes up as often true
+    as false over all rooms, and one that hardly varies hardly comes up. Both are 0 where it never varied.
+    """
+    if n_true + n_false >= EVIDENCE and min(n_true, n_false) == 0:
+        return {True: 0.0, False: 0.0}
+    rate = (n_true + PSEUDOCOUNT) / (n_true + n_false + 2.0 * PSEUDOCOUNT)
+    return {True: 1.0 - rate, False: rate}
+
+
+def _informative_tables(referents: Referents, truths: StatementTruths, bits: PriorBits) -> dict[bool, F64] | None:
+    """Weights of all statements by how they divide the rooms of this type; None where too little is known to."""
+    room_type, own = referents.room.label, referents.arrays.labels
+    tables = {True: np.zeros(truths.true.shape), False: np.zeros(truths.true.shape)}
+    known = False
+    for truth, support in ((True, truths.true), (False, truths.false)):
+        for row, column in np.argwhere(support):
+            key = (room_type, truths.labels[row], truths.predicate, own[truths.anchors[column]])
+            seen = bits.counts.get(key, (0, 0))
+            known |= sum(seen) >= EVIDENCE
+            tables[truth][row, column] = informative_weights(*seen)[truth]
+    return tables if known else None
+
+
+def balanced_weights(true: Bools, false: Bools) -> dict[bool, F64] | None:
+    """Weights over the true and over the false cells of a (labels, anchors) table, with like marginals.
+
+    For rooms of a type too rare for priors. Drawn with these, neither the label nor the anchor tells whether the
+    statement is true. Iterative proportional fitting (Deming & Stephan 1940) of both tables towards the geometric mean
+    of their marginals; labels and anchors that have only one of the truths drop out. Where nothing is left so, the
+    labels alone are balanced; None where not even one label has both truths.
+    """
+    for axes in ((0, 1), (1,)):
+        tables = [true.astype(np.float64), false.astype(np.float64)]
+        for _ in range(BALANCING_ROUNDS):
+            for axis in axes:
+                sums = [t.sum(axis=axis, keepdims=True) for t in tables]
+                target = np.sqrt(sums[0] * sums[1])
+                tables = [
+                    t * np.divide(target, s, out=np.zeros_like(s), where=s > 0)
+                    for t, s in zip(tables, sums, strict=True)
+                ]
+        if all(t.any() for t in tables):
+            tables = [np.where(t < LEAST_WEIGHT * t.max(), 0.0, t) for t in tables]
+            return {True: tables[0], False: tables[1]}
+    return None

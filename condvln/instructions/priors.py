@@ -1,0 +1,236 @@
+"""What is usual in a room: label priors, and how often a statement about such a room is true, pooled over all sources.
+
+They are a unit of their own, made in a first pass and pinned. Of the labels a scene reads yes/no bits; of the
+statements, how evenly they divide the rooms of its types, so that a statement whose truth the words alone foretell
+("a pillow near the bed") is asked rarely, and as often where it is false as where it is true.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+import orjson
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from condvln.instructions.config import PLAUSIBLE_SHARE, InstructionConfig
+from condvln.instructions.referents import Referents
+from condvln.instructions.statements import statement_truths
+from condvln.labels import vocabulary
+from condvln.relations import relate_room, text_facts
+from condvln.scene import Room, RoomArrays, Scene, SceneObject
+from schemas.canonical import JSON
+
+__all__ = ["PRIORS", "LabelPriors", "PriorBits", "Statement"]
+
+Statement = tuple[str, str, str, str]
+"""Room type, label, predicate, anchor label; the last two are empty for presence."""
+
+PRIORS: Final = pa.schema(
+    [
+        pa.field("room_type", pa.string(), nullable=False),
+        pa.field("label", pa.string(), nullable=False),
+        pa.field("predicate", pa.string(), nullable=False),
+        pa.field("anchor", pa.string(), nullable=False),
+        pa.field("n_true", pa.int64(), nullable=False),
+        pa.field("n_false", pa.int64(), nullable=False),
+    ]
+)
+"""In how many rooms of a type a statement is usable as true and as false.
+
+A row with an empty label counts the rooms of a type. One with an empty predicate is the presence of a label, false in
+rooms of which it can be claimed: another room of the same scene has it, and no word for it fits anything here.
+"""
+
+RATE_STEPS: Final = 64
+"""Rates of truth enter a scene's key in steps of 1/64."""
+
+MERGE_ROWS: Final = 200_000
+"""Rows gathered before they are summed up: bounds memory without summing for every scene."""
+
+ANCHOR_SIZE: Final = InstructionConfig().anchor_size
+"""Metres; the default, so that priors don't depend on a run's configuration."""
+
+_KEYS: Final = ("room_type", "label", "predicate", "anchor")
+
+
+@dataclass(frozen=True, slots=True)
+class PriorBits:
+    """What one scene reads of the priors: of its room types, and of the labels it holds (all where it is one room).
+
+    plausible : per room type, labels seen in enough rooms of that type
+    varies : those of them that enough rooms of the type lack as well, so that their presence says something
+    counts : rooms in which a statement is true and in which it is false; statements never seen are not there
+    """
+
+    plausible: Mapping[str, frozenset[str]]
+    varies: Mapping[str, frozenset[str]]
+    counts: Mapping[Statement, tuple[int, int]]
+
+    def document(self) -> dict[str, JSON]:
+        """The bits as JSON with everything sorted, and the rates as a hash: equal bits, equal bytes."""
+        rates = [(*key, round(RATE_STEPS * t / (t + f))) for key, (t, f) in sorted(self.counts.items())]
+        return {
+            "plausible": {room_type: sorted(labels) for room_type, labels in sorted(self.plausible.items())},
+            "varies": {room_type: sorted(labels) for room_type, labels in sorted(self.varies.items())},
+            "rates": hashlib.sha256(orjson.dumps(rates)).hexdigest(),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class LabelPriors:
+    """Counts that merge by addition, so that their order and grouping never matter.
+
+    parts : tables of schema `PRIORS`, to be summed
+    share : a label is plausible in a room type when seen in this share of its rooms
+    """
+
+    parts: tuple[pa.Table, ...]
+    share: float = PLAUSIBLE_SHARE
+
+    @classmethod
+    def of_scene(cls, scene: Scene, share: float = PLAUSIBLE_SHARE) -> LabelPriors:
+        """Counts of one scene, its objects taken as boxes."""
+        return cls(_of_rooms([(room, scene.arrays(room.room_id)) for room in scene.rooms]), share)
+
+    @classmethod
+    def of_tables(cls, rooms: pa.Table, objects: pa.Table, share: float = PLAUSIBLE_SHARE) -> LabelPriors:
+        """Counts of the ``rooms`` and ``objects`` tables of any number of scenes of one family."""
+        return cls(tuple(part for boxes in _boxes(rooms, objects) for part in _of_rooms(boxes)), share)
+
+    @classmethod
+    def merged(cls, parts: Iterable[LabelPriors], share: float = PLAUSIBLE_SHARE) -> LabelPriors:
+        """Sum of all `parts`, in whatever order they come."""
+        pending: list[pa.Table] = []
+        rows = 0
+        for part in parts:
+            pending.extend(part.parts)
+            rows += sum(table.num_rows for table in part.parts)
+            if rows > MERGE_ROWS:
+                pending, rows = [_summed(pending)], 0
+        return cls((_summed(pending),) if pending else (), share)
+
+    @cached_property
+    def _counts(self) -> pa.Table:
+        return _summed(self.parts)
+
+    def table(self) -> pa.Table:
+        """The sums as a table of schema `PRIORS`, sorted."""
+        return self._counts
+
+    @classmethod
+    def from_table(cls, table: pa.Table, share: float = PLAUSIBLE_SHARE) -> LabelPriors:
+        """The counts back from `table`."""
+        return cls((table,), share)
+
+    def bits(self, scene: Scene) -> PriorBits:
+        """The bits that `scene` reads."""
+        types = sorted({room.label for room in scene.rooms})
+        seen = sorted({o.label for o in scene.objects})
+        held = pc.is_in(self._counts["label"], pa.array([*seen, ""], pa.string()))
+        related = pc.and_(held, pc.is_in(self._counts["anchor"], pa.array([*seen, ""], pa.string())))
+        if scene.single_room:
+            related = pc.or_(related, pc.equal(self._counts["predicate"], ""))
+        read = pc.and_(pc.is_in(self._counts["room_type"], pa.array(types, pa.string())), related)
+        columns = self._counts.filter(read).to_pydict().values()
+        found = {
+            (t, label, predicate, anchor): (n, m) for t, label, predicate, anchor, n, m in zip(*columns, strict=True)
+        }
+        rooms = {t: found.pop((t, "", "", ""), (0, 0))[0] for t in types}
+        presence = {(t, x): n for (t, x, predicate, _), (n, _) in found.items() if not predicate}
+        if scene.single_room:
+            # Absence can then be claimed of whatever other scenes have.
+            found.update({(t, x, "", ""): (n, rooms[t] - n) for (t, x), n in presence.items()})
+        plausible = {key for key, n in presence.items() if n >= self.share * rooms[key[0]]}
+        varies = {key for key in plausible if rooms[key[0]] - presence[key] >= self.share * rooms[key[0]]}
+        return PriorBits(
+            plausible={t: frozenset(x for of, x in plausible if of == t) for t in types},
+            varies={t: frozenset(x for of, x in varies if of == t) for t in types},
+            counts=found,
+        )
+
+
+def _summed(parts: Sequence[pa.Table]) -> pa.Table:
+    joined = pa.concat_tables([PRIORS.empty_table(), *parts]).group_by(list(_KEYS))
+    sums = joined.aggregate([("n_true", "sum"), ("n_false", "sum")]).rename_columns([*_KEYS, "n_true", "n_false"])
+    return sums.sort_by([(key, "ascending") for key in _KEYS]).cast(PRIORS)
+
+
+def _of_rooms(boxes: Sequence[tuple[Room, RoomArrays]]) -> tuple[pa.Table, ...]:
+    """Counts of each room of one scene."""
+    labels = [set(arrays.labels) for _, arrays in boxes]
+    return tuple(
+        _of_room(room, arrays, set().union(*labels[:k], *labels[k + 1 :])) for k, (room, arrays) in enumerate(boxes)
+    )
+
+
+def _of_room(room: Room, arrays: RoomArrays, elsewhere: set[str]) -> pa.Table:
+    here = set(arrays.labels)
+    absent = {label for label in elsewhere if not here & vocabulary.overlapping(label)}
+    parts = [_rows(["", *here], "", "", [1] * (1 + len(here)), 0), _rows(list(absent), "", "", 0, [1] * len(absent))]
+    if room.complete and len(arrays):
+        referents = Referents.of(room, arrays, text_facts(relate_room(arrays)), vocabulary, ANCHOR_SIZE)
+        named = np.array(arrays.labels, dtype=object)
+        for truths in statement_truths(referents, vocabulary):
+            rows, columns = np.nonzero(truths.true | truths.false)
+            labels, anchors = np.array(truths.labels, dtype=object)[rows], named[truths.anchors[columns]]
+            true, false = truths.true[rows, columns], truths.false[rows, columns]
+            parts.append(_rows(labels, truths.predicate, anchors, true, false))
+    joined = pa.concat_tables(parts)
+    return joined.set_column(0, PRIORS.field("room_type"), pa.repeat(room.label, joined.num_rows))
+
+
+def _rows(labels: Any, predicate: str, anchors: Any, true: Any, false: Any) -> pa.Table:
+    """Rows of counts, their room type left open; a single value stands for a column of it."""
+    n = len(labels)
+
+    def column(values: Any, kind: pa.DataType) -> pa.Array:
+        return pa.repeat(pa.scalar(values, kind), n) if isinstance(values, str | int) else pa.array(values).cast(kind)
+
+    kinds = [pa.string()] * 4 + [pa.int64()] * 2
+    values = ["", labels, predicate, anchors, true, false]
+    columns = [column(value, kind) for value, kind in zip(values, kinds, strict=True)]
+    return pa.table(dict(zip(PRIORS.names, columns, strict=True)), schema=PRIORS)
+
+
+def _boxes(rooms: pa.Table, objects: pa.Table) -> Iterator[list[tuple[Room, RoomArrays]]]:
+    """Rooms and their objects as boxes, scene by scene, from their tables."""
+    held: dict[tuple[str, str], list[SceneObject]] = {}
+    wanted = ["scene_id", "room_id", "object_id", "raw_label", "label", "center", "aabb_min", "aabb_max", "radius"]
+    for row in objects.select(wanted).to_pylist():
+        low, high = row["aabb_min"], row["aabb_max"]
+        item = SceneObject(
+            object_id=row["object_id"],
+            room_id=row["room_id"],
+            raw_label=row["raw_label"],
+            label=row["label"],
+            center=_point(row["center"]),
+            aabb=None if low is None or high is None else np.array([_point(low), _point(high)]),
+            radius=row["radius"],
+        )
+        held.setdefault((row["scene_id"], row["room_id"]), []).append(item)
+    scenes: dict[str, list[tuple[Room, RoomArrays]]] = {}
+    for row in rooms.to_pylist():
+        room = Room(
+            room_id=row["room_id"],
+            raw_label=row["raw_label"],
+            label=row["label"],
+            level=row["level"],
+            floor_y=row["floor_y"],
+            ceiling_y=row["ceiling_y"],
+            polygon=None,
+            annotation=row["annotation"],
+            complete=row["complete"],
+        )
+        arrays = RoomArrays.of(room.room_id, held.get((row["scene_id"], row["room_id"]), []))
+        scenes.setdefault(row["scene_id"], []).append((room, arrays))
+    yield from scenes.values()
+
+
+def _point(value: Mapping[str, float]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    return np.array([value["x"], value["y"], value["z"]])

@@ -1,0 +1,64 @@
+"""What a text says, by words alone: the program without ids, truths and witnesses.
+
+A text and its program agree when ``reading_of(program, …) == parse(text, …)``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from condvln.instructions.language import language
+from schemas.program import Category, Condition, ObjectRef, Predicate, Program, RoomRef
+
+__all__ = ["Phrase", "Place", "Reading", "reading_of"]
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A room as named: its label, and the label of the thing that tells it apart."""
+
+    label: str
+    anchor: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Phrase:
+    """A noun phrase: label, qualifier as (predicate, anchor label), and the room; None where the text names none."""
+
+    label: str
+    qualifier: tuple[Predicate, str] | None = None
+    room: Place | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """The tree of a text: conditions in program order and leaves as sequences of stops."""
+
+    category: Category
+    conditions: tuple[Phrase, ...]
+    leaves: tuple[tuple[Phrase, ...], ...]
+    heading: str | None = None
+
+
+def reading_of(program: Program, heading: str | None = None) -> Reading:
+    """The reading that every rendering of `program` must have.
+
+    Rooms that text doesn't name (a whole apartment as one room) are None, as the parser leaves them.
+    """
+    return Reading(
+        category=program.category,
+        conditions=tuple(_phrase(condition) for condition in program.conditions),
+        leaves=tuple(tuple(_phrase(move) for move in leaf.moves) for leaf in program.leaves),
+        heading=heading,
+    )
+
+
+def _phrase(named: Condition | ObjectRef) -> Phrase:
+    qualifier = named.qualifier
+    stated = None if qualifier is None else (qualifier.predicate, qualifier.anchor_label)
+    return Phrase(named.label, stated, _place(named.room))
+
+
+def _place(room: RoomRef) -> Place | None:
+    # Whether a room has a name fit for text doesn't depend on the language.
+    return Place(room.label, room.anchor_label) if room.label in language().rooms else None

@@ -1,0 +1,261 @@
+"""Candidate programs of one scene: leaves first, then the gold leaf, then conditions of the truths that lead there.
+
+So nothing about a leaf tells that it is gold, and nothing about a statement's label, anchor, kind or predicate tells
+whether it is true. Every draw is seeded by (dataset seed, family, scene, category) alone.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate
+from typing import Final
+
+from condvln.instructions.asking import Asker
+from condvln.instructions.composition import composition
+from condvln.instructions.conditions import ConditionPool
+from condvln.instructions.config import Cell, InstructionConfig
+from condvln.instructions.degeneracy import idle_conditions, is_circular, outcomes
+from condvln.instructions.draws import Draws
+from condvln.instructions.priors import PriorBits
+from condvln.instructions.referents import ALTERNATIVES, Facts, Referents, object_refs, room_refs
+from condvln.instructions.rejection import GivenUp
+from condvln.instructions.stops import Stops, Target, TargetLot, apart_by_centres, targets
+from condvln.labels import Vocabulary, vocabulary
+from condvln.scene import Scene
+from condvln.seeding import generator
+from schemas.program import SHAPES, Category, Leaf, ObjectRef, Program, RoomRef
+
+__all__ = ["ProgramSampler"]
+
+WISHES_PER_CANDIDATE: Final = 2
+"""Wishes tried for each candidate wanted, so that a scene that can't fulfil some of them still fills its number."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Wish:
+    """What a candidate should be: its composition (None where no room allows any) and the moves of each leaf."""
+
+    composition: str | None
+    moves: tuple[int, ...]
+
+
+class ProgramSampler:
+    """Draws candidate programs of one scene.
+
+    Parameters
+    ----------
+    facts : facts fit for text, per room id
+    bits : the priors' bits that this scene reads (``LabelPriors.bits``)
+    stops : what the navigation knows; by default all objects, apart by their centres
+
+    Attributes
+    ----------
+    rejections : how often each (category, reason) ended a draw or cost a part of one another try
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        facts: Mapping[str, Facts],
+        bits: PriorBits,
+        config: InstructionConfig,
+        seed: int,
+        *,
+        stops: Stops | None = None,
+        words: Vocabulary = vocabulary,
+    ) -> None:
+        self.scene, self.config, self.seed = scene, config, seed
+        self.words = words
+        self.rejections: Counter[tuple[Category, str]] = Counter()
+        self.referents = {
+            room.room_id: Referents.of(room, scene.arrays(room.room_id), facts[room.room_id], words, config.anchor_size)
+            for room in sorted(scene.rooms, key=lambda r: r.room_id)
+            if room.room_id in facts
+        }
+        self._names = room_refs(list(self.referents.values()), words)
+        self.targets = targets(self.referents, self._names, stops or apart_by_centres(scene, config), config)
+        pools = {name: (self.referents[name], self._pool(name, bits)) for name in self._names}
+        self.asker = Asker(pools, config, words, single_room=scene.single_room)
+        self._refs: dict[tuple[RoomRef, str], tuple[ObjectRef, ...]] = {}
+
+    def _pool(self, room_id: str, bits: PriorBits) -> ConditionPool:
+        referents = self.referents[room_id]
+        if self.scene.single_room:
+            elsewhere = set(bits.plausible.get(referents.room.label, ()))
+        else:
+            elsewhere = {o.label for o in self.scene.objects if o.room_id != room_id}
+        return ConditionPool.of(referents, bits, elsewhere, self.words)
+
+    @cached_property
+    def _held(self) -> dict[str, int]:
+        """Targets per nameable room, as bits."""
+        held = dict.fromkeys(sorted(self._names), 0)
+        for target in self.targets:
+            held[target.room_id] |= 1 << target.position
+        return held
+
+    @cached_property
+    def _members(self) -> dict[str, int]:
+        """Targets per label, as bits."""
+        members: dict[str, int] = {}
+        for k, target in enumerate(self.targets):
+            members[target.label] = members.get(target.label, 0) | 1 << k
+        return dict(sorted(members.items()))
+
+    @cached_property
+    def _waypoints(self) -> TargetLot:
+        weights = {target.label: target.weight for target in self.targets}
+        return TargetLot(self._members, weights)
+
+    @cached_property
+    def label_cap(self) -> float:
+        """Largest share of leaf targets a label may have; an equal share where the scene has too few labels."""
+        return max(self.config.label_cap, 1.0 / max(1, len(self._members)))
+
+    def _lot(self, category: Category, used: Counter[str]) -> TargetLot:
+        """Goals: labels by weight and rarity, none beyond its share."""
+        most = max(1.0, self.label_cap * self.config.candidates(category) * SHAPES[category].leaves)
+        weights = {t.label: t.weight / (1 + used[t.label]) for t in self.targets if used[t.label] + 1 <= most}
+        return TargetLot(self._members, weights)
+
+    def candidates(self, category: Category) -> Iterator[Program]:
+        """Up to ``config.candidates(category)`` distinct programs, in a seeded order."""
+        wanted = self.config.candidates(category)
+        if wanted and not self.asker.rooms:
+            self.rejections[category, "nothing_to_ask"] += 1
+            return
+        draws = Draws(generator(self.seed, self.scene.family, self.scene.scene_id, "programs", category))
+        seen: set[Program] = set()
+        used: Counter[str] = Counter()
+        lot = self._lot(category, used)
+        for _ in range(wanted * WISHES_PER_CANDIDATE):
+            if len(seen) >= wanted:
+                return
+            # What is hard to draw is not given up for what is easy: a wish stands until it is met.
+            wish = self._wish(category, draws)
+            for _ in range(self.config.draws_per_candidate):
+                try:
+                    program = self._draw(category, wish, draws, lot)
+                    if program in seen:
+                        raise GivenUp("duplicate")
+                except GivenUp as given_up:
+                    self.rejections[category, given_up.reason] += 1
+                    continue
+                finally:
+                    self.rejections.update({(category, rule): n for rule, n in self.asker.clashes.items()})
+                    self.asker.clashes.clear()
+                seen.add(program)
+                used.update(leaf.goal.label for leaf in program.leaves)
+                lot = self._lot(category, used)
+                yield program
+                break
+
+    def _wish(self, category: Category, draws: Draws) -> _Wish:
+        cells = [cell for cell in self.config.cells if cell.category == category]
+        cell = draws.weighted(cells, [c.weight for c in cells]) if cells else Cell(category)
+        wanted = cell.composition
+        if wanted is None:
+            weights = self.config.compositions
+            possible = {"C0": self._roomy(category), "C1": len(self._held) > 1, "C2": len(self._held) > 2}
+            options = {name: weights.get(name, 0.0) for name, there_are_rooms in possible.items() if there_are_rooms}
+            if any(options.values()):
+                wanted = draws.weighted(tuple(options), tuple(options.values()))
+        n_leaves = SHAPES[category].leaves
+        if cell.moves is not None:
+            return _Wish(wanted, (cell.moves,) * n_leaves)
+        shares = tuple(accumulate(self.config.moves))
+        return _Wish(wanted, tuple(1 + draws.cumulative(shares) for _ in range(n_leaves)))
+
+    def _roomy(self, category: Category) -> tuple[str, ...]:
+        """Rooms that can hold a whole program."""
+        n = SHAPES[category].leaves
+        return tuple(room for room in self.asker.rooms if self._held[room].bit_count() >= n)
+
+    def _draw(self, category: Category, wish: _Wish, draws: Draws, lot: TargetLot) -> Program:
+        rooms = self._spread(category, wish.composition, draws)
+        allowed = 0
+        for room_id in rooms:
+            allowed |= self._held[room_id]
+        goals = self._goals(category, allowed, draws, lot)
+        stops = [self._moves(goal, goals, n, allowed, draws) for goal, n in zip(goals, wish.moves, strict=True)]
+        visited = [target for moves in stops for target in moves]
+        names = {room_id: draws.choice(self._room_names(room_id, visited)) for room_id in rooms}
+        leaves = tuple(Leaf(moves=tuple(self._named(t, names[t.room_id], draws) for t in moves)) for moves in stops)
+        # A leaf drawn evenly; truths that don't matter on the way to it are fair coins.
+        gold = draws.index(len(leaves))
+        truths = draws.choice([assignment for assignment, leaf in outcomes(category).items() if leaf == gold])
+        conditions = self.asker.conditions(truths, (m for leaf in leaves for m in leaf.moves), names, draws)
+        if idle_conditions(category, [leaf.goal.object_id for leaf in leaves]):
+            raise GivenUp("idle_condition")
+        program = Program(category=category, conditions=conditions, branches=SHAPES[category].branches, leaves=leaves)
+        if composition(program) != wish.composition:
+            raise GivenUp("composition_missed")
+        return program
+
+    def _spread(self, category: Category, wanted: str | None, draws: Draws) -> Sequence[str]:
+        """The rooms to draw a composition from."""
+        rooms = list(self._held)
+        roomy = self._roomy(category)
+        if wanted is None or (wanted == "C0" and not roomy) or len(rooms) < {"C0": 1, "C1": 2, "C2": 3}[wanted]:
+            raise GivenUp("no_targets")
+        if wanted == "C0":
+            return [draws.choice(roomy)]
+        if wanted == "C2":
+            return rooms
+        one = draws.choice(self.asker.rooms)
+        return [one, draws.choice([room for room in rooms if room != one])]
+
+    def _goals(self, category: Category, allowed: int, draws: Draws, lot: TargetLot) -> list[Target]:
+        """One goal a leaf, of different labels, pairwise apart; rarely used labels first in line."""
+        n = SHAPES[category].leaves
+        goals: list[Target] = []
+        while len(goals) < n:
+            position = lot.draw(allowed, draws)
+            if position is None:
+                raise GivenUp("no_targets" if lot.holds_nothing_back(allowed) else "label_over_cap")
+            goal = self.targets[position]
+            left = allowed & goal.apart & ~self._members[goal.label]
+            if left.bit_count() >= n - len(goals) - 1:
+                goals.append(goal)
+                allowed = left
+            else:
+                allowed &= ~(1 << position)
+        return goals
+
+    def _moves(self, goal: Target, goals: Sequence[Target], count: int, allowed: int, draws: Draws) -> list[Target]:
+        """The stops of one leaf: waypoints apart from each other and from every leaf's goal, then the goal."""
+        allowed &= ~self._members[goal.label]
+        for other in goals:
+            allowed &= other.apart
+        stops: list[Target] = []
+        for _ in range(count - 1):
+            position = self._waypoints.draw(allowed, draws)
+            if position is None:
+                raise GivenUp("no_waypoint")
+            stops.append(self.targets[position])
+            allowed &= stops[-1].apart & ~self._members[stops[-1].label]
+        return [*stops, goal]
+
+    def _room_names(self, room_id: str, visited: Sequence[Target]) -> Sequence[RoomRef]:
+        """The names of a room that don't rest on something that is visited there."""
+        labels = {target.label for target in visited if target.room_id == room_id}
+        names = [
+            name
+            for name in self._names[room_id]
+            if name.anchor_label is None or not labels & self.words.overlapping(name.anchor_label)
+        ]
+        if not names:
+            raise GivenUp("circular")
+        return names[:ALTERNATIVES]
+
+    def _named(self, target: Target, room: RoomRef, draws: Draws) -> ObjectRef:
+        key = (room, target.object_id)
+        if key not in self._refs:
+            refs = object_refs(self.referents[target.room_id], target.index, room)
+            self._refs[key] = tuple(ref for ref in refs if not is_circular(ref, self.words))
+        if not self._refs[key]:
+            raise GivenUp("circular")
+        return draws.choice(self._refs[key])

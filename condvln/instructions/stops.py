@@ -1,0 +1,136 @@
+"""Where a program may send the agent: objects that can be named and stood at, and which of them lie apart."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.instructions.config import InstructionConfig
+from condvln.instructions.draws import Draws
+from condvln.instructions.referents import Referents
+from condvln.scene import Scene
+
+__all__ = ["Stops", "Target", "TargetLot", "apart_by_centres", "targets"]
+
+
+@dataclass(frozen=True, eq=False)
+class Stops:
+    """What the navigation knows about objects as stops.
+
+    object_ids (n,) : objects that can be stood at; an object not listed is never a stop
+    apart (n, n) : two stops lie far enough from each other to be leaves of one program, or two moves of one leaf
+    """
+
+    object_ids: tuple[str, ...]
+    apart: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """An object that may be a stop.
+
+    position : its place among all targets; index : its place among the room's objects
+    apart : the targets far enough from this one, as bits of an integer
+    """
+
+    object_id: str
+    position: int
+    room_id: str
+    index: int
+    label: str
+    weight: float
+    apart: int
+
+
+class TargetLot:
+    """Draws targets: first a label by its weight, then one of its objects evenly.
+
+    Parameters
+    ----------
+    members : per label its targets as bits
+    weights : per label; labels without one are not drawn
+    """
+
+    REJECTIONS: Final = 6
+    """Labels drawn blindly before those that are left are counted; rejection draws from the same distribution."""
+
+    def __init__(self, members: Mapping[str, int], weights: Mapping[str, float]) -> None:
+        self._bits = [members[label] for label in weights]
+        self._weights = list(weights.values())
+        self._sums = list(accumulate(self._weights))
+
+    def draw(self, allowed: int, draws: Draws) -> int | None:
+        """Position of one of the `allowed` targets (bits); None where there is none left to draw."""
+        if not self._bits or not allowed:
+            return None
+        for _ in range(self.REJECTIONS):
+            found = self._bits[draws.cumulative(self._sums)] & allowed
+            if found:
+                return draws.choice(_positions(found))
+        left = [k for k, bits in enumerate(self._bits) if bits & allowed]
+        if not left:
+            return None
+        return draws.choice(_positions(self._bits[draws.weighted(left, [self._weights[k] for k in left])] & allowed))
+
+    def holds_nothing_back(self, allowed: int) -> bool:
+        """Whether every allowed target could be drawn: nothing is held back by its label."""
+        drawable = 0
+        for bits in self._bits:
+            drawable |= bits
+        return not allowed & ~drawable
+
+
+def apart_by_centres(scene: Scene, config: InstructionConfig) -> Stops:
+    """Every object, apart where the horizontal distance of centres says so; for want of geodesics."""
+    ordered = sorted(scene.objects, key=lambda o: o.object_id)
+    least = config.leaf_separation_single_room if scene.single_room else config.leaf_separation
+    ground = np.array([o.center[[0, 2]] for o in ordered], dtype=np.float64).reshape(-1, 2)
+    distance = np.linalg.norm(ground[:, None] - ground[None, :], axis=-1)
+    return Stops(tuple(o.object_id for o in ordered), np.asarray(distance >= least))
+
+
+def targets(
+    referents: Mapping[str, Referents], rooms: Iterable[str], stops: Stops, config: InstructionConfig
+) -> tuple[Target, ...]:
+    """The usable objects of the named `rooms` that can be stood at, in order of room and object id."""
+    row_of = {name: k for k, name in enumerate(stops.object_ids)}
+    chosen = [
+        (room_id, int(i), row_of[referents[room_id].arrays.object_ids[i]])
+        for room_id in sorted(rooms)
+        for i in np.flatnonzero(referents[room_id].usable)
+        if referents[room_id].arrays.object_ids[i] in row_of
+    ]
+    rows = [row for _, _, row in chosen]
+    apart = stops.apart[np.ix_(rows, rows)]
+    large = {referents[room_id].arrays.labels[i] for room_id, i, _ in chosen if not referents[room_id].small[i]}
+    return tuple(
+        Target(
+            object_id=referents[room_id].arrays.object_ids[i],
+            position=k,
+            room_id=room_id,
+            index=i,
+            label=referents[room_id].arrays.labels[i],
+            weight=1.0 if referents[room_id].arrays.labels[i] in large else config.small_target_weight,
+            apart=_bits(apart[k]),
+        )
+        for k, (room_id, i, _) in enumerate(chosen)
+    )
+
+
+def _bits(row: NDArray[np.bool_]) -> int:
+    return int.from_bytes(np.packbits(row, bitorder="little").tobytes(), "little")
+
+
+def _positions(bits: int) -> list[int]:
+    """Positions of the set bits, ascending."""
+    found = []
+    while bits:
+        lowest = bits & -bits
+        found.append(lowest.bit_length() - 1)
+        bits ^= lowest
+    return found

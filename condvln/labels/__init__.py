@@ -1,0 +1,10 @@
+"""The canonical vocabulary over all sources: labels, synonyms, hypernyms, nouns, room types."""
+
+from typing import Final
+
+from condvln.labels.lexicon import LabelEntry, RoomEntry, Vocabulary, normalise
+
+__all__ = ["LabelEntry", "RoomEntry", "Vocabulary", "normalise", "vocabulary"]
+
+vocabulary: Final = Vocabulary.load()
+"""The vocabulary of the tables in this package, read once."""

@@ -1,0 +1,264 @@
+"""The canonical vocabulary: what objects and rooms are called over all sources, read from the tables beside it.
+
+``labels.csv`` and ``rooms.csv`` hold one row per canonical label; ``raw_labels.csv`` and ``raw_rooms.csv`` map each
+source's own label to it, with the list that the raw label comes from. A raw label with an empty canonical label was
+looked at and deliberately left unmapped (a part of a thing, or too vague to name one).
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Final, Literal, cast
+
+__all__ = ["LabelEntry", "RoomEntry", "Vocabulary", "normalise"]
+
+Kind = Literal["object", "structure", "catch_all"]
+
+SOURCE_OF_FAMILY: Final[Mapping[str, str]] = {
+    "replicacad": "replicacad",
+    "procthor": "ai2thor",
+    "ithor": "ai2thor",
+    "robothor": "ai2thor",
+    "ai2thor-hab": "ai2thor",
+    "mp3d": "mp3d",
+    "gibson": "gibson",
+}
+"""Which list of raw labels a family uses. A family that is not here is read by the canonical words alone."""
+
+_CAMEL: Final = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
+_NUMBER: Final = re.compile(r" \d+$")
+
+
+def normalise(raw: str) -> str:
+    """A raw label in lower case with single spaces: ``ArmChair``, ``arm_chair`` and ``arm#chair`` are ``arm chair``."""
+    return " ".join(re.sub(r"[_#\s]+", " ", _CAMEL.sub(" ", raw)).lower().split())
+
+
+@dataclass(frozen=True, slots=True)
+class LabelEntry:
+    """One canonical label.
+
+    synonyms : other words for the same thing, canonical labels among them where two sources draw the line differently
+    hypernyms : all broader labels, transitively; ``headboard`` has ``bed``, since a speaker may say so
+    """
+
+    label: str
+    noun: str
+    plural: str
+    article: Literal["a", "an"]
+    kind: Kind
+    in_text: bool
+    synonyms: frozenset[str]
+    hypernyms: frozenset[str]
+
+    @property
+    def words(self) -> frozenset[str]:
+        """The label, its noun and its synonyms."""
+        return self.synonyms | {self.label, self.noun}
+
+
+@dataclass(frozen=True, slots=True)
+class RoomEntry:
+    """One canonical room type; `synonyms` are words and labels a speaker might use for it as well."""
+
+    label: str
+    noun: str
+    article: Literal["a", "an"]
+    fit_for_text: bool
+    synonyms: frozenset[str]
+
+
+class Vocabulary:
+    """Canonical labels of objects and rooms, and the way from each source's raw labels to them."""
+
+    __slots__ = ("_entries", "_label_of_word", "_overlapping", "_overlapping_rooms", "_raw", "_raw_rooms", "_rooms")
+
+    def __init__(
+        self,
+        entries: Iterable[LabelEntry],
+        rooms: Iterable[RoomEntry],
+        raw_labels: Mapping[tuple[str, str], str],
+        raw_rooms: Mapping[tuple[str, str], str],
+    ) -> None:
+        self._entries = {e.label: e for e in entries}
+        self._rooms = {r.label: r for r in rooms}
+        self._raw = _with_normalised_keys(raw_labels)
+        self._raw_rooms = _with_normalised_keys(raw_rooms)
+        # A word that is one label's own means that label; a synonym that several labels share means none of them.
+        named: defaultdict[str, set[str]] = defaultdict(set)
+        for entry in self._entries.values():
+            for word in entry.words:
+                named[word].add(entry.label)
+        only = {word: min(labels) for word, labels in named.items() if len(labels) == 1}
+        self._label_of_word = only | {label: label for label in self._entries}
+        self._overlapping = _overlaps(self._entries)
+        self._overlapping_rooms = {
+            a.label: frozenset(
+                b.label for b in self._rooms.values() if (a.synonyms | {a.label}) & (b.synonyms | {b.label})
+            )
+            for a in self._rooms.values()
+        }
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """All canonical object labels, sorted."""
+        return tuple(sorted(self._entries))
+
+    @property
+    def room_labels(self) -> tuple[str, ...]:
+        """All canonical room types, sorted."""
+        return tuple(sorted(self._rooms))
+
+    def canonical(self, raw: str, family: str) -> str:
+        """The canonical label of `raw`; where none is known, `raw` itself, normalised."""
+        return self._mapped(raw, family) or normalise(raw)
+
+    def is_mapped(self, raw: str, family: str) -> bool:
+        """Whether `raw` has a canonical label."""
+        return self._mapped(raw, family) is not None
+
+    def _mapped(self, raw: str, family: str) -> str | None:
+        source = SOURCE_OF_FAMILY.get(family, "")
+        text = normalise(raw)
+        for key in (raw, text):
+            label = self._raw.get((source, key))
+            if label is not None:
+                return label or None
+        # Users' own labels, and copies numbered by their author ("table 2").
+        return self._label_of_word.get(text) or self._label_of_word.get(_NUMBER.sub("", text))
+
+    def entry(self, label: str) -> LabelEntry:
+        """The entry of a canonical label.
+
+        Raises
+        ------
+        KeyError
+            `label` is not canonical: it came from an unmapped raw label.
+        """
+        return self._entries[label]
+
+    def fit_for_text(self, label: str) -> bool:
+        """Whether text may name `label`: an object, not structure nor catch-all, with a noun that "a" and "the" fit."""
+        entry = self._entries.get(label)
+        return entry is not None and entry.in_text
+
+    def overlapping(self, label: str) -> frozenset[str]:
+        """Canonical labels that a speaker might mean by a word for `label`: itself, synonyms, hypernyms, hyponyms.
+
+        Symmetric. An unmapped label overlaps with itself only.
+        """
+        return self._overlapping.get(label, frozenset({label}))
+
+    def room_type(self, raw: str, family: str) -> str:
+        """The canonical room type of `raw`; where none is known, `raw` itself, normalised.
+
+        Matterport's one-letter labels are case-sensitive (``s`` stairs, ``S`` spa) and looked up as they stand.
+        """
+        source = SOURCE_OF_FAMILY.get(family, "")
+        text = normalise(raw)
+        for key in (raw, text):
+            label = self._raw_rooms.get((source, key))
+            if label is not None:
+                return label
+        if text in self._rooms:
+            return text
+        named = [r.label for r in self._rooms.values() if text in r.synonyms]
+        return named[0] if len(named) == 1 else text
+
+    def room(self, label: str) -> RoomEntry:
+        """The entry of a room type; an unknown one is an entry that is not fit for text."""
+        known = self._rooms.get(label)
+        if known is not None:
+            return known
+        article: Literal["a", "an"] = "an" if label[:1] in "aeiou" else "a"
+        return RoomEntry(label=label, noun=label, article=article, fit_for_text=False, synonyms=frozenset())
+
+    def overlapping_rooms(self, label: str) -> frozenset[str]:
+        """Room types that a speaker might mean by a word for `label`, itself included. Symmetric."""
+        return self._overlapping_rooms.get(label, frozenset({label}))
+
+    def raw_labels(self, family: str) -> Mapping[str, str]:
+        """Every raw label listed for `family`'s source with its canonical label ('' = listed as unmapped)."""
+        source = SOURCE_OF_FAMILY.get(family, "")
+        return {raw: label for (of, raw), label in self._raw.items() if of == source}
+
+    @classmethod
+    def load(cls) -> Vocabulary:
+        """The vocabulary of the tables that ship with this package."""
+        parents = {row["label"]: _several(row["hypernyms"]) for row in _rows("labels.csv")}
+        entries = [
+            LabelEntry(
+                label=row["label"],
+                noun=row["noun"],
+                plural=row["plural"],
+                article=cast(Literal["a", "an"], row["article"]),
+                kind=cast(Kind, row["kind"]),
+                in_text=row["in_text"] == "yes",
+                synonyms=_several(row["synonyms"]),
+                hypernyms=_ancestors(row["label"], parents),
+            )
+            for row in _rows("labels.csv")
+        ]
+        rooms = [
+            RoomEntry(
+                label=row["label"],
+                noun=row["noun"],
+                article=cast(Literal["a", "an"], row["article"]),
+                fit_for_text=row["in_text"] == "yes",
+                synonyms=_several(row["synonyms"]),
+            )
+            for row in _rows("rooms.csv")
+        ]
+        raw = {(row["source"], row["raw_label"]): row["label"] for row in _rows("raw_labels.csv")}
+        raw_rooms = {(row["source"], row["raw_label"]): row["label"] for row in _rows("raw_rooms.csv")}
+        return cls(entries, rooms, raw, raw_rooms)
+
+
+def _rows(name: str) -> list[dict[str, str]]:
+    text = files("condvln.labels").joinpath(name).read_text(encoding="utf-8")
+    return list(csv.DictReader(text.splitlines()))
+
+
+def _several(cell: str) -> frozenset[str]:
+    return frozenset(filter(None, cell.split(";")))
+
+
+def _with_normalised_keys(raw: Mapping[tuple[str, str], str]) -> dict[tuple[str, str], str]:
+    """`raw` plus each key in normal form, where that does not hide a label listed as such."""
+    keys: dict[tuple[str, str], str] = {}
+    for (source, text), label in raw.items():
+        if len(text) > 1:  # a one-letter label means what its case says
+            keys.setdefault((source, normalise(text)), label)
+    return {**keys, **raw}
+
+
+def _ancestors(label: str, parents: Mapping[str, frozenset[str]]) -> frozenset[str]:
+    seen: set[str] = set()
+    ahead = list(parents[label])
+    while ahead:
+        parent = ahead.pop()
+        if parent not in seen:
+            seen.add(parent)
+            ahead.extend(parents[parent])
+    return frozenset(seen)
+
+
+def _overlaps(entries: Mapping[str, LabelEntry]) -> dict[str, frozenset[str]]:
+    """Per label: the labels it shares a word with, its hypernyms and its hyponyms."""
+    sharing: defaultdict[str, set[str]] = defaultdict(set)
+    for entry in entries.values():
+        for word in entry.words:
+            sharing[word].add(entry.label)
+    found: dict[str, set[str]] = {label: {label} for label in entries}
+    for entry in entries.values():
+        for word in entry.words:
+            found[entry.label] |= sharing[word]
+        found[entry.label] |= entry.hypernyms
+        for parent in entry.hypernyms:
+            found[parent].add(entry.label)
+    return {label: frozenset(labels) for label, labels in found.items()}

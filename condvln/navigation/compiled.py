@@ -1,0 +1,172 @@
+"""The one place that touches numba: how kernels are compiled, cached and announced.
+
+Rules every kernel of this package follows:
+
+* strict IEEE arithmetic: no ``fastmath`` and no contraction, so that float32 results equal the C++ they follow;
+* a kernel calls only kernels of its own folder. numba's cache notices an edit of a kernel's own file, not of the files
+  it calls into; the cache folder used here is therefore keyed on the content of the whole folder the kernel lives in;
+* no bounds checks happen inside kernels, so whoever builds their inputs validates every index first.
+
+The cache stands in the first of these folders that can be written: ``NUMBA_CACHE_DIR``, ``__pycache__`` beside the
+kernels, the user's cache folder. With none, kernels still compile, once a process.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import shutil
+import sys
+import threading
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager, suppress
+from functools import cache
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar, cast
+
+import numba
+from numba.core import config as numba_config
+from numba.core import event as numba_event
+
+__all__ = ["compilation_reported_to", "compiled", "register_warm_up", "warm_up"]
+
+P = ParamSpec("P")
+R = TypeVar("R")
+Report = Callable[[str], None]
+
+# Editing a kernel leaves the caches of earlier versions behind; this many are kept beside the current one.
+CACHE_VERSIONS_KEPT = 2
+
+_logger = logging.getLogger(__name__)
+_warm_ups: dict[str, Callable[[], object]] = {}
+
+
+def compiled(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile ``function`` to machine code on its first call, and keep the code in a cache on disk.
+
+    The type of the function is kept, so callers stay statically checked.
+    """
+    folder = Path(function.__code__.co_filename).resolve().parent
+    package = function.__module__.rpartition(".")[0] or folder.name
+    with _numba_cache_in(_cache_folder(folder, package)):
+        try:
+            dispatcher = numba.njit(cache=True, fastmath=False, error_model="numpy", nogil=True)(function)
+        except RuntimeError:  # numba found no place that can be written
+            dispatcher = numba.njit(cache=False, fastmath=False, error_model="numpy", nogil=True)(function)
+    return cast("Callable[P, R]", dispatcher)
+
+
+def register_warm_up(name: str, run: Callable[[], object]) -> None:
+    """Tell :func:`warm_up` of ``run``, a small call that makes the kernels called ``name`` compile."""
+    _warm_ups[name] = run
+
+
+def warm_up(report: Report | None = None, only: Collection[str] | None = None) -> None:
+    """Compile (or load from the cache) all registered kernels now, or the groups named, naming each to ``report``.
+
+    Call it before work is timed or fanned out; workers then find the code in the shared cache.
+    """
+    with compilation_reported_to(report or _report_to_stderr):
+        chosen = [(name, run) for name, run in sorted(_warm_ups.items()) if only is None or name in only]
+        for number, (name, run) in enumerate(chosen, start=1):
+            if report is not None:
+                report(f"navigation kernels {number}/{len(chosen)}: {name}")
+            run()
+
+
+@contextmanager
+def compilation_reported_to(report: Report) -> Iterator[None]:
+    """Within this block, ``report`` gets a line for each kernel that really compiles (a cached one is silent)."""
+    before = _announcer.report
+    _announcer.report = report
+    try:
+        yield
+    finally:
+        _announcer.report = before
+
+
+class _Announcer(numba_event.Listener):  # type: ignore[misc]
+    """Says that kernels are compiling, so that nobody stares at half a silent minute.
+
+    Without a listener of the caller's own, one line on stderr per process is enough.
+    """
+
+    def __init__(self) -> None:
+        self.report: Report | None = None
+        self._told = False
+        self._depth = threading.local()
+
+    def on_start(self, event: Any) -> None:
+        depth = getattr(self._depth, "value", 0)
+        self._depth.value = depth + 1
+        function = event.data["dispatcher"].py_func
+        if depth or not function.__module__.startswith("condvln."):
+            return  # a callee of the kernel that was announced, or somebody else's kernel
+        if self.report is not None:
+            self.report(f"compiling {function.__module__}.{function.__name__}")
+        elif not self._told:
+            self._told = True
+            _report_to_stderr(
+                "condvln: compiling navigation kernels (once on this machine; later starts load them from a cache)"
+            )
+
+    def on_end(self, event: Any) -> None:
+        self._depth.value = getattr(self._depth, "value", 1) - 1
+
+
+def _report_to_stderr(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+@contextmanager
+def _numba_cache_in(folder: Path | None) -> Iterator[None]:
+    before = numba_config.CACHE_DIR
+    numba_config.CACHE_DIR = str(folder) if folder is not None else ""
+    try:
+        yield
+    finally:
+        numba_config.CACHE_DIR = before
+
+
+@cache
+def _cache_folder(kernels: Path, package: str) -> Path | None:
+    """Cache folder of the kernels in folder ``kernels``, named after their content; None where nothing is writable."""
+    digest = hashlib.sha256()
+    for file in sorted(kernels.glob("*.py")):
+        with suppress(OSError):
+            digest.update(file.name.encode() + b"\0" + file.read_bytes())
+    name = f"{package}-{digest.hexdigest()[:12]}"
+    for base in _cache_bases(kernels):
+        folder = base / name
+        with suppress(OSError):
+            created = not folder.is_dir()
+            folder.mkdir(parents=True, exist_ok=True)
+            if os.access(folder, os.W_OK | os.X_OK):
+                if created:
+                    _forget_old_versions(folder, package)
+                return folder
+    _logger.warning(
+        "no folder can be written for compiled kernels: each process will compile anew; set NUMBA_CACHE_DIR"
+    )
+    return None
+
+
+def _cache_bases(kernels: Path) -> Iterator[Path]:
+    if numba_config.CACHE_DIR:
+        yield Path(numba_config.CACHE_DIR)
+    yield kernels / "__pycache__"
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    yield Path(home) / "condvln" / "kernels"
+
+
+def _forget_old_versions(current: Path, package: str) -> None:
+    others = [folder for folder in current.parent.glob(f"{package}-????????????") if folder != current]
+    with suppress(OSError):
+        others.sort(key=lambda folder: folder.stat().st_mtime, reverse=True)
+        for folder in others[CACHE_VERSIONS_KEPT:]:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+_announcer = _Announcer()
+numba_event.register("numba:compile", _announcer)

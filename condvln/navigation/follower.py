@@ -1,0 +1,193 @@
+"""Ground-truth actions: what an agent that knows the map does, in VLN-CE's action space."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from condvln.navigation.compiled import register_warm_up
+from condvln.navigation.kernels.following import (
+    ARRIVED,
+    FORWARD,
+    LEFT,
+    NO_PATH,
+    RIGHT,
+    STOP,
+    STUCK,
+    TOO_LONG,
+    Gait,
+    Limits,
+)
+from condvln.navigation.kernels.following import follow as follow_kernel
+from condvln.navigation.kernels.following import replay as replay_kernel
+from condvln.navigation.pathfinder import Pathfinder
+from condvln.navigation.points import many_points, one_point
+from condvln.navigation.tile import Floats, Indices
+from schemas.errors import UsageError
+
+__all__ = ["FORWARD", "LEFT", "RIGHT", "RXR", "STOP", "VLN_CE", "ActionSpace", "FollowedRoute", "Follower", "Walk"]
+
+OUTCOMES = {ARRIVED: "arrived", NO_PATH: "no path", STUCK: "stuck", TOO_LONG: "too long"}
+# A walk of more actions than this is a mistake in the goals; episodes end at 500.
+MAX_ACTIONS = 5000
+
+
+@dataclass(frozen=True)
+class ActionSpace:
+    """Discrete actions: STOP 0, FORWARD 1, LEFT 2 (counter-clockwise), RIGHT 3."""
+
+    forward: float = 0.25
+    """metres"""
+    turn: float = 15.0
+    """degrees; divides 360"""
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.forward) and self.forward > 0):
+            raise UsageError(f"a forward step of {self.forward} m", remedy="Give a positive length")
+        if not (math.isfinite(self.turn) and self.turn > 0 and (360.0 / self.turn).is_integer()):
+            raise UsageError(f"a turn of {self.turn}°", remedy="Give an angle that divides 360, such as 15 or 30")
+
+    @property
+    def headings(self) -> int:
+        """Number of headings that turning on the spot goes through."""
+        return round(360.0 / self.turn)
+
+
+VLN_CE = ActionSpace()
+RXR = ActionSpace(turn=30.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Walk:
+    """The poses of a walk.
+
+    Attributes
+    ----------
+    positions : (n + 1, 3) float32, before the first of n actions and after each
+    headings : (n + 1,) radians in [0, 2π), counter-clockwise, 0 facing −z
+    """
+
+    positions: Floats
+    headings: npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class FollowedRoute:
+    """A walk to one or more goals, as ``_gt`` files hold it.
+
+    Attributes
+    ----------
+    actions : (n,) int8; the last one is STOP
+    locations : (forward_steps + 1, 3) float32, metres: the start and the place after each forward step
+    arrivals : (g,) index into ``locations`` at which each goal was reached, -1 if it was not
+    distance_to_goal : geodesic metres left to the goal walked to last
+    outcome : "arrived", "no path", "stuck" or "too long"
+    """
+
+    actions: npt.NDArray[np.int8]
+    locations: Floats
+    arrivals: Indices
+    distance_to_goal: float
+    outcome: str
+
+    @property
+    def arrived(self) -> bool:
+        """Were all goals reached?"""
+        return self.outcome == "arrived"
+
+    @property
+    def forward_steps(self) -> int:
+        """Number of FORWARD actions."""
+        return len(self.locations) - 1
+
+
+class Follower:
+    """Walks a navmesh to goals.
+
+    Parameters
+    ----------
+    pathfinder : the navmesh
+    space : forward step and turn
+    sliding : slide along walls (R2R in VLN-CE) or stop at them (RxR)
+    stop_within : geodesic metres from a goal at which it counts as reached
+    arrive_within : geodesic metres at which it still counts, where no action leads nearer
+    max_actions : after which the walk is given up
+
+    Raises
+    ------
+    UsageError : a distance or the number of actions is out of range
+    """
+
+    def __init__(
+        self,
+        pathfinder: Pathfinder,
+        space: ActionSpace = VLN_CE,
+        *,
+        sliding: bool = True,
+        stop_within: float = 0.25,
+        arrive_within: float = 0.5,
+        max_actions: int = MAX_ACTIONS,
+    ) -> None:
+        if not 0 < stop_within <= arrive_within or not math.isfinite(arrive_within):
+            raise UsageError(
+                f"stopping within {stop_within} m, arriving within {arrive_within} m",
+                remedy="Give 0 < stop_within <= arrive_within",
+            )
+        if not 0 < max_actions <= 1_000_000:
+            raise UsageError(f"at most {max_actions} actions", remedy="Give 1 to 1,000,000")
+        self.pathfinder, self.space, self.sliding = pathfinder, space, sliding
+        self.stop_within, self.arrive_within, self.max_actions = stop_within, arrive_within, max_actions
+
+    def follow(self, start: npt.ArrayLike, heading: float, goals: npt.ArrayLike) -> FollowedRoute:
+        """Walk from ``start`` (3,), facing ``heading`` (radians, counter-clockwise from −z), to each goal in turn.
+
+        ``goals`` is one point (3,) or several (g, 3): subgoals first, the goal last.
+        """
+        first = self._follow(start, heading, goals, careful=False)
+        if first.outcome != OUTCOMES[STUCK] or self.sliding:
+            return first
+        second = self._follow(start, heading, goals, careful=True)
+        return second if second.arrived else first
+
+    def _follow(self, start: npt.ArrayLike, heading: float, goals: npt.ArrayLike, *, careful: bool) -> FollowedRoute:
+        actions, locations, arrivals, distance, status = follow_kernel(
+            self.pathfinder.query_mesh,
+            self._gait(heading),
+            one_point(start)[0],
+            many_points(np.atleast_2d(goals)),
+            Limits(np.float32(self.stop_within), np.float32(self.arrive_within)),
+            self.max_actions,
+            careful,
+        )
+        return FollowedRoute(actions, locations, arrivals, float(distance), OUTCOMES[status])
+
+    def walk(self, start: npt.ArrayLike, heading: float, actions: npt.ArrayLike) -> Walk:
+        """The poses of an agent that takes ``actions`` (n,) from ``start``; STOP and unknown ids leave it standing."""
+        places, facing = replay_kernel(
+            self.pathfinder.query_mesh, self._gait(heading), one_point(start)[0], np.array(actions, np.int8).reshape(-1)
+        )
+        turned = heading + facing * math.radians(self.space.turn)
+        return Walk(places, np.mod(turned, 2 * math.pi))
+
+    def _gait(self, heading: float) -> Gait:
+        if not math.isfinite(heading):
+            raise UsageError(f"a heading of {heading}", remedy="Give radians")
+        turn = math.radians(self.space.turn)
+        facing = [heading + k * turn for k in range(self.space.headings)]
+        moves = [[-math.sin(angle) * self.space.forward, -math.cos(angle) * self.space.forward] for angle in facing]
+        return Gait(np.array(moves, np.float32), float(heading), turn, np.float32(self.space.forward), self.sliding)
+
+
+def _warm_up() -> None:
+    from condvln.navigation.polygon_tile import tile_of_polygons
+
+    square = np.array([[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]], np.float32)
+    follower = Follower(Pathfinder.from_tile(tile_of_polygons(square, [[0, 1, 2], [0, 2, 3]])))
+    route = follower.follow([0.1, 0.0, 0.5], 0.0, [0.9, 0.0, 0.5])
+    follower.walk([0.1, 0.0, 0.5], 0.0, route.actions)
+
+
+register_warm_up("follower", _warm_up)

@@ -1,0 +1,242 @@
+"""Shortest paths over a graph of viewpoints, behind the same protocol as those over a navmesh."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components, dijkstra
+
+from condvln.navigation.connectivity import ViewpointGraph, read_connectivity
+from condvln.navigation.points import many_points, one_point, paired_points
+from condvln.navigation.sampling import RandomSource
+from condvln.navigation.settings import NavMeshSettings
+from condvln.navigation.shortest_path import ShortestPath
+from condvln.navigation.tile import Floats, Ints
+from schemas.errors import InputError, UsageError
+
+__all__ = ["GraphPathfinder"]
+
+# Metres from a point to the viewpoint it snaps to: R2R's success radius, about one and a half edges.
+SNAP_REACH = 3.0
+# As on a navmesh: a navigable point is this near in the ground plane, metres.
+NAVIGABLE_SHIFT = 1e-2
+
+NOWHERE = -1
+
+
+class GraphPathfinder:
+    """Paths along the edges of a graph.
+
+    A point stands for the viewpoint nearest to it; lengths are sums of edge weights, so that they are R2R's own. Points
+    are (3,) and batches (n, 3), metres, Habitat frame.
+    """
+
+    def __init__(self, graph: ViewpointGraph, snap_reach: float = SNAP_REACH) -> None:
+        self.graph, self.snap_reach = graph, snap_reach
+        count = len(graph.ids)
+        # A zero weight is no edge to scipy; two viewpoints in one place are a nanometre apart.
+        weights = np.maximum(graph.lengths, 1e-9)
+        matrix = csr_array((weights, (graph.edges[:, 0], graph.edges[:, 1])), shape=(count, count))
+        self._lengths, self._before = dijkstra(matrix, directed=False, return_predecessors=True)
+        _, labels = connected_components(matrix, directed=False)
+        self._islands = labels.astype(np.int32)
+        self._number = {name: number for number, name in enumerate(graph.ids)}
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> GraphPathfinder:
+        """Pathfinder over a Matterport connectivity file.
+
+        Raises
+        ------
+        MissingFileError, FormatError : from :func:`~condvln.navigation.connectivity.read_connectivity`
+        """
+        return cls(read_connectivity(path))
+
+    @classmethod
+    def from_edges(cls, positions: npt.ArrayLike, edges: npt.ArrayLike) -> GraphPathfinder:
+        """Pathfinder over any graph: places (n, 3) and pairs (m, 2) of them, weighted by their distance."""
+        places = np.array(positions, np.float32).reshape(-1, 3)
+        pairs = np.sort(np.array(edges, np.int32).reshape(-1, 2), axis=1)
+        if not len(places) or not np.isfinite(places).all():
+            raise InputError("a graph needs places with finite coordinates", remedy="Mend the graph")
+        if len(pairs) and (pairs.min() < 0 or pairs.max() >= len(places) or (pairs[:, 0] == pairs[:, 1]).any()):
+            raise InputError("an edge names a place that is not there, or one place twice", remedy="Mend the graph")
+        pairs = np.unique(pairs, axis=0)
+        lengths = np.linalg.norm(places[pairs[:, 0]].astype(float) - places[pairs[:, 1]], axis=1)
+        return cls(ViewpointGraph(tuple(str(i) for i in range(len(places))), places, pairs, lengths))
+
+    # -- what it is ----------------------------------------------------------------------------------------------------
+
+    @property
+    def settings(self) -> NavMeshSettings | None:
+        """None: a graph is made for no particular agent."""
+        return None
+
+    @property
+    def bounds(self) -> tuple[Floats, Floats]:
+        """Lowest and highest corner of the viewpoints, (3,) each."""
+        return self.graph.positions.min(axis=0), self.graph.positions.max(axis=0)
+
+    @property
+    def navigable_area(self) -> float:
+        """0: viewpoints have no area."""
+        return 0.0
+
+    @property
+    def num_islands(self) -> int:
+        """Number of connected components."""
+        return int(self._islands.max()) + 1
+
+    def island_area(self, index: int) -> float:
+        """0: viewpoints have no area."""
+        self._island(index)
+        return 0.0
+
+    # -- points --------------------------------------------------------------------------------------------------------
+
+    def viewpoint(self, point: npt.ArrayLike) -> str | None:
+        """Name of the viewpoint that a point stands for; None if none is in reach."""
+        number = int(self._nearest(one_point(point))[0])
+        return self.graph.ids[number] if number != NOWHERE else None
+
+    def position(self, viewpoint: str) -> Floats:
+        """Place (3,) of a viewpoint."""
+        place: Floats = self.graph.positions[self._index(viewpoint)]
+        return place
+
+    def snap_point(self, point: npt.ArrayLike, island: int | None = None) -> Floats:
+        """Nearest viewpoint (3,), or nearest of one island; NaN if none is in reach."""
+        snapped: Floats = self.snap_points(one_point(point), island)[0]
+        return snapped
+
+    def snap_points(self, points: npt.ArrayLike, island: int | None = None) -> Floats:
+        """:meth:`snap_point` of each of n points, (n, 3)."""
+        nearest = self._nearest(many_points(points), island)
+        places = self.graph.positions[nearest]
+        return np.where((nearest == NOWHERE)[:, None], np.float32(np.nan), places).astype(np.float32)
+
+    def is_navigable(self, point: npt.ArrayLike, max_y_delta: float = 0.5) -> bool:
+        """Is the point a viewpoint, to 1 cm in the ground plane and ``max_y_delta`` metres in height?"""
+        asked = one_point(point)[0]
+        away = self.graph.positions - asked
+        in_plane = np.hypot(away[:, 0], away[:, 2]) <= NAVIGABLE_SHIFT
+        return bool((in_plane & (np.abs(away[:, 1]) <= max_y_delta)).any())
+
+    def get_island(self, point: npt.ArrayLike) -> int:
+        """Index of the connected component; -1 off the graph."""
+        return int(self.get_islands(one_point(point))[0])
+
+    def get_islands(self, points: npt.ArrayLike) -> Ints:
+        """:meth:`get_island` of each of n points, (n,)."""
+        nearest = self._nearest(many_points(points))
+        return np.where(nearest == NOWHERE, -1, self._islands[nearest]).astype(np.int32)
+
+    def island_radius(self, point_or_index: npt.ArrayLike) -> float:
+        """Metres from the mean of a component (an index, or that of a point) to its farthest viewpoint."""
+        where = np.asarray(point_or_index)
+        index = self._island(int(where)) if where.ndim == 0 else self.get_island(where)
+        if index < 0:
+            return 0.0
+        members = self.graph.positions[self._islands == index].astype(np.float64)
+        return float(np.linalg.norm(members - members.mean(axis=0), axis=1).max())
+
+    def get_random_navigable_points(self, count: int, rng: RandomSource, island: int | None = None) -> Floats:
+        """``count`` viewpoints (count, 3) drawn uniformly, with repeats."""
+        chosen = np.arange(len(self.graph.ids))
+        if island is not None:
+            chosen = np.flatnonzero(self._islands == self._island(island))
+        drawn: Floats = self.graph.positions[np.random.default_rng(rng).choice(chosen, count)]
+        return drawn
+
+    # -- paths ---------------------------------------------------------------------------------------------------------
+
+    def find_path(self, start: npt.ArrayLike, end: npt.ArrayLike) -> ShortestPath:
+        """Shortest path between the viewpoints of two points."""
+        return self._path(int(self._nearest(one_point(start))[0]), int(self._nearest(one_point(end))[0]), 0)
+
+    def find_multi_goal_path(self, start: npt.ArrayLike, ends: npt.ArrayLike) -> ShortestPath:
+        """Shortest of the paths to several ends; ends off the graph are left out."""
+        begin, goals = int(self._nearest(one_point(start))[0]), self._nearest(many_points(ends))
+        lengths = np.where((goals == NOWHERE) | (begin == NOWHERE), np.inf, self._lengths[begin, goals])
+        if not np.isfinite(lengths).any():
+            return ShortestPath()
+        goal = int(np.argmin(lengths))
+        return self._path(begin, int(goals[goal]), goal)
+
+    def geodesic_distance(self, start: npt.ArrayLike, end: npt.ArrayLike) -> float:
+        """Metres along the shortest path to ``end``, or to the nearest of several; infinite where there is none."""
+        if np.ndim(end) == 2:
+            return self.find_multi_goal_path(start, end).geodesic_distance
+        return float(self.geodesic_distances(start, end)[0])
+
+    def geodesic_distances(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> Floats:
+        """:meth:`geodesic_distance` of n pairs, (n,) float32; a single start or end serves all the others."""
+        first, second = (self._nearest(points) for points in paired_points(starts, ends))
+        lost = (first == NOWHERE) | (second == NOWHERE)
+        return np.where(lost, np.inf, self._lengths[first, second]).astype(np.float32)
+
+    def distance_table(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> Floats:
+        """:meth:`geodesic_distance` from each of n starts to each of m ends, (n, m) float32."""
+        first, second = self._nearest(many_points(starts))[:, None], self._nearest(many_points(ends))[None, :]
+        lost = (first == NOWHERE) | (second == NOWHERE)
+        return np.where(lost, np.inf, self._lengths[first, second]).astype(np.float32)
+
+    def viewpoint_path(self, start: str, end: str) -> list[str]:
+        """Names along the shortest path between two viewpoints; empty where there is none."""
+        return [self.graph.ids[number] for number in self._chain(self._index(start), self._index(end))]
+
+    def path_length(self, viewpoints: Sequence[str]) -> float:
+        """Metres along a chain of viewpoints.
+
+        Raises
+        ------
+        InputError : two that follow each other are not joined
+        """
+        total = 0.0
+        weights = {(int(a), int(b)): float(w) for (a, b), w in zip(self.graph.edges, self.graph.lengths, strict=True)}
+        for first, second in pairwise(viewpoints):
+            a, b = sorted((self._index(first), self._index(second)))
+            if (a, b) not in weights:
+                raise InputError(f"{first} and {second} are not joined", remedy="Give a path along edges")
+            total += weights[a, b]
+        return total
+
+    def _nearest(self, points: Floats, island: int | None = None) -> Ints:
+        """Viewpoint (n,) of each point, NOWHERE beyond reach."""
+        asked = points.astype(np.float64)
+        away = np.linalg.norm(asked[:, None, :] - self.graph.positions[None, :, :], axis=2)
+        if island is not None:
+            away[:, self._islands != self._island(island)] = np.inf
+        away[np.isnan(away)] = np.inf
+        nearest = np.argmin(away, axis=1)
+        reached = away[np.arange(len(asked)), nearest] <= self.snap_reach
+        return np.where(reached, nearest, NOWHERE).astype(np.int32)
+
+    def _chain(self, start: int, end: int) -> list[int]:
+        if not np.isfinite(self._lengths[start, end]):
+            return []
+        chain = [end]
+        while chain[-1] != start:
+            chain.append(int(self._before[start, chain[-1]]))
+        return chain[::-1]
+
+    def _path(self, start: int, end: int, goal: int) -> ShortestPath:
+        if NOWHERE in (start, end) or not (chain := self._chain(start, end)):
+            return ShortestPath()
+        length = float(np.float32(self._lengths[start, end]))
+        return ShortestPath(length, self.graph.positions[chain], goal)
+
+    def _index(self, viewpoint: str) -> int:
+        if viewpoint not in self._number:
+            raise UsageError(f"there is no viewpoint {viewpoint!r}", remedy="Take a name from the graph's ids")
+        return self._number[viewpoint]
+
+    def _island(self, index: int) -> int:
+        if not 0 <= index < self.num_islands:
+            raise UsageError(f"island {index} of {self.num_islands}", remedy="Take an index from get_island")
+        return index

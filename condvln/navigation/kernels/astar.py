@@ -1,0 +1,203 @@
+"""Corridor of polygons by A*: ``dtNavMeshQuery::findPath`` with its node pool and binary heap.
+
+Which of two equal candidates wins decides the corridor, so the heap is Detour's own, not a library's.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from condvln.navigation.compiled import compiled
+from condvln.navigation.kernels.geometry import HALF, ZERO, distance
+from condvln.navigation.kernels.mesh import QueryMesh
+from condvln.navigation.tile import Floats, Indices
+
+MAX_CORRIDOR = 256  # polygons; habitat-sim calls a longer path unreachable
+MAX_NODES = 2048  # of Detour's node pool; running out makes the goal unreachable too
+HEURISTIC_SCALE = np.float32(0.999)
+OPEN, CLOSED = 1, 2
+
+
+class Search(NamedTuple):
+    """Working memory of one thread over p polygons; a node is its polygon, visited if of the current ``round``."""
+
+    round: Indices
+    parent: Indices
+    state: npt.NDArray[np.uint8]
+    cost: Floats
+    total: Floats
+    position: Floats
+    heap: Indices
+    corridor: Indices
+    counters: Indices
+    """(2,): current round, size of the heap"""
+
+
+@compiled
+def new_search(polygons: int) -> Search:
+    """Blank working memory."""
+    return Search(
+        np.zeros(polygons, np.int64),
+        np.empty(polygons, np.int64),
+        np.empty(polygons, np.uint8),
+        np.empty(polygons, np.float32),
+        np.empty(polygons, np.float32),
+        np.empty((polygons, 3), np.float32),
+        np.empty(polygons + 1, np.int64),
+        np.empty(MAX_CORRIDOR, np.int64),
+        np.zeros(2, np.int64),
+    )
+
+
+@compiled
+def bubble_up(search: Search, place: int, node: int) -> None:
+    """Move ``node`` from ``place`` towards the root while its total is strictly less."""
+    heap = search.heap
+    total = search.total[node]
+    parent = (place - 1) // 2
+    while place > 0 and search.total[heap[parent]] > total:
+        heap[place] = heap[parent]
+        place = parent
+        parent = (place - 1) // 2
+    heap[place] = node
+
+
+@compiled
+def push(search: Search, node: int) -> None:
+    """Put a node on the heap."""
+    search.counters[1] += 1
+    bubble_up(search, search.counters[1] - 1, node)
+
+
+@compiled
+def moved_up(search: Search, node: int) -> None:
+    """Restore the heap after the total of ``node`` fell."""
+    for place in range(search.counters[1]):
+        if search.heap[place] == node:
+            bubble_up(search, place, node)
+            return
+
+
+@compiled
+def pop(search: Search) -> int:
+    """Take the least node. The hole sinks to a leaf first, and the last node rises from there, as in Detour."""
+    heap = search.heap
+    result = heap[0]
+    search.counters[1] -= 1
+    size = search.counters[1]
+    last = heap[size]
+    place = 0
+    child = 1
+    while child < size:
+        if child + 1 < size and search.total[heap[child]] > search.total[heap[child + 1]]:
+            child += 1
+        heap[place] = heap[child]
+        place = child
+        child = place * 2 + 1
+    bubble_up(search, place, last)
+    return int(result)
+
+
+@compiled
+def edge_to(mesh: QueryMesh, poly: int, other: int) -> int:
+    """First edge of ``poly`` that leads to ``other``."""
+    for edge in range(mesh.poly_size[poly]):
+        if mesh.neighbours[poly, edge] == other:
+            return edge
+    return -1
+
+
+@compiled
+def place_at_edge(mesh: QueryMesh, search: Search, poly: int, other: int) -> None:
+    """Put the node of ``other`` at the middle of the edge through which ``poly`` leads to it."""
+    edge = edge_to(mesh, poly, other)
+    a = mesh.verts[mesh.poly_verts[poly, edge]]
+    b = mesh.verts[mesh.poly_verts[poly, edge + 1 if edge + 1 < mesh.poly_size[poly] else 0]]
+    for axis in range(3):
+        search.position[other, axis] = (a[axis] + b[axis]) * HALF
+
+
+@compiled
+def find_corridor(
+    mesh: QueryMesh,
+    search: Search,
+    start: int,
+    sx: np.float32,
+    sy: np.float32,
+    sz: np.float32,
+    end: int,
+    ex: np.float32,
+    ey: np.float32,
+    ez: np.float32,
+) -> int:
+    """Polygons from ``start`` to ``end`` into ``search.corridor``; how many, or 0 where there is no complete path."""
+    corridor = search.corridor
+    if start == end:
+        corridor[0] = start
+        return 1
+    search.counters[0] += 1
+    this_round = search.counters[0]
+    search.counters[1] = 0
+    position, state, total, cost, parent = search.position, search.state, search.total, search.cost, search.parent
+    search.round[start] = this_round
+    nodes = 1
+    position[start, 0], position[start, 1], position[start, 2] = sx, sy, sz
+    parent[start] = -1
+    cost[start] = ZERO
+    total[start] = distance(sx, sy, sz, ex, ey, ez) * HEURISTIC_SCALE
+    state[start] = OPEN
+    push(search, start)
+    reached = False
+    while search.counters[1] > 0:
+        best = pop(search)
+        state[best] = CLOSED
+        if best == end:
+            reached = True
+            break
+        for edge in range(mesh.poly_size[best]):
+            other = mesh.neighbours[best, edge]
+            if other < 0 or other == parent[best] or not mesh.walkable[other]:
+                continue
+            if search.round[other] != this_round:
+                if nodes >= MAX_NODES:
+                    return 0
+                nodes += 1
+                search.round[other] = this_round
+                state[other] = 0
+                place_at_edge(mesh, search, best, other)
+            at = position[other]
+            step = distance(position[best, 0], position[best, 1], position[best, 2], at[0], at[1], at[2])
+            remaining = distance(at[0], at[1], at[2], ex, ey, ez)
+            if other == end:
+                new_cost = cost[best] + step + remaining
+                new_total = new_cost
+            else:
+                new_cost = cost[best] + step
+                new_total = new_cost + remaining * HEURISTIC_SCALE
+            if state[other] != 0 and new_total >= total[other]:
+                continue
+            parent[other] = best
+            cost[other] = new_cost
+            total[other] = new_total
+            if state[other] == OPEN:
+                moved_up(search, other)
+            else:
+                state[other] = OPEN
+                push(search, other)
+    if not reached:
+        return 0
+    length = 1
+    node = end
+    while node != start:
+        node = parent[node]
+        length += 1
+        if length > MAX_CORRIDOR:
+            return 0
+    node = end
+    for i in range(length - 1, -1, -1):
+        corridor[i] = node
+        node = parent[node] if i else node
+    return length

@@ -1,0 +1,377 @@
+"""Walking to goals with discrete actions: greedy on the geodesic distance, around what stands in the way.
+
+The rule for aiming is that of habitat-lab's ``ShortestPathFollower`` (MIT): keep going while the path's direction is
+within one turn of the heading. What differs is that each step is tried on the navmesh before it is taken.
+
+Without sliding a walker that touches a wall may never leave it: habitat-sim stops a step at the first wall it meets,
+and a step that begins on a wall meets it at once. Such walks avoid contact as long as they get on without, and touch a
+wall only where some step leads on from there.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from condvln.navigation.compiled import compiled
+from condvln.navigation.kernels.astar import Search, new_search
+from condvln.navigation.kernels.geometry import ONE, ZERO
+from condvln.navigation.kernels.mesh import QueryMesh
+from condvln.navigation.kernels.movement import step
+from condvln.navigation.kernels.projection import ANY_ISLAND, nearest_polygon
+from condvln.navigation.kernels.route import INFINITE, route_between
+from condvln.navigation.kernels.straight import MAX_POINTS
+from condvln.navigation.tile import Floats, Indices
+
+STOP, FORWARD, LEFT, RIGHT = 0, 1, 2, 3  # the action ids of VLN-CE
+ARRIVED, NO_PATH, STUCK, TOO_LONG = 0, 1, 2, 3
+
+# Metres: a path corner nearer than this gives no direction, the next one does.
+TOO_NEAR_TO_AIM = np.float32(0.01)
+# Share of a full step by which a step must shorten the way to be taken without comparing all headings.
+GOOD_PROGRESS = np.float32(0.5)
+# Share below which, without sliding, steps that end at a wall are weighed as well.
+SLOW_PROGRESS = np.float32(0.25)
+# Metres: a step that shortens the way by less is no progress.
+LEAST_PROGRESS = np.float32(1e-3)
+# Positions tried in looking for a way around, and the metres under which two of them are one.
+MAX_AROUND = 512
+SAME_PLACE = np.float32(0.02)
+# Slack on "within one turn", radians, for a heading that is a turn off to rounding.
+TURN_SLACK = 1e-6
+
+
+class Gait(NamedTuple):
+    """How the walker moves. Headings are counted in turns from the first one, counter-clockwise."""
+
+    moves: Floats
+    """(h, 2) step along x and z for each heading, metres"""
+    first_heading: float
+    """radians, counter-clockwise from −z"""
+    turn: float
+    """radians"""
+    length: np.float32
+    """of a step, metres"""
+    sliding: bool
+
+
+class Limits(NamedTuple):
+    """Geodesic distances, metres, at which a goal counts as reached."""
+
+    stop_within: np.float32
+    """at once"""
+    arrive_within: np.float32
+    """where no step leads nearer"""
+
+
+class Goal(NamedTuple):
+    """A goal as asked for and as projected."""
+
+    asked: Floats
+    poly: int
+    at: Floats
+
+
+@compiled
+def _remaining(mesh: QueryMesh, search: Search, point: Floats, goal: Goal, points: Floats) -> tuple[np.float32, int]:
+    """Geodesic distance to the goal, and how many corner points of the path were written."""
+    at = np.empty(3, np.float32)
+    poly, at[0], at[1], at[2] = nearest_polygon(mesh, point[0], point[1], point[2], ANY_ISLAND)
+    return route_between(mesh, search, point, poly, at, goal.asked, goal.poly, goal.at, points)
+
+
+@compiled
+def _turns_to_aim(gait: Gait, heading: int, points: Floats, count: int) -> float:
+    """Turns (counter-clockwise, fractional, -h/2 to h/2) between a heading and the direction of a path."""
+    for i in range(1, count):
+        dx = points[i, 0] - points[0, 0]
+        dz = points[i, 2] - points[0, 2]
+        if dx * dx + dz * dz > TOO_NEAR_TO_AIM * TOO_NEAR_TO_AIM:
+            wanted = math.atan2(-dx, -dz)
+            off = wanted - (gait.first_heading + heading * gait.turn)
+            off = off - 2.0 * math.pi * math.floor(off / (2.0 * math.pi) + 0.5)
+            return off / gait.turn
+    return 0.0
+
+
+@compiled
+def _candidate(number: int, off: float) -> int:
+    """The ``number``-th nearest whole number to ``off``."""
+    nearest = math.floor(off + 0.5)
+    side = 1 if off >= nearest else -1
+    away = (number + 1) // 2
+    return int(nearest + (side * away if number % 2 == 1 else -side * away))
+
+
+@compiled
+def _try_heading(mesh: QueryMesh, gait: Gait, point: Floats, heading: int, reached: Floats) -> bool:
+    """Step along a heading; True if no wall was in the way."""
+    end = point.copy()
+    end[0] = end[0] + gait.moves[heading, 0]
+    end[2] = end[2] + gait.moves[heading, 1]
+    step(mesh, point, end, gait.sliding, reached)
+    return bool(reached[0] == end[0] and reached[2] == end[2])
+
+
+@compiled
+def _best_heading(
+    mesh: QueryMesh,
+    search: Search,
+    gait: Gait,
+    point: Floats,
+    heading: int,
+    off: float,
+    distance: np.float32,
+    goal: Goal,
+    near_enough: np.float32,
+    contact: bool,
+    points: Floats,
+) -> tuple[int, np.float32]:
+    """Heading to step along from ``point``, and the geodesic distance after it; -1 and infinite if there is none.
+
+    Going straight on comes first where the aim is within one turn, then the headings nearest to the aim. The first that
+    makes good progress is taken; failing that the one which makes most.
+    """
+    headings = gait.moves.shape[0]
+    best_heading = -1
+    best = INFINITE
+    tried = np.empty(3, np.float32)
+    straight_first = abs(off) <= 1.0 + TURN_SLACK
+    for number in range(-1 if straight_first else 0, headings):
+        turns = 0 if number < 0 else _candidate(number, off)
+        if number >= 0 and straight_first and turns == 0:
+            continue
+        candidate = (heading + turns) % headings
+        free = _try_heading(mesh, gait, point, candidate, tried)
+        if not (free or contact):
+            continue
+        after, _ = _remaining(mesh, search, tried, goal, points)
+        if not (free or gait.sliding) and not _can_go_on(mesh, search, gait, tried, after, goal, points):
+            continue
+        if after < best:
+            best = after
+            best_heading = candidate
+        if distance - after >= GOOD_PROGRESS * gait.length or after <= near_enough:
+            return candidate, after
+    return best_heading, best
+
+
+@compiled
+def _can_go_on(
+    mesh: QueryMesh, search: Search, gait: Gait, point: Floats, distance: np.float32, goal: Goal, points: Floats
+) -> bool:
+    """Does some step from a place at a wall shorten the way?"""
+    tried = np.empty(3, np.float32)
+    for heading in range(gait.moves.shape[0]):
+        _try_heading(mesh, gait, point, heading, tried)
+        after, _ = _remaining(mesh, search, tried, goal, points)
+        if distance - after >= LEAST_PROGRESS:
+            return True
+    return False
+
+
+@compiled
+def _way_around(
+    mesh: QueryMesh,
+    search: Search,
+    gait: Gait,
+    point: Floats,
+    distance: np.float32,
+    goal: Goal,
+    contact: bool,
+    points: Floats,
+) -> Indices:
+    """Headings of the steps that lead from ``point`` to where the way is shorter again; empty if none were found.
+
+    Best-first over the places that steps reach, nearest to the goal first.
+    """
+    places = np.empty((MAX_AROUND, 3), np.float32)
+    left = np.empty(MAX_AROUND, np.float32)
+    parent = np.empty(MAX_AROUND, np.int64)
+    taken = np.empty(MAX_AROUND, np.int64)
+    done = np.zeros(MAX_AROUND, np.bool_)
+    places[0], left[0], parent[0], taken[0] = point, distance, -1, -1
+    count = int(ONE)
+    tried = np.empty(3, np.float32)
+    while True:
+        node = -1
+        for i in range(count):
+            if not done[i] and (node < 0 or left[i] < left[node]):
+                node = i
+        if node < 0:
+            return np.empty(0, np.int64)
+        done[node] = True
+        for heading in range(gait.moves.shape[0]):
+            free = _try_heading(mesh, gait, places[node], heading, tried)
+            if not (free or contact) or _known(places, count, tried):
+                continue
+            after, _ = _remaining(mesh, search, tried, goal, points)
+            if count == MAX_AROUND:
+                return np.empty(0, np.int64)
+            places[count], left[count], parent[count], taken[count] = tried, after, node, heading
+            count += 1
+            if after < distance - LEAST_PROGRESS:
+                return _headings_to(parent, taken, count - 1)
+
+
+@compiled
+def _known(places: Floats, count: int, place: Floats) -> bool:
+    for i in range(count):
+        dx = places[i, 0] - place[0]
+        dy = places[i, 1] - place[1]
+        dz = places[i, 2] - place[2]
+        if dx * dx + dy * dy + dz * dz < SAME_PLACE * SAME_PLACE:
+            return True
+    return False
+
+
+@compiled
+def _headings_to(parent: Indices, taken: Indices, node: int) -> Indices:
+    length = 0
+    at = node
+    while parent[at] >= 0:
+        length += 1
+        at = parent[at]
+    headings = np.empty(length, np.int64)
+    at = node
+    for i in range(length - 1, -1, -1):
+        headings[i] = taken[at]
+        at = parent[at]
+    return headings
+
+
+@compiled
+def _plan(
+    mesh: QueryMesh,
+    search: Search,
+    gait: Gait,
+    point: Floats,
+    heading: int,
+    path: Floats,
+    corners: int,
+    distance: np.float32,
+    goal: Goal,
+    limits: Limits,
+    careful: bool,
+    points: Floats,
+) -> Indices:
+    """Headings of the next steps: one that shortens the way, or those of a way around; none if there is neither."""
+    off = _turns_to_aim(gait, heading, path, corners)
+    best, after = -1, INFINITE
+    for attempt in range(1 if gait.sliding or careful else 2):
+        if attempt == 1 and distance - after >= SLOW_PROGRESS * gait.length:
+            break
+        contact = gait.sliding or attempt == 1
+        other, after_other = _best_heading(
+            mesh, search, gait, point, heading, off, distance, goal, limits.stop_within, contact, points
+        )
+        if after_other < after:
+            best, after = other, after_other
+    if distance - after >= LEAST_PROGRESS:
+        return np.full(1, best, np.int64)
+    around = np.empty(0, np.int64)
+    if distance > limits.arrive_within:
+        for attempt in range(1 if gait.sliding else 2):
+            contact = gait.sliding or attempt == 1
+            around = _way_around(mesh, search, gait, point, distance, goal, contact, points)
+            if around.shape[0] > 0:
+                break
+    return around
+
+
+@compiled
+def follow(
+    mesh: QueryMesh,
+    gait: Gait,
+    start: Floats,
+    goals: Floats,
+    limits: Limits,
+    max_actions: int,
+    careful: bool,
+) -> tuple[npt.NDArray[np.int8], Floats, Indices, np.float32, int]:
+    """Walk from ``start`` to each of ``goals`` (g, 3) in turn.
+
+    Returns the actions (STOP last), the place before the first and after each forward step, how many forward steps had
+    been made when each goal was reached (-1: it was not), the geodesic distance left, and how it ended. A ``careful``
+    walk without sliding touches a wall only where it would not get on at all otherwise.
+    """
+    headings = gait.moves.shape[0]
+    actions = np.empty(max_actions + 1, np.int8)
+    locations = np.empty((max_actions + 1, 3), np.float32)
+    arrivals = np.full(goals.shape[0], -1, np.int64)
+    search = new_search(mesh.poly_size.shape[0])
+    points = np.empty((MAX_POINTS, 3), np.float32)
+    scratch = np.empty((MAX_POINTS, 3), np.float32)
+    point = start.copy()
+    reached = np.empty(3, np.float32)
+    locations[0] = point
+    made, walked, heading = 0, 0, int(ZERO)  # a literal would make numba compile the callees once more
+    status = ARRIVED
+    distance = ZERO
+    for number in range(goals.shape[0]):
+        asked = goals[number]
+        at = np.empty(3, np.float32)
+        poly, at[0], at[1], at[2] = nearest_polygon(mesh, asked[0], asked[1], asked[2], ANY_ISLAND)
+        goal = Goal(asked, poly, at)
+        distance, count = _remaining(mesh, search, point, goal, points)
+        if distance == INFINITE:
+            status = NO_PATH
+        plan = np.empty(0, np.int64)
+        taken = 0
+        while status == ARRIVED and distance > limits.stop_within:
+            if taken == plan.shape[0]:
+                plan = _plan(
+                    mesh, search, gait, point, heading, points, count, distance, goal, limits, careful, scratch
+                )
+                taken = 0
+                if plan.shape[0] == 0:
+                    if distance > limits.arrive_within:
+                        status = STUCK
+                    break
+            towards = plan[taken]
+            taken += 1
+            turns = (towards - heading) % headings
+            turned = LEFT
+            if turns > headings - turns:
+                turns = headings - turns
+                turned = RIGHT
+            if made + turns + 1 > max_actions:
+                status = TOO_LONG
+                break
+            for _ in range(turns):
+                actions[made] = turned
+                made += 1
+            actions[made] = FORWARD
+            made += 1
+            walked += 1
+            heading = towards
+            _try_heading(mesh, gait, point, heading, reached)
+            point[:] = reached
+            locations[walked] = point
+            distance, count = _remaining(mesh, search, point, goal, points)
+        if status != ARRIVED:
+            break
+        arrivals[number] = walked
+    actions[made] = STOP
+    return actions[: made + 1].copy(), locations[: walked + 1].copy(), arrivals, distance, status
+
+
+@compiled
+def replay(mesh: QueryMesh, gait: Gait, start: Floats, actions: npt.NDArray[np.int8]) -> tuple[Floats, Indices]:
+    """Place (n + 1, 3) and heading (n + 1,) before the first of n actions and after each."""
+    headings = gait.moves.shape[0]
+    places = np.empty((actions.shape[0] + 1, 3), np.float32)
+    facing = np.empty(actions.shape[0] + 1, np.int64)
+    places[0], facing[0] = start, 0
+    for i in range(actions.shape[0]):
+        places[i + 1], facing[i + 1] = places[i], facing[i]
+        if actions[i] == FORWARD:
+            _try_heading(mesh, gait, places[i], facing[i], places[i + 1])
+        elif actions[i] == LEFT:
+            facing[i + 1] = (facing[i] + 1) % headings
+        elif actions[i] == RIGHT:
+            facing[i + 1] = (facing[i] - 1) % headings
+    return places, facing

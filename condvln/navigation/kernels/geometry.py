@@ -1,0 +1,132 @@
+"""Plane geometry of ``DetourCommon.cpp``: the ground plane is xz, and y is left out unless said."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from condvln.navigation.compiled import compiled
+from condvln.navigation.kernels.mesh import QueryMesh
+from condvln.navigation.tile import Floats
+
+ZERO = np.float32(0.0)
+ONE = np.float32(1.0)
+HALF = np.float32(0.5)
+GREATEST = np.float32(np.finfo(np.float32).max)
+# A detail triangle of less than half this area (m²) holds no point (Detour's EPS in dtClosestHeightPointTriangle).
+DEGENERATE_TRIANGLE = np.float32(1e-6)
+
+
+@compiled
+def point_to_segment(
+    x: np.float32, z: np.float32, px: np.float32, pz: np.float32, qx: np.float32, qz: np.float32
+) -> tuple[np.float32, np.float32]:
+    """Squared distance to the segment p–q, and where along it the nearest point lies (0 to 1)."""
+    pqx = qx - px
+    pqz = qz - pz
+    dx = x - px
+    dz = z - pz
+    d = pqx * pqx + pqz * pqz
+    t = pqx * dx + pqz * dz
+    if d > ZERO:
+        t = t / d
+    if t < ZERO:
+        t = ZERO
+    elif t > ONE:
+        t = ONE
+    dx = px + t * pqx - x
+    dz = pz + t * pqz - z
+    return dx * dx + dz * dz, t
+
+
+@compiled
+def triangle_area(
+    ax: np.float32, az: np.float32, bx: np.float32, bz: np.float32, cx: np.float32, cz: np.float32
+) -> np.float32:
+    """Twice the signed area of a, b, c; positive when c lies left of a–b in Detour's sense."""
+    abx = bx - ax
+    abz = bz - az
+    acx = cx - ax
+    acz = cz - az
+    return acx * abz - abx * acz
+
+
+@compiled
+def distance(
+    ax: np.float32, ay: np.float32, az: np.float32, bx: np.float32, by: np.float32, bz: np.float32
+) -> np.float32:
+    """Euclidean distance in space."""
+    dx = bx - ax
+    dy = by - ay
+    dz = bz - az
+    return np.float32(np.sqrt(dx * dx + dy * dy + dz * dz))
+
+
+@compiled
+def inside_polygon(mesh: QueryMesh, poly: int, x: np.float32, z: np.float32) -> bool:
+    """Does the vertical through (x, z) meet the polygon? Even–odd rule."""
+    inside = False
+    size = mesh.poly_size[poly]
+    j = size - 1
+    for i in range(size):
+        vi = mesh.poly_verts[poly, i]
+        vj = mesh.poly_verts[poly, j]
+        xi = mesh.verts[vi, 0]
+        zi = mesh.verts[vi, 2]
+        zj = mesh.verts[vj, 2]
+        if (zi > z) != (zj > z) and x < (mesh.verts[vj, 0] - xi) * (z - zi) / (zj - zi) + xi:
+            inside = not inside
+        j = i
+    return inside
+
+
+@compiled
+def height_in_triangle(corner: Floats, x: np.float32, z: np.float32) -> tuple[bool, np.float32]:
+    """Height of the triangle ``corner`` (3, 3) at (x, z), if it is there."""
+    v0x = corner[2, 0] - corner[0, 0]
+    v0z = corner[2, 2] - corner[0, 2]
+    v1x = corner[1, 0] - corner[0, 0]
+    v1z = corner[1, 2] - corner[0, 2]
+    v2x = x - corner[0, 0]
+    v2z = z - corner[0, 2]
+    denom = v0x * v1z - v0z * v1x
+    if abs(denom) < DEGENERATE_TRIANGLE:
+        return False, ZERO
+    u = v1z * v2x - v1x * v2z
+    v = v0x * v2z - v0z * v2x
+    if denom < ZERO:
+        denom = -denom
+        u = -u
+        v = -v
+    if u >= ZERO and v >= ZERO and (u + v) <= denom:
+        v0y = corner[2, 1] - corner[0, 1]
+        v1y = corner[1, 1] - corner[0, 1]
+        return True, corner[0, 1] + (v0y * u + v1y * v) / denom
+    return False, ZERO
+
+
+@compiled
+def clamp_to_polygon(
+    mesh: QueryMesh, poly: int, x: np.float32, y: np.float32, z: np.float32
+) -> tuple[np.float32, np.float32, np.float32]:
+    """The point itself where it lies over the polygon, else the nearest point of its edges (polygon heights)."""
+    if inside_polygon(mesh, poly, x, z):
+        return x, y, z
+    size = mesh.poly_size[poly]
+    nearest = GREATEST
+    along = ZERO
+    edge = 0
+    for i in range(size):
+        a = mesh.poly_verts[poly, i]
+        b = mesh.poly_verts[poly, i + 1 if i + 1 < size else 0]
+        d, t = point_to_segment(x, z, mesh.verts[a, 0], mesh.verts[a, 2], mesh.verts[b, 0], mesh.verts[b, 2])
+        if d < nearest:
+            nearest = d
+            along = t
+            edge = i
+    a = mesh.poly_verts[poly, edge]
+    b = mesh.poly_verts[poly, edge + 1 if edge + 1 < size else 0]
+    return (
+        mesh.verts[a, 0] + (mesh.verts[b, 0] - mesh.verts[a, 0]) * along,
+        mesh.verts[a, 1] + (mesh.verts[b, 1] - mesh.verts[a, 1]) * along,
+        mesh.verts[a, 2] + (mesh.verts[b, 2] - mesh.verts[a, 2]) * along,
+    )

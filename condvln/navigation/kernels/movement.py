@@ -1,0 +1,273 @@
+"""Steps along the floor and the distance to walls: Detour's ``moveAlongSurface`` and ``findDistanceToWall``.
+
+Around them habitat-sim 0.3.4's ``tryStep``: height from the detail mesh, no crossing of walls without thickness, and,
+where sliding is off, a stop at the first wall that the step runs into.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from condvln.navigation.compiled import compiled
+from condvln.navigation.kernels.astar import CLOSED, OPEN, Search, moved_up, new_search, place_at_edge, pop, push
+from condvln.navigation.kernels.geometry import GREATEST, HALF, ONE, ZERO, distance, inside_polygon, point_to_segment
+from condvln.navigation.kernels.mesh import QueryMesh
+from condvln.navigation.kernels.projection import ANY_ISLAND, NO_POLYGON, height_on_polygon, nearest_polygon
+from condvln.navigation.tile import Floats, Indices
+
+MAX_VISITED = 64  # nodes of Detour's small pool
+MAX_QUEUE = 48  # of which this many may wait
+SEARCH_SLACK = np.float32(0.001)  # metres added to the radius around the step's middle
+PARALLEL = np.float32(1e-6)  # m²: segments whose cross product is below this don't intersect
+NUDGE = np.float32(1e-4)  # metres; habitat-sim's push off an edge shared by two islands
+
+
+@compiled
+def _passable(mesh: QueryMesh, poly: int, edge: int) -> int:
+    """Walkable polygon across an edge, or -1."""
+    other = mesh.neighbours[poly, edge]
+    return int(other) if other >= 0 and mesh.walkable[other] else -1
+
+
+@compiled
+def _node_of(polys: Indices, count: int, poly: int) -> int:
+    for node in range(count):
+        if polys[node] == poly:
+            return node
+    return -1
+
+
+@compiled
+def move_along_surface(
+    mesh: QueryMesh, start_poly: int, start: Floats, end: Floats, reached: Floats, visited: Indices
+) -> int:
+    """Slide from ``start`` towards ``end``: writes where that ends and the polygons on the way; how many of these."""
+    polys = np.empty(MAX_VISITED, np.int64)
+    parent = np.empty(MAX_VISITED, np.int64)
+    closed = np.zeros(MAX_VISITED, np.bool_)
+    queue = np.empty(MAX_VISITED, np.int64)
+    polys[0], parent[0], closed[0], queue[0] = start_poly, -1, True, 0
+    nodes, head, tail = int(ONE), 0, 1  # a literal would make numba compile the callees once more
+    best_node = -1
+    best = GREATEST
+    reached[:] = start
+    middle_x = start[0] + (end[0] - start[0]) * HALF
+    middle_z = start[2] + (end[2] - start[2]) * HALF
+    radius = distance(start[0], start[1], start[2], end[0], end[1], end[2]) / np.float32(2.0) + SEARCH_SLACK
+    radius_squared = radius * radius
+    while head < tail:
+        node = queue[head]
+        head += 1
+        poly = polys[node]
+        if inside_polygon(mesh, poly, end[0], end[2]):
+            best_node = node
+            reached[:] = end
+            break
+        size = mesh.poly_size[poly]
+        edge = size - 1
+        for following in range(size):
+            a = mesh.verts[mesh.poly_verts[poly, edge]]
+            b = mesh.verts[mesh.poly_verts[poly, following]]
+            other = _passable(mesh, poly, edge)
+            if other < 0:
+                d, along = point_to_segment(end[0], end[2], a[0], a[2], b[0], b[2])
+                if d < best:
+                    for axis in range(3):
+                        reached[axis] = a[axis] + (b[axis] - a[axis]) * along
+                    best = d
+                    best_node = node
+            else:
+                next_node = _node_of(polys, nodes, other)
+                if next_node < 0 and nodes < MAX_VISITED:
+                    next_node = nodes
+                    polys[nodes] = other
+                    nodes += 1
+                if next_node >= 0 and not closed[next_node]:
+                    d, _ = point_to_segment(middle_x, middle_z, a[0], a[2], b[0], b[2])
+                    if d <= radius_squared and tail - head < MAX_QUEUE:
+                        parent[next_node] = node
+                        closed[next_node] = True
+                        queue[tail] = next_node
+                        tail += 1
+            edge = following
+    count = 0
+    node = best_node
+    while node >= 0:
+        count += 1
+        node = parent[node]
+    node = best_node
+    for i in range(count - 1, -1, -1):
+        visited[i] = polys[node]
+        node = parent[node]
+    return count
+
+
+@compiled
+def _stop_at_wall(mesh: QueryMesh, start: Floats, end: Floats, visited: Indices, count: int, reached: Floats) -> None:
+    """Move ``reached`` back to the wall of the visited polygons that start–end crosses nearest to its end."""
+    best = GREATEST
+    for i in range(count):
+        poly = visited[i]
+        size = mesh.poly_size[poly]
+        for edge in range(size):
+            if mesh.neighbours[poly, edge] >= 0:
+                continue
+            a = mesh.verts[mesh.poly_verts[poly, edge]]
+            b = mesh.verts[mesh.poly_verts[poly, edge + 1 if edge + 1 < size else 0]]
+            ux, uz = b[0] - a[0], b[2] - a[2]
+            vx, vz = end[0] - start[0], end[2] - start[2]
+            wx, wz = a[0] - start[0], a[2] - start[2]
+            d = ux * vz - uz * vx
+            if abs(d) < PARALLEL:
+                continue
+            s = (vx * wz - vz * wx) / d
+            t = (ux * wz - uz * wx) / d
+            if ZERO <= t <= ONE and ZERO <= s <= ONE:
+                x = a[0] + (b[0] - a[0]) * s
+                z = a[2] + (b[2] - a[2]) * s
+                dx, dz = end[0] - x, end[2] - z
+                from_end = dx * dx + dz * dz
+                if from_end < best:
+                    best = from_end
+                    reached[0] = x
+                    reached[1] = a[1] + (b[1] - a[1]) * s
+                    reached[2] = z
+
+
+@compiled
+def step(mesh: QueryMesh, start: Floats, end: Floats, sliding: bool, reached: Floats) -> None:
+    """habitat-sim's ``tryStep``: where a move from ``start`` towards ``end`` ends, written to ``reached``."""
+    start_at = np.empty(3, np.float32)
+    start_poly, start_at[0], start_at[1], start_at[2] = nearest_polygon(mesh, start[0], start[1], start[2], ANY_ISLAND)
+    end_poly, _, _, _ = nearest_polygon(mesh, end[0], end[1], end[2], ANY_ISLAND)
+    reached[:] = start
+    if start_poly == NO_POLYGON or end_poly == NO_POLYGON:
+        return
+    island = mesh.island[start_poly]
+    if island != mesh.island[end_poly]:
+        return
+    visited = np.empty(MAX_VISITED, np.int64)
+    count = move_along_surface(mesh, start_poly, start_at, end, reached, visited)
+    if count == 0:
+        reached[:] = start
+        return
+    if not sliding:
+        _stop_at_wall(mesh, start_at, end, visited, count, reached)
+    last = visited[count - 1]
+    over, height = height_on_polygon(mesh, last, reached[0], reached[2])
+    if over:
+        reached[1] = height
+    poly, _, _, _ = nearest_polygon(mesh, reached[0], reached[1], reached[2], ANY_ISLAND)
+    if poly == NO_POLYGON or mesh.island[poly] != island:
+        _nudge_inwards(mesh, last, reached)
+
+
+@compiled
+def _nudge_inwards(mesh: QueryMesh, poly: int, point: Floats) -> None:
+    """Move a point that lies on the edge of two islands 0.1 mm towards the middle of its own polygon."""
+    towards = np.zeros(3, np.float32)
+    size = mesh.poly_size[poly]
+    for i in range(size):
+        for axis in range(3):
+            towards[axis] += mesh.verts[mesh.poly_verts[poly, i], axis]
+    for axis in range(3):
+        towards[axis] = towards[axis] / np.float32(size) - point[axis]
+    length = np.sqrt(towards[0] * towards[0] + towards[1] * towards[1] + towards[2] * towards[2])
+    for axis in range(3):
+        point[axis] = point[axis] + NUDGE * (towards[axis] / length)
+
+
+@compiled
+def steps(mesh: QueryMesh, starts: Floats, ends: Floats, sliding: bool) -> Floats:
+    """:func:`step` of each of n pairs, (n, 3)."""
+    reached = np.empty((starts.shape[0], 3), np.float32)
+    for i in range(starts.shape[0]):
+        step(mesh, starts[i], ends[i], sliding, reached[i])
+    return reached
+
+
+@compiled
+def nearest_wall(
+    mesh: QueryMesh, search: Search, point: Floats, max_radius: np.float32, hit: Floats, normal: Floats
+) -> np.float32:
+    """Distance in the ground plane from a snapped point to the nearest wall, the wall's point, and the way from it.
+
+    Infinite off the mesh, with zeros. Where no wall is within ``max_radius`` the answer is that radius with a hit of
+    zeros and, as habitat-sim computes it all the same, the way from there. On a wall the way is NaN.
+    """
+    hit[:] = ZERO
+    normal[:] = ZERO
+    centre = np.empty(3, np.float32)
+    start, centre[0], centre[1], centre[2] = nearest_polygon(mesh, point[0], point[1], point[2], ANY_ISLAND)
+    if start == NO_POLYGON:
+        return np.float32(np.inf)
+    search.counters[0] += 1
+    this_round = search.counters[0]
+    search.counters[1] = 0
+    search.round[start] = this_round
+    search.position[start] = centre
+    search.parent[start] = -1
+    search.total[start] = ZERO
+    search.state[start] = OPEN
+    push(search, start)
+    radius_squared = max_radius * max_radius
+    while search.counters[1] > 0:
+        poly = pop(search)
+        search.state[poly] = CLOSED
+        size = mesh.poly_size[poly]
+        edge = size - 1
+        for following in range(size):
+            if _passable(mesh, poly, edge) < 0:
+                a = mesh.verts[mesh.poly_verts[poly, edge]]
+                b = mesh.verts[mesh.poly_verts[poly, following]]
+                d, along = point_to_segment(centre[0], centre[2], a[0], a[2], b[0], b[2])
+                if d <= radius_squared:
+                    radius_squared = d
+                    for axis in range(3):
+                        hit[axis] = a[axis] + (b[axis] - a[axis]) * along
+            edge = following
+        for edge in range(size):
+            other = _passable(mesh, poly, edge)
+            if other < 0 or other == search.parent[poly]:
+                continue
+            a = mesh.verts[mesh.poly_verts[poly, edge]]
+            b = mesh.verts[mesh.poly_verts[poly, edge + 1 if edge + 1 < size else 0]]
+            d, _ = point_to_segment(centre[0], centre[2], a[0], a[2], b[0], b[2])
+            if d > radius_squared:
+                continue
+            if search.round[other] != this_round:
+                search.round[other] = this_round
+                search.state[other] = 0
+                place_at_edge(mesh, search, poly, other)
+            elif search.state[other] == CLOSED:
+                continue
+            p, q = search.position[poly], search.position[other]
+            total = search.total[poly] + distance(p[0], p[1], p[2], q[0], q[1], q[2])
+            if search.state[other] == OPEN and total >= search.total[other]:
+                continue
+            search.parent[other] = poly
+            search.total[other] = total
+            if search.state[other] == OPEN:
+                moved_up(search, other)
+            else:
+                search.state[other] = OPEN
+                push(search, other)
+    for axis in range(3):
+        normal[axis] = centre[axis] - hit[axis]
+    scale = ONE / np.sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2])
+    for axis in range(3):
+        normal[axis] = normal[axis] * scale
+    return np.float32(np.sqrt(radius_squared))
+
+
+@compiled
+def nearest_walls(mesh: QueryMesh, points: Floats, max_radius: np.float32) -> tuple[Floats, Floats, Floats]:
+    """:func:`nearest_wall` of each of n points: distances (n,), hits (n, 3), normals (n, 3)."""
+    n = points.shape[0]
+    distances = np.empty(n, np.float32)
+    hits = np.empty((n, 3), np.float32)
+    normals = np.empty((n, 3), np.float32)
+    search = new_search(mesh.poly_size.shape[0])
+    for i in range(n):
+        distances[i] = nearest_wall(mesh, search, points[i], max_radius, hits[i], normals[i])
+    return distances, hits, normals

@@ -1,0 +1,234 @@
+"""Nearest polygon and the point on it: ``findNearestPoly`` and ``closestPointOnPoly`` of Detour."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from condvln.navigation.compiled import compiled
+from condvln.navigation.kernels.geometry import (
+    GREATEST,
+    ONE,
+    ZERO,
+    height_in_triangle,
+    inside_polygon,
+    point_to_segment,
+)
+from condvln.navigation.kernels.mesh import (
+    BMAX,
+    BMIN,
+    CLIMB,
+    ORIGIN_X,
+    ORIGIN_Z,
+    QUANT,
+    SLACK,
+    TILE_HEIGHT,
+    TILE_WIDTH,
+    QueryMesh,
+)
+from condvln.navigation.tile import Floats, Indices
+
+# Half extents (metres) of the box in which habitat-sim looks for a polygon.
+REACH_GROUND = np.float32(2.0)
+REACH_HEIGHT = np.float32(4.0)
+# habitat-sim's isNavigable: a navigable point is snapped by no more than this in the ground plane, metres.
+NAVIGABLE_SHIFT = np.float32(1e-2)
+
+NO_POLYGON = -1
+ANY_ISLAND = -1
+NAN = np.float32(np.nan)
+
+
+@compiled
+def height_on_polygon(mesh: QueryMesh, poly: int, x: np.float32, z: np.float32) -> tuple[bool, np.float32]:
+    """Height of the detail mesh at (x, z), where the polygon is there."""
+    if not inside_polygon(mesh, poly, x, z):
+        return False, ZERO
+    for tri in range(mesh.tri_start[poly], mesh.tri_start[poly + 1]):
+        found, height = height_in_triangle(mesh.tri_points[tri], x, z)
+        if found:
+            return True, height
+    # Only degenerate triangles are there: the point is on an edge.
+    _, y, _ = nearest_on_detail_edges(mesh, poly, x, z, False)
+    return True, y
+
+
+@compiled
+def nearest_on_detail_edges(
+    mesh: QueryMesh, poly: int, x: np.float32, z: np.float32, boundary_only: bool
+) -> tuple[np.float32, np.float32, np.float32]:
+    """Point of the detail mesh's edges nearest in the ground plane."""
+    best = GREATEST
+    along = ZERO
+    best_tri = mesh.tri_start[poly]
+    best_from = 0
+    for tri in range(mesh.tri_start[poly], mesh.tri_start[poly + 1]):
+        j = 2
+        for k in range(3):
+            bits = mesh.tri_edges[tri, j]
+            skipped = (bits & 1) == 0 and (boundary_only or (bits & 2) != 0)
+            if not skipped:
+                a = mesh.tri_points[tri, j]
+                b = mesh.tri_points[tri, k]
+                d, t = point_to_segment(x, z, a[0], a[2], b[0], b[2])
+                if d < best:
+                    best = d
+                    along = t
+                    best_tri = tri
+                    best_from = j
+            j = k
+    a = mesh.tri_points[best_tri, best_from]
+    b = mesh.tri_points[best_tri, best_from + 1 if best_from < 2 else 0]
+    return a[0] + (b[0] - a[0]) * along, a[1] + (b[1] - a[1]) * along, a[2] + (b[2] - a[2]) * along
+
+
+@compiled
+def _clamped(value: np.float32, low: np.float32, high: np.float32) -> np.float32:
+    if value < low:
+        return low
+    if value > high:
+        return high
+    return value
+
+
+@compiled
+def _cell(value: np.float32) -> int:
+    return int(value) & 0xFFFF
+
+
+@compiled
+def nearest_polygon(
+    mesh: QueryMesh, x: np.float32, y: np.float32, z: np.float32, island: int
+) -> tuple[int, np.float32, np.float32, np.float32]:
+    """Polygon nearest to a point and the point on it; ``NO_POLYGON`` and NaN where none is in reach.
+
+    Over a polygon and within climbing height counts as distance 0; the first such polygon of the tree ends the search,
+    since later ones would have to be strictly nearer.
+    """
+    grid = mesh.grid
+    nothing = (NO_POLYGON, NAN, NAN, NAN)
+    if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
+        return nothing
+    low_x, low_y, low_z = x - REACH_GROUND, y - REACH_HEIGHT, z - REACH_GROUND
+    high_x, high_y, high_z = x + REACH_GROUND, y + REACH_HEIGHT, z + REACH_GROUND
+    if math.floor((low_x - grid[ORIGIN_X]) / grid[TILE_WIDTH]) > ZERO:
+        return nothing
+    if math.floor((high_x - grid[ORIGIN_X]) / grid[TILE_WIDTH]) < ZERO:
+        return nothing
+    if math.floor((low_z - grid[ORIGIN_Z]) / grid[TILE_HEIGHT]) > ZERO:
+        return nothing
+    if math.floor((high_z - grid[ORIGIN_Z]) / grid[TILE_HEIGHT]) < ZERO:
+        return nothing
+    bx, by, bz = grid[BMIN], grid[BMIN + 1], grid[BMIN + 2]
+    tx, ty, tz = grid[BMAX], grid[BMAX + 1], grid[BMAX + 2]
+    q = grid[QUANT]
+    min_x = _cell(q * (_clamped(low_x, bx, tx) - bx)) & 0xFFFE
+    min_y = _cell(q * (_clamped(low_y, by, ty) - by)) & 0xFFFE
+    min_z = _cell(q * (_clamped(low_z, bz, tz) - bz)) & 0xFFFE
+    max_x = _cell(q * (_clamped(high_x, bx, tx) - bx) + ONE) | 1
+    max_y = _cell(q * (_clamped(high_y, by, ty) - by) + ONE) | 1
+    max_z = _cell(q * (_clamped(high_z, bz, tz) - bz) + ONE) | 1
+
+    best = GREATEST
+    best_poly = NO_POLYGON
+    best_x, best_y, best_z = NAN, NAN, NAN
+    node = 0
+    while node < mesh.bv_index.shape[0]:
+        index = mesh.bv_index[node]
+        box = mesh.bv_bounds[node]
+        overlap = (
+            min_x <= box[3]
+            and max_x >= box[0]
+            and min_y <= box[4]
+            and max_y >= box[1]
+            and min_z <= box[5]
+            and max_z >= box[2]
+        )
+        if (
+            index >= 0
+            and overlap
+            and mesh.walkable[index]
+            and (island == ANY_ISLAND or mesh.island[index] == island)
+            and not _too_far(mesh, index, x, z, best)
+        ):
+            over, height = height_on_polygon(mesh, index, x, z)
+            if over:
+                cx, cy, cz = x, height, z
+                d = abs(y - height) - grid[CLIMB]
+                d = d * d if d > ZERO else ZERO
+            else:
+                cx, cy, cz = nearest_on_detail_edges(mesh, index, x, z, True)
+                dx, dy, dz = x - cx, y - cy, z - cz
+                d = dx * dx + dy * dy + dz * dz
+            if d < best:
+                best = d
+                best_poly = index
+                best_x, best_y, best_z = cx, cy, cz
+                if best <= ZERO:
+                    break
+        if overlap or index >= 0:
+            node += 1
+        else:
+            node -= index
+    return best_poly, best_x, best_y, best_z
+
+
+@compiled
+def _too_far(mesh: QueryMesh, poly: int, x: np.float32, z: np.float32, best: np.float32) -> bool:
+    """Is the polygon's box, less some slack, farther in the ground plane than the best so far?"""
+    box = mesh.boxes[poly]
+    dx = max(max(box[0] - x, x - box[2]) - mesh.grid[SLACK], ZERO)
+    dz = max(max(box[1] - z, z - box[3]) - mesh.grid[SLACK], ZERO)
+    return bool(dx * dx + dz * dz > best)
+
+
+@compiled
+def project(mesh: QueryMesh, points: Floats, island: int) -> tuple[Indices, Floats]:
+    """Nearest polygon (n,) and snapped point (n, 3) of each of n points."""
+    polys = np.empty(points.shape[0], np.int64)
+    snapped = np.empty((points.shape[0], 3), np.float32)
+    for i in range(points.shape[0]):
+        poly, x, y, z = nearest_polygon(mesh, points[i, 0], points[i, 1], points[i, 2], island)
+        polys[i] = poly
+        snapped[i, 0] = x
+        snapped[i, 1] = y
+        snapped[i, 2] = z
+    return polys, snapped
+
+
+@compiled
+def navigable(mesh: QueryMesh, x: np.float32, y: np.float32, z: np.float32, max_y_delta: np.float32) -> bool:
+    """habitat-sim's ``isNavigable``: the point snaps by at most ``max_y_delta`` in height and 1 cm in the plane."""
+    poly, sx, sy, sz = nearest_polygon(mesh, x, y, z, ANY_ISLAND)
+    if poly == NO_POLYGON or abs(sy - y) > max_y_delta:
+        return False
+    dx = x - sx
+    dz = z - sz
+    return bool(np.sqrt(dx * dx + dz * dz) <= NAVIGABLE_SHIFT)
+
+
+@compiled
+def all_navigable(mesh: QueryMesh, points: Floats, max_y_delta: np.float32) -> npt.NDArray[np.bool_]:
+    """:func:`navigable` of each of n points."""
+    answer = np.empty(points.shape[0], np.bool_)
+    for i in range(points.shape[0]):
+        answer[i] = navigable(mesh, points[i, 0], points[i, 1], points[i, 2], max_y_delta)
+    return answer
+
+
+@compiled
+def top_down_view(
+    mesh: QueryMesh, columns: int, rows: int, metres_per_pixel: np.float32, height: np.float32, eps: np.float32
+) -> npt.NDArray[np.bool_]:
+    """habitat-sim's ``getTopDownView``: navigability on a grid from the lower bound on; positions add up in float32."""
+    view = np.empty((rows, columns), np.bool_)
+    z = mesh.grid[BMIN + 2]
+    for row in range(rows):
+        x = mesh.grid[BMIN]
+        for column in range(columns):
+            view[row, column] = navigable(mesh, x, height, z, eps)
+            x = x + metres_per_pixel
+        z = z + metres_per_pixel
+    return view

@@ -1,0 +1,171 @@
+"""Shortest paths: habitat-sim's ``PathFinder::findPath`` over Detour's search and string pulling."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from condvln.navigation.compiled import compiled
+from condvln.navigation.kernels.astar import Search, find_corridor, new_search
+from condvln.navigation.kernels.geometry import ZERO
+from condvln.navigation.kernels.mesh import QueryMesh
+from condvln.navigation.kernels.projection import ANY_ISLAND, NO_POLYGON, nearest_polygon, project
+from condvln.navigation.kernels.straight import MAX_POINTS, path_length, pull_string
+from condvln.navigation.tile import Floats, Indices
+
+INFINITE = np.float32(np.inf)
+# Magnum's tolerance, absolute and relative, under which habitat-sim calls two snapped points the same.
+FUZZY = np.float32(1e-5)
+
+
+@compiled
+def _fuzzy_equal(a: np.float32, b: np.float32) -> bool:
+    """Magnum's ``TypeTraits<Float>::equals``."""
+    if a == b:
+        return True
+    difference = abs(a - b)
+    if a == ZERO or b == ZERO or difference < FUZZY:
+        return bool(difference < FUZZY)
+    return bool(difference / (abs(a) + abs(b)) < FUZZY)
+
+
+@compiled
+def route_between(
+    mesh: QueryMesh,
+    search: Search,
+    start: Floats,
+    start_poly: int,
+    start_at: Floats,
+    end: Floats,
+    end_poly: int,
+    end_at: Floats,
+    points: Floats,
+) -> tuple[np.float32, int]:
+    """Length and number of corner points (written to ``points``) between two projected points; infinite and 0 if none.
+
+    ``start`` and ``end`` are as asked, ``start_at`` and ``end_at`` snapped; the string is pulled between the former.
+    """
+    if start_poly == NO_POLYGON or end_poly == NO_POLYGON:
+        return INFINITE, 0
+    if (
+        _fuzzy_equal(start_at[0], end_at[0])
+        and _fuzzy_equal(start_at[1], end_at[1])
+        and _fuzzy_equal(start_at[2], end_at[2])
+    ):
+        points[0] = start_at
+        points[1] = end_at
+        return ZERO, 2
+    if mesh.island[start_poly] != mesh.island[end_poly]:
+        return INFINITE, 0
+    size = find_corridor(
+        mesh,
+        search,
+        start_poly,
+        start_at[0],
+        start_at[1],
+        start_at[2],
+        end_poly,
+        end_at[0],
+        end_at[1],
+        end_at[2],
+    )
+    if size == 0:
+        return INFINITE, 0
+    count = pull_string(mesh, search.corridor, size, start, end, points)
+    if count == 0:
+        return INFINITE, 0
+    return path_length(points, count), count
+
+
+@compiled
+def routes(mesh: QueryMesh, starts: Floats, ends: Floats, keep_points: bool) -> tuple[Floats, Indices, Floats]:
+    """Paths of n pairs: lengths (n,), counts (n,), and all points one after the other where they are kept.
+
+    A single start or end serves all the others, and is projected once.
+    """
+    n = max(starts.shape[0], ends.shape[0]) if min(starts.shape[0], ends.shape[0]) > 0 else 0
+    lengths = np.empty(n, np.float32)
+    counts = np.empty(n, np.int64)
+    kept = np.empty((n * 4 + MAX_POINTS if keep_points else 0, 3), np.float32)
+    search = new_search(mesh.poly_size.shape[0])
+    points = np.empty((MAX_POINTS, 3), np.float32)
+    start_at = np.empty(3, np.float32)
+    end_at = np.empty(3, np.float32)
+    start_poly, end_poly = NO_POLYGON, NO_POLYGON
+    used = 0
+    for i in range(n):
+        start = starts[i if starts.shape[0] > 1 else 0]
+        end = ends[i if ends.shape[0] > 1 else 0]
+        if i == 0 or starts.shape[0] > 1:
+            start_poly, start_at[0], start_at[1], start_at[2] = nearest_polygon(
+                mesh, start[0], start[1], start[2], ANY_ISLAND
+            )
+        if i == 0 or ends.shape[0] > 1:
+            end_poly, end_at[0], end_at[1], end_at[2] = nearest_polygon(mesh, end[0], end[1], end[2], ANY_ISLAND)
+        length, count = route_between(mesh, search, start, start_poly, start_at, end, end_poly, end_at, points)
+        lengths[i] = length
+        counts[i] = count
+        if keep_points:
+            if used + count > kept.shape[0]:
+                grown = np.empty((2 * kept.shape[0] + count, 3), np.float32)
+                grown[:used] = kept[:used]
+                kept = grown
+            kept[used : used + count] = points[:count]
+            used += count
+    return lengths, counts, kept[:used] if keep_points else kept
+
+
+@compiled
+def distance_table(mesh: QueryMesh, starts: Floats, ends: Floats) -> Floats:
+    """Lengths (n, m) of the paths from each of n starts to each of m ends; each point is projected once."""
+    table = np.empty((starts.shape[0], ends.shape[0]), np.float32)
+    search = new_search(mesh.poly_size.shape[0])
+    points = np.empty((MAX_POINTS, 3), np.float32)
+    start_polys, starts_at = project(mesh, starts, ANY_ISLAND)
+    end_polys, ends_at = project(mesh, ends, ANY_ISLAND)
+    for i in range(starts.shape[0]):
+        for j in range(ends.shape[0]):
+            length, _ = route_between(
+                mesh,
+                search,
+                starts[i],
+                start_polys[i],
+                starts_at[i],
+                ends[j],
+                end_polys[j],
+                ends_at[j],
+                points,
+            )
+            table[i, j] = length
+    return table
+
+
+@compiled
+def route_to_nearest(
+    mesh: QueryMesh, start: Floats, ends: Floats, bounds: Floats, order: npt.NDArray[np.int64]
+) -> tuple[np.float32, int, Floats]:
+    """Shortest of the paths to several ends: length, which end (-1 for none), corner points.
+
+    Ends are tried in ``order``; one whose lower bound exceeds the best length so far is left out, as habitat-sim does.
+    """
+    search = new_search(mesh.poly_size.shape[0])
+    points = np.empty((MAX_POINTS, 3), np.float32)
+    best = INFINITE
+    goal = -1
+    kept = points[:0].copy()
+    start_at = np.empty(3, np.float32)
+    end_at = np.empty(3, np.float32)
+    start_poly, start_at[0], start_at[1], start_at[2] = nearest_polygon(mesh, start[0], start[1], start[2], ANY_ISLAND)
+    if start_poly == NO_POLYGON:
+        return best, goal, kept
+    for i in order:
+        if bounds[i] > best:
+            continue
+        end = ends[i]
+        end_poly, end_at[0], end_at[1], end_at[2] = nearest_polygon(mesh, end[0], end[1], end[2], ANY_ISLAND)
+        length, count = route_between(mesh, search, start, start_poly, start_at, end, end_poly, end_at, points)
+        if length < best:
+            best = length
+            goal = i
+            kept = points[:count].copy()
+    return best, goal, kept

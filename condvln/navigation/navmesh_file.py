@@ -1,0 +1,354 @@
+"""Habitat's ``.navmesh`` files, versions 1 and 2: strict reading, byte-identical writing.
+
+Layout after ``PathFinder.cpp`` of habitat-sim (MIT) and ``DetourNavMesh.h`` of Recast & Detour (zlib licence). A file
+is hostile until proven sound: each count is checked against the bytes that are there before anything is allocated, and
+each index that a query follows is checked here, once, because compiled kernels check none.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from condvln.navigation.settings import NavMeshSettings
+from condvln.navigation.tile import (
+    BV_NODE,
+    DETAIL_MESH,
+    HEADER,
+    LINK,
+    MAX_VERTS_PER_POLYGON,
+    OFF_MESH_CONNECTION,
+    POLYGON,
+    TILE_MAGIC,
+    TILE_PORTAL,
+    TILE_VERSION,
+    NavMeshTile,
+    Records,
+    base_reference,
+)
+from schemas.errors import FormatError, MissingFileError
+
+__all__ = ["NavMeshFile", "parse_navmesh", "read_navmesh", "write_navmesh"]
+
+FILE_MAGIC = 0x4D534554  # 'MSET'
+FILE_VERSIONS = (1, 2)
+FILE_HEADER = np.dtype(
+    [
+        ("magic", "<i4"),
+        ("version", "<i4"),
+        ("tile_count", "<i4"),
+        ("origin", "<f4", 3),
+        ("tile_width", "<f4"),
+        ("tile_height", "<f4"),
+        ("max_tiles", "<i4"),
+        ("max_polys", "<i4"),
+    ]
+)
+SETTINGS_BLOCK = np.dtype([("numbers", "<f4", 13), ("flags", "u1", 4)])
+TILE_ENTRY = np.dtype([("reference", "<u4"), ("size", "<i4")])
+
+# A scene's navmesh has tens of kilobytes; nothing real comes near this.
+MAX_FILE_BYTES = 1 << 30
+# Metres. Keeps every square and every sum over a path finite in float32, so that no comparison in a kernel meets a NaN.
+MAX_COORDINATE = 1e6
+MAX_CELLS_PER_METRE = 1e4
+
+REMEDY = "Take the file from its dataset again, or rebuild it with 'condvln navmesh build'"
+
+
+@dataclass(frozen=True, eq=False)
+class NavMeshFile:
+    """The whole content of a ``.navmesh`` file.
+
+    Attributes
+    ----------
+    tile : the mesh
+    version : 1 (habitat-sim up to 0.2.1, no settings) or 2
+    settings : what the mesh was built with; None in version 1
+    origin, tile_width, tile_height : Detour's grid, (3,) float32 and metres; a box outside the tile's cell finds none
+    reference : Detour's reference of the tile
+    max_polys : polygons that references leave room for
+    static_objects_byte : the raw byte of ``include_static_objects``; in files of 0.2.2 to 0.2.4 it is blank padding
+    """
+
+    tile: NavMeshTile
+    version: int
+    settings: NavMeshSettings | None
+    origin: npt.NDArray[np.float32]
+    tile_width: float
+    tile_height: float
+    reference: int
+    max_polys: int
+    static_objects_byte: int = 0
+
+    @classmethod
+    def of_tile(cls, tile: NavMeshTile, settings: NavMeshSettings) -> NavMeshFile:
+        """A version 2 file of a freshly built tile, with the grid that Habitat's single-tile ``init`` makes."""
+        low, high = tile.bounds
+        return cls(
+            tile=tile,
+            version=2,
+            settings=settings,
+            origin=low,
+            tile_width=float(high[0] - low[0]),
+            tile_height=float(high[2] - low[2]),
+            reference=base_reference(len(tile.polys)),
+            max_polys=len(tile.polys),
+            static_objects_byte=int(settings.include_static_objects),
+        )
+
+    @property
+    def known_settings(self) -> NavMeshSettings:
+        """The settings; for version 1 the defaults with what the tile's header tells (agent sizes, cell size)."""
+        if self.settings is not None:
+            return self.settings
+        header = self.tile.header
+        return NavMeshSettings(
+            cell_size=_decimal(np.float32(1.0) / header["bv_quant_factor"]),
+            agent_height=_decimal(header["walkable_height"]),
+            agent_radius=_decimal(header["walkable_radius"]),
+            agent_max_climb=_decimal(header["walkable_climb"]),
+        )
+
+    def to_bytes(self) -> bytes:
+        """The file's bytes; equal to those it was read from."""
+        header = np.zeros((), FILE_HEADER)
+        header["magic"], header["version"], header["tile_count"] = FILE_MAGIC, self.version, 1
+        header["origin"], header["max_tiles"], header["max_polys"] = self.origin, 1, self.max_polys
+        header["tile_width"], header["tile_height"] = self.tile_width, self.tile_height
+        data = self.tile.to_bytes()
+        entry = np.array((self.reference, len(data)), TILE_ENTRY)
+        return header.tobytes() + self._settings_bytes() + entry.tobytes() + data
+
+    def _settings_bytes(self) -> bytes:
+        if self.version < 2:
+            return b""
+        settings = self.settings or NavMeshSettings()
+        values = [getattr(settings, f.name) for f in fields(settings)]
+        block = np.zeros((), SETTINGS_BLOCK)
+        block["numbers"] = values[:13]
+        block["flags"] = [*map(int, values[13:16]), self.static_objects_byte]
+        return block.tobytes()
+
+
+def read_navmesh(path: str | os.PathLike[str]) -> NavMeshFile:
+    """Read a ``.navmesh`` file.
+
+    Raises
+    ------
+    MissingFileError : there is no such file
+    FormatError : it is not a sound single-tile navmesh
+    """
+    file = Path(path)
+    try:
+        size = file.stat().st_size
+        if size > MAX_FILE_BYTES:
+            raise FormatError(
+                f"{size} bytes is no navmesh of a scene (at most {MAX_FILE_BYTES})", where=file, remedy=REMEDY
+            )
+        data = file.read_bytes()
+    except FileNotFoundError as error:
+        raise MissingFileError("there is no such navmesh file", where=file, remedy="Check the path") from error
+    except OSError as error:
+        raise FormatError(f"can't be read: {error.strerror or error}", where=file, remedy=REMEDY) from error
+    return parse_navmesh(data, where=file)
+
+
+def write_navmesh(path: str | os.PathLike[str], navmesh: NavMeshFile) -> None:
+    """Write ``navmesh`` to ``path``."""
+    Path(path).write_bytes(navmesh.to_bytes())
+
+
+def parse_navmesh(data: bytes, where: str | os.PathLike[str] = "<bytes>") -> NavMeshFile:
+    """The navmesh in ``data``; ``where`` names it in errors.
+
+    Raises
+    ------
+    FormatError : not a sound single-tile navmesh
+    """
+    reader = _Reader(data, str(where))
+    header = reader.take(FILE_HEADER, 1, "file header")[0]
+    if header["magic"] != FILE_MAGIC:
+        reader.fail("this is no Habitat navmesh: its first four bytes are not 'TESM'", "file header")
+    version, tiles = int(header["version"]), int(header["tile_count"])
+    if version not in FILE_VERSIONS:
+        reader.fail(f"version {version} is not known (1 and 2 are)", "file header")
+    if tiles != 1 or header["max_tiles"] != 1:
+        reader.fail(
+            f"{tiles} tiles in a grid of {header['max_tiles']}; only single-tile meshes, as Habitat makes, are read",
+            "file header",
+        )
+    grid = [*header["origin"], header["tile_width"], header["tile_height"]]
+    reader.require_bounded(np.array(grid), "file header")
+    if header["tile_width"] <= 0 or header["tile_height"] <= 0:
+        reader.fail("the tile has no extent", "file header")
+    settings, static_byte = _read_settings(reader) if version >= 2 else (None, 0)
+    entry = reader.take(TILE_ENTRY, 1, "tile entry")[0]
+    if entry["size"] != reader.left:
+        reader.fail(f"the tile claims {entry['size']} bytes and {reader.left} are there", "tile entry")
+    tile = _read_tile(reader)
+    max_polys = int(header["max_polys"])
+    if not len(tile.polys) <= max_polys <= 1 << 22:  # Detour keeps at least ten bits for the salt
+        reader.fail(
+            f"references are laid out for {max_polys} polygons and the tile has {len(tile.polys)}", "file header"
+        )
+    if entry["reference"] == 0 or entry["reference"] % base_reference(max_polys):
+        reader.fail(f"the tile's reference {entry['reference']:#x} points into a polygon", "tile entry")
+    return NavMeshFile(
+        tile=tile,
+        version=version,
+        settings=settings,
+        origin=header["origin"].astype(np.float32),
+        tile_width=float(header["tile_width"]),
+        tile_height=float(header["tile_height"]),
+        reference=int(entry["reference"]),
+        max_polys=max_polys,
+        static_objects_byte=static_byte,
+    )
+
+
+class _Reader:
+    """A cursor over the bytes that never hands out more than is there."""
+
+    def __init__(self, data: bytes, where: str) -> None:
+        self.data, self.where, self.offset = data, where, 0
+
+    @property
+    def left(self) -> int:
+        return len(self.data) - self.offset
+
+    def take(self, dtype: np.dtype[Any], count: int, place: str) -> Records:
+        size = dtype.itemsize * count
+        if count < 0 or size > self.left:
+            self.fail(f"{count} records of {dtype.itemsize} bytes are claimed and {self.left} bytes are left", place)
+        records = np.frombuffer(self.data, dtype, count, self.offset)
+        self.offset += size
+        return records
+
+    def fail(self, what: str, place: str) -> None:
+        raise FormatError(what, where=self.where, place=place, remedy=REMEDY)
+
+    def require(self, sound: Any, what: str, place: str) -> None:
+        """Fail at the first record that is not ``sound``."""
+        if not sound.all():
+            first = tuple(int(i) for i in np.argwhere(~sound)[0])
+            self.fail(what, f"{place} {first[0]}")
+
+    def require_bounded(self, numbers: Any, place: str) -> None:
+        # NaN fails the comparison as well
+        self.require(
+            np.atleast_1d(np.abs(numbers) <= MAX_COORDINATE), "a number is NaN, infinite or beyond 1000 km", place
+        )
+
+
+def _read_settings(reader: _Reader) -> tuple[NavMeshSettings, int]:
+    block = reader.take(SETTINGS_BLOCK, 1, "settings")[0]
+    numbers = [_decimal(number) for number in block["numbers"]]
+    if not all(math.isfinite(number) for number in numbers):
+        reader.fail("a number of the settings is NaN or infinite", "settings")
+    flags = [int(flag) for flag in block["flags"]]
+    if any(flag > 1 for flag in flags[:3]):
+        reader.fail(f"the filter switches are {flags[:3]}, not 0 or 1", "settings")
+    names = [field.name for field in fields(NavMeshSettings)]
+    values: dict[str, Any] = dict(zip(names, [*numbers, *map(bool, flags[:3]), flags[3] == 1], strict=True))
+    return NavMeshSettings(**values), flags[3]
+
+
+def _read_tile(reader: _Reader) -> NavMeshTile:
+    header = reader.take(HEADER, 1, "tile header").reshape(())
+    if header["magic"] != TILE_MAGIC or header["version"] != TILE_VERSION:
+        reader.fail(f"no Detour tile of version {TILE_VERSION}", "tile header")
+    _check_header(reader, header)
+    tile = NavMeshTile(
+        header=header,
+        verts=_points(reader, int(header["vert_count"]), "vertices"),
+        polys=reader.take(POLYGON, int(header["poly_count"]), "polygons"),
+        links=reader.take(LINK, int(header["max_link_count"]), "links"),
+        detail_meshes=reader.take(DETAIL_MESH, int(header["detail_mesh_count"]), "detail meshes"),
+        detail_verts=_points(reader, int(header["detail_vert_count"]), "detail vertices"),
+        detail_tris=reader.take(np.dtype(np.uint8), 4 * int(header["detail_tri_count"]), "detail triangles").reshape(
+            -1, 4
+        ),
+        bv_nodes=reader.take(BV_NODE, int(header["bv_node_count"]), "bounding volume tree"),
+        off_mesh=reader.take(OFF_MESH_CONNECTION, 0, "off-mesh connections"),
+    )
+    if reader.left:
+        reader.fail(f"{reader.left} bytes are left over", "end of tile")
+    _check_polygons(reader, tile)
+    _check_detail(reader, tile)
+    leaf = tile.bv_nodes["i"]
+    reader.require(leaf < len(tile.polys), "the leaf names a polygon that is not there", "bounding volume node")
+    return tile
+
+
+def _check_header(reader: _Reader, header: Records) -> None:
+    place = "tile header"
+    if header["off_mesh_con_count"] != 0:
+        reader.fail("off-mesh connections are not supported; Habitat's own builder makes none", place)
+    if header["x"] != 0 or header["y"] != 0 or header["layer"] != 0:
+        reader.fail("the tile belongs to a tiled mesh; only single-tile meshes, as Habitat makes, are read", place)
+    if header["poly_count"] < 1 or header["vert_count"] < 3:
+        reader.fail("the mesh is empty", place)
+    if header["detail_mesh_count"] != header["poly_count"]:
+        reader.fail("each polygon needs one detail mesh", place)
+    if header["bv_node_count"] < 1:
+        reader.fail("the bounding volume tree is missing", place)
+    sizes: Sequence[str] = ("walkable_height", "walkable_radius", "walkable_climb")
+    reader.require_bounded(np.array([*(header[name] for name in sizes), *header["bmin"], *header["bmax"]]), place)
+    if not 0 < header["bv_quant_factor"] <= MAX_CELLS_PER_METRE:
+        reader.fail(f"{header['bv_quant_factor']} cells a metre", place)
+    if (header["bmin"] > header["bmax"]).any():
+        reader.fail("the lower bound lies above the upper one", place)
+
+
+def _points(reader: _Reader, count: int, place: str) -> npt.NDArray[np.float32]:
+    record = np.dtype((np.float32, 3)).newbyteorder("<")
+    points = reader.take(np.dtype([("xyz", record)]), count, place)["xyz"]
+    reader.require(
+        (np.abs(points) <= MAX_COORDINATE).all(axis=1), "a coordinate is NaN, infinite or beyond 1000 km", place
+    )
+    return np.ascontiguousarray(points, np.float32)
+
+
+def _check_polygons(reader: _Reader, tile: NavMeshTile) -> None:
+    polys, place = tile.polys, "polygon"
+    count = polys["vert_count"]
+    reader.require((count >= 3) & (count <= MAX_VERTS_PER_POLYGON), "not 3 to 6 vertices", place)
+    reader.require(polys["area_and_type"] >> 6 == 0, "not a ground polygon", place)
+    used = np.arange(MAX_VERTS_PER_POLYGON)[None, :] < count[:, None]
+    reader.require(((polys["verts"] < len(tile.verts)) | ~used).all(axis=1), "a vertex that is not there", place)
+    neis = polys["neis"]
+    reader.require(
+        ((neis <= len(polys)) | (neis >= TILE_PORTAL) | ~used).all(axis=1), "a neighbour that is not there", place
+    )
+    if int((tile.neighbours >= 0).sum()) > len(tile.links):
+        reader.fail("there are fewer links than inner edges", "tile header")
+
+
+def _check_detail(reader: _Reader, tile: NavMeshTile) -> None:
+    mesh, place = tile.detail_meshes, "detail mesh"
+    tri_end = mesh["tri_base"].astype(np.int64) + mesh["tri_count"]
+    reader.require((mesh["tri_count"] > 0) & (tri_end <= len(tile.detail_tris)), "triangles that are not there", place)
+    vert_end = mesh["vert_base"].astype(np.int64) + mesh["vert_count"]
+    reader.require(vert_end <= len(tile.detail_verts), "vertices that are not there", place)
+    counts = mesh["tri_count"].astype(np.int64)
+    if counts.sum() > len(tile.detail_tris):  # shared ranges would let a small file claim much memory
+        reader.fail(f"{counts.sum()} triangles are claimed of {len(tile.detail_tris)}", place)
+    poly = np.repeat(np.arange(len(mesh)), counts)
+    rows = np.arange(len(poly)) + (mesh["tri_base"].astype(np.int64) - (np.cumsum(counts) - counts))[poly]
+    limit = tile.polys["vert_count"].astype(np.int64) + mesh["vert_count"]
+    sound = (tile.detail_tris[rows, :3] < limit[poly][:, None]).all(axis=1)
+    if not sound.all():
+        reader.fail("a triangle's corner is not there", f"{place} {int(poly[np.argmin(sound)])}")
+
+
+def _decimal(value: Any) -> float:
+    """The shortest decimal that rounds to this float32: 0.05, not 0.05000000074505806."""
+    return float(str(np.float32(value)))

@@ -1,0 +1,194 @@
+"""What stands in the way of a look: a scene's triangles, or boxes and walls where it has none."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from condvln.navigation.compiled import register_warm_up
+from condvln.navigation.kernels.slabs import blocked_looks
+from schemas.errors import FormatError, UsageError
+
+__all__ = ["WALL_THICKNESS", "BoxOccluders", "MeshOccluders", "Occluders", "wall_boxes"]
+
+Points = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+
+TOUCH = 0.01
+"""Metres: what a ray meets so near to its end is the target's own surface, or something lying on it."""
+
+WALL_THICKNESS = 0.1
+"""Metres, of a wall known as a line only."""
+
+# Rays cast at once: tens of megabytes of work space.
+_RAYS = 1 << 18
+
+
+class Occluders(Protocol):
+    """Things that hide others."""
+
+    @property
+    def approximate(self) -> bool:
+        """Are these boxes and not the scene's surfaces? Recorded beside what is derived from them."""
+
+    def hidden(self, eyes: Points, points: Points, own: npt.NDArray[np.int64] | None = None) -> Flags:
+        """Which of k looks, each from an eye to a point, (k, 3) and (k, 3) metres, meet something on the way, (k,).
+
+        ``own`` (k,) names the occluder that each point belongs to, -1 for none; it matters for boxes only.
+        """
+
+
+class MeshOccluders:
+    """Triangles, met from either side. Exact up to float32.
+
+    Parameters
+    ----------
+    vertices : (n, 3) metres, Habitat frame
+    faces : (m, 3) int, m > 0
+
+    Raises
+    ------
+    FormatError : the mesh is malformed
+    """
+
+    approximate = False
+
+    def __init__(self, vertices: npt.ArrayLike, faces: npt.ArrayLike) -> None:
+        # Imported here as both take long to load, and boxes need neither.
+        import trimesh
+        from trimesh.ray.ray_pyembree import RayMeshIntersector
+
+        from condvln.navigation.build.triangles import checked_triangles
+
+        points, corners = checked_triangles(vertices, faces)
+        self._triangles = points[corners].astype(np.float64)
+        self._caster = RayMeshIntersector(trimesh.Trimesh(points, corners, process=False))
+
+    def hidden(self, eyes: Points, points: Points, own: npt.NDArray[np.int64] | None = None) -> Flags:
+        """See :class:`Occluders`."""
+        out = np.zeros(len(eyes), bool)
+        for begin in range(0, len(eyes), _RAYS):
+            part = slice(begin, begin + _RAYS)
+            out[part] = self._hidden(eyes[part], points[part])
+        return out
+
+    def _hidden(self, eyes: Points, points: Points) -> Flags:
+        away = points - eyes
+        distance = np.linalg.norm(away, axis=1)
+        hidden = np.zeros(len(eyes), bool)
+        rays = np.flatnonzero(distance > TOUCH)
+        if not len(rays):
+            return hidden
+        direction = away[rays] / distance[rays, None]
+        first = np.asarray(self._caster.intersects_first(eyes[rays], direction))
+        hit = first >= 0
+        rays, direction, met = rays[hit], direction[hit], self._triangles[first[hit]]
+        hidden[rays] = _distance_along(eyes[rays], direction, met) < distance[rays] - TOUCH
+        return hidden
+
+
+def _distance_along(eyes: Points, direction: Points, triangles: Points) -> Points:
+    """Metres from each eye to the plane of the triangle that its ray meets, (k,).
+
+    Along a plane the crossing is ill-defined; it lies between the triangle's corners anyway.
+    """
+    normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = np.einsum("kj,kj->k", normal, triangles[:, 0] - eyes) / np.einsum("kj,kj->k", normal, direction)
+    corners = np.einsum("kcj,kj->kc", triangles - eyes[:, None], direction)
+    nearest, farthest = corners.min(axis=1), corners.max(axis=1)
+    distance: Points = np.clip(np.where(np.isfinite(t), t, farthest), nearest, farthest)
+    return distance
+
+
+class BoxOccluders:
+    """Solid boxes in place of a scene's surfaces.
+
+    A box that holds the eye or the point hides nothing from it, since boxes of neighbouring things overlap and a
+    shelf's box holds what stands on the shelf. The point's own box hides its far side.
+
+    Parameters
+    ----------
+    centers, half_extents : (b, 3) metres, Habitat frame
+    rotations : (b, 3, 3), their columns the boxes' axes; none for boxes along the axes
+
+    Raises
+    ------
+    UsageError : shapes that don't fit, an extent that is negative or not finite
+    """
+
+    approximate = True
+
+    def __init__(
+        self, centers: npt.ArrayLike, half_extents: npt.ArrayLike, rotations: npt.ArrayLike | None = None
+    ) -> None:
+        self._centers = np.array(centers, np.float64, order="C").reshape(-1, 3)
+        self._half = np.array(half_extents, np.float64, order="C").reshape(-1, 3)
+        count = len(self._centers)
+        axes = np.broadcast_to(np.eye(3), (count, 3, 3)) if rotations is None else rotations
+        self._axes = np.array(axes, np.float64, order="C").reshape(-1, 3, 3)
+        if len(self._half) != count or len(self._axes) != count:
+            raise UsageError(f"{count} centres, {len(self._half)} extents and {len(self._axes)} rotations of boxes")
+        sound = np.isfinite(self._centers).all(axis=1) & np.isfinite(self._axes).all(axis=(1, 2))
+        sound &= (np.isfinite(self._half) & (self._half >= 0)).all(axis=1)
+        if not sound.all():
+            raise UsageError("a box has an extent that is negative or no number", place=f"box {int(np.argmin(sound))}")
+
+    @classmethod
+    def of_aabbs(cls, aabbs: npt.ArrayLike) -> BoxOccluders:
+        """Boxes along the axes, (b, 2, 3) lowest and highest corner."""
+        low, high = np.moveaxis(np.asarray(aabbs, np.float64).reshape(-1, 2, 3), 1, 0)
+        return cls((low + high) / 2, (high - low) / 2)
+
+    def __len__(self) -> int:
+        return len(self._centers)
+
+    def __add__(self, other: BoxOccluders) -> BoxOccluders:
+        """These boxes and then the others."""
+        pairs = ((self._centers, other._centers), (self._half, other._half), (self._axes, other._axes))
+        return BoxOccluders(*(np.concatenate(pair) for pair in pairs))
+
+    def hidden(self, eyes: Points, points: Points, own: npt.NDArray[np.int64] | None = None) -> Flags:
+        """See :class:`Occluders`; ``own`` counts the boxes in the order in which they were given."""
+        mine = np.full(len(eyes), -1, np.int64) if own is None else np.require(own, np.int64, ["C", "W"])
+        begin, end = (np.require(values, np.float64, ["C", "W"]) for values in (eyes, points))
+        return blocked_looks(begin, end, mine, self._centers, self._half, self._axes, TOUCH)
+
+
+def wall_boxes(
+    segments: npt.ArrayLike, bottom: npt.ArrayLike, top: npt.ArrayLike, thickness: float = WALL_THICKNESS
+) -> BoxOccluders:
+    """Walls known by their lines, as boxes.
+
+    Parameters
+    ----------
+    segments : (w, 2, 2) metres, both ends of each wall as (x, z); openings are left out by whoever draws them
+    bottom, top : (w,) or one height for all, metres
+    """
+    ends = np.asarray(segments, np.float64).reshape(-1, 2, 2)
+    low, high = (np.broadcast_to(np.asarray(y, np.float64), len(ends)) for y in (bottom, top))
+    if not (np.isfinite(ends).all() and np.isfinite(low).all() and np.isfinite(high).all() and (low <= high).all()):
+        raise FormatError("a wall has an end that is no number, or its top below its bottom", place="walls")
+    middle, along = ends.mean(axis=1), ends[:, 1] - ends[:, 0]
+    length = np.linalg.norm(along, axis=1)
+    unit = np.where(length[:, None] > 0, along / np.where(length > 0, length, 1)[:, None], [1.0, 0.0])
+    zero, one = np.zeros(len(ends)), np.ones(len(ends))
+    axes = np.stack(
+        [
+            np.stack([unit[:, 0], zero, unit[:, 1]], axis=1),
+            np.stack([zero, one, zero], axis=1),
+            np.stack([-unit[:, 1], zero, unit[:, 0]], axis=1),
+        ],
+        axis=2,
+    )
+    half = np.stack([length / 2, (high - low) / 2, np.full(len(ends), thickness / 2)], axis=1)
+    return BoxOccluders(np.stack([middle[:, 0], (low + high) / 2, middle[:, 1]], axis=1), half, axes)
+
+
+def _warm_up() -> None:
+    BoxOccluders.of_aabbs([[[-1, -1, -1], [1, 1, 1]]]).hidden(np.array([[3.0, 0, 0]]), np.array([[-3.0, 0, 0]]))
+
+
+register_warm_up("line of sight among boxes", _warm_up)

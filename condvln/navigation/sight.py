@@ -1,0 +1,156 @@
+"""Line of sight: what an agent sees of an object from where it stands.
+
+A look goes from an eye to a point on the object's surface. The point is seen if it is within range and in the field of
+view, and nothing stands before it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from condvln.navigation.occluders import Flags, Occluders, Points
+from schemas.errors import UsageError
+
+__all__ = ["EYE_HEIGHT", "SightTarget", "View", "eyes_at", "first_sights", "visible_points", "visible_shares"]
+
+EYE_HEIGHT = 1.25
+"""Metres of the camera above the floor (VLN-CE)."""
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """How far and how wide an agent sees.
+
+    range : metres from the eye, the end included
+    horizontal_fov : degrees; 360 looks all around, else below 180
+    vertical_fov : degrees below 180, of a level pinhole camera; none does not limit
+    """
+
+    range: float = 5.0
+    horizontal_fov: float = 360.0
+    vertical_fov: float | None = None
+
+    def __post_init__(self) -> None:
+        if not self.range > 0:
+            raise UsageError(f"a view of range {self.range} m sees nothing", remedy="Give a positive range")
+        if self.horizontal_fov != 360 and not 0 < self.horizontal_fov < 180:
+            raise UsageError(
+                f"a horizontal field of view of {self.horizontal_fov}°", remedy="Give 360, or less than 180"
+            )
+        if self.vertical_fov is not None and not 0 < self.vertical_fov < 180:
+            raise UsageError(f"a vertical field of view of {self.vertical_fov}°", remedy="Give less than 180, or none")
+
+    @property
+    def needs_heading(self) -> bool:
+        """Does it matter where the agent looks?"""
+        return self.horizontal_fov != 360 or self.vertical_fov is not None
+
+
+@dataclass(frozen=True, eq=False)
+class SightTarget:
+    """An object to look for: samples (k, 3) of its surface, and its number among box occluders, if it is one."""
+
+    samples: Points
+    own: int = -1
+
+
+def eyes_at(positions: npt.ArrayLike, height: float = EYE_HEIGHT) -> Points:
+    """Eyes (n, 3) above the feet (n, 3) of agents."""
+    eyes: Points = np.asarray(positions, np.float64).reshape(-1, 3) + np.array([0.0, height, 0.0])
+    return eyes
+
+
+def visible_points(
+    occluders: Occluders,
+    eyes: npt.ArrayLike,
+    points: npt.ArrayLike,
+    view: View | None = None,
+    headings: npt.ArrayLike | None = None,
+    own: npt.ArrayLike | None = None,
+) -> Flags:
+    """Which points each eye sees, (n, m).
+
+    Parameters
+    ----------
+    eyes : (n, 3) metres, Habitat frame; one that is not finite sees nothing
+    points : (m, 3) metres
+    view : 5 m all around if not given
+    headings : (n,) radians counter-clockwise from −z, for a view that does not look all around
+    own : (m,) number of the occluder that each point belongs to, -1 for none
+
+    Raises
+    ------
+    UsageError : the view needs headings and none are given, or shapes don't fit
+    """
+    view = view or View()
+    looking, seen = (np.asarray(values, np.float64).reshape(-1, 3) for values in (eyes, points))
+    belongs = np.full(len(seen), -1, np.int64) if own is None else np.asarray(own, np.int64)
+    if belongs.shape != (len(seen),):
+        raise UsageError(f"{len(seen)} points and owners of shape {belongs.shape}")
+    visible = _in_view(looking, seen, view, headings)
+    eye, point = np.nonzero(visible)
+    visible[eye, point] = ~occluders.hidden(looking[eye], seen[point], belongs[point])
+    return visible
+
+
+def _in_view(eyes: Points, points: Points, view: View, headings: npt.ArrayLike | None) -> Flags:
+    """Which points lie within the view of each eye, were there nothing between, (n, m)."""
+    away = points[None] - eyes[:, None]
+    with np.errstate(invalid="ignore", over="ignore"):
+        inside: Flags = np.square(away).sum(axis=2) <= view.range**2
+    if not view.needs_heading:
+        return inside
+    if headings is None:
+        raise UsageError("a field of view was asked for and no heading given", remedy="Give one heading an eye")
+    heading = np.asarray(headings, np.float64).reshape(-1, 1)
+    if len(heading) != len(eyes):
+        raise UsageError(f"{len(eyes)} eyes and {len(heading)} headings")
+    ahead = -away[:, :, 0] * np.sin(heading) - away[:, :, 2] * np.cos(heading)
+    aside = away[:, :, 0] * np.cos(heading) - away[:, :, 2] * np.sin(heading)
+    with np.errstate(invalid="ignore"):
+        if view.horizontal_fov != 360:
+            inside &= np.abs(aside) <= ahead * math.tan(math.radians(view.horizontal_fov / 2))
+        if view.vertical_fov is not None:
+            inside &= np.abs(away[:, :, 1]) <= ahead * math.tan(math.radians(view.vertical_fov / 2))
+    return inside
+
+
+def visible_shares(
+    occluders: Occluders,
+    eyes: npt.ArrayLike,
+    targets: Sequence[SightTarget],
+    view: View | None = None,
+    headings: npt.ArrayLike | None = None,
+) -> Points:
+    """Share of each target's samples that each eye sees, (n, t), from 0 to 1. One batch, whatever n and t."""
+    sizes = np.array([len(target.samples) for target in targets], np.int64)
+    if (sizes == 0).any():
+        raise UsageError("a target has no samples", place=f"target {int(np.argmin(sizes))}")
+    count = len(np.asarray(eyes, np.float64).reshape(-1, 3))
+    if not len(targets):
+        return np.zeros((count, 0))
+    points = np.concatenate([target.samples for target in targets])
+    own = np.repeat([target.own for target in targets], sizes)
+    seen = visible_points(occluders, eyes, points, view, headings, own)
+    shares: Points = np.add.reduceat(seen.astype(np.float64), np.cumsum(sizes) - sizes, axis=1) / sizes
+    return shares
+
+
+def first_sights(
+    occluders: Occluders,
+    path: npt.ArrayLike,
+    targets: Sequence[SightTarget],
+    view: View | None = None,
+    headings: npt.ArrayLike | None = None,
+    least_share: float = 0.0,
+) -> npt.NDArray[np.int64]:
+    """First eye of ``path`` (n, 3) that sees more than ``least_share`` of each target: its index, (t,); -1 if none."""
+    seen = visible_shares(occluders, path, targets, view, headings) > least_share
+    if not len(seen):
+        return np.full(len(targets), -1, np.int64)
+    return np.where(seen.any(axis=0), seen.argmax(axis=0), -1)

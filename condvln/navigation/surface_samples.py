@@ -1,0 +1,93 @@
+"""Seeded points on the surface of an object, for questions of sight.
+
+The same surface, count and seed give the same points, whatever ran before.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from schemas.errors import UsageError
+
+__all__ = ["DEFAULT_SAMPLES", "box_samples", "mesh_samples"]
+
+Points = npt.NDArray[np.float64]
+
+DEFAULT_SAMPLES = 64
+"""Points an object: one that shows a twentieth of its surface is missed once in 27 times."""
+
+# The six faces of a unit box from -1 to 1: the axis they stand on, and on which side.
+_FACE_AXIS = np.array([0, 0, 1, 1, 2, 2])
+_FACE_SIDE = np.array([-1.0, 1.0, -1.0, 1.0, -1.0, 1.0])
+
+
+def box_samples(
+    center: npt.ArrayLike,
+    half_extents: npt.ArrayLike,
+    rotation: npt.ArrayLike | None = None,
+    count: int = DEFAULT_SAMPLES,
+    seed: int = 0,
+) -> Points:
+    """Points (count, 3) on the faces of a box, spread by area. A flat box has its points on its two large faces.
+
+    Parameters
+    ----------
+    center, half_extents : (3,) metres
+    rotation : (3, 3), its columns the box's axes; none for a box along the axes
+
+    Raises
+    ------
+    UsageError : an extent is negative or not finite, or ``count`` below 1
+    """
+    middle, half = (np.asarray(values, np.float64) for values in (center, half_extents))
+    axes = np.eye(3) if rotation is None else np.asarray(rotation, np.float64)
+    if middle.shape != (3,) or half.shape != (3,) or axes.shape != (3, 3):
+        raise UsageError(f"a box of centre {middle.shape}, half extents {half.shape}, rotation {axes.shape}")
+    if not (np.isfinite([middle, half, *axes]).all() and (half >= 0).all()):
+        raise UsageError(f"a box with centre {middle} and half extents {half} has no surface")
+    others = np.array([[1, 2], [0, 2], [0, 1]])[_FACE_AXIS]
+    area = half[others].prod(axis=1)
+    if not area.any():  # a line or a point: any face will do
+        area = np.ones(6)
+    face, rng = _by_area(area, count, seed)
+    place = rng.uniform(-1.0, 1.0, (count, 3))
+    place[np.arange(count), _FACE_AXIS[face]] = _FACE_SIDE[face]
+    points: Points = middle + (place * half) @ axes.T
+    return points
+
+
+def mesh_samples(vertices: npt.ArrayLike, faces: npt.ArrayLike, count: int = DEFAULT_SAMPLES, seed: int = 0) -> Points:
+    """Points (count, 3) on a triangle mesh, spread by area.
+
+    Parameters
+    ----------
+    vertices : (n, 3) metres
+    faces : (m, 3) int, m > 0, every index below n
+
+    Raises
+    ------
+    UsageError : there is no triangle, or ``count`` is below 1
+    """
+    corners = np.asarray(vertices, np.float64)[np.asarray(faces, np.int64).reshape(-1, 3)]
+    if not len(corners) or not np.isfinite(corners).all():
+        raise UsageError("the mesh has no triangles, or vertices that are no numbers: it has no surface")
+    along, across = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    area = np.linalg.norm(np.cross(along, across), axis=1)
+    if not area.any():
+        area = np.ones(len(corners))
+    face, rng = _by_area(area, count, seed)
+    u, v = rng.uniform(0.0, 1.0, (2, count, 1))
+    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
+    points: Points = corners[face, 0] + u * along[face] + v * across[face]
+    return points
+
+
+def _by_area(area: Points, count: int, seed: int) -> tuple[npt.NDArray[np.int64], np.random.Generator]:
+    """Face of each of ``count`` points, one in each of so many equal slices of the area; and the generator to go on."""
+    if count < 1:
+        raise UsageError(f"{count} samples were asked for", remedy="Ask for at least one")
+    rng = np.random.default_rng(seed)
+    slices = (np.arange(count) + rng.uniform(0.0, 1.0, count)) / count
+    upto = np.cumsum(area)
+    return np.minimum(np.searchsorted(upto, slices * upto[-1], side="right"), len(area) - 1), rng

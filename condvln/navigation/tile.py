@@ -1,0 +1,226 @@
+"""One Detour tile in memory: every byte of it, as numpy arrays.
+
+The records are those of Detour's ``DetourNavMesh.h`` (Mikko Mononen, zlib licence), little-endian and with C's natural
+packing, so that :meth:`NavMeshTile.to_bytes` gives back exactly what was read. Habitat builds a scene as a single tile.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = [
+    "BV_NODE",
+    "DETAIL_MESH",
+    "DISABLED",
+    "HEADER",
+    "LINK",
+    "MAX_VERTS_PER_POLYGON",
+    "NULL_LINK",
+    "OFF_MESH_CONNECTION",
+    "POLYGON",
+    "TILE_MAGIC",
+    "TILE_PORTAL",
+    "TILE_VERSION",
+    "WALKABLE",
+    "Floats",
+    "Indices",
+    "Ints",
+    "NavMeshTile",
+    "Records",
+    "base_reference",
+]
+
+Floats: TypeAlias = npt.NDArray[np.float32]
+Ints: TypeAlias = npt.NDArray[np.int32]
+Indices: TypeAlias = npt.NDArray[np.int64]
+Records: TypeAlias = npt.NDArray[Any]
+
+TILE_MAGIC = 0x444E4156  # 'DNAV'
+TILE_VERSION = 7
+MAX_VERTS_PER_POLYGON = 6
+NULL_LINK = 0xFFFFFFFF
+TILE_PORTAL = 0x8000  # in ``neis``: the edge leads to another tile, not to a polygon of this one
+WALKABLE = 1  # polygon flags of habitat-sim
+DISABLED = 4
+
+HEADER = np.dtype(
+    [
+        ("magic", "<i4"),
+        ("version", "<i4"),
+        ("x", "<i4"),
+        ("y", "<i4"),
+        ("layer", "<i4"),
+        ("user_id", "<u4"),
+        ("poly_count", "<i4"),
+        ("vert_count", "<i4"),
+        ("max_link_count", "<i4"),
+        ("detail_mesh_count", "<i4"),
+        ("detail_vert_count", "<i4"),
+        ("detail_tri_count", "<i4"),
+        ("bv_node_count", "<i4"),
+        ("off_mesh_con_count", "<i4"),
+        ("off_mesh_base", "<i4"),
+        ("walkable_height", "<f4"),
+        ("walkable_radius", "<f4"),
+        ("walkable_climb", "<f4"),
+        ("bmin", "<f4", 3),
+        ("bmax", "<f4", 3),
+        ("bv_quant_factor", "<f4"),
+    ]
+)
+POLYGON = np.dtype(
+    [
+        ("first_link", "<u4"),
+        ("verts", "<u2", MAX_VERTS_PER_POLYGON),
+        ("neis", "<u2", MAX_VERTS_PER_POLYGON),  # per edge: 0 wall, n + 1 polygon n, TILE_PORTAL | side
+        ("flags", "<u2"),
+        ("vert_count", "u1"),
+        ("area_and_type", "u1"),  # area in the low six bits
+    ]
+)
+LINK = np.dtype([("ref", "<u4"), ("next", "<u4"), ("edge", "u1"), ("side", "u1"), ("bmin", "u1"), ("bmax", "u1")])
+DETAIL_MESH = np.dtype(
+    [("vert_base", "<u4"), ("tri_base", "<u4"), ("vert_count", "u1"), ("tri_count", "u1"), ("padding", "<u2")]
+)
+BV_NODE = np.dtype([("bmin", "<u2", 3), ("bmax", "<u2", 3), ("i", "<i4")])
+OFF_MESH_CONNECTION = np.dtype(
+    [("pos", "<f4", 6), ("rad", "<f4"), ("poly", "<u2"), ("flags", "u1"), ("side", "u1"), ("user_id", "<u4")]
+)
+
+
+@dataclass(frozen=True, eq=False)
+class NavMeshTile:
+    """A tile: p polygons over v vertices, with their detail triangles. Arrays are read-only by agreement.
+
+    Attributes
+    ----------
+    header : () HEADER
+    verts : (v, 3) float32, metres, Habitat frame
+    polys : (p,) POLYGON
+    links : (max_link_count,) LINK, kept for the file; queries follow ``neis``
+    detail_meshes : (p,) DETAIL_MESH
+    detail_verts : (d, 3) float32, vertices of detail meshes beyond those of their polygon
+    detail_tris : (t, 4) uint8, three corners (the polygon's, then its detail vertices) and edge flags
+    bv_nodes : (n,) BV_NODE, the bounding volume tree in depth-first order
+    off_mesh : (o,) OFF_MESH_CONNECTION
+    """
+
+    header: Records
+    verts: Floats
+    polys: Records
+    links: Records
+    detail_meshes: Records
+    detail_verts: Floats
+    detail_tris: npt.NDArray[np.uint8]
+    bv_nodes: Records
+    off_mesh: Records
+
+    @classmethod
+    def assemble(
+        cls,
+        *,
+        bmin: npt.ArrayLike,
+        bmax: npt.ArrayLike,
+        cell_size: float,
+        walkable_height: float,
+        walkable_radius: float,
+        walkable_climb: float,
+        verts: Floats,
+        polys: Records,
+        detail_meshes: Records,
+        detail_verts: Floats,
+        detail_tris: npt.NDArray[np.uint8],
+        bv_nodes: Records,
+    ) -> NavMeshTile:
+        """Tile of these parts with the header that ``dtCreateNavMeshData`` gives them, its links still blank.
+
+        ``link_tile`` makes the links. One link is reserved per polygon edge, as Detour does.
+        """
+        header = np.zeros((), HEADER)
+        header["magic"], header["version"] = TILE_MAGIC, TILE_VERSION
+        header["poly_count"] = header["detail_mesh_count"] = header["off_mesh_base"] = len(polys)
+        header["vert_count"] = len(verts)
+        header["max_link_count"] = int(polys["vert_count"].sum(dtype=np.int64))
+        header["detail_vert_count"], header["detail_tri_count"] = len(detail_verts), len(detail_tris)
+        header["bv_node_count"] = len(bv_nodes)
+        header["walkable_height"], header["walkable_radius"] = walkable_height, walkable_radius
+        header["walkable_climb"] = walkable_climb
+        header["bmin"], header["bmax"] = bmin, bmax
+        header["bv_quant_factor"] = np.float32(1.0) / np.float32(cell_size)
+        return cls(
+            header=header,
+            verts=np.ascontiguousarray(verts, np.float32),
+            polys=polys,
+            links=np.zeros(int(header["max_link_count"]), LINK),
+            detail_meshes=detail_meshes,
+            detail_verts=np.ascontiguousarray(detail_verts, np.float32).reshape(-1, 3),
+            detail_tris=np.ascontiguousarray(detail_tris, np.uint8).reshape(-1, 4),
+            bv_nodes=bv_nodes,
+            off_mesh=np.zeros(0, OFF_MESH_CONNECTION),
+        )
+
+    def to_bytes(self) -> bytes:
+        """The tile as Detour keeps it in memory and Habitat writes it to disk."""
+        sections = (
+            self.header,
+            self.verts.astype("<f4", copy=False),
+            self.polys,
+            self.links,
+            self.detail_meshes,
+            self.detail_verts.astype("<f4", copy=False),
+            self.detail_tris,
+            self.bv_nodes,
+            self.off_mesh,
+        )
+        return b"".join(section.tobytes() for section in sections)
+
+    def with_parts(self, **parts: Records) -> NavMeshTile:
+        """A copy with some arrays replaced."""
+        return replace(self, **parts)
+
+    @property
+    def bounds(self) -> tuple[Floats, Floats]:
+        """Lowest and highest corner, (3,) float32 each; the upper one includes the agent's height."""
+        return self.header["bmin"].astype(np.float32), self.header["bmax"].astype(np.float32)
+
+    @property
+    def poly_verts(self) -> Ints:
+        """(p, 6) int32 vertex of each polygon corner; what lies beyond ``vert_count`` is 0."""
+        return np.where(self._corners, self.polys["verts"], 0).astype(np.int32)
+
+    @property
+    def neighbours(self) -> Ints:
+        """(p, 6) int32 polygon across each edge, -1 for a wall."""
+        inside = self._corners & (self.polys["neis"] != 0) & (self.polys["neis"] < TILE_PORTAL)
+        return np.where(inside, self.polys["neis"].astype(np.int32) - 1, -1).astype(np.int32)
+
+    @property
+    def detail_triangles(self) -> tuple[Floats, Ints]:
+        """All detail triangles in polygon order: (n, 3, 3) float32 corners and (n,) int32 polygon."""
+        counts = self.detail_meshes["tri_count"].astype(np.int64)
+        poly = np.repeat(np.arange(len(self.polys)), counts)
+        first = np.cumsum(counts) - counts
+        rows = self.detail_meshes["tri_base"].astype(np.int64)[poly] + np.arange(len(poly)) - first[poly]
+        corner = self.detail_tris[rows, :3].astype(np.int64)
+        own = self.polys["vert_count"].astype(np.int64)[poly][:, None]
+        of_poly = np.take_along_axis(self.poly_verts[poly].astype(np.int64), np.minimum(corner, own - 1), axis=1)
+        beyond = self.detail_meshes["vert_base"].astype(np.int64)[poly][:, None] + np.maximum(corner - own, 0)
+        points = np.concatenate([self.verts, self.detail_verts])
+        return points[np.where(corner < own, of_poly, len(self.verts) + beyond)], poly.astype(np.int32)
+
+    @property
+    def _corners(self) -> npt.NDArray[np.bool_]:
+        return np.arange(MAX_VERTS_PER_POLYGON)[None, :] < self.polys["vert_count"][:, None]
+
+
+def base_reference(poly_count: int) -> int:
+    """Detour's reference of polygon 0 of a single-tile mesh, which is the tile's own reference (salt 1, tile 0).
+
+    A 32-bit reference packs salt, tile and polygon; with one tile no bit goes to the tile, and the polygon has
+    ``ilog2(nextPow2(poly_count))``.
+    """
+    return 1 << (poly_count - 1).bit_length()

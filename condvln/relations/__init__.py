@@ -1,0 +1,31 @@
+"""Scene → relation graph: all metrics and predicates of all pairs, and the facts that text may use."""
+
+from condvln.relations.compass import CANONICAL, COMPASS, SECTORS
+from condvln.relations.graph import to_networkx
+from condvln.relations.metrics import PairMetrics, pair_metrics
+from condvln.relations.room import SEMANTIC, RoomRelations, relate_room, relate_scene
+from condvln.relations.surface import MeshOf, surface_distances
+from condvln.relations.table import CONTAINS, relation_table
+from condvln.relations.text import TEXT_PREDICATES, TextFacts, text_facts
+from condvln.relations.thresholds import RelationThresholds
+
+__all__ = [
+    "CANONICAL",
+    "COMPASS",
+    "CONTAINS",
+    "SECTORS",
+    "SEMANTIC",
+    "TEXT_PREDICATES",
+    "MeshOf",
+    "PairMetrics",
+    "RelationThresholds",
+    "RoomRelations",
+    "TextFacts",
+    "pair_metrics",
+    "relate_room",
+    "relate_scene",
+    "relation_table",
+    "surface_distances",
+    "text_facts",
+    "to_networkx",
+]

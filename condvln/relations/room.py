@@ -1,0 +1,142 @@
+"""The relations of one room, as arrays over all ordered pairs of its objects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from condvln.relations.compass import COINCIDENT, canonical_codes
+from condvln.relations.metrics import PairMetrics, pair_metrics
+from condvln.relations.surface import MeshOf, surface_distances
+from condvln.relations.thresholds import RelationThresholds
+from condvln.scene import RoomArrays, Scene
+from schemas.errors import StoreError
+
+__all__ = ["DEFAULT_THRESHOLDS", "SEMANTIC", "RoomRelations", "relate_room", "relate_scene"]
+
+F64 = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+DEFAULT_THRESHOLDS: Final = RelationThresholds()
+
+SEMANTIC: Final = ("near", "far from", "higher than", "lower than", "above", "below")
+"""Predicates that have an edge where their thresholds hold, beside the one canonical edge of a pair."""
+
+
+@dataclass(frozen=True, eq=False)
+class RoomRelations:
+    """All ordered pairs of a room's n objects; the subject is the row, the target the column.
+
+    objects : the room's objects in order of id, which give rows and columns their meaning
+    metrics : distances and angles, see `PairMetrics`
+    surface : (n, n) metres, rounded to 1 mm; NaN where not asked or nothing is known
+    canonical : (n, n) index into `CANONICAL`; −1 where centres coincide and on the diagonal
+    degenerate : (n, n), centres horizontally so close that the azimuth says little
+    semantic : per predicate of `SEMANTIC` (n, n), whether its edge is there; False on the diagonal
+    """
+
+    objects: RoomArrays
+    metrics: PairMetrics
+    surface: F64
+    canonical: NDArray[np.int8]
+    degenerate: Mask
+    semantic: Mapping[str, Mask]
+
+    def __len__(self) -> int:
+        return len(self.objects)
+
+    @property
+    def room_id(self) -> str:
+        """The room's id."""
+        return self.objects.room_id
+
+    @classmethod
+    def from_table(
+        cls, rows: pa.Table, arrays: RoomArrays, thresholds: RelationThresholds = DEFAULT_THRESHOLDS
+    ) -> RoomRelations:
+        """The relations of one room from its stored rows; nothing is measured anew with FCL.
+
+        rows : rows of the relations table of one scene, made with the same `thresholds`; other rooms' are passed over
+        arrays : the room's objects
+
+        Raises
+        ------
+        StoreError
+            The rows are not those of these objects.
+        """
+        rows = rows.filter(
+            pc.and_(pc.equal(rows["room_id"], arrays.room_id), pc.not_equal(rows["kind"], "containment"))
+        )
+        ids = pa.array(arrays.object_ids, pa.string())
+        subject, target = (pc.index_in(rows[end], value_set=ids) for end in ("subject", "target"))
+        metrics = pair_metrics(arrays.centers, arrays.aabb_min, arrays.aabb_max, arrays.radius)
+        known = subject.null_count + target.null_count == 0
+        if known:
+            i, j = subject.to_numpy(), target.to_numpy()
+            surface = np.full((len(arrays), len(arrays)), np.nan)
+            surface[i, j] = rows["surface_distance"].to_numpy()
+            np.fill_diagonal(surface, 0.0)
+            found = _decide(arrays, metrics, surface, thresholds)
+            edges = (found.canonical != COINCIDENT).sum() + sum(mask.sum() for mask in found.semantic.values())
+            if edges == len(rows) and np.array_equal(rows["centre_distance"].to_numpy(), metrics.centre[i, j]):
+                return found
+        raise StoreError(
+            "the stored relations are not those of these objects under these thresholds",
+            place=f"room {arrays.room_id!r}",
+            remedy="Relate the scene again",
+        )
+
+    @property
+    def subject_above_target(self) -> F64:
+        """(n, n) metres by which the subject's centre is higher than the target's."""
+        return -self.metrics.delta[..., 1] + 0.0
+
+
+def relate_room(
+    arrays: RoomArrays, thresholds: RelationThresholds = DEFAULT_THRESHOLDS, meshes: MeshOf | None = None
+) -> RoomRelations:
+    """Relations of one room.
+
+    meshes : gives an object's mesh in the scene's frame; without it boxes stand for all objects
+    """
+    metrics = pair_metrics(arrays.centers, arrays.aabb_min, arrays.aabb_max, arrays.radius)
+    surface = surface_distances(arrays, metrics.aabb, thresholds.surface_within, meshes)
+    return _decide(arrays, metrics, surface, thresholds)
+
+
+def relate_scene(
+    scene: Scene, thresholds: RelationThresholds = DEFAULT_THRESHOLDS, meshes: MeshOf | None = None
+) -> dict[str, RoomRelations]:
+    """Relations of every room of a scene, by room id in the scene's order."""
+    return {room.room_id: relate_room(scene.arrays(room.room_id), thresholds, meshes) for room in scene.rooms}
+
+
+def _decide(arrays: RoomArrays, metrics: PairMetrics, surface: F64, thresholds: RelationThresholds) -> RoomRelations:
+    """The predicates that follow from metrics and thresholds."""
+    dy = -metrics.delta[..., 1] + 0.0
+    others = ~np.eye(len(arrays), dtype=np.bool_)
+    canonical = canonical_codes(metrics.azimuth, metrics.elevation, dy, thresholds.level)
+    over = metrics.horizontal <= thresholds.over_horizontal
+    higher, lower = dy >= thresholds.height, dy <= -thresholds.height
+    semantic = {
+        "near": metrics.used <= thresholds.near,
+        "far from": metrics.used >= thresholds.far,
+        "higher than": higher,
+        "lower than": lower,
+        "above": higher & over,
+        "below": lower & over,
+    }
+    return RoomRelations(
+        objects=arrays,
+        metrics=metrics,
+        surface=surface,
+        canonical=np.where(others, canonical, COINCIDENT).astype(np.int8),
+        degenerate=(metrics.horizontal < thresholds.degenerate_horizontal) & others,
+        semantic={predicate: mask & others for predicate, mask in semantic.items()},
+    )

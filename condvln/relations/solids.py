@@ -1,0 +1,176 @@
+"""The solid that stands for an object when surfaces are measured: its mesh, else its oriented or axis-aligned box."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final
+
+import fcl
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from condvln.scene import SceneObject
+from condvln.scene.meshes import WorldMesh
+
+__all__ = ["BoxSolid", "MeshSolid", "Solid", "is_its_aabb", "solid_of"]
+
+F64 = NDArray[np.float64]
+
+# Corner k of a box has the sign of bit 2 for x, bit 1 for y, bit 0 for z; the faces look outwards.
+_CORNER_SIGNS: Final = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+_BOX_FACES: Final = np.array(
+    [
+        [0, 1, 3],
+        [0, 3, 2],
+        [4, 6, 7],
+        [4, 7, 5],
+        [0, 4, 5],
+        [0, 5, 1],
+        [2, 3, 7],
+        [2, 7, 6],
+        [0, 2, 6],
+        [0, 6, 4],
+        [1, 5, 7],
+        [1, 7, 3],
+    ]
+)
+
+AXIS_TOLERANCE: Final = 1e-9
+"""A rotation whose entries are this close to 0 or ±1 leaves a box axis-aligned; 1e-9 rad moves 10 m by 10 nm."""
+
+_WINDING_CHUNK: Final = 1 << 20
+"""Point–triangle pairs whose solid angles are held at once: about 100 MB of temporaries."""
+
+
+def _bvh(vertices: F64, faces: NDArray[np.int32]) -> Any:
+    model = fcl.BVHModel()
+    model.beginModel(len(vertices), len(faces))
+    model.addSubModel(np.ascontiguousarray(vertices, dtype=np.float64), np.ascontiguousarray(faces, dtype=np.int64))
+    model.endModel()
+    return fcl.CollisionObject(model)
+
+
+@dataclass(frozen=True, eq=False)
+class BoxSolid:
+    """A box: center (3,), half_extents (3,) metres, rotation (3, 3) with the box's axes as columns."""
+
+    center: F64
+    half_extents: F64
+    rotation: F64
+
+    @cached_property
+    def vertices(self) -> F64:
+        """(8, 3) corners in the scene's frame."""
+        corners: F64 = self.center + (_CORNER_SIGNS * self.half_extents) @ self.rotation.T
+        return corners
+
+    @cached_property
+    def extent(self) -> F64:
+        """(2, 3) [min, max] of the corners."""
+        return np.array([self.vertices.min(axis=0), self.vertices.max(axis=0)])
+
+    @cached_property
+    def surface(self) -> Any:
+        """The surface as 12 triangles: `fcl.Box` against `fcl.Box` is wrong where centres share a coordinate."""
+        return _bvh(self.vertices, _BOX_FACES)
+
+    @property
+    def pieces(self) -> F64:
+        """(1, 3) one point on each connected piece of the surface."""
+        return self.vertices[:1]
+
+    def contains(self, points: F64) -> NDArray[np.bool_]:
+        """Which of (n, 3) points lie inside or on the box."""
+        local = (points - self.center) @ self.rotation
+        return np.asarray((np.abs(local) <= self.half_extents).all(axis=-1), dtype=np.bool_)
+
+
+@dataclass(frozen=True, eq=False)
+class MeshSolid:
+    """A triangle mesh in the scene's frame; it has an inside only where it is watertight."""
+
+    mesh: WorldMesh
+
+    @cached_property
+    def extent(self) -> F64:
+        """(2, 3) [min, max] of the vertices that faces use."""
+        used = self.mesh.vertices[self.mesh.faces.reshape(-1)]
+        return np.array([used.min(axis=0), used.max(axis=0)])
+
+    @cached_property
+    def surface(self) -> Any:
+        """The triangles as a bounding volume hierarchy."""
+        return _bvh(self.mesh.vertices, self.mesh.faces)
+
+    @cached_property
+    def pieces(self) -> F64:
+        """(p, 3) one point on each connected piece of the surface, vertices of equal position taken as one."""
+        faces = self.mesh.faces
+        _, first, merged = np.unique(self.mesh.vertices, axis=0, return_index=True, return_inverse=True)
+        corner = merged.reshape(-1)[faces]
+        ends = np.concatenate([corner[:, [0, 1]], corner[:, [1, 2]]])
+        graph = coo_array((np.ones(len(ends), dtype=bool), (ends[:, 0], ends[:, 1])), shape=(len(first), len(first)))
+        piece = connected_components(graph, directed=False)[1]
+        # Vertices that no face uses are pieces of their own and no part of the surface.
+        used = np.unique(corner)
+        _, one_each = np.unique(piece[used], return_index=True)
+        points: F64 = self.mesh.vertices[first[used[one_each]]]
+        return points
+
+    def contains(self, points: F64) -> NDArray[np.bool_]:
+        """Which of (n, 3) points lie inside; none where the mesh is not watertight.
+
+        By the winding number: the triangles' solid angles seen from a point sum to 4π inside and 0 outside
+        (van Oosterom and Strackee, 1983). Unlike ray casting it has no grazing cases.
+        """
+        inside = np.zeros(len(points), dtype=np.bool_)
+        if not self.mesh.watertight:
+            return inside
+        triangles = self.mesh.vertices[self.mesh.faces]
+        low, high = self.extent
+        candidates = np.nonzero(((points >= low) & (points <= high)).all(axis=-1))[0]
+        step = max(1, _WINDING_CHUNK // len(triangles))
+        for start in range(0, len(candidates), step):
+            chunk = candidates[start : start + step]
+            inside[chunk] = np.abs(_winding_number(points[chunk], triangles)) > 0.5
+        return inside
+
+
+Solid = BoxSolid | MeshSolid
+
+
+def _winding_number(points: F64, triangles: F64) -> F64:
+    """Winding number of triangles (m, 3, 3) about points (n, 3); whole for a closed surface."""
+    a, b, c = (triangles[None, :, corner] - points[:, None] for corner in range(3))
+    la, lb, lc = (np.linalg.norm(side, axis=-1) for side in (a, b, c))
+    numerator = np.einsum("nmi,nmi->nm", a, np.cross(b, c))
+    denominator = (
+        la * lb * lc
+        + np.einsum("nmi,nmi->nm", a, b) * lc
+        + np.einsum("nmi,nmi->nm", b, c) * la
+        + np.einsum("nmi,nmi->nm", c, a) * lb
+    )
+    winding: F64 = np.arctan2(numerator, denominator).sum(axis=-1) / (2.0 * np.pi)
+    return winding
+
+
+def solid_of(item: SceneObject, aabb: F64, mesh: WorldMesh | None) -> Solid:
+    """The best solid known of an object whose aabb (2, 3) is known."""
+    if mesh is not None and len(mesh.faces) > 0:
+        return MeshSolid(mesh)
+    if item.obb is not None:
+        return BoxSolid(item.obb.center, item.obb.half_extents, item.obb.rotation)
+    return BoxSolid((aabb[0] + aabb[1]) / 2, (aabb[1] - aabb[0]) / 2, np.eye(3))
+
+
+def is_its_aabb(item: SceneObject, mesh: WorldMesh | None) -> bool:
+    """Whether an object's axis-aligned box is the best that is known of it, or its oriented box is no other."""
+    if mesh is not None and len(mesh.faces) > 0:
+        return False
+    if item.obb is None:
+        return True
+    size = np.abs(item.obb.rotation)
+    return bool((np.minimum(size, np.abs(1.0 - size)) <= AXIS_TOLERANCE).all())

@@ -1,0 +1,19 @@
+"""Makes whole scenes in each source's native format, so that everything runs with no download."""
+
+from condvln.samples.apartment import make_layout
+from condvln.samples.layout import Door, Furniture, Layout, Room, Yaw
+from condvln.samples.maker import FAMILIES, SampleReport, make_layouts, make_samples, write_replicacad
+
+__all__ = [
+    "FAMILIES",
+    "Door",
+    "Furniture",
+    "Layout",
+    "Room",
+    "SampleReport",
+    "Yaw",
+    "make_layout",
+    "make_layouts",
+    "make_samples",
+    "write_replicacad",
+]

@@ -1,0 +1,101 @@
+"""The kinds of objects that stand in made apartments, read from ``catalogue.csv``: label, sizes, shape, habits.
+
+Every kind comes in a few sizes (variants), so that scenes share models the way real datasets do.
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import Final
+
+__all__ = ["VARIANTS", "Kind", "catalogue"]
+
+VARIANTS: Final = 4
+"""Sizes that each kind comes in."""
+
+ARTICULATED_SCALES: Final = (0.9, 0.96, 1.0, 1.1)
+"""Articulated kinds are one body, scaled as a whole; these keep its half sizes in whole millimetres."""
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """One row of the catalogue; lengths are millimetres.
+
+    Attributes
+    ----------
+    kind, label : its name here, and the everyday word that is its class in every dataset
+    sizes : (width, height, depth) of each variant, all even, so that half sizes are whole
+    shape : name of its geometry in ``condvln.samples.shapes``
+    hang : height of its lower edge where it hangs on a wall, else None
+    front : depth kept free in front of it
+    turns : may stand at an angle that is no multiple of 90°
+    urdf : name of its articulated body, if it is one, with `scales` by variant
+    number : position in the catalogue, from 1: the semantic id of its class is derived from it
+    """
+
+    kind: str
+    label: str
+    sizes: tuple[tuple[int, int, int], ...]
+    shape: str
+    hang: int | None
+    front: int
+    turns: bool
+    urdf: str | None
+    number: int
+
+    @property
+    def scales(self) -> tuple[float, ...]:
+        """Uniform scale of each variant of an articulated kind."""
+        return ARTICULATED_SCALES
+
+
+def _millimetres(text: str) -> int:
+    return round(float(text) * 1000)
+
+
+def _stepped(span: str, share: float, step: int) -> int:
+    low, high = (_millimetres(part) for part in span.split("-"))
+    return round((low + (high - low) * share) / step) * step
+
+
+def _sizes(row: dict[str, str]) -> tuple[tuple[int, int, int], ...]:
+    if row["urdf"]:
+        base = [_millimetres(row[axis].split("-")[0]) for axis in ("width", "height", "depth")]
+        return tuple((round(base[0] * s), round(base[1] * s), round(base[2] * s)) for s in ARTICULATED_SCALES)
+    # Turned boxes stay on the millimetre grid where half sizes are multiples of 25 mm (see layout.Yaw).
+    plan_step = 50 if row["turns"] else 20
+    sizes = []
+    for variant in range(VARIANTS):
+        # Width grows with the variant; the others vary independently of it.
+        shares = variant / 3, (variant * 2 % 5) / 4, (variant * 3 % 4) / 3
+        sizes.append(
+            (
+                _stepped(row["width"], shares[0], plan_step),
+                _stepped(row["height"], shares[1], 20),
+                _stepped(row["depth"], shares[2], plan_step),
+            )
+        )
+    return tuple(sizes)
+
+
+@cache
+def catalogue() -> dict[str, Kind]:
+    """All kinds by name, in the order of the file."""
+    text = resources.files("condvln.samples").joinpath("catalogue.csv").read_text(encoding="utf-8")
+    return {
+        row["kind"]: Kind(
+            kind=row["kind"],
+            label=row["label"],
+            sizes=_sizes(row),
+            shape=row["shape"],
+            hang=_millimetres(row["hang"]) if row["hang"] else None,
+            front=_millimetres(row["front"]) if row["front"] else 0,
+            turns=bool(row["turns"]),
+            urdf=row["urdf"] or None,
+            number=number,
+        )
+        for number, row in enumerate(csv.DictReader(text.splitlines()), start=1)
+    }

@@ -1,0 +1,130 @@
+"""Free floor polygons as a conforming mesh of convex polygons, and that mesh as a ``.navmesh`` file."""
+
+from __future__ import annotations
+
+import heapq
+from typing import Final, Literal
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from condvln.navigation.build import build_navmesh
+from condvln.navigation.navmesh_file import NavMeshFile
+from condvln.navigation.polygon_tile import tile_of_polygons
+from condvln.navigation.settings import NavMeshSettings
+from condvln.samples.free_floor import free_floor
+from condvln.samples.layout import Layout
+from condvln.samples.solid import layout_triangles
+
+__all__ = ["NAVMESH_HEIGHT", "NavmeshEngine", "convex_polygons", "navmesh_of"]
+
+NavmeshEngine = Literal["polygons", "recast"]
+
+NAVMESH_HEIGHT: Final = 0.1
+"""Metres of the navmesh above the floor: where Habitat's voxels put it over a floor slab 0.1 m thick."""
+
+MAX_CORNERS: Final = 6
+"""Corners that a Detour polygon may have."""
+
+KEY_DECIMALS: Final = 6
+"""Decimals of a metre by which corners are told apart; they lie on the millimetre grid."""
+
+
+def navmesh_of(layout: Layout, settings: NavMeshSettings, engine: NavmeshEngine = "polygons") -> NavMeshFile:
+    """The navmesh of a layout for an agent of ``settings.agent_radius``.
+
+    Parameters
+    ----------
+    engine : ``polygons`` takes the free floor as it is known, one island and exact; ``recast`` voxelises the layout's
+        triangles as Habitat does, tops of furniture included
+    """
+    if engine == "recast":
+        return build_navmesh(*layout_triangles(layout), settings)
+    vertices, polygons = convex_polygons(free_floor(layout, settings.agent_radius))
+    points = np.column_stack([vertices[:, 0], np.full(len(vertices), NAVMESH_HEIGHT), vertices[:, 1]])
+    return NavMeshFile.of_tile(tile_of_polygons(points, polygons, settings), settings)
+
+
+def convex_polygons(floor: shapely.Geometry) -> tuple[NDArray[np.float64], list[list[int]]]:
+    """Constrained Delaunay triangles of `floor`, merged to convex polygons of up to six corners.
+
+    Polygons meet along whole edges only, so that neighbours are those that share two vertices. Merging takes the pair
+    with the longest common edge first, as Recast's ``rcBuildPolyMesh`` does.
+
+    Returns
+    -------
+    vertices (n, 2) of (x, z); polygons as vertex indices, counter-clockwise where the shoelace sum is positive
+    """
+    triangles = np.round(_triangles(floor), KEY_DECIMALS)
+    vertices, index = np.unique(triangles.reshape(-1, 2), axis=0, return_inverse=True)
+    corners = [[int(i) for i in row] for row in index.reshape(-1, 3)]
+    # Delaunay triangles may come in either winding.
+    wound = [row if _turn(vertices, *row) > 0 else row[::-1] for row in corners]
+    return vertices, _merged(vertices, wound)
+
+
+def _triangles(floor: shapely.Geometry) -> NDArray[np.float64]:
+    """(n, 3, 2) corners, in an order that depends on the geometry alone."""
+    parts = shapely.get_parts(shapely.constrained_delaunay_triangles(shapely.normalize(floor)))
+    rings = np.array([shapely.get_coordinates(part)[:3] for part in parts])
+    return rings[np.lexsort(rings.reshape(len(rings), -1).T[::-1])]
+
+
+def _turn(vertices: NDArray[np.float64], a: int, b: int, c: int) -> float:
+    """Twice the area of the triangle a, b, c; positive where it turns left."""
+    (ax, az), (bx, bz), (cx, cz) = vertices[[a, b, c]]
+    return float((bx - ax) * (cz - az) - (bz - az) * (cx - ax))
+
+
+def _merged(vertices: NDArray[np.float64], polygons: list[list[int]]) -> list[list[int]]:
+    alive: dict[int, list[int]] = dict(enumerate(polygons))
+    owner = {edge: number for number, polygon in alive.items() for edge in _edges(polygon)}
+    waiting = [(-_length(vertices, edge), edge) for edge in owner if edge[0] < edge[1] and edge[::-1] in owner]
+    heapq.heapify(waiting)
+    number = len(polygons)
+    while waiting:
+        _, edge = heapq.heappop(waiting)
+        left, right = owner.get(edge), owner.get(edge[::-1])
+        if left is None or right is None:
+            continue  # merged away since it was queued
+        joined = _joined(vertices, alive[left], alive[right], edge)
+        if joined is None:
+            continue
+        del alive[left], alive[right], owner[edge], owner[edge[::-1]]
+        alive[number] = joined
+        for side in _edges(joined):
+            owner[side] = number
+            # Its neighbours' common edges get another chance with the new shape.
+            if side[::-1] in owner:
+                key = min(side, side[::-1])
+                heapq.heappush(waiting, (-_length(vertices, key), key))
+        number += 1
+    return list(alive.values())
+
+
+def _edges(polygon: list[int]) -> list[tuple[int, int]]:
+    return list(zip(polygon, [*polygon[1:], polygon[0]], strict=True))
+
+
+def _length(vertices: NDArray[np.float64], edge: tuple[int, int]) -> float:
+    return float(np.linalg.norm(vertices[edge[0]] - vertices[edge[1]]))
+
+
+def _joined(
+    vertices: NDArray[np.float64], left: list[int], right: list[int], edge: tuple[int, int]
+) -> list[int] | None:
+    """Both polygons as one, or None where that has too many corners, is not convex, or shares more than this edge."""
+    if len(left) + len(right) - 2 > MAX_CORNERS or len(set(left) & set(right)) > 2:
+        return None
+    a, b = edge
+    at = left.index(b)
+    rest = left[at:] + left[:at]  # b … a
+    at = right.index(a)
+    other = right[at:] + right[:at]  # a … b
+    joined = rest + other[1:-1]
+    for middle in (a, b):
+        at = joined.index(middle)
+        if _turn(vertices, joined[at - 1], middle, joined[(at + 1) % len(joined)]) <= 0:
+            return None
+    return joined

@@ -1,0 +1,356 @@
+"""Seeded floor plans of two to eight rooms: cells, their room types, and the doors between them.
+
+Small apartments are cut recursively by area; larger ones are two rows of rooms along a hallway, whose end may belong
+to a neighbouring room (which is then L-shaped). A draw that gives a room too narrow, or makes people walk through a
+bathroom, is thrown away and the next one tried.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import shapely
+
+from condvln.samples.rect import Rect
+
+__all__ = ["MAX_ROOMS", "MIN_ROOMS", "SHARED", "FloorPlan", "PlanDoor", "PlanRoom", "draw_floor_plan"]
+
+MIN_ROOMS: Final = 2
+MAX_ROOMS: Final = 8
+
+GRID: Final = 50
+"""Millimetres that walls are placed on."""
+
+DOOR_WIDTHS: Final = (900, 950, 1000)
+"""Millimetres of an ordinary doorway."""
+
+OPENING_WIDTHS: Final = (1200, 1400, 1600)
+"""Millimetres of a wide opening between two rooms that one lives in."""
+
+DOOR_CORNER_MARGIN: Final = 250
+"""Millimetres kept between an opening and the ends of its wall."""
+
+
+class RoomKind(NamedTuple):
+    """What a room of one type measures: area in square metres (from, to) and its shortest side in millimetres."""
+
+    area: tuple[float, float]
+    side: int
+
+
+ROOM_KINDS: Final = {
+    "kitchen": RoomKind((10.0, 15.0), 2700),
+    "living room": RoomKind((18.0, 27.0), 3600),
+    "bedroom": RoomKind((12.0, 18.0), 3100),
+    "bathroom": RoomKind((6.0, 9.0), 2000),
+    "dining room": RoomKind((12.0, 17.0), 3100),
+    "office": RoomKind((9.0, 13.0), 2600),
+    "laundry room": RoomKind((5.5, 8.0), 1900),
+    "hallway": RoomKind((5.0, 20.0), 1500),
+}
+
+MAX_ASPECT: Final = 2.3
+"""Longest side over shortest side of any cell but a hallway."""
+
+PROGRAMMES: Final[dict[int, tuple[tuple[str, ...], ...]]] = {
+    2: (("living room", "bathroom"), ("bedroom", "bathroom"), ("living room", "kitchen"), ("living room", "bedroom")),
+    3: (
+        ("living room", "kitchen", "bedroom"),
+        ("living room", "bedroom", "bathroom"),
+        ("living room", "kitchen", "office"),
+        ("kitchen", "bedroom", "bathroom"),
+    ),
+    4: (
+        ("living room", "kitchen", "bedroom", "bathroom"),
+        ("living room", "dining room", "kitchen", "bedroom"),
+        ("living room", "bedroom", "bedroom", "bathroom"),
+    ),
+    5: (
+        ("hallway", "living room", "kitchen", "bedroom", "bathroom"),
+        ("living room", "kitchen", "bedroom", "bathroom", "office"),
+        ("living room", "kitchen", "dining room", "bedroom", "bathroom"),
+        ("hallway", "living room", "bedroom", "bedroom", "bathroom"),
+    ),
+    6: (
+        ("hallway", "living room", "kitchen", "bedroom", "bedroom", "bathroom"),
+        ("hallway", "living room", "kitchen", "bedroom", "bathroom", "office"),
+        ("living room", "kitchen", "dining room", "bedroom", "bedroom", "bathroom"),
+    ),
+    7: (
+        ("hallway", "living room", "kitchen", "dining room", "bedroom", "bedroom", "bathroom"),
+        ("hallway", "living room", "kitchen", "bedroom", "bedroom", "bathroom", "bathroom"),
+        ("hallway", "living room", "kitchen", "bedroom", "bathroom", "office", "laundry room"),
+    ),
+    8: (
+        ("hallway", "living room", "kitchen", "dining room", "bedroom", "bedroom", "bathroom", "bathroom"),
+        ("hallway", "living room", "kitchen", "bedroom", "bedroom", "bathroom", "office", "laundry room"),
+        ("hallway", "living room", "kitchen", "dining room", "bedroom", "bedroom", "bathroom", "office"),
+    ),
+}
+"""Room types of an apartment, by number of rooms."""
+
+SHARED: Final = frozenset({"hallway", "living room", "dining room", "kitchen"})
+"""Rooms that one may walk through; all others are ends, save a bedroom with its own bathroom."""
+
+WIDE: Final = frozenset({"living room", "dining room", "kitchen"})
+"""Rooms between which the opening may be wide."""
+
+EXTRA_DOOR_CHANCE: Final = 0.45
+"""Chance of one more door between two shared rooms that are joined already: a second way round."""
+
+CUT_TRIES: Final = 400
+"""Draws of one programme before it is given up as not fitting."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlanRoom:
+    """A cell: its type, one or two rectangles (to the middle of the walls), and their union's corners (x, z), mm."""
+
+    label: str
+    rects: tuple[Rect, ...]
+
+    @property
+    def corners(self) -> tuple[tuple[int, int], ...]:
+        """Corners of the union, shoelace positive, beginning with the lowest (x, z)."""
+        union = shapely.union_all([rect.polygon for rect in self.rects]).simplify(0)
+        ring = shapely.geometry.polygon.orient(union, 1.0).exterior.coords[:-1]
+        corners = [(round(x), round(z)) for x, z in ring]
+        first = corners.index(min(corners))
+        return tuple(corners[first:] + corners[:first])
+
+
+class PlanDoor(NamedTuple):
+    """An opening of `width` between cells `a` and `b`: on x = `at` (or z = `at` if `along_x`), centred at `middle`."""
+
+    a: int
+    b: int
+    along_x: bool
+    at: int
+    middle: int
+    width: int
+
+
+@dataclass(frozen=True, slots=True)
+class FloorPlan:
+    """Cells and doors of an apartment, millimetres."""
+
+    rooms: tuple[PlanRoom, ...]
+    doors: tuple[PlanDoor, ...]
+
+
+class _Wall(NamedTuple):
+    a: int
+    b: int
+    along_x: bool
+    at: int
+    low: int
+    high: int
+
+
+def draw_floor_plan(rng: random.Random, n_rooms: int) -> FloorPlan:
+    """Floor plan of `n_rooms` rooms (2 to 8), turned and mirrored at random, near the origin."""
+    while True:
+        programme = rng.choice(PROGRAMMES[n_rooms])
+        cells = _corridor_cells(rng, programme) if "hallway" in programme else _cut_cells(rng, programme)
+        if cells is None:
+            continue
+        rooms = _placed(rng, cells)
+        doors = _doors(rng, rooms)
+        if doors is not None:
+            return FloorPlan(rooms, doors)
+
+
+def _snapped(value: float) -> int:
+    return round(value / GRID) * GRID
+
+
+def _area(rng: random.Random, label: str) -> float:
+    return rng.uniform(*ROOM_KINDS[label].area) * 1e6
+
+
+def _fits(room: PlanRoom) -> bool:
+    kind = ROOM_KINDS[room.label]
+    main = max(room.rects, key=lambda rect: rect.area)
+    short, long = sorted((main.width, main.depth))
+    return short >= kind.side and (room.label == "hallway" or long <= MAX_ASPECT * short)
+
+
+def _cut_cells(rng: random.Random, programme: Sequence[str]) -> list[PlanRoom] | None:
+    """Cut one rectangle recursively, by area and across its longer side."""
+    for _ in range(CUT_TRIES):
+        labels = rng.sample(programme, len(programme))
+        areas = [_area(rng, label) for label in labels]
+        aspect = rng.uniform(0.75, 1.3)
+        width = _snapped((sum(areas) * aspect) ** 0.5)
+        cells: list[PlanRoom] = []
+        pending = [(Rect(0, 0, width, _snapped(sum(areas) / width)), list(zip(labels, areas, strict=True)))]
+        while pending:
+            rect, group = pending.pop()
+            if len(group) == 1:
+                cells.append(PlanRoom(group[0][0], (rect,)))
+                continue
+            at = min(
+                range(1, len(group)), key=lambda i: abs(sum(a for _, a in group[:i]) - sum(a for _, a in group[i:]))
+            )
+            share = sum(a for _, a in group[:at]) / sum(a for _, a in group)
+            if rect.width >= rect.depth:
+                cut = rect.x0 + _snapped(rect.width * share)
+                halves = Rect(rect.x0, rect.z0, cut, rect.z1), Rect(cut, rect.z0, rect.x1, rect.z1)
+            else:
+                cut = rect.z0 + _snapped(rect.depth * share)
+                halves = Rect(rect.x0, rect.z0, rect.x1, cut), Rect(rect.x0, cut, rect.x1, rect.z1)
+            pending += [(halves[0], group[:at]), (halves[1], group[at:])]
+        if all(_fits(cell) for cell in cells):
+            return cells
+    return None
+
+
+def _corridor_cells(rng: random.Random, programme: Sequence[str]) -> list[PlanRoom] | None:
+    """Two rows of rooms with a hallway between them."""
+    others = [label for label in programme if label != "hallway"]
+    for _ in range(CUT_TRIES):
+        hall = _snapped(rng.uniform(1500, 1900))
+        depths = [_snapped(rng.uniform(3200, 4500)) for _ in range(2)]
+        rows: tuple[list[tuple[str, float]], list[tuple[str, float]]] = ([], [])
+        for label in rng.sample(others, len(others)):
+            emptier = min((0, 1), key=lambda r: sum(w for _, w in rows[r]))
+            rows[emptier].append((label, _area(rng, label) / depths[emptier]))
+        sums = [sum(w for _, w in row) for row in rows]
+        if not 0.8 < sums[0] / max(sums[1], 1.0) < 1.25:
+            continue
+        length = _snapped((sums[0] + sums[1]) / 2)
+        cells = []
+        for row, depth, z0 in zip(rows, depths, (0, depths[0] + hall), strict=True):
+            x = 0
+            widths = [_snapped(w * length / sum(w for _, w in row)) for _, w in row]
+            widths[-1] = length - sum(widths[:-1])
+            for (label, _), width in zip(row, widths, strict=True):
+                cells.append(PlanRoom(label, (Rect(x, z0, x + width, z0 + depth),)))
+                x += width
+        strip = Rect(0, depths[0], length, depths[0] + hall)
+        cells = _shorten_hallway(rng, cells, strip)
+        if all(_fits(cell) for cell in cells):
+            return cells
+    return None
+
+
+def _shorten_hallway(rng: random.Random, cells: list[PlanRoom], strip: Rect) -> list[PlanRoom]:
+    """Add the hallway; a shared room at its east end may take part of it and become L-shaped."""
+    ends = [i for i, cell in enumerate(cells) if cell.rects[0].x1 == strip.x1 and cell.label in WIDE]
+    taken = None
+    if ends and rng.random() < 0.6:
+        taker = rng.choice(ends)
+        width = cells[taker].rects[0].width
+        length = _snapped(width * rng.uniform(0.4, 0.7))
+        if strip.width - length >= 3000:
+            taken = strip.x1 - length
+            piece = Rect(taken, strip.z0, strip.x1, strip.z1)
+            cells = [*cells]
+            cells[taker] = PlanRoom(cells[taker].label, (cells[taker].rects[0], piece))
+    return [*cells, PlanRoom("hallway", (Rect(strip.x0, strip.z0, taken or strip.x1, strip.z1),))]
+
+
+def _placed(rng: random.Random, cells: Sequence[PlanRoom]) -> tuple[PlanRoom, ...]:
+    """Turn and mirror the plan at random and put its middle within 3 m of the origin."""
+    transpose, mirror = rng.random() < 0.5, rng.random() < 0.5
+    turned = []
+    for cell in cells:
+        rects = cell.rects
+        if transpose:
+            rects = tuple(rect.transposed() for rect in rects)
+        if mirror:
+            rects = tuple(rect.mirrored() for rect in rects)
+        turned.append((cell.label, rects))
+    every = [rect for _, rects in turned for rect in rects]
+    middle_x = (min(r.x0 for r in every) + max(r.x1 for r in every)) / 2
+    middle_z = (min(r.z0 for r in every) + max(r.z1 for r in every)) / 2
+    dx, dz = (_snapped(rng.uniform(-3000, 3000) - middle) for middle in (middle_x, middle_z))
+    return tuple(PlanRoom(label, tuple(rect.moved(dx, dz) for rect in rects)) for label, rects in turned)
+
+
+def _walls(rooms: Sequence[PlanRoom]) -> list[_Wall]:
+    """The longest wall that each pair of neighbouring cells shares."""
+    walls = []
+    for b in range(len(rooms)):
+        for a in range(b):
+            shared = [
+                wall for p in rooms[a].rects for q in rooms[b].rects if (wall := _shared_side(a, b, p, q)) is not None
+            ]
+            if shared:
+                walls.append(max(shared, key=lambda wall: wall.high - wall.low))
+    return walls
+
+
+def _shared_side(a: int, b: int, p: Rect, q: Rect) -> _Wall | None:
+    low, high = max(p.z0, q.z0), min(p.z1, q.z1)
+    if high > low and (p.x1 == q.x0 or q.x1 == p.x0):
+        return _Wall(a, b, False, q.x0 if p.x1 == q.x0 else p.x0, low, high)
+    low, high = max(p.x0, q.x0), min(p.x1, q.x1)
+    if high > low and (p.z1 == q.z0 or q.z1 == p.z0):
+        return _Wall(a, b, True, q.z0 if p.z1 == q.z0 else p.z0, low, high)
+    return None
+
+
+def _reluctance(one: str, other: str) -> float:
+    """How little one wants a door between two types; the doors of a plan are the cheapest tree."""
+    pair = {one, other}
+    if "hallway" in pair:
+        return 1.0
+    if pair <= SHARED:
+        return 1.2
+    if pair == {"bedroom", "bathroom"}:
+        return 2.2
+    if pair & SHARED:
+        return 3.5 if pair == {"kitchen", "bathroom"} else 2.0
+    return 9.0
+
+
+def _doors(rng: random.Random, rooms: Sequence[PlanRoom]) -> tuple[PlanDoor, ...] | None:
+    """Doors that join all cells and make nobody walk through a private room; None where the plan allows none."""
+    room_for_door = max(DOOR_WIDTHS) + 2 * DOOR_CORNER_MARGIN
+    walls = [wall for wall in _walls(rooms) if wall.high - wall.low >= room_for_door]
+    ranked = sorted(
+        (_reluctance(rooms[w.a].label, rooms[w.b].label) + rng.uniform(0, 0.8), index) for index, w in enumerate(walls)
+    )
+    group = list(range(len(rooms)))
+    chosen, spare = [], []
+    for _, index in ranked:
+        wall = walls[index]
+        if group[wall.a] == group[wall.b]:
+            spare.append(wall)
+            continue
+        old, new = group[wall.a], group[wall.b]
+        group = [new if g == old else g for g in group]
+        chosen.append(wall)
+    if len(set(group)) > 1 or not _private_enough(rooms, chosen):
+        return None
+    for wall in spare:
+        if {rooms[wall.a].label, rooms[wall.b].label} <= SHARED and rng.random() < EXTRA_DOOR_CHANCE:
+            chosen.append(wall)
+    return tuple(_door(rng, wall, rooms) for wall in sorted(chosen))
+
+
+def _private_enough(rooms: Sequence[PlanRoom], walls: Sequence[_Wall]) -> bool:
+    for index, room in enumerate(rooms):
+        if room.label in SHARED:
+            continue
+        neighbours = [rooms[w.b if w.a == index else w.a].label for w in walls if index in (w.a, w.b)]
+        own_bathroom = room.label == "bedroom" and neighbours.count("bathroom") == 1
+        if len(neighbours) > 1 + own_bathroom:
+            return False
+    return True
+
+
+def _door(rng: random.Random, wall: _Wall, rooms: Sequence[PlanRoom]) -> PlanDoor:
+    room = wall.high - wall.low - 2 * DOOR_CORNER_MARGIN
+    wide = {rooms[wall.a].label, rooms[wall.b].label} <= WIDE
+    widths = [w for w in (OPENING_WIDTHS if wide else DOOR_WIDTHS) if w <= room] or [min(DOOR_WIDTHS)]
+    width = rng.choice(widths)
+    low = wall.low + DOOR_CORNER_MARGIN + width // 2
+    high = wall.high - DOOR_CORNER_MARGIN - width // 2
+    # Doors mostly stand near a corner, which leaves the rest of the wall to furniture.
+    middle = rng.choice((low, high)) if rng.random() < 0.6 else low + _snapped(rng.uniform(0, high - low))
+    return PlanDoor(wall.a, wall.b, wall.along_x, wall.at, min(middle, high), width)

@@ -1,0 +1,112 @@
+"""``make_samples``: whole datasets of made apartments, so that everything runs with no download."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from condvln.samples.apartment import make_layout
+from condvln.samples.floor_mesh import NavmeshEngine
+from condvln.samples.floor_plan import MAX_ROOMS, MIN_ROOMS
+from condvln.samples.gibson import gibson_files
+from condvln.samples.layout import Layout
+from condvln.samples.mp3d import mp3d_files
+from condvln.samples.procthor import procthor_files
+from condvln.samples.replicacad import replicacad_files
+from condvln.samples.thor_metadata import ithor_files, robothor_files
+from condvln.seeding import stable_hash
+from schemas.errors import UsageError
+
+__all__ = ["FAMILIES", "SampleReport", "make_layouts", "make_samples", "write_replicacad"]
+
+Writer = Callable[[Mapping[str, Layout]], Iterator[tuple[str, bytes]]]
+
+FAMILIES: Final[dict[str, Writer]] = {
+    "gibson": gibson_files,
+    "ithor": ithor_files,
+    "mp3d": mp3d_files,
+    "procthor": procthor_files,
+    "replicacad": replicacad_files,
+    "robothor": robothor_files,
+}
+"""Writers by source family: layouts by scene name to files by path."""
+
+SEED_BITS: Final = 63
+
+
+@dataclass(frozen=True, slots=True)
+class SampleReport:
+    """What was written: scene names with their numbers of rooms and objects, files and bytes."""
+
+    folder: Path
+    family: str
+    scenes: tuple[str, ...]
+    rooms: int
+    objects: int
+    files: int
+    bytes: int
+
+
+def make_layouts(scenes: int, seed: int) -> dict[str, Layout]:
+    """``made_000`` …: layouts by scene name. Scene k of a seed is the same however many are made, in every family."""
+    return {
+        f"made_{k:03d}": make_layout(stable_hash("sample", seed, k) >> (256 - SEED_BITS), _n_rooms(seed, k))
+        for k in range(scenes)
+    }
+
+
+def make_samples(folder: Path, family: str = "replicacad", scenes: int = 12, seed: int = 0) -> SampleReport:
+    """Write `scenes` made apartments to `folder` in the native format of `family`.
+
+    The bytes depend on (family, scenes, seed) alone. A folder that holds the same files already is left as it is.
+
+    Raises
+    ------
+    UsageError : no such family, no scenes asked for, or the folder holds something else
+    """
+    if family not in FAMILIES:
+        known = ", ".join(sorted(FAMILIES))
+        raise UsageError(f"no samples of a family {family!r}", place="family", remedy=f"Choose one of: {known}.")
+    if scenes < 1:
+        raise UsageError(f"{scenes} scenes were asked for", place="scenes", remedy="Ask for at least one.")
+    layouts = make_layouts(scenes, seed)
+    return _write(folder, family, layouts, FAMILIES[family](layouts))
+
+
+def write_replicacad(folder: Path, layouts: Mapping[str, Layout], navmesh: NavmeshEngine = "polygons") -> SampleReport:
+    """Write `layouts`, by scene name, as a ReplicaCAD dataset; errors as in `make_samples`."""
+    return _write(folder, "replicacad", layouts, replicacad_files(layouts, navmesh))
+
+
+def _n_rooms(seed: int, k: int) -> int:
+    """Number of rooms of scene k: every seven scenes in a row have all sizes from two to eight, shuffled."""
+    sizes = list(range(MIN_ROOMS, MAX_ROOMS + 1))
+    random.Random(f"sizes/{seed}/{k // len(sizes)}").shuffle(sizes)
+    return sizes[k % len(sizes)]
+
+
+def _write(
+    folder: Path, family: str, layouts: Mapping[str, Layout], content_of: Iterator[tuple[str, bytes]]
+) -> SampleReport:
+    files = {folder / path: content for path, content in content_of}
+    # Nothing is written before all that is there has been found to belong.
+    there = {file for file in files if file.exists()}
+    for file in sorted(there):
+        if not file.is_file() or file.read_bytes() != files[file]:
+            raise UsageError("the folder holds another dataset", where=file, remedy="Give an empty or a new folder.")
+    for file, content in files.items():
+        if file not in there:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_bytes(content)
+    return SampleReport(
+        folder=folder,
+        family=family,
+        scenes=tuple(layouts),
+        rooms=sum(len(layout.rooms) for layout in layouts.values()),
+        objects=sum(len(layout.furniture) for layout in layouts.values()),
+        files=len(files),
+        bytes=sum(map(len, files.values())),
+    )

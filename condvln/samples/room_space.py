@@ -1,0 +1,265 @@
+"""One room while it is being furnished: what stands where, and whether one more piece may stand there.
+
+Millimetres throughout. A piece fits if its box overlaps no other, stands clear of doorways and of the space that others
+need in front of them, and leaves the floor in one part for the agent, with people's passages between all doors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Final, NamedTuple
+
+import numpy as np
+import shapely
+
+from condvln.samples.catalogue import Kind
+from condvln.samples.layout import Yaw
+from condvln.samples.rect import Rect
+
+__all__ = ["BLOCKING_HEIGHT", "DoorZone", "Edge", "Piece", "RoomSpace", "opened"]
+
+GAP: Final = 20
+"""Least distance between the boxes of two pieces, seen from above."""
+
+WALL_GAP: Final = 20
+"""Distance of a piece's back from the wall it stands against."""
+
+HANG_GAP: Final = 10
+"""Distance of a hung piece's back from its wall."""
+
+HALF_WALL: Final = 50
+"""Half the thickness of a wall."""
+
+DOOR_DEPTH: Final = 800
+"""Depth of the floor kept free on either side of a doorway."""
+
+AGENT_RADIUS: Final = 100
+"""The floor must stay in one part for an agent of this radius."""
+
+PASSAGE_RADIUS: Final = 240
+"""All doorways of a room stay joined for a person of this radius."""
+
+BLOCKING_HEIGHT: Final = 50
+"""What is flatter (rugs, mats) is walked over."""
+
+AGENT_HEIGHT: Final = 1500
+"""What hangs higher is walked under."""
+
+SLIT: Final = 50
+"""Strips of free floor narrower than this don't count as floor."""
+
+
+def opened(floor: shapely.Geometry, slit: float = SLIT, grid: float = 1.0) -> shapely.Geometry:
+    """`floor` without its parts narrower than `slit` (morphological opening with square corners), on a grid."""
+    # GEOS meets parallel edges when it looks for the mitre, copes with them, and leaves numpy's warning flags raised.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        wide = floor.buffer(-slit / 2, join_style="mitre").buffer(slit / 2, join_style="mitre")
+    # Where the shrinking swallows a short edge, its neighbours' mitre would reach beyond the floor.
+    return shapely.intersection(wide, floor, grid_size=grid)
+
+
+class Edge(NamedTuple):
+    """The free side of a wall: from (x, z), `length` along (dx, dz), the room on the side of the normal (nx, nz)."""
+
+    x: int
+    z: int
+    dx: int
+    dz: int
+    length: int
+
+    @property
+    def normal(self) -> tuple[int, int]:
+        """Unit vector into the room."""
+        return -self.dz, self.dx
+
+    @property
+    def yaw(self) -> Yaw:
+        """Of a piece that stands against this wall and faces the room."""
+        nx, nz = self.normal
+        return Yaw(25 * nz, 25 * nx)
+
+    def point(self, along: int, away: int) -> tuple[int, int]:
+        """(x, z) at a distance along the wall and away from it."""
+        nx, nz = self.normal
+        return self.x + self.dx * along + nx * away, self.z + self.dz * along + nz * away
+
+
+class DoorZone(NamedTuple):
+    """The floor before a doorway, and the point in it that must stay reachable."""
+
+    rect: Rect
+    point: tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """A piece of furniture, placed: centre (x, z) and lower edge, millimetres."""
+
+    kind: Kind
+    variant: int
+    x: int
+    z: int
+    bottom: int
+    yaw: Yaw
+    parent: int | None = None
+    against: Edge | None = None
+    soft: bool = False
+
+    @property
+    def size(self) -> tuple[int, int, int]:
+        """Width, height, depth in its own frame."""
+        return self.kind.sizes[self.variant]
+
+    @property
+    def top(self) -> int:
+        """Height of its upper edge."""
+        return self.bottom + self.size[1]
+
+    @property
+    def rect(self) -> Rect:
+        """Its axis-aligned box from above."""
+        return self.rect_of(0, 0)
+
+    def rect_of(self, back: int, front: int) -> Rect:
+        """The same with so much added behind and before it (the yaw must be square then)."""
+        width, _, depth = self.size
+        c, s = abs(self.yaw.cosine25), abs(self.yaw.sine25)
+        half_x, half_z = (c * width + s * depth) // 50, (s * width + c * depth) // 50
+        rect = Rect(self.x - half_x, self.z - half_z, self.x + half_x, self.z + half_z)
+        if not back and not front:
+            return rect
+        fx, fz = self.facing
+        reach = [max(f, 0) * front + max(-f, 0) * back for f in (fx, fz, -fx, -fz)]
+        return Rect(rect.x0 - reach[2], rect.z0 - reach[3], rect.x1 + reach[0], rect.z1 + reach[1])
+
+    @property
+    def facing(self) -> tuple[int, int]:
+        """Unit vector of its front, of a square yaw."""
+        return self.yaw.sine25 // 25, self.yaw.cosine25 // 25
+
+    @property
+    def front_zone(self) -> Rect | None:
+        """The floor it needs free in front of it."""
+        if not self.kind.front or not self.yaw.square or self.soft:
+            return None
+        whole, own = self.rect_of(0, self.kind.front), self.rect
+        fx, fz = self.facing
+        if fx:
+            return whole._replace(x0=own.x1) if fx > 0 else whole._replace(x1=own.x0)
+        return whole._replace(z0=own.z1) if fz > 0 else whole._replace(z1=own.z0)
+
+    @property
+    def footprint(self) -> shapely.Polygon:
+        """The turned rectangle over (x, z)."""
+        if self.yaw.square:
+            return self.rect.polygon
+        half_x, half_z = self.size[0] / 2, self.size[2] / 2
+        corners = (
+            self.yaw.apply(x, z)
+            for x, z in ((-half_x, -half_z), (half_x, -half_z), (half_x, half_z), (-half_x, half_z))
+        )
+        return shapely.Polygon([(self.x + x, self.z + z) for x, z in corners])
+
+    @property
+    def blocks(self) -> bool:
+        """Does it stand in the agent's way?"""
+        return self.top > BLOCKING_HEIGHT and self.bottom < AGENT_HEIGHT
+
+
+@dataclass
+class RoomSpace:
+    """The room's free sides of walls, its door zones and its pieces."""
+
+    label: str
+    polygon: shapely.Polygon
+    doors: tuple[DoorZone, ...]
+    pieces: list[Piece] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.inner: shapely.Polygon = self.polygon.buffer(-HALF_WALL, join_style="mitre")
+        shapely.prepare(self.inner)
+        self.edges: tuple[Edge, ...] = tuple(_edges(self.inner))
+        self._points = [shapely.Point(door.point) for door in self.doors]
+        self._measure_floor()
+
+    def _measure_floor(self) -> None:
+        self._floor = self.inner.buffer(-AGENT_RADIUS, join_style="mitre")
+        self._passage = self.inner.buffer(-PASSAGE_RADIUS, join_style="mitre")
+        for piece in self.pieces:
+            if piece.blocks:
+                self._floor, self._passage = self._floor_without(piece)
+
+    def _floor_without(self, piece: Piece) -> tuple[shapely.Geometry, shapely.Geometry]:
+        footprint = piece.footprint
+        return (
+            self._floor.difference(footprint.buffer(AGENT_RADIUS, join_style="mitre")),
+            self._passage.difference(footprint.buffer(PASSAGE_RADIUS, join_style="mitre")),
+        )
+
+    @property
+    def corners(self) -> Iterator[tuple[Edge, Edge]]:
+        """Pairs of walls that meet in a corner of the room pointing outwards."""
+        for one, other in zip(self.edges, (*self.edges[1:], self.edges[0]), strict=True):
+            if one.dx * other.dz - one.dz * other.dx > 0:
+                yield one, other
+
+    def of_kind(self, kinds: Sequence[str]) -> list[int]:
+        """Indices of the pieces of these kinds."""
+        return [index for index, piece in enumerate(self.pieces) if piece.kind.kind in kinds]
+
+    def add(self, piece: Piece) -> bool:
+        """Put `piece` where it says, if it fits there."""
+        if not self._box_fits(piece) or not self._zones_fit(piece):
+            return False
+        if piece.blocks:
+            floor, passage = self._floor_without(piece)
+            if opened(floor).geom_type != "Polygon" or not self._doors_joined(passage):
+                return False
+            self._floor, self._passage = floor, passage
+        self.pieces.append(piece)
+        return True
+
+    def restore(self, pieces: list[Piece]) -> None:
+        """Go back to an earlier list of pieces."""
+        self.pieces = pieces
+        self._measure_floor()
+
+    def _box_fits(self, piece: Piece) -> bool:
+        rect = piece.rect
+        if not self.inner.covers(rect.polygon) or any(rect.overlap(door.rect) for door in self.doors):
+            return False
+        if piece.parent is not None and not _inside(rect, self.pieces[piece.parent].rect):
+            return False
+        near = rect.grown(GAP)
+        return not any(
+            near.overlap(other.rect) and piece.bottom < other.top and other.bottom < piece.top for other in self.pieces
+        )
+
+    def _zones_fit(self, piece: Piece) -> bool:
+        if not piece.blocks or piece.parent is not None:
+            return True
+        rect, zone = piece.rect, piece.front_zone
+        if not piece.soft and any(other.front_zone and rect.overlap(other.front_zone) for other in self.pieces):
+            return False
+        if zone is None:
+            return True
+        if not self.inner.covers(zone.polygon):
+            return False
+        return not any(zone.overlap(other.rect) and other.blocks and not other.soft for other in self.pieces)
+
+    def _doors_joined(self, passage: shapely.Geometry) -> bool:
+        parts = shapely.get_parts(passage)
+        return any(all(part.covers(point) for point in self._points) for part in parts)
+
+
+def _inside(rect: Rect, outer: Rect) -> bool:
+    return outer.x0 <= rect.x0 and outer.z0 <= rect.z0 and rect.x1 <= outer.x1 and rect.z1 <= outer.z1
+
+
+def _edges(inner: shapely.Polygon) -> Iterator[Edge]:
+    ring = [(round(x), round(z)) for x, z in shapely.geometry.polygon.orient(inner.simplify(0), 1.0).exterior.coords]
+    for (x0, z0), (x1, z1) in pairwise(ring):
+        length = abs(x1 - x0) + abs(z1 - z0)
+        yield Edge(x0, z0, (x1 - x0) // length, (z1 - z0) // length, length)

@@ -1,0 +1,43 @@
+"""From the layout's frame to Unity's: left-handed, +y up, +z north. (x, y, z) is (x, y, −z), and angles turn round."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from condvln.samples.layout import Furniture, Layout
+
+__all__ = ["UnityFrame"]
+
+DECIMALS = 6
+
+
+@dataclass(frozen=True, slots=True)
+class UnityFrame:
+    """Unity's axes with the origin moved by (x, z)."""
+
+    x: float = 0.0
+    z: float = 0.0
+
+    @classmethod
+    def with_corner_at_origin(cls, layout: Layout) -> UnityFrame:
+        """The frame in which the plan's lowest corner is (0, 0, 0), as in ProcTHOR's houses."""
+        (x0, _), (_, z1) = layout.bounds
+        return cls(-x0, z1)
+
+    def ground(self, x: float, z: float) -> tuple[float, float]:
+        """(x, z) on the floor."""
+        return round(x + self.x, DECIMALS) + 0.0, round(self.z - z, DECIMALS) + 0.0
+
+    def point(self, x: float, y: float, z: float) -> dict[str, float]:
+        """A point as Unity writes it."""
+        unity_x, unity_z = self.ground(x, z)
+        return {"x": unity_x, "y": round(y, DECIMALS) + 0.0, "z": unity_z}
+
+    def center(self, piece: Furniture) -> dict[str, float]:
+        """Middle of a piece's box."""
+        return self.point(*piece.center)
+
+    def rotation(self, piece: Furniture) -> dict[str, float]:
+        """Euler angles in degrees; yaw turns clockwise seen from above."""
+        return {"x": 0.0, "y": -math.degrees(piece.yaw.radians) % 360, "z": 0.0}

@@ -1,0 +1,130 @@
+"""Places to stand in an apartment and which of them see and reach each other: Matterport's panoramas."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import networkx as nx
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from condvln.samples.floor_mesh import convex_polygons
+from condvln.samples.free_floor import free_floor, open_plan
+from condvln.samples.layout import Layout
+
+__all__ = ["Viewpoints", "viewpoints_of"]
+
+SPACING: Final = 1.8
+"""Metres between viewpoints on open floor."""
+
+DOOR_STEP: Final = 0.45
+"""Metres before and behind a doorway at which there is a viewpoint."""
+
+REACH: Final = 4.0
+"""Longest step from one viewpoint to the next, metres."""
+
+MARGIN: Final = 0.1
+"""Metres that viewpoints keep from the edge of the free floor."""
+
+F64 = NDArray[np.float64]
+Place = tuple[float, float]
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Viewpoints:
+    """(n, 2) places (x, z); the room of each; (n, n) whether one sees the other past walls, and may walk there."""
+
+    places: F64
+    rooms: tuple[str, ...]
+    visible: Flags
+    unobstructed: Flags
+
+
+def viewpoints_of(layout: Layout) -> Viewpoints:
+    """Viewpoints on both sides of every doorway and over the floor, all of them joined by straight free walks."""
+    floor = free_floor(layout)
+    shapely.prepare(floor)
+    doors = _thinned(_before_doors(layout), DOOR_STEP / 2)
+    places = _thinned(np.concatenate([doors, _grid(layout, floor)]), SPACING / 2, kept=len(doors))
+    places = _bridged(places, floor)
+    rooms = _rooms(layout, places)
+    return Viewpoints(places, rooms, _joined(places, open_plan(layout)), _walks(places, floor))
+
+
+def _walks(places: F64, floor: shapely.Geometry) -> Flags:
+    near: Flags = np.linalg.norm(places[:, None] - places[None], axis=-1) <= REACH
+    return _joined(places, floor) & near
+
+
+def _bridged(places: F64, floor: shapely.Geometry) -> F64:
+    """More places where the given ones fall apart: along the shortest way over the floor's convex polygons."""
+    ways: nx.Graph[Place] = nx.Graph()
+    vertices, polygons = convex_polygons(floor)
+    shapes = [shapely.Polygon(vertices[polygon]) for polygon in polygons]
+    for polygon, shape in zip(polygons, shapes, strict=True):
+        middle = _rounded(np.array(shape.centroid.coords[0]))
+        for a, b in zip(polygon, [*polygon[1:], polygon[0]], strict=True):
+            edge = _rounded((vertices[a] + vertices[b]) / 2)
+            ways.add_edge(middle, edge, length=float(np.linalg.norm(np.subtract(middle, edge))))
+    for place in places:
+        shape = min(shapes, key=lambda s: s.distance(shapely.Point(place)))
+        middle = _rounded(np.array(shape.centroid.coords[0]))
+        ways.add_edge(_rounded(place), middle, length=float(np.linalg.norm(place - middle)))
+    while True:
+        parts = list(nx.connected_components(nx.from_numpy_array(_walks(places, floor))))
+        if len(parts) == 1:
+            return places
+        here = {_rounded(places[i]) for i in parts[0]}
+        there = {_rounded(place) for place in places} - here
+        lengths = nx.multi_source_dijkstra_path_length(ways, here, weight="length")
+        paths = nx.multi_source_dijkstra_path(ways, here, weight="length")
+        nearest = min(there, key=lambda place: (lengths[place], place))
+        known = here | there
+        places = np.concatenate([places, [step for step in paths[nearest] if step not in known]])
+
+
+def _rounded(place: F64) -> Place:
+    x, z = np.round(place, 4).tolist()
+    return x + 0.0, z + 0.0
+
+
+def _before_doors(layout: Layout) -> F64:
+    places = []
+    for door in layout.doors:
+        x, z = door.center
+        away = (0.0, DOOR_STEP) if door.along_x else (DOOR_STEP, 0.0)
+        places += [(x - away[0], z - away[1]), (x + away[0], z + away[1])]
+    return np.array(places)
+
+
+def _grid(layout: Layout, floor: shapely.Geometry) -> F64:
+    (x0, z0), (x1, z1) = layout.bounds
+    xs, zs = np.arange(x0 + 0.6, x1, SPACING), np.arange(z0 + 0.6, z1, SPACING)
+    grid = np.round(np.stack(np.meshgrid(xs, zs, indexing="ij"), axis=-1).reshape(-1, 2), 3)
+    kept: F64 = grid[shapely.covers(floor.buffer(-MARGIN), shapely.points(grid))]
+    return kept
+
+
+def _thinned(places: F64, distance: float, kept: int = 0) -> F64:
+    """The places, in order, without those too near an earlier one; the first `kept` stay in any case."""
+    chosen: list[F64] = list(places[:kept])
+    for place in places[kept:]:
+        if all(np.linalg.norm(place - other) >= distance for other in chosen):
+            chosen.append(place)
+    return np.array(chosen)
+
+
+def _joined(places: F64, area: shapely.Geometry) -> Flags:
+    """Which pairs are joined by a straight line inside `area`; none with itself."""
+    n = len(places)
+    pairs = np.stack(np.broadcast_arrays(places[:, None], places[None]), axis=2)
+    joined: Flags = shapely.covers(area, shapely.linestrings(pairs.reshape(-1, 2, 2))).reshape(n, n)
+    return joined & ~np.eye(n, dtype=bool)
+
+
+def _rooms(layout: Layout, places: F64) -> tuple[str, ...]:
+    inside = [shapely.covers(room.shape, shapely.points(places)) for room in layout.rooms]
+    return tuple(layout.rooms[index].room_id for index in np.argmax(inside, axis=0))

@@ -1,0 +1,25 @@
+"""The Scene in memory: arrays, frames, boxes, meshes."""
+
+from condvln.scene.scene import (
+    MeshPart,
+    NavmeshFile,
+    OrientedBox,
+    Room,
+    RoomArrays,
+    Scene,
+    SceneObject,
+    SceneWarning,
+    round_mm,
+)
+
+__all__ = [
+    "MeshPart",
+    "NavmeshFile",
+    "OrientedBox",
+    "Room",
+    "RoomArrays",
+    "Scene",
+    "SceneObject",
+    "SceneWarning",
+    "round_mm",
+]

@@ -1,0 +1,83 @@
+"""Boxes and placements: 4×4 transforms, axis-aligned and oriented extents of points."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from condvln.scene.quaternions import from_matrix, round_quaternion, to_matrix
+from condvln.scene.scene import OrientedBox, round_mm
+
+__all__ = ["aabb_of", "box_corners", "corners", "oriented_box", "placement", "rounded_box", "transform_points"]
+
+F64 = NDArray[np.float64]
+
+_SIGNS: Final = np.array(list(product((-1.0, 1.0), repeat=3)))
+
+
+def placement(
+    rotation: ArrayLike | None = None, translation: ArrayLike | None = None, scale: ArrayLike | None = None
+) -> F64:
+    """(4, 4) transform that scales (one number or three), then rotates by (3, 3), then moves by (3,) metres."""
+    matrix = np.eye(4)
+    if rotation is not None:
+        matrix[:3, :3] = rotation
+    if scale is not None:
+        matrix[:3, :3] *= np.asarray(scale, dtype=np.float64)
+    if translation is not None:
+        matrix[:3, 3] = translation
+    return matrix
+
+
+def transform_points(matrix: F64, points: ArrayLike) -> F64:
+    """(n, 3) points taken through a (4, 4) affine transform."""
+    moved: F64 = np.asarray(points, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+    return moved
+
+
+def aabb_of(points: ArrayLike) -> F64:
+    """(2, 3) [min, max] of (n, 3) points, n ≥ 1."""
+    array = np.asarray(points, dtype=np.float64)
+    return np.array([array.min(axis=0), array.max(axis=0)])
+
+
+def corners(aabb: ArrayLike) -> F64:
+    """(8, 3) corners of a (2, 3) axis-aligned box."""
+    box = np.asarray(aabb, dtype=np.float64)
+    centre, half = (box[0] + box[1]) / 2, (box[1] - box[0]) / 2
+    points: F64 = centre + _SIGNS * half
+    return points
+
+
+def box_corners(box: OrientedBox) -> F64:
+    """(8, 3) corners of an oriented box, in the scene's frame."""
+    points: F64 = box.center + (_SIGNS * box.half_extents) @ box.rotation.T
+    return points
+
+
+def oriented_box(local: ArrayLike, transform: F64) -> OrientedBox | None:
+    """The (2, 3) box of a body in its own frame, placed in the scene; None where the placement shears it.
+
+    A scale along the body's axes is taken into the half extents; a mirroring one is the same box.
+    """
+    box = np.asarray(local, dtype=np.float64)
+    linear = transform[:3, :3]
+    scale = np.linalg.norm(linear, axis=0)
+    if not (scale > 0).all():
+        return None
+    rotation = linear / scale
+    if not np.allclose(rotation.T @ rotation, np.eye(3), atol=1e-6):
+        return None
+    if np.linalg.det(rotation) < 0:
+        rotation = rotation * np.array([1.0, 1.0, -1.0])
+    centre = transform_points(transform, (box[0] + box[1])[None] / 2)[0]
+    return OrientedBox(centre, (box[1] - box[0]) / 2 * scale, rotation)
+
+
+def rounded_box(box: OrientedBox) -> OrientedBox:
+    """A box with its centre and half extents rounded to 1 mm, and the rotation that is stored of it."""
+    rotation = to_matrix(round_quaternion(from_matrix(box.rotation)))
+    return OrientedBox(round_mm(box.center), round_mm(box.half_extents), rotation)

@@ -1,0 +1,86 @@
+"""The meshes of a dataset, read when they are needed and kept while there is room."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.scene.boxes import transform_points
+from condvln.scene.scene import MeshPart, SceneObject
+from condvln.sources.dataset_root import DatasetRoot
+from condvln.sources.glb import MAX_GLB_BYTES, GlbGeometry, read_glb
+
+__all__ = ["CACHE_BYTES", "MeshLibrary", "WorldMesh"]
+
+CACHE_BYTES: Final = 192 << 20
+"""Decoded geometry kept; all of ReplicaCAD's objects take 40 MB, and a worker has 1 GiB."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class WorldMesh:
+    """Triangles in the scene's frame: vertices (n, 3) metres, not rounded; faces (m, 3), counter-clockwise outside.
+
+    watertight : all parts are closed surfaces, so that "inside" has a meaning
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    watertight: bool
+
+
+class MeshLibrary:
+    """Mesh files under one dataset root, by relative path."""
+
+    def __init__(self, root: Path, cache_bytes: int = CACHE_BYTES) -> None:
+        self._root = DatasetRoot(root)
+        self._cache: OrderedDict[tuple[str, int, int], GlbGeometry] = OrderedDict()
+        self._cache_bytes = cache_bytes
+        self._used_bytes = 0
+
+    def geometry(self, path: str) -> GlbGeometry:
+        """The triangles of a file in its own frame.
+
+        Raises
+        ------
+        MissingFileError : there is no such file
+        FormatError : it can't be read; see `read_glb`
+        """
+        key = (path, *self._root.signature(path))
+        if key in self._cache:
+            self._cache.move_to_end(key)
+            return self._cache[key]
+        geometry = read_glb(self._root.read(path, MAX_GLB_BYTES), str(self._root.folder / path))
+        self._cache[key] = geometry
+        self._used_bytes += _bytes(geometry)
+        while self._used_bytes > self._cache_bytes and len(self._cache) > 1:
+            self._used_bytes -= _bytes(self._cache.popitem(last=False)[1])
+        return geometry
+
+    def placed(self, part: MeshPart) -> WorldMesh:
+        """A mesh part in the scene's frame."""
+        geometry = self.geometry(part.path)
+        faces = geometry.faces
+        if np.linalg.det(part.transform[:3, :3]) < 0:
+            faces = faces[:, ::-1]
+        return WorldMesh(transform_points(part.transform, geometry.vertices), faces, geometry.watertight)
+
+    def world_mesh(self, item: SceneObject) -> WorldMesh | None:
+        """All parts of an object as one mesh; None where it has none."""
+        parts = [self.placed(part) for part in item.mesh]
+        if len(parts) <= 1:
+            return parts[0] if parts else None
+        starts = np.cumsum([0, *(len(p.vertices) for p in parts[:-1])])
+        return WorldMesh(
+            vertices=np.concatenate([p.vertices for p in parts]),
+            faces=np.concatenate([p.faces + start for p, start in zip(parts, starts, strict=True)]).astype(np.int32),
+            watertight=all(p.watertight for p in parts),
+        )
+
+
+def _bytes(geometry: GlbGeometry) -> int:
+    return geometry.vertices.nbytes + geometry.faces.nbytes

@@ -1,0 +1,121 @@
+"""Rotations: quaternions in both orders that files use, Euler angles, and 3×3 matrices."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = [
+    "from_matrix",
+    "from_wxyz",
+    "rotation_rpy",
+    "rotation_x",
+    "rotation_y",
+    "rotation_z",
+    "round_quaternion",
+    "to_matrix",
+]
+
+F64 = NDArray[np.float64]
+
+MIN_NORM = 1e-6
+"""A shorter quaternion has no direction."""
+
+
+QUATERNION_DECIMALS: Final = 9
+"""Kept of a stored component: far below what 1 mm over a building can tell."""
+
+_MAX_ROUNDS: Final = 64
+
+
+def to_matrix(xyzw: ArrayLike) -> F64:
+    """(3, 3) rotation of a quaternion ``[x, y, z, w]`` of any length but zero; a column is where an axis goes.
+
+    Raises
+    ------
+    ValueError : the quaternion is zero or not finite
+    """
+    q = np.asarray(xyzw, dtype=np.float64)
+    norm = float(np.linalg.norm(q))
+    if not MIN_NORM < norm < math.inf:
+        raise ValueError(f"the quaternion {q.tolist()} is no rotation")
+    x, y, z, w = q / norm
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def from_wxyz(wxyz: ArrayLike) -> F64:
+    """``[x, y, z, w]`` of a quaternion in the order of Habitat's scene files, ``[w, x, y, z]``."""
+    xyzw: F64 = np.roll(np.asarray(wxyz, dtype=np.float64), -1)
+    return xyzw
+
+
+def from_matrix(rotation: ArrayLike) -> F64:
+    """Unit quaternion ``[x, y, z, w]`` of a (3, 3) rotation; its largest component is positive.
+
+    Shepperd's method (1978): divide by the largest of the four, so that no digits are lost.
+    """
+    m = np.asarray(rotation, dtype=np.float64)
+    trace = m[0, 0] + m[1, 1] + m[2, 2]
+    squares = np.array([1 + 2 * m[0, 0] - trace, 1 + 2 * m[1, 1] - trace, 1 + 2 * m[2, 2] - trace, 1 + trace])
+    k = int(np.argmax(squares))
+    products = np.array(
+        [
+            [squares[0], m[1, 0] + m[0, 1], m[2, 0] + m[0, 2], m[2, 1] - m[1, 2]],
+            [m[1, 0] + m[0, 1], squares[1], m[2, 1] + m[1, 2], m[0, 2] - m[2, 0]],
+            [m[2, 0] + m[0, 2], m[2, 1] + m[1, 2], squares[2], m[1, 0] - m[0, 1]],
+            [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], squares[3]],
+        ]
+    )
+    q: F64 = products[k] / np.linalg.norm(products[k])
+    return q
+
+
+def round_quaternion(xyzw: ArrayLike) -> F64:
+    """The quaternion rounded to `QUATERNION_DECIMALS`, such that its matrix gives the same rounded one again.
+
+    Rounding changes the length a little and normalising undoes that, so it is repeated until nothing moves.
+    """
+    q = _rounded(np.asarray(xyzw, dtype=np.float64))
+    for _ in range(_MAX_ROUNDS):
+        again = _rounded(from_matrix(to_matrix(q)))
+        if (again == q).all():
+            break
+        q = again
+    return q
+
+
+def _rounded(q: F64) -> F64:
+    return np.asarray(np.round(q, QUATERNION_DECIMALS) + 0.0, dtype=np.float64)
+
+
+def rotation_x(angle: float) -> F64:
+    """(3, 3) rotation by `angle` radians about +X, counter-clockwise seen from its tip."""
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[1.0, 0, 0], [0, c, -s], [0, s, c]])
+
+
+def rotation_y(angle: float) -> F64:
+    """(3, 3) rotation by `angle` radians about +Y, counter-clockwise seen from its tip."""
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, 0, s], [0, 1.0, 0], [-s, 0, c]])
+
+
+def rotation_z(angle: float) -> F64:
+    """(3, 3) rotation by `angle` radians about +Z, counter-clockwise seen from its tip."""
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+
+
+def rotation_rpy(roll: float, pitch: float, yaw: float) -> F64:
+    """URDF's roll, pitch, yaw in radians: about fixed X, then Y, then Z."""
+    rotation: F64 = rotation_z(yaw) @ rotation_y(pitch) @ rotation_x(roll)
+    return rotation

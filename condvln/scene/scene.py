@@ -1,0 +1,211 @@
+"""The Scene in memory: rooms and objects as plain frozen records over numpy arrays.
+
+Frame: Habitat's (metres, +Y up, −Z north). Positions are rounded to 1 mm when a record is made and everything
+downstream is decided on the rounded values, so that what is stored re-derives exactly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = [
+    "MILLIMETRE_DECIMALS",
+    "MeshPart",
+    "NavmeshFile",
+    "OrientedBox",
+    "Room",
+    "RoomArrays",
+    "Scene",
+    "SceneObject",
+    "SceneWarning",
+    "round_mm",
+]
+
+MILLIMETRE_DECIMALS: Final = 3
+"""Decimals kept of a position in metres."""
+
+F64 = NDArray[np.float64]
+
+
+def round_mm(values: ArrayLike) -> F64:
+    """Positions in metres rounded to 1 mm; −0 becomes 0, so that equal positions have equal bytes."""
+    rounded: F64 = np.asarray(
+        np.round(np.asarray(values, dtype=np.float64), MILLIMETRE_DECIMALS) + 0.0, dtype=np.float64
+    )
+    return rounded
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class OrientedBox:
+    """center (3,), half_extents (3,) in metres; rotation (3, 3), its columns the box's axes in the scene's frame."""
+
+    center: F64
+    half_extents: F64
+    rotation: F64
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class MeshPart:
+    """A mesh file, relative to the dataset root, and the (4, 4) transform from its own frame to the scene's."""
+
+    path: str
+    transform: F64
+
+
+@dataclass(frozen=True, slots=True)
+class SceneWarning:
+    """Something of the source that was missing or odd (`code`), where, and what was done about it."""
+
+    code: str
+    where: str
+    message: str
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SceneObject:
+    """One object. What is not known of its extent is None and stays so.
+
+    center (3,); aabb (2, 3) as [min, max]; size (3,) full extents; radius of a bounding sphere; all in metres.
+    """
+
+    object_id: str
+    room_id: str
+    raw_label: str
+    label: str
+    center: F64
+    aabb: F64 | None = None
+    obb: OrientedBox | None = None
+    size: F64 | None = None
+    radius: float | None = None
+    mesh: tuple[MeshPart, ...] = ()
+    static: bool = True
+
+    @property
+    def box(self) -> F64 | None:
+        """The axis-aligned box (2, 3): `aabb`, or what follows from centre and size; None where neither is known."""
+        if self.aabb is not None or self.size is None:
+            return self.aabb
+        return round_mm([self.center - self.size / 2, self.center + self.size / 2])
+
+    @property
+    def geometry(self) -> Literal["mesh", "obb", "aabb", "size", "radius", "none"]:
+        """The best geometry known of this object."""
+        if self.mesh:
+            return "mesh"
+        if self.obb is not None:
+            return "obb"
+        if self.aabb is not None:
+            return "aabb"
+        if self.size is not None:
+            return "size"
+        return "radius" if self.radius is not None else "none"
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Room:
+    """One room, or the whole scene where the source knows none (`annotation` is then ``scene``).
+
+    polygon (n, 2) of (x, z) corners, implicitly closed; `complete` allows claims of absence.
+    """
+
+    room_id: str
+    raw_label: str
+    label: str
+    level: int
+    floor_y: float
+    ceiling_y: float
+    polygon: F64 | None
+    annotation: Literal["dataset", "user", "scene"]
+    complete: bool
+
+
+@dataclass(frozen=True, slots=True)
+class NavmeshFile:
+    """The navmesh chosen for a scene; `path` is relative to the dataset root, `fits` says whether it is the agent's."""
+
+    path: str
+    sha256: str
+    built: bool
+    fits: bool
+    agent_radius: float
+    agent_height: float
+    agent_max_climb: float
+    agent_max_slope: float
+
+
+@dataclass(frozen=True, eq=False)
+class RoomArrays:
+    """The objects of one room as arrays, in order of object id.
+
+    centers (n, 3); aabb_min, aabb_max (n, 3), from centre and size where not given; radius (n,). NaN where unknown.
+    """
+
+    room_id: str
+    object_ids: tuple[str, ...]
+    labels: tuple[str, ...]
+    centers: F64
+    aabb_min: F64
+    aabb_max: F64
+    radius: F64
+    objects: tuple[SceneObject, ...] = field(repr=False)
+
+    def __len__(self) -> int:
+        return len(self.object_ids)
+
+    @classmethod
+    def of(cls, room_id: str, objects: Iterable[SceneObject]) -> RoomArrays:
+        """Arrays of `objects`, sorted by id so that pair order never depends on the file's."""
+        ordered = tuple(sorted(objects, key=lambda o: o.object_id))
+        n = len(ordered)
+        unknown = np.full((2, 3), np.nan)
+        boxes = np.array([unknown if o.box is None else o.box for o in ordered], dtype=np.float64).reshape(n, 2, 3)
+        return cls(
+            room_id=room_id,
+            object_ids=tuple(o.object_id for o in ordered),
+            labels=tuple(o.label for o in ordered),
+            centers=np.array([o.center for o in ordered], dtype=np.float64).reshape(n, 3),
+            aabb_min=boxes[:, 0],
+            aabb_max=boxes[:, 1],
+            radius=np.array([np.nan if o.radius is None else o.radius for o in ordered], dtype=np.float64),
+            objects=ordered,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A whole scene in Habitat's frame; `root` is the folder that all its relative paths stand in."""
+
+    family: str
+    scene_id: str
+    root: Path
+    rooms: tuple[Room, ...]
+    objects: tuple[SceneObject, ...]
+    navmesh: NavmeshFile | None = None
+    stage: tuple[MeshPart, ...] = ()
+    warnings: tuple[SceneWarning, ...] = ()
+
+    @cached_property
+    def room_of(self) -> dict[str, Room]:
+        """Rooms by id."""
+        return {room.room_id: room for room in self.rooms}
+
+    @cached_property
+    def object_of(self) -> dict[str, SceneObject]:
+        """Objects by id."""
+        return {o.object_id: o for o in self.objects}
+
+    @property
+    def single_room(self) -> bool:
+        """Whether the scene counts as one room (decides the success distance)."""
+        return len(self.rooms) == 1
+
+    def arrays(self, room_id: str) -> RoomArrays:
+        """The objects of one room as arrays."""
+        return RoomArrays.of(room_id, (o for o in self.objects if o.room_id == room_id))

@@ -1,0 +1,202 @@
+"""A scene as rows of the ``scenes``, ``rooms`` and ``objects`` tables, and back, without loss."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from condvln.scene.boxes import aabb_of
+from condvln.scene.quaternions import from_matrix, round_quaternion, to_matrix
+from condvln.scene.scene import MeshPart, NavmeshFile, OrientedBox, Room, Scene, SceneObject, SceneWarning
+from schemas.tables import OBJECTS, ROOMS, SCENES
+
+__all__ = ["scene_from_tables", "scene_tables"]
+
+F64 = NDArray[np.float64]
+Row = dict[str, Any]
+
+
+def scene_tables(
+    scene: Scene, *, status: Literal["ok", "skipped"] = "ok", reason: str | None = None
+) -> dict[str, pa.Table]:
+    """The ``scenes`` (one row), ``rooms`` and ``objects`` tables of a scene, sorted by id.
+
+    The family is the partition that the tables are stored in, not a column.
+    """
+    rooms = sorted(scene.rooms, key=lambda r: r.room_id)
+    objects = sorted(scene.objects, key=lambda o: o.object_id)
+    return {
+        "scenes": pa.Table.from_pylist([_scene_row(scene, status, reason)], schema=SCENES),
+        "rooms": pa.Table.from_pylist([_room_row(scene, room) for room in rooms], schema=ROOMS),
+        "objects": pa.Table.from_pylist([_object_row(scene.scene_id, item) for item in objects], schema=OBJECTS),
+    }
+
+
+def scene_from_tables(tables: Mapping[str, pa.Table], root: Path, *, family: str) -> Scene:
+    """The scene that `scene_tables` made these tables of; rooms and objects in order of id.
+
+    Parameters
+    ----------
+    root : folder that the paths of the scene are relative to
+    family : partition that the tables were stored in
+    """
+    (row,) = tables["scenes"].to_pylist()
+    return Scene(
+        family=family,
+        scene_id=row["scene_id"],
+        root=root,
+        rooms=tuple(_room(r) for r in tables["rooms"].to_pylist()),
+        objects=tuple(_object(r) for r in tables["objects"].to_pylist()),
+        navmesh=_navmesh(row),
+        stage=tuple(_part(p) for p in row["stage"]),
+        warnings=tuple(SceneWarning(**w) for w in row["warnings"]),
+    )
+
+
+def _scene_row(scene: Scene, status: str, reason: str | None) -> Row:
+    bounds = _bounds(scene)
+    mesh = scene.navmesh
+    return {
+        "scene_id": scene.scene_id,
+        "status": status,
+        "reason": reason,
+        "n_rooms": len(scene.rooms),
+        "n_objects": len(scene.objects),
+        "n_objects_without_extent": sum(o.aabb is None and o.size is None for o in scene.objects),
+        "navmesh_path": None if mesh is None else mesh.path,
+        "navmesh_sha256": None if mesh is None else mesh.sha256,
+        "navmesh_built": None if mesh is None else mesh.built,
+        "navmesh_fits": None if mesh is None else mesh.fits,
+        "agent_radius": None if mesh is None else mesh.agent_radius,
+        "agent_height": None if mesh is None else mesh.agent_height,
+        "agent_max_climb": None if mesh is None else mesh.agent_max_climb,
+        "agent_max_slope": None if mesh is None else mesh.agent_max_slope,
+        "bounds_min": None if bounds is None else _point(bounds[0]),
+        "bounds_max": None if bounds is None else _point(bounds[1]),
+        "stage": [_part_row(p) for p in scene.stage],
+        "warnings": [{"code": w.code, "where": w.where, "message": w.message} for w in scene.warnings],
+    }
+
+
+def _bounds(scene: Scene) -> F64 | None:
+    """(2, 3) box of all objects and room polygons; None where nothing has a place."""
+    points = [o.center[None] if o.aabb is None else o.aabb for o in scene.objects]
+    for room in scene.rooms:
+        if room.polygon is not None:
+            for height in (room.floor_y, room.ceiling_y):
+                points.append(np.insert(room.polygon, 1, height, axis=1))
+    return aabb_of(np.concatenate(points)) if points else None
+
+
+def _navmesh(row: Row) -> NavmeshFile | None:
+    if row["navmesh_path"] is None:
+        return None
+    return NavmeshFile(
+        path=row["navmesh_path"],
+        sha256=row["navmesh_sha256"],
+        built=row["navmesh_built"],
+        fits=row["navmesh_fits"],
+        agent_radius=row["agent_radius"],
+        agent_height=row["agent_height"],
+        agent_max_climb=row["agent_max_climb"],
+        agent_max_slope=row["agent_max_slope"],
+    )
+
+
+def _room_row(scene: Scene, room: Room) -> Row:
+    return {
+        "scene_id": scene.scene_id,
+        "room_id": room.room_id,
+        "raw_label": room.raw_label,
+        "label": room.label,
+        "level": room.level,
+        "floor_y": room.floor_y,
+        "ceiling_y": room.ceiling_y,
+        "polygon": None if room.polygon is None else [{"x": float(x), "z": float(z)} for x, z in room.polygon],
+        "annotation": room.annotation,
+        "complete": room.complete,
+        "n_objects": sum(o.room_id == room.room_id for o in scene.objects),
+    }
+
+
+def _room(row: Row) -> Room:
+    polygon = row["polygon"]
+    return Room(
+        room_id=row["room_id"],
+        raw_label=row["raw_label"],
+        label=row["label"],
+        level=row["level"],
+        floor_y=row["floor_y"],
+        ceiling_y=row["ceiling_y"],
+        polygon=None if polygon is None else np.array([[c["x"], c["z"]] for c in polygon]).reshape(-1, 2),
+        annotation=row["annotation"],
+        complete=row["complete"],
+    )
+
+
+def _object_row(scene_id: str, item: SceneObject) -> Row:
+    box = item.obb
+    return {
+        "scene_id": scene_id,
+        "object_id": item.object_id,
+        "room_id": item.room_id,
+        "raw_label": item.raw_label,
+        "label": item.label,
+        "center": _point(item.center),
+        "aabb_min": None if item.aabb is None else _point(item.aabb[0]),
+        "aabb_max": None if item.aabb is None else _point(item.aabb[1]),
+        "obb": None
+        if box is None
+        else {
+            "center": _point(box.center),
+            "half_extents": _point(box.half_extents),
+            "rotation": dict(zip("xyzw", round_quaternion(from_matrix(box.rotation)).tolist(), strict=True)),
+        },
+        "size": None if item.size is None else _point(item.size),
+        "radius": item.radius,
+        "geometry": item.geometry,
+        "mesh": [_part_row(p) for p in item.mesh],
+        "static": item.static,
+    }
+
+
+def _object(row: Row) -> SceneObject:
+    box, low = row["obb"], row["aabb_min"]
+    return SceneObject(
+        object_id=row["object_id"],
+        room_id=row["room_id"],
+        raw_label=row["raw_label"],
+        label=row["label"],
+        center=_vector(row["center"]),
+        aabb=None if low is None else np.array([_vector(low), _vector(row["aabb_max"])]),
+        obb=None
+        if box is None
+        else OrientedBox(
+            _vector(box["center"]), _vector(box["half_extents"]), to_matrix([box["rotation"][c] for c in "xyzw"])
+        ),
+        size=None if row["size"] is None else _vector(row["size"]),
+        radius=row["radius"],
+        mesh=tuple(_part(p) for p in row["mesh"]),
+        static=row["static"],
+    )
+
+
+def _part_row(part: MeshPart) -> Row:
+    return {"path": part.path, "transform": part.transform.ravel().tolist()}
+
+
+def _part(row: Row) -> MeshPart:
+    return MeshPart(row["path"], np.array(row["transform"], dtype=np.float64).reshape(4, 4))
+
+
+def _point(values: F64) -> Row:
+    return dict(zip("xyz", values.tolist(), strict=True))
+
+
+def _vector(row: Row) -> F64:
+    return np.array([row["x"], row["y"], row["z"]])

@@ -1,0 +1,67 @@
+"""ProcTHOR's asset database: the type of each asset, and the size of its box at rotation zero."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.sources.dataset_root import DatasetRoot
+from condvln.sources.input_ledger import InputLedger
+from condvln.sources.json_document import parse_json
+from schemas.errors import MissingFileError
+
+__all__ = ["Asset", "AssetDatabase"]
+
+FILE_NAMES: Final = ("asset-database.json", "databases/asset-database.json")
+MAX_DATABASE_BYTES: Final = 256 << 20
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Asset:
+    """An asset: its object type, and the full size (3,) of its box in metres, None where the database has none."""
+
+    asset_id: str
+    object_type: str
+    size: NDArray[np.float64] | None
+
+
+class AssetDatabase:
+    """Assets by id.
+
+    Raises
+    ------
+    MissingFileError : the database is not there
+    FormatError : it is malformed
+    """
+
+    def __init__(self, root: DatasetRoot) -> None:
+        self.path = next((name for name in FILE_NAMES if root.has(name)), FILE_NAMES[0])
+        file = root.folder / self.path
+        if not root.has(self.path):
+            raise MissingFileError(
+                "the asset database is not there",
+                where=file,
+                remedy="Put ProcTHOR's asset-database.json (allenai/procthor, procthor/databases) beside the houses",
+            )
+        document = parse_json(root.read(self.path, MAX_DATABASE_BYTES), str(file))
+        self._assets: dict[str, Asset] = {}
+        for kind, assets in document.items():
+            for node in assets.elements():
+                own, box = node["assetId"].text(), node.get("boundingBox")
+                if own in self._assets:
+                    node.fail(f"two assets have the id {own!r}")
+                size = None if box is None else np.array([box[c].number() for c in "xyz"])
+                if size is not None and not (size >= 0).all():
+                    node["boundingBox"].fail("a size is below zero")
+                own_kind = node.get("objectType")
+                self._assets[own] = Asset(own, kind if own_kind is None else own_kind.text(), size)
+
+    def asset(self, asset_id: str, ledger: InputLedger) -> Asset | None:
+        """An asset; None where the database does not know it (assets from Objaverse)."""
+        found = self._assets.get(asset_id)
+        said = None if found is None else [found.object_type, None if found.size is None else found.size.tolist()]
+        ledger.entry(self.path, asset_id, said)
+        return found

@@ -1,0 +1,191 @@
+"""From a placed template to a body: its label, its mesh files, and where each of them stands in the scene."""
+
+from __future__ import annotations
+
+import posixpath
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.labels import vocabulary
+from condvln.scene import MeshPart, SceneWarning
+from condvln.scene.boxes import placement
+from condvln.scene.frames import asset_frame
+from condvln.sources.input_ledger import InputLedger
+from condvln.sources.json_document import JsonNode
+from condvln.sources.lexicon import Lexicon
+from condvln.sources.scene_dataset import Attribute, SceneDataset, Template
+from condvln.sources.scene_instance import MAX_SCALE, Placed
+from condvln.sources.source import UNKNOWN_LABEL
+
+__all__ = ["Body", "BodyReader"]
+
+_UP, _FRONT = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, -1.0])
+_MESH_SUFFIX: Final = ".glb"
+
+F64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Body:
+    """One body of a scene before its geometry is read.
+
+    parts : mesh files, each with its (4, 4) transform into the body's frame, scale included; empty: extent unknown
+    com : (3,) the body's origin in that frame, which stands at the placement; None: the centre of its box
+    """
+
+    placed: Placed
+    raw_label: str
+    label: str
+    parts: tuple[MeshPart, ...]
+    com: F64 | None = field(default_factory=lambda: np.zeros(3))
+
+    def to_scene(self, com: F64) -> F64:
+        """(4, 4) transform from the body's frame to the scene's, given its origin."""
+        back = placement(translation=-com if self.placed.origin == "com" else None)
+        matrix: F64 = placement(self.placed.rotation, self.placed.translation) @ back
+        return matrix
+
+
+class BodyReader:
+    """Resolves the templates of one scene, notes what it reads, and collects warnings."""
+
+    def __init__(self, dataset: SceneDataset, lexicon: Lexicon, family: str, ledger: InputLedger) -> None:
+        self.dataset = dataset
+        self.lexicon = lexicon
+        self.family = family
+        self.ledger = ledger
+        self._listed = vocabulary.raw_labels(family)
+        self.warnings: list[SceneWarning] = []
+
+    def stage(self, placed: Placed) -> tuple[MeshPart, ...]:
+        """Mesh files of the stage, in the scene's frame; none with a warning where they are not there."""
+        template = self._template("stages", placed)
+        render = None if template is None else template.get("render_asset")
+        if template is None or render is None:
+            return ()
+        path = self._mesh_path(render)
+        if path is None:
+            self._warn("missing_stage_mesh", placed.object_id, f"{self._path(render)} is not there: walls unknown")
+            return ()
+        own = placement(scale=self._scale(template) * placed.scale) @ placement(self._frame(template))
+        return (MeshPart(path, placement(placed.rotation, placed.translation) @ own),)
+
+    def rigid(self, placed: Placed) -> Body:
+        """An object of ``object_instances``."""
+        template = self._template("objects", placed)
+        if template is None:
+            return Body(placed, UNKNOWN_LABEL, vocabulary.canonical(UNKNOWN_LABEL, self.family), ())
+        raw, label = self._labels(template, placed)
+        scale = self._scale(template) * placed.scale
+        path = self._rigid_mesh(template, placed)
+        com = template.get("COM")
+        return Body(
+            placed,
+            raw,
+            label,
+            () if path is None else (MeshPart(path, placement(scale=scale) @ placement(self._frame(template))),),
+            com=None if com is None else com.node.vector(3) * scale,
+        )
+
+    def articulated(self, placed: Placed) -> Body:
+        """A body of ``articulated_object_instances``, all joints at rest."""
+        template = self._template("articulated_objects", placed)
+        if template is None:
+            return Body(placed, UNKNOWN_LABEL, vocabulary.canonical(UNKNOWN_LABEL, self.family), ())
+        raw, label = self._labels(template, placed)
+        pose = placed.node.get("initial_joint_pose")
+        if pose is not None and pose.value not in ([], {}):
+            self._warn("joint_pose_ignored", placed.object_id, "initial_joint_pose is not applied: all joints at zero")
+        return Body(placed, raw, label, self._links(template, placed))
+
+    def _links(self, template: Template, placed: Placed) -> tuple[MeshPart, ...]:
+        urdf = template.get("urdf_filepath")
+        path = template.path if urdf is None else self._path(urdf)
+        if not path.endswith(".urdf") or not self.dataset.has(path):
+            self._warn("missing_template", placed.object_id, f"{path} is not a URDF file that is there: extent unknown")
+            return ()
+        self.ledger.file(path)
+        folder = posixpath.dirname(path)
+        where = str(self.dataset.root.folder / path)
+        parts = []
+        for link in self.dataset.links(path):
+            mesh = self.dataset.root.join(folder, link.filename, where=where, place=f"link {link.link}")
+            if not mesh.endswith(_MESH_SUFFIX) or not self.dataset.has(mesh):
+                self._warn("missing_mesh", placed.object_id, f"{mesh} is not a GLB file that is there: extent unknown")
+                return ()
+            self.ledger.file(mesh)
+            parts.append(MeshPart(mesh, placement(scale=placed.scale) @ link.transform))
+        if not parts:
+            self._warn("missing_mesh", placed.object_id, f"{path} has no visual meshes: extent unknown")
+        return tuple(parts)
+
+    def _rigid_mesh(self, template: Template, placed: Placed) -> str | None:
+        """The render mesh; where it is missing the dataset's own collision mesh of the same body; else None."""
+        render, collision = template.get("render_asset"), template.get("collision_asset")
+        if render is None and template.path.endswith(_MESH_SUFFIX):
+            self.ledger.file(template.path)
+            return template.path
+        named = "no render mesh" if render is None else self._path(render)
+        path = None if render is None else self._mesh_path(render)
+        if path is not None:
+            return path
+        path = None if collision is None else self._mesh_path(collision)
+        if path is None:
+            self._warn("missing_mesh", placed.object_id, f"{named} is not there: extent unknown")
+        else:
+            self._warn("collision_mesh_used", placed.object_id, f"{named} is not there: extent from {path}")
+        return path
+
+    def _labels(self, template: Template, placed: Placed) -> tuple[str, str]:
+        """Raw and canonical label. A template that the vocabulary lists by its own name goes by that name."""
+        semantic = template.get("semantic_id")
+        raw = None if semantic is None else self.lexicon.name(semantic.node.integer(), self.ledger)
+        if raw is None and template.handle in self._listed:
+            raw = template.handle
+        if raw is None:
+            what = "no semantic_id" if semantic is None else f"semantic_id {semantic.node.value} is no class"
+            self._warn("unlabelled_object", placed.object_id, f"{template.path}: {what}")
+            raw = UNKNOWN_LABEL
+        return raw, vocabulary.canonical(template.handle if template.handle in self._listed else raw, self.family)
+
+    def _template(self, kind: str, placed: Placed) -> Template | None:
+        template, meant = self.dataset.template(kind, placed.template, self.ledger)
+        if template is None:
+            self._warn("missing_template", placed.object_id, f"no template {placed.template!r} among the {kind}")
+        elif meant > 1:
+            message = f"{placed.template!r} fits {meant} templates, {template.path or template.handle} is taken"
+            self._warn("ambiguous_template", placed.object_id, message)
+        return template
+
+    def _mesh_path(self, asset: Attribute) -> str | None:
+        """Path of a GLB that an attribute names; None where it is not there or is no GLB."""
+        path = self._path(asset)
+        if not path.endswith(_MESH_SUFFIX) or not self.dataset.has(path):
+            return None
+        self.ledger.file(path)
+        return path
+
+    def _path(self, attribute: Attribute) -> str:
+        node = attribute.node
+        return self.dataset.root.join(attribute.folder, node.text(), where=node.where, place=node.place)
+
+    def _frame(self, template: Template) -> F64:
+        """(3, 3) rotation of the asset's own axes to Habitat's."""
+        up, front = template.get("up"), template.get("front")
+        own_up = _UP if up is None else up.node.vector(3)
+        own_front = _FRONT if front is None else front.node.vector(3)
+        try:
+            return asset_frame(own_up, own_front)
+        except ValueError as error:
+            node: JsonNode = (up or front).node  # type: ignore[union-attr]
+            node.fail(str(error))
+
+    def _scale(self, template: Template) -> F64:
+        scale = template.get("scale")
+        return np.ones(3) if scale is None else scale.node.vector(3, MAX_SCALE)
+
+    def _warn(self, code: str, where: str, message: str) -> None:
+        self.warnings.append(SceneWarning(code, where, message))

@@ -1,0 +1,101 @@
+"""The folder of a dataset, which no path found in a file may leave."""
+
+from __future__ import annotations
+
+import errno
+import os
+import posixpath
+import re
+from pathlib import Path
+
+from schemas.errors import FormatError, MissingFileError, PathEscapeError, TransientIOError
+
+__all__ = ["DatasetRoot"]
+
+_DRIVE = re.compile(r"^[A-Za-z]:")
+_TRANSIENT = frozenset({errno.EIO, errno.EAGAIN, errno.EBUSY, errno.ESTALE, errno.ETIMEDOUT, errno.EINTR})
+_ESCAPE_REMEDY = "Paths must stay inside the dataset's root folder; mend the entry"
+
+
+class DatasetRoot:
+    """Reads files by paths relative to `folder`, '/'-separated."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._real = Path(os.path.realpath(folder))
+
+    def join(self, base: str, path: str, *, where: str = "", place: str = "") -> str:
+        """`path` as found in a file of folder `base`, normalised and relative to the root.
+
+        Raises
+        ------
+        PathEscapeError : an absolute path, or one that climbs out of the root
+        FormatError : not a path at all
+        """
+        if "\0" in path or not path.strip():
+            raise FormatError(f"{path!r} is no path", where=where, place=place, remedy="Mend the entry")
+        path = path.replace("\\", "/")
+        if path.startswith("/") or _DRIVE.match(path):
+            raise PathEscapeError(f"the path {path!r} is absolute", where=where, place=place, remedy=_ESCAPE_REMEDY)
+        joined = posixpath.normpath(posixpath.join(base, path))
+        if joined == ".." or joined.startswith("../"):
+            raise PathEscapeError(
+                f"the path {path!r} climbs out of the dataset", where=where, place=place, remedy=_ESCAPE_REMEDY
+            )
+        return joined
+
+    def path(self, relative: str) -> Path:
+        """The file or folder itself; checked, because a symlink may lead out of the root.
+
+        Raises
+        ------
+        PathEscapeError : a symlink on the way leads out of the root
+        """
+        path = self.folder / relative
+        real = Path(os.path.realpath(path))
+        if real != self._real and self._real not in real.parents:
+            raise PathEscapeError(
+                "a symbolic link leads out of the dataset",
+                where=path,
+                remedy="Put the file itself inside the dataset's root folder",
+            )
+        return path
+
+    def has(self, relative: str) -> bool:
+        """Is there such a file?"""
+        return os.path.isfile(self.path(relative))
+
+    def signature(self, relative: str) -> tuple[int, int]:
+        """Size and time of change of a file, (0, 0) where there is none: what a cache knows a file by."""
+        try:
+            status = self.path(relative).stat()
+        except OSError:
+            return 0, 0
+        return status.st_size, status.st_mtime_ns
+
+    def read(self, relative: str, limit: int) -> bytes:
+        """The bytes of a file of at most `limit` bytes.
+
+        Raises
+        ------
+        MissingFileError : there is no such file, or it can't be opened
+        FormatError : it is larger than `limit`
+        TransientIOError : the disk or the network failed
+        """
+        path = self.path(relative)
+        try:
+            with path.open("rb") as stream:
+                data = stream.read(limit + 1)
+        except FileNotFoundError:
+            raise MissingFileError(
+                "the file is not there", where=path, remedy="Download it again, or remove what refers to it"
+            ) from None
+        except OSError as error:
+            if error.errno in _TRANSIENT:
+                raise TransientIOError(f"the file can't be read ({error.strerror})", where=path) from error
+            raise MissingFileError(
+                f"the file can't be opened ({error.strerror})", where=path, remedy="Mend its name or its permissions"
+            ) from None
+        if len(data) > limit:
+            raise FormatError(f"the file is larger than {limit} bytes", where=path, remedy="No real file is so large")
+        return data

@@ -1,0 +1,222 @@
+"""Gibson: buildings annotated by 3DSceneGraph, with Habitat's mesh and navmesh beside them where they are there.
+
+Boxes are axis-aligned in the mesh's z-up frame; ``floor_area`` in the files is a perimeter and is not read.
+"""
+
+from __future__ import annotations
+
+import posixpath
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from functools import partial
+from pathlib import Path
+from typing import ClassVar, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.labels import vocabulary
+from condvln.scene import MeshPart, Room, Scene, SceneObject, SceneWarning, round_mm
+from condvln.scene.boxes import placement
+from condvln.scene.frames import Z_UP_TO_HABITAT
+from condvln.sources.input_ledger import InputLedger
+from condvln.sources.json_document import JsonNode
+from condvln.sources.navmesh_choice import NavmeshChoice, choose_navmesh, shipped_navmeshes
+from condvln.sources.regions import in_rooms, side_regions
+from condvln.sources.scene_graph import MAX_GRAPH_BYTES, read_npz, read_scn
+from condvln.sources.scene_source import Note, SceneSource, SourceOptions
+from schemas.errors import ConfigError
+
+__all__ = ["GibsonSource"]
+
+F64 = NDArray[np.float64]
+
+VERIFIED: Final = "verified"
+AUTOMATED: Final = "automated"
+_FILE: Final = re.compile(r"^(?:(?P<folder>[^/]+)/)?(?:(?P<name>[^/]+)\.scn|3DSceneGraph_(?P<original>[^/]+)\.npz)$")
+
+
+class GibsonSource(SceneSource):
+    """Buildings in a folder and its direct subfolders.
+
+    Ids: ``verified/<name>`` and ``automated/<name>`` by the name of the subfolder, ``<name>`` elsewhere. Where a
+    building is there as ``.scn`` and as ``.npz``, the ``.scn`` is read. The annotation of automated graphs was checked
+    by nobody: their rooms are not complete.
+    """
+
+    family: ClassVar[str] = "gibson"
+
+    def __init__(self, root: Path, options: SourceOptions) -> None:
+        super().__init__(root, options)
+        if not self._buildings():
+            raise ConfigError(
+                "no buildings (*.scn or 3DSceneGraph_*.npz, here or in verified/ and automated/) stand in this folder",
+                where=root,
+                remedy="Download 3DSceneGraph, or set the source's 'root' to the folder it stands in",
+            )
+
+    def listing(self) -> Iterator[tuple[str, Note]]:
+        """See `SceneSource.listing`."""
+        for scene_id, path in self._buildings().items():
+            yield scene_id, partial(self._note, scene_id, path)
+
+    def read(self, scene_id: str) -> Scene:
+        """One building; see `Source.read`."""
+        path = self._buildings().get(scene_id)
+        if path is None:
+            raise self.not_there(scene_id)
+        ledger = InputLedger()
+        data, where = self.files.read(path, MAX_GRAPH_BYTES), str(self.root / path)
+        document = read_scn(data, where) if path.endswith(".scn") else read_npz(data, where)
+        complete = not scene_id.startswith(f"{AUTOMATED}/")
+        room_of = _rooms(document, self.family, complete)
+        rooms = tuple(room_of.values())
+        if self.options.regions is not None:
+            drawn = side_regions(self.options.regions, [posixpath.basename(scene_id)], self.family, ledger)
+            rooms, room_of = drawn or rooms, {} if drawn else room_of
+        items, warnings = _objects(document, self.family, room_of)
+        rooms = rooms or (_whole(items, self.family, complete),)
+        placed, lost = in_rooms((o for o in items if not o.room_id), rooms)
+        placed += [o for o in items if o.room_id]
+        stage, navmesh = self._beside(scene_id, path, ledger)
+        said = {*warnings, *lost, *navmesh.warnings}
+        return Scene(
+            family=self.family,
+            scene_id=scene_id,
+            root=self.root,
+            rooms=tuple(sorted(rooms, key=lambda r: r.room_id)),
+            objects=tuple(sorted(placed, key=lambda o: o.object_id)),
+            navmesh=navmesh.file,
+            stage=stage,
+            warnings=tuple(sorted(said, key=lambda w: (w.code, w.where, w.message))),
+        )
+
+    def _note(self, scene_id: str, path: str, ledger: InputLedger) -> None:
+        ledger.file(path)
+        if self.options.regions is not None:
+            side_regions(self.options.regions, [posixpath.basename(scene_id)], self.family, ledger)
+        self._beside(scene_id, path, ledger)
+
+    def _beside(self, scene_id: str, path: str, ledger: InputLedger) -> tuple[tuple[MeshPart, ...], NavmeshChoice]:
+        """The building's mesh and navmesh, beside its annotation or in the root folder."""
+        name, folder = posixpath.basename(scene_id), posixpath.dirname(path)
+        folders = list(dict.fromkeys([folder, ""]))
+        mesh = next((m for m in (posixpath.join(f, f"{name}.glb") for f in folders) if self.files.has(m)), None)
+        stage: tuple[MeshPart, ...] = ()
+        if mesh is not None:
+            ledger.file(mesh)
+            stage = (MeshPart(mesh, placement(Z_UP_TO_HABITAT)),)
+        own = [posixpath.join(f, f"{name}.navmesh") for f in folders]
+        candidates = shipped_navmeshes(self.files, name, self.options.navmesh, own)
+        return stage, choose_navmesh(self.files, candidates, self.options.agent, self.options.hash_file, ledger)
+
+    def _buildings(self) -> dict[str, str]:
+        """Scene id → path of its annotation, sorted."""
+        found: dict[str, str] = {}
+        for pattern in ("*.npz", "*/*.npz", "*.scn", "*/*.scn"):
+            for file in sorted(self.root.glob(pattern)):
+                path = file.relative_to(self.root).as_posix()
+                named = _FILE.match(path)
+                if named is not None:
+                    name, folder = named["name"] or named["original"], named["folder"] or ""
+                    kind = next((k for k in (VERIFIED, AUTOMATED) if k in folder.lower()), None)
+                    found[name if kind is None else f"{kind}/{name}"] = path
+        return dict(sorted(found.items()))
+
+
+def _box(node: JsonNode) -> F64 | None:
+    """(2, 3) box in Habitat's frame, not rounded; None where the entry has no place or no size."""
+    location, size = node.get("location"), node.get("size")
+    if location is None or size is None:
+        return None
+    extent = size.vector(3)
+    if not (extent >= 0).all():
+        size.fail("a size is below zero")
+    centre = Z_UP_TO_HABITAT @ location.vector(3)
+    half = np.abs(Z_UP_TO_HABITAT @ extent) / 2
+    return np.array([centre - half, centre + half])
+
+
+def _rooms(document: JsonNode, family: str, complete: bool) -> dict[int, Room]:
+    """Rooms by the file's number."""
+    section = document.get("rooms")
+    nodes = [] if section is None else section.elements()
+    floors = [floor.text() for node in nodes if (floor := node.get("floor_number")) is not None]
+    level_of = {letter: level for level, letter in enumerate(sorted(set(floors)))}
+    rooms: dict[int, Room] = {}
+    for node in nodes:
+        number, box = node["id"].integer(), _box(node)
+        if number in rooms:
+            node.fail(f"two rooms have the id {number}")
+        if box is None:
+            node.fail("a room has no location or no size")
+        raw, floor = node["scene_category"].text(), node.get("floor_number")
+        (x0, y0, z0), (x1, y1, z1) = round_mm(box).tolist()
+        rooms[number] = Room(
+            room_id=f"{raw}_{number}",
+            raw_label=raw,
+            label=vocabulary.room_type(raw, family),
+            level=0 if floor is None else level_of[floor.text()],
+            floor_y=y0,
+            ceiling_y=y1,
+            polygon=np.array([[x0, z0], [x0, z1], [x1, z1], [x1, z0]]),
+            annotation="dataset",
+            complete=complete,
+        )
+    return rooms
+
+
+def _objects(
+    document: JsonNode, family: str, room_of: Mapping[int, Room]
+) -> tuple[list[SceneObject], list[SceneWarning]]:
+    """Objects, in their room where the file says it, else in none yet."""
+    items: list[SceneObject] = []
+    warnings: list[SceneWarning] = []
+    seen: Counter[int] = Counter()
+    for node in document["objects"].elements():
+        number, raw = node["id"].integer(), node["class_"].text()
+        seen[number] += 1
+        if seen[number] > 1:
+            node.fail(f"two objects have the id {number}")
+        object_id = f"{raw}_{number}"
+        location, box, parent = node.get("location"), _box(node), node.get("parent_room")
+        if location is None:
+            warnings.append(SceneWarning("object_without_place", object_id, "it has no location: left out"))
+            continue
+        room = None if parent is None else room_of.get(parent.integer())
+        if parent is None:
+            warnings.append(SceneWarning("no_parent_room", object_id, "its room is the one that its centre is in"))
+        elif room is None and room_of:
+            parent.fail(f"there is no room {parent.value}")
+        centre = round_mm(Z_UP_TO_HABITAT @ location.vector(3))
+        aabb = None if box is None else round_mm(box)
+        items.append(
+            SceneObject(
+                object_id=object_id,
+                room_id="" if room is None else room.room_id,
+                raw_label=raw,
+                label=vocabulary.canonical(raw, family),
+                center=centre,
+                aabb=aabb,
+                size=None if aabb is None else round_mm(aabb[1] - aabb[0]),
+                radius=None if box is None else float(np.ceil(np.linalg.norm(box[1] - box[0]) / 2 * 1000) / 1000),
+            )
+        )
+    return items, warnings
+
+
+def _whole(items: list[SceneObject], family: str, complete: bool) -> Room:
+    """The one room of a building whose rooms nobody annotated."""
+    ends = [y for o in items for y in (o.center[1:2] if o.aabb is None else o.aabb[:, 1])]
+    return Room(
+        room_id="building",
+        raw_label="building",
+        label=vocabulary.room_type("apartment", family),
+        level=0,
+        floor_y=float(min(ends, default=0.0)),
+        ceiling_y=float(max(ends, default=0.0)),
+        polygon=None,
+        annotation="scene",
+        complete=complete,
+    )

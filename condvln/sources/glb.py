@@ -1,0 +1,166 @@
+"""Binary glTF: the geometry of a file that nobody vouches for.
+
+The container and its JSON are checked against the bytes that are there before trimesh decodes them, so that no header's
+word decides an allocation. Materials and textures are never decoded.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from condvln.sources.gltf_tree import geometry_tree
+from condvln.sources.json_document import MAX_COORDINATE, JsonNode, parse_json
+from schemas.errors import FormatError
+
+__all__ = ["MAX_GLB_BYTES", "GlbGeometry", "glb_scene", "read_glb"]
+
+MAX_GLB_BYTES: Final = 1 << 29
+"""No scan or asset of the sources is half as large."""
+
+_HEADER = struct.Struct("<4sII")
+_CHUNK = struct.Struct("<I4s")
+_REMEDY = "Take the file from its dataset again"
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class GlbGeometry:
+    """All triangles of a file in its own root frame, node transforms applied in double precision.
+
+    vertices (n, 3) metres, equal ones merged; faces (m, 3), counter-clockwise seen from outside; watertight: each edge
+    belongs to two faces that run along it in opposite directions.
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    watertight: bool
+
+
+def read_glb(data: bytes, where: str) -> GlbGeometry:
+    """The geometry of a GLB file's default scene.
+
+    Raises
+    ------
+    FormatError : truncated, inconsistent or hostile; compressed; without triangles; beyond any real size
+    """
+    scene = glb_scene(data, where)
+    try:
+        parts = [_part(scene, name) for name in sorted(scene.graph.nodes_geometry)]
+    except Exception as error:  # trimesh lets through whatever its parts raise
+        raise _undecodable(error, where) from None
+    return _joined(parts, where)
+
+
+def glb_scene(data: bytes, where: str) -> trimesh.Scene:
+    """The default scene of a GLB file with its vertices and faces as they stand in it, and nothing but its geometry.
+
+    Nodes are named `node0`, `node1`, … depth first, in the order of the file; a mesh of several primitives hangs below
+    its node, as `node0_…`, in their order.
+
+    Raises
+    ------
+    FormatError : as read_glb
+    """
+    root, binary = _chunks(data, where)
+    tree = geometry_tree(root, len(binary))
+    try:
+        return trimesh.load_scene(
+            io.BytesIO(_packed(tree, binary)), file_type="glb", skip_materials=True, process=False
+        )
+    except Exception as error:  # trimesh lets through whatever its parts raise
+        raise _undecodable(error, where) from None
+
+
+def _undecodable(error: Exception, where: str) -> FormatError:
+    return FormatError(f"the geometry can't be decoded ({error!r:.120})", where=where, remedy=_REMEDY)
+
+
+def _part(scene: trimesh.Scene, node: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Vertices in the root frame and faces of one node's mesh."""
+    matrix, name = scene.graph[node]
+    mesh = scene.geometry[name]
+    with np.errstate(invalid="ignore", over="ignore"):  # what is not finite is refused once all parts are there
+        vertices = np.asarray(mesh.vertices, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+    faces = np.asarray(mesh.faces, dtype=np.int64)
+    if faces.size and not (faces.min() >= 0 and faces.max() < len(vertices)):
+        raise IndexError("a face names a vertex that is not there")
+    # A mirroring node turns its triangles inside out.
+    return vertices, faces[:, ::-1] if np.linalg.det(matrix[:3, :3]) < 0 else faces
+
+
+def _joined(parts: list[tuple[NDArray[np.float64], NDArray[np.int64]]], where: str) -> GlbGeometry:
+    vertices = np.concatenate([v for v, _ in parts])
+    starts = np.cumsum([0, *(len(v) for v, _ in parts[:-1])])
+    faces = np.concatenate([f + start for (_, f), start in zip(parts, starts, strict=True)])
+    used = np.unique(faces)
+    if not (np.abs(vertices[used]) <= MAX_COORDINATE).all():
+        raise FormatError(f"a vertex is not finite or beyond ±{MAX_COORDINATE:g} m", where=where, remedy=_REMEDY)
+    # Vertices are doubled where normals differ; merging equal ones shows which edges belong together.
+    merged, back = np.unique(vertices[used] + 0.0, axis=0, return_inverse=True)
+    place = np.zeros(len(vertices), dtype=np.int64)
+    place[used] = back.reshape(-1)
+    faces = place[faces]
+    faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
+    return GlbGeometry(merged, faces.astype(np.int32), _watertight(faces, len(merged)))
+
+
+def _watertight(faces: NDArray[np.int64], n: int) -> bool:
+    """Does each directed edge occur once, and once reversed?"""
+    if not len(faces):
+        return False
+    start = faces[:, [0, 1, 2]].ravel()
+    end = faces[:, [1, 2, 0]].ravel()
+    there, back = np.sort(start * n + end), np.sort(end * n + start)
+    return bool((there[1:] != there[:-1]).all() and (there == back).all())
+
+
+def _chunks(data: bytes, where: str) -> tuple[JsonNode, bytes]:
+    """The JSON tree and the binary chunk (empty where there is none)."""
+
+    def fail(what: str, offset: int) -> FormatError:
+        return FormatError(what, where=where, place=f"byte {offset}", remedy=_REMEDY)
+
+    if len(data) < _HEADER.size + _CHUNK.size:
+        raise fail(f"a GLB file has at least {_HEADER.size + _CHUNK.size} bytes, this one {len(data)}", 0)
+    magic, version, length = _HEADER.unpack_from(data)
+    if magic != b"glTF" or version != 2:
+        raise fail("not a GLB file of version 2", 0)
+    if length != len(data):
+        raise fail(f"the header claims {length} bytes, the file has {len(data)}", 8)
+    chunks: dict[bytes, bytes] = {}
+    offset = _HEADER.size
+    while offset < len(data):
+        if offset + _CHUNK.size > len(data):
+            raise fail("cut off inside a chunk header", offset)
+        size, kind = _CHUNK.unpack_from(data, offset)
+        offset += _CHUNK.size
+        if offset + size > len(data):
+            raise fail(f"a chunk claims {size} bytes, {len(data) - offset} are left", offset)
+        if not chunks and kind != b"JSON":
+            raise fail("the first chunk is not JSON", offset)
+        chunks.setdefault(kind, data[offset : offset + size])
+        offset += size
+    return parse_json(chunks[b"JSON"], where), chunks.get(b"BIN\0", b"")
+
+
+def _packed(tree: dict[str, Any], binary: bytes) -> bytes:
+    """A GLB file of a reduced tree, with the bytes that its views use and no others: textures stay behind."""
+    views, pieces, size = [], [], 0
+    for view in tree["bufferViews"]:
+        piece = binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
+        views.append({**view, "byteOffset": size})
+        pieces.append(piece + b"\0" * (-len(piece) % 4))
+        size += len(pieces[-1])
+    tree = {**tree, "bufferViews": views, "buffers": [{"byteLength": size}]}
+    binary = b"".join(pieces)
+    text = json.dumps(tree).encode()
+    text += b" " * (-len(text) % 4)
+    body = _CHUNK.pack(len(text), b"JSON") + text + _CHUNK.pack(len(binary), b"BIN\0") + binary
+    return _HEADER.pack(b"glTF", 2, _HEADER.size + len(body)) + body

@@ -1,0 +1,246 @@
+"""Matterport3D's ``.house`` files: a building's levels, regions, surfaces, panoramas and objects, one record a line.
+
+The layout is that of ``data_organization.md`` of the dataset. Coordinates stay in the file's frame here (metres, z up).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Final, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.sources.json_document import MAX_COORDINATE
+from schemas.errors import FormatError
+
+__all__ = ["HouseFile", "HouseObject", "HouseRegion", "Panorama", "Portal", "read_house_file"]
+
+F64 = NDArray[np.float64]
+
+VERSION: Final = "ASCII 1.1"
+_REMEDY = "Take the file from its dataset again"
+_PANORAMA_NAME: Final = 32
+
+# Words of each kind of record, the letter included. P is a panorama or a portal, told apart by its first word.
+_WORDS: Final = {"H": 29, "L": 18, "R": 20, "S": 22, "V": 13, "P": 13, "I": 41, "C": 11, "O": 24, "E": 19, "portal": 15}
+_COUNTED: Final = {
+    "I": 3, "P": 4, "V": 5, "S": 6, "E": 7, "O": 8, "C": 9, "R": 10, "portal": 11, "L": 12,
+}  # fmt: skip
+"""Kinds, and the word of the H record that says how many there are."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class HouseRegion:
+    """A region: its letter, level, the corners (n, 2) of its floor as (x, y), the floor's z and its height, metres."""
+
+    index: int
+    level: int
+    label: str
+    corners: F64
+    floor: float
+    height: float
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class HouseObject:
+    """An object: region and category by index (−1: none), and its oriented box: centre (3,), axes (3, 3) as columns,
+    half lengths (3,), in the order of the file."""
+
+    index: int
+    region: int
+    category: int
+    centre: F64
+    axes: F64
+    half_lengths: F64
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Panorama:
+    """A camera's stand: its name, region by index, and position (3,)."""
+
+    name: str
+    region: int
+    position: F64
+
+
+@dataclass(frozen=True, slots=True)
+class Portal:
+    """An opening between two regions, by index."""
+
+    regions: tuple[int, int]
+    label: str
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class HouseFile:
+    """All that a scene needs of a ``.house`` file; categories by index, `#` standing for a blank in their names."""
+
+    levels: int
+    regions: tuple[HouseRegion, ...]
+    objects: tuple[HouseObject, ...]
+    panoramas: tuple[Panorama, ...]
+    portals: tuple[Portal, ...]
+    categories: dict[int, str]
+
+
+def read_house_file(data: bytes, where: str) -> HouseFile:
+    """The content of a ``.house`` file of version 1.1.
+
+    Raises
+    ------
+    FormatError : another version; a record of the wrong length; a number that is none; counts that differ from the
+        header's; an index that leads nowhere; a region without a floor
+    """
+    return _Reader(data, where).house()
+
+
+@dataclass
+class _Reader:
+    data: bytes
+    where: str
+    line: int = 0
+    words: list[str] = field(default_factory=list)
+    counts: Counter[str] = field(default_factory=Counter)
+    regions: dict[int, tuple[int, str, float]] = field(default_factory=dict)
+    surfaces: dict[int, int] = field(default_factory=dict)
+    corners: dict[int, list[F64]] = field(default_factory=dict)
+    objects: dict[int, HouseObject] = field(default_factory=dict)
+    panoramas: list[Panorama] = field(default_factory=list)
+    portals: list[Portal] = field(default_factory=list)
+    categories: dict[int, str] = field(default_factory=dict)
+
+    def house(self) -> HouseFile:
+        lines = self._lines()
+        first = next(lines, "")
+        if first.strip() != VERSION:
+            self.fail(f"the first line is {first.strip()!r:.20}, not {VERSION!r}; only that version can be read")
+        header: list[int] | None = None
+        kinds = {"R": self._region, "S": self._surface, "V": self._vertex, "P": self._panorama_or_portal}
+        kinds |= {"C": self._category, "O": self._object}
+        for text in lines:
+            self.words = text.split()
+            if not self.words:
+                continue
+            kind = self.words[0]
+            if kind not in _WORDS or kind == "portal":
+                self.fail(f"there is no record {kind!r:.12}")
+            if kind == "P" and len(self.words) == _WORDS["portal"] and len(self.words[1]) != _PANORAMA_NAME:
+                kind = "portal"
+            if len(self.words) != _WORDS[kind]:
+                self.fail(f"a record {self.words[0]} has {_WORDS[kind]} words, this one {len(self.words)}")
+            self.counts[kind] += 1
+            if kind == "H":
+                header = [self.integer(i) for i in range(3, 13)]
+            handler: Callable[[], None] | None = kinds.get(self.words[0])
+            if handler is not None:
+                handler()
+        return self._checked(header)
+
+    def _lines(self) -> Iterator[str]:
+        """Lines of the file, without a list of them all."""
+        start = 0
+        while start < len(self.data):
+            end = self.data.find(b"\n", start)
+            end = len(self.data) if end < 0 else end
+            self.line += 1
+            yield self.data[start:end].decode("latin1")
+            start = end + 1
+
+    def _region(self) -> None:
+        index, label = self.integer(1), self.words[5]
+        if index in self.regions:
+            self.fail(f"two regions have the index {index}")
+        self.regions[index] = (self.integer(2), label, self.number(15))
+
+    def _surface(self) -> None:
+        self.surfaces[self.integer(1)] = self.integer(2)
+
+    def _vertex(self) -> None:
+        self.corners.setdefault(self.integer(2), []).append(self.vector(4))
+
+    def _panorama_or_portal(self) -> None:
+        if len(self.words[1]) != _PANORAMA_NAME:
+            self.portals.append(Portal((self.integer(2), self.integer(3)), self.words[4]))
+        else:
+            self.panoramas.append(Panorama(self.words[1], self.integer(3), self.vector(5)))
+
+    def _category(self) -> None:
+        self.categories[self.integer(1)] = self.words[3]
+
+    def _object(self) -> None:
+        index = self.integer(1)
+        if index in self.objects:
+            self.fail(f"two objects have the index {index}")
+        first, second = self.vector(7), self.vector(10)
+        axes = np.column_stack([first, second, np.cross(first, second)])
+        half_lengths = self.vector(13)
+        if not (half_lengths >= 0).all():
+            self.fail("a half length is below zero")
+        self.objects[index] = HouseObject(index, self.integer(2), self.integer(3), self.vector(4), axes, half_lengths)
+
+    def _checked(self, header: list[int] | None) -> HouseFile:
+        self.line = 0
+        if header is None:
+            self.fail("there is no record H")
+        for kind, word in _COUNTED.items():
+            claimed = header[word - 3]
+            if self.counts[kind] != claimed:
+                self.fail(f"the record H claims {claimed} records {kind}, there are {self.counts[kind]}")
+        for item in self.objects.values():
+            if item.region != -1 and item.region not in self.regions:
+                self.fail(f"the object {item.index} is in region {item.region}, which is not there")
+            if item.category != -1 and item.category not in self.categories:
+                self.fail(f"the object {item.index} is of category {item.category}, which is not there")
+        return HouseFile(
+            levels=header[12 - 3],
+            regions=tuple(self._region_of(index) for index in sorted(self.regions)),
+            objects=tuple(self.objects[index] for index in sorted(self.objects)),
+            panoramas=tuple(self.panoramas),
+            portals=tuple(self.portals),
+            categories=self.categories,
+        )
+
+    def _region_of(self, index: int) -> HouseRegion:
+        level, label, height = self.regions[index]
+        loops = [np.array(self.corners.get(s, ())) for s, region in sorted(self.surfaces.items()) if region == index]
+        loops = [loop for loop in loops if len(loop) >= 3]
+        if not loops:
+            self.fail(f"the region {index} has no floor of three corners or more")
+        if not height > 0:
+            self.fail(f"the region {index} has no height")
+        floor = max(loops, key=_area)
+        return HouseRegion(index, level, label, floor[:, :2], float(min(loop[:, 2].min() for loop in loops)), height)
+
+    def integer(self, word: int) -> int:
+        try:
+            value = int(self.words[word])
+        except ValueError:
+            self.fail(f"word {word} is {self.words[word]!r:.20}, not a whole number")
+        if abs(value) >= 1 << 53:
+            self.fail(f"word {word} is too large")
+        return value
+
+    def number(self, word: int) -> float:
+        try:
+            value = float(self.words[word])
+        except ValueError:
+            value = math.nan
+        if not abs(value) <= MAX_COORDINATE:
+            self.fail(f"word {word} is {self.words[word]!r:.20}, not a number up to {MAX_COORDINATE:g}")
+        return value
+
+    def vector(self, word: int) -> F64:
+        return np.array([self.number(word + i) for i in range(3)])
+
+    def fail(self, what: str) -> NoReturn:
+        raise FormatError(what, where=self.where, place=f"line {self.line}" if self.line else "", remedy=_REMEDY)
+
+
+def _area(loop: F64) -> float:
+    """Area of a polygon's shadow on the ground."""
+    x, y = loop[:, 0], loop[:, 1]
+    return abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2

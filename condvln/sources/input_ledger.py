@@ -1,0 +1,51 @@
+"""What a scene was read from, noted while it is read."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any
+
+from condvln.sources.dataset_root import DatasetRoot
+from condvln.sources.json_document import canonical_json
+from condvln.sources.source import HashFile, SceneInput
+from schemas.errors import MissingFileError
+
+__all__ = ["InputLedger"]
+
+
+class InputLedger:
+    """Files, and entries of shared files, that one scene depends on."""
+
+    def __init__(self) -> None:
+        self._files: set[str] = set()
+        self._entries: dict[str, bytes] = {}
+
+    def file(self, path: str) -> None:
+        """Note a whole file, by its path relative to the root."""
+        self._files.add(path)
+
+    def entry(self, path: str, name: str, value: Any) -> None:
+        """Note one entry of a shared file, so that a change of another entry changes nothing for this scene."""
+        self._entries[f"{path}#{name}"] = canonical_json(value)
+
+    def record(self, name: str, data: bytes) -> None:
+        """Note one record of a shared file (``file#record``), or a whole file, by its bytes."""
+        self._entries[name] = data
+
+    def inputs(self, root: DatasetRoot, hash_file: HashFile) -> tuple[SceneInput, ...]:
+        """All that was noted, sorted by path; a file that has gone away is left out.
+
+        Raises
+        ------
+        MissingFileError : a file is there and can't be read
+        """
+        found = [SceneInput(p, len(v), hashlib.sha256(v).hexdigest()) for p, v in self._entries.items()]
+        for path in self._files:
+            if root.has(path):
+                try:
+                    size, sha256 = hash_file(root.path(path))
+                except OSError as error:
+                    what = f"the file can't be read ({error.strerror})"
+                    raise MissingFileError(what, where=root.folder / path, remedy="Mend its permissions") from None
+                found.append(SceneInput(path, size, sha256))
+        return tuple(sorted(found, key=lambda i: i.path))

@@ -1,0 +1,175 @@
+"""JSON from outside: bounded parsing, and typed access that knows where in the file it stands."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.errors import FormatError
+
+__all__ = ["MAX_COORDINATE", "MAX_DEPTH", "JsonNode", "canonical_json", "parse_json"]
+
+MAX_DEPTH = 64
+"""Deepest nesting accepted. Real documents have under ten levels; the parser's own limit depends on the call stack."""
+
+MAX_COORDINATE = 1e5
+"""Metres. A building is smaller, and products of three such numbers stay exact enough in double precision."""
+
+# Takes an unclosed string to the end of the data, so that no input makes it try again from every quote.
+_STRING = re.compile(rb'"[^"\\]*(?:\\(?:.|\Z)[^"\\]*)*(?:"|\Z)', re.DOTALL)
+_SURROGATE = re.compile(rb"\\u[dD][89a-fA-F]")
+_REMEDY = "Take the file from its dataset again, or mend the entry"
+
+
+def parse_json(data: bytes, where: str) -> JsonNode:
+    """A document's root node.
+
+    Raises
+    ------
+    FormatError : not UTF-8 JSON, nested deeper than `MAX_DEPTH`, a key twice in one object, NaN or infinite numbers
+    """
+    _check_depth(data, where)
+    try:
+        value = json.loads(data.decode("utf-8-sig"), object_pairs_hook=_unique_keys, parse_constant=_refuse_constant)
+    except UnicodeDecodeError as error:
+        raise FormatError(
+            f"not UTF-8 text ({error.reason})", where=where, place=f"byte {error.start}", remedy=_REMEDY
+        ) from None
+    except json.JSONDecodeError as error:
+        place = f"line {error.lineno} column {error.colno}"
+        raise FormatError(f"not JSON: {error.msg}", where=where, place=place, remedy=_REMEDY) from None
+    except (ValueError, RecursionError) as error:
+        raise FormatError(f"not usable JSON: {error}", where=where, remedy=_REMEDY) from None
+    if _SURROGATE.search(data):
+        _check_text(value, where)
+    return JsonNode(value, where, "")
+
+
+def canonical_json(value: Any) -> bytes:
+    """The bytes that a part of a document is hashed by: sorted keys, no blanks, ASCII."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False).encode("ascii")
+
+
+@dataclass(frozen=True, slots=True)
+class JsonNode:
+    """A value, the file it was read from, and its path in that file."""
+
+    value: Any
+    where: str
+    place: str
+
+    def fail(self, what: str) -> NoReturn:
+        """Raise a FormatError about this node."""
+        raise FormatError(what, where=self.where, place=self.place or "top level", remedy=_REMEDY)
+
+    def object(self) -> JsonNode:
+        """This node, known to be an object."""
+        if not isinstance(self.value, dict):
+            self.fail(f"an object is expected, not {_kind(self.value)}")
+        return self
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.object().value
+
+    def __getitem__(self, key: str) -> JsonNode:
+        """A required member of this object."""
+        if key not in self:
+            self.fail(f"the key {key!r} is missing")
+        return JsonNode(self.value[key], self.where, f"{self.place}.{key}" if self.place else key)
+
+    def get(self, key: str) -> JsonNode | None:
+        """A member of this object; None where it is absent or null."""
+        return self[key] if key in self and self.value[key] is not None else None
+
+    def items(self) -> Iterator[tuple[str, JsonNode]]:
+        """Members of this object, in file order."""
+        return ((key, self[key]) for key in self.object().value)
+
+    def elements(self) -> list[JsonNode]:
+        """Elements of this array."""
+        if not isinstance(self.value, list):
+            self.fail(f"an array is expected, not {_kind(self.value)}")
+        return [JsonNode(v, self.where, f"{self.place}[{i}]") for i, v in enumerate(self.value)]
+
+    def text(self) -> str:
+        """This node as text."""
+        if not isinstance(self.value, str):
+            self.fail(f"text is expected, not {_kind(self.value)}")
+        return self.value
+
+    def boolean(self) -> bool:
+        """This node as true or false."""
+        if not isinstance(self.value, bool):
+            self.fail(f"true or false is expected, not {_kind(self.value)}")
+        return self.value
+
+    def integer(self) -> int:
+        """This node as a whole number that a double holds exactly."""
+        value = self.value
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            self.fail(f"a whole number is expected, not {_kind(value)}")
+        if not abs(value) < 1 << 53 or value != int(value):
+            self.fail(f"a whole number below 2^53 is expected, not {value!r:.40}")
+        return int(value)
+
+    def number(self, limit: float = MAX_COORDINATE) -> float:
+        """This node as a finite number of at most `limit` in size."""
+        value = self.value
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            self.fail(f"a number is expected, not {_kind(value)}")
+        if not abs(value) <= limit:
+            self.fail(f"the number {value!r:.40} is beyond ±{limit:g}")
+        return float(value)
+
+    def vector(self, length: int, limit: float = MAX_COORDINATE) -> NDArray[np.float64]:
+        """This node as (length,) finite numbers."""
+        elements = self.elements()
+        if len(elements) != length:
+            self.fail(f"{length} numbers are expected, not {len(elements)}")
+        return np.array([e.number(limit) for e in elements], dtype=np.float64)
+
+
+def _check_depth(data: bytes, where: str) -> None:
+    if data.count(b"[") + data.count(b"{") <= MAX_DEPTH:
+        return
+    bare = np.frombuffer(_STRING.sub(b"", data), dtype=np.uint8)
+    opens = (bare == ord("[")) | (bare == ord("{"))
+    closes = (bare == ord("]")) | (bare == ord("}"))
+    depth = int(np.cumsum(opens.astype(np.int32) - closes.astype(np.int32), dtype=np.int32).max(initial=0))
+    if depth > MAX_DEPTH:
+        raise FormatError(f"nested {depth} levels deep (at most {MAX_DEPTH})", where=where, remedy=_REMEDY)
+
+
+def _check_text(value: Any, where: str) -> None:
+    try:
+        json.dumps(value, ensure_ascii=False).encode("utf-8")
+    except UnicodeEncodeError:
+        raise FormatError("half of a surrogate pair stands alone in text", where=where, remedy=_REMEDY) from None
+
+
+def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    unique = dict(pairs)
+    if len(unique) != len(pairs):
+        seen: set[str] = set()
+        twice = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
+        raise ValueError(f"the key {twice!r} stands twice in one object")
+    return unique
+
+
+def _refuse_constant(name: str) -> NoReturn:
+    raise ValueError(f"the number {name} is not allowed")
+
+
+def _kind(value: Any) -> str:
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return "true or false"
+    names = {dict: "an object", list: "an array", str: "text", int: "a number", float: "a number"}
+    return names[type(value)]

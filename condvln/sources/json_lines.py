@@ -1,0 +1,177 @@
+"""Files of one JSON document a line, plain or gzip: all lines in turn, or any one of them, without holding the file."""
+
+from __future__ import annotations
+
+import zlib
+from bisect import bisect_right
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any, BinaryIO, Final
+
+from condvln.sources.dataset_root import DatasetRoot
+from schemas.errors import FormatError, MissingFileError
+
+__all__ = ["MAX_LINE_BYTES", "JsonLines"]
+
+MAX_LINE_BYTES: Final = 64 << 20
+"""A ProcTHOR house has 80 kB."""
+
+MAX_LINES: Final = 500_000
+"""The largest set of ProcTHOR houses has 12,000."""
+
+MAX_RATIO: Final = 200
+FREE_BYTES: Final = 256 << 20
+"""A gzip file may unpack to so much, and beyond to `MAX_RATIO` times its size: houses are packed 7:1, bombs 1000:1."""
+
+_PIECE: Final = 1 << 16
+_UNPACKED_PIECE: Final = 1 << 20
+_CHECKPOINT_BYTES: Final = 4 << 20
+_GZIP_WINDOW: Final = 31
+_REMEDY = "Take the file from its dataset again"
+
+
+@dataclass(frozen=True)
+class _Checkpoint:
+    """A place to start reading from: bytes of text before it, bytes of file before it, the unpacker as it was there."""
+
+    text: int
+    file: int
+    unpacker: Any
+
+    def kept(self) -> _Checkpoint:
+        """A copy that stays as it is while reading goes on."""
+        return self if self.unpacker is None else replace(self, unpacker=self.unpacker.copy())
+
+
+class JsonLines:
+    """One file of lines under a dataset root; gzip where its name ends in ``.gz``."""
+
+    def __init__(self, root: DatasetRoot, path: str) -> None:
+        self._root = root
+        self.path = path
+        self.where = str(root.folder / path)
+        self._packed = path.endswith(".gz")
+        self._signature = (-1, -1)
+        self._starts: list[int] = []
+        self._checkpoints: list[_Checkpoint] = []
+
+    def lines(self) -> Iterator[tuple[int, bytes]]:
+        """Number (from 0) and bytes of each line that is not blank, without its end.
+
+        Raises
+        ------
+        FormatError : not gzip, cut off, unpacking without end; a line longer than `MAX_LINE_BYTES`
+        MissingFileError : there is no such file
+        """
+        signature = self._root.signature(self.path)
+        starts, checkpoints = [0], [_Checkpoint(0, 0, None)]
+        number, length = 0, 0
+        begun: list[bytes] = []  # of the line whose end is not seen yet
+        with self._open() as stream:
+            for piece, checkpoint in self._pieces(stream, checkpoints[0]):
+                *whole, rest = piece.split(b"\n")
+                for part in whole:
+                    line = b"".join([*begun, part])
+                    begun, length = [], 0
+                    starts.append(starts[-1] + len(line) + 1)
+                    if line.strip():
+                        yield number, line
+                    number += 1
+                if number > MAX_LINES:
+                    raise FormatError(f"more than {MAX_LINES} lines", where=self.where, remedy=_REMEDY)
+                begun.append(rest)
+                length += len(rest)
+                if length > MAX_LINE_BYTES:
+                    raise FormatError(
+                        f"a line is longer than {MAX_LINE_BYTES} bytes",
+                        where=self.where,
+                        place=f"line {number + 1}",
+                        remedy=_REMEDY,
+                    )
+                if checkpoint is not None and checkpoint.text - checkpoints[-1].text >= _CHECKPOINT_BYTES:
+                    checkpoints.append(checkpoint.kept())
+        last = b"".join(begun)
+        if last.strip():
+            yield number, last
+        self._signature, self._starts, self._checkpoints = signature, starts, checkpoints
+
+    def line(self, number: int) -> bytes:
+        """The bytes of one line, without its end.
+
+        Raises
+        ------
+        InputError : as `lines`; there is no such line
+        """
+        if self._signature != self._root.signature(self.path):
+            for _ in self.lines():
+                pass
+        if not 0 <= number < len(self._starts):
+            raise self._no_line(number)
+        start = self._starts[number]
+        at = self._checkpoints[bisect_right(self._checkpoints, start, key=lambda c: c.text) - 1]
+        got = b""
+        with self._open() as stream:
+            skip = start - at.text
+            for piece, _ in self._pieces(stream, at):
+                if skip >= len(piece):
+                    skip -= len(piece)
+                    continue
+                end = piece.find(b"\n", skip)
+                got += piece[skip:] if end < 0 else piece[skip:end]
+                skip = 0
+                if end >= 0:
+                    break
+        if not got.strip():
+            raise self._no_line(number)
+        return got
+
+    def _no_line(self, number: int) -> MissingFileError:
+        return MissingFileError(
+            "nothing stands in this line",
+            where=self.where,
+            place=f"line {number + 1}",
+            remedy="Mend the scene's id",
+        )
+
+    def _open(self) -> BinaryIO:
+        path = self._root.path(self.path)
+        try:
+            return path.open("rb")
+        except OSError as error:
+            raise MissingFileError(
+                f"the file can't be opened ({error.strerror})", where=path, remedy="Download it again"
+            ) from None
+
+    def _pieces(self, stream: BinaryIO, start: _Checkpoint) -> Iterator[tuple[bytes, _Checkpoint | None]]:
+        """Pieces of the text from `start` on, with the checkpoint behind it where there is one."""
+        stream.seek(start.file)
+        text, file = start.text, start.file
+        if not self._packed:
+            while data := stream.read(_PIECE):
+                text, file = text + len(data), file + len(data)
+                yield data, _Checkpoint(text, file, None)
+            return
+        limit = FREE_BYTES + MAX_RATIO * self._root.signature(self.path)[0]
+        unpacker = zlib.decompressobj(_GZIP_WINDOW) if start.unpacker is None else start.unpacker.copy()
+        try:
+            while data := stream.read(_PIECE):
+                file += len(data)
+                while data:
+                    if unpacker.eof:
+                        if not data.strip(b"\0"):
+                            break
+                        unpacker = zlib.decompressobj(_GZIP_WINDOW)
+                    piece = unpacker.decompress(data, _UNPACKED_PIECE)
+                    data = unpacker.unconsumed_tail or unpacker.unused_data
+                    text += len(piece)
+                    if text > limit:
+                        what = f"{file} bytes of gzip unpack to more than {limit}: nothing real is packed so tightly"
+                        raise FormatError(what, where=self.where, remedy=_REMEDY)
+                    # Only where nothing is left in hand can reading begin again.
+                    yield piece, None if data else _Checkpoint(text, file, unpacker)
+        except zlib.error as error:
+            raise FormatError(
+                f"not a sound gzip file ({error})", where=self.where, place=f"byte {file}", remedy=_REMEDY
+            ) from None
+        if not unpacker.eof:
+            raise FormatError("the gzip file is cut off", where=self.where, remedy=_REMEDY)

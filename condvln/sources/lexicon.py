@@ -1,0 +1,92 @@
+"""The semantic classes of a Habitat dataset: id → name, and the region annotations that may stand beside them."""
+
+from __future__ import annotations
+
+from condvln.sources.input_ledger import InputLedger
+from condvln.sources.json_document import JsonNode
+from condvln.sources.scene_dataset import SceneDataset
+from schemas.errors import MissingFileError
+
+__all__ = ["Lexicon", "read_descriptors"]
+
+_TAG = "%%CONFIG_NAME_AS_ASSET_FILENAME%%"
+
+
+class Lexicon:
+    """Class names by id."""
+
+    def __init__(self, path: str, document: JsonNode) -> None:
+        self._path = path
+        self._classes: dict[int, tuple[str, JsonNode]] = {}
+        for node in document["classes"].elements():
+            number, name = node["id"].integer(), node["name"].text()
+            if number in self._classes:
+                node.fail(f"two classes have the id {number}")
+            if not name.strip():
+                node["name"].fail("the class has no name")
+            self._classes[number] = (name, node)
+
+    def name(self, number: int, ledger: InputLedger) -> str | None:
+        """The name of a class; None where there is none with this id."""
+        name, node = self._classes.get(number, (None, None))
+        ledger.entry(self._path, f"classes.{number}", None if node is None else node.value)
+        return name
+
+
+def read_descriptors(
+    dataset: SceneDataset, scene_name: str, own: JsonNode | None, ledger: InputLedger
+) -> tuple[Lexicon, tuple[str, JsonNode] | None]:
+    """A scene's lexicon, and its region annotations with the path of their file where it has any.
+
+    The scene's own semantic descriptor is looked at first, then the dataset's default one; each gives what the one
+    before it lacks.
+
+    Raises
+    ------
+    MissingFileError : a descriptor is named and not there, or none holds classes
+    FormatError : a descriptor is malformed
+    """
+    lexicon: Lexicon | None = None
+    regions: tuple[str, JsonNode] | None = None
+    looked_at: list[str] = []
+    for named in (own, dataset.default("scene_instances", "semantic_scene_instance")):
+        if named is None:
+            continue
+        path = _descriptor_path(dataset, scene_name, named, ledger)
+        if path in looked_at:
+            continue
+        looked_at.append(path)
+        document = dataset.document(path).object()
+        annotations = document.get("region_annotations")
+        if regions is None and annotations is not None:
+            regions = (path, annotations)
+            ledger.entry(path, "region_annotations", annotations.value)
+        if lexicon is None and "classes" in document:
+            lexicon = Lexicon(path, document)
+    if lexicon is None:
+        raise MissingFileError(
+            "no semantic lexicon ('classes') is named for this scene",
+            where=dataset.root.folder / dataset.config_path,
+            place="semantic_scene_descriptor_instances",
+            remedy="Put the dataset's lexicon back and name it there",
+        )
+    return lexicon, regions
+
+
+def _descriptor_path(dataset: SceneDataset, scene_name: str, named: JsonNode, ledger: InputLedger) -> str:
+    """Path of the descriptor file that a name stands for, relative to the root."""
+    kind = "semantic_scene_descriptor_instances"
+    handle = named.text().replace(_TAG, scene_name)
+    entry = dataset.entry(kind, handle)
+    if entry is not None:
+        ledger.entry(dataset.config_path, f"{kind}.{handle}", entry.value)
+        path = dataset.root.join("", entry.text(), where=entry.where, place=entry.place)
+    else:
+        path = dataset.described(kind, handle) or dataset.root.join("", handle, where=named.where, place=named.place)
+    if not dataset.root.has(path):
+        raise MissingFileError(
+            "the semantic lexicon is not there",
+            where=dataset.root.folder / path,
+            remedy=f"Download it again, or mend {named.place or kind!r} in {named.where}",
+        )
+    return path

@@ -1,0 +1,192 @@
+"""Matterport3D: scans of buildings with regions and oriented object boxes, in Habitat's or the original layout."""
+
+from __future__ import annotations
+
+import posixpath
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import ClassVar, Final
+
+import numpy as np
+import shapely
+
+from condvln.labels import vocabulary
+from condvln.scene import MeshPart, OrientedBox, Room, Scene, SceneObject, SceneWarning, round_mm
+from condvln.scene.boxes import aabb_of, box_corners, placement, rounded_box
+from condvln.scene.frames import Z_UP_TO_HABITAT
+from condvln.sources.house_file import HouseFile, HouseObject, HouseRegion, read_house_file
+from condvln.sources.input_ledger import InputLedger
+from condvln.sources.navmesh_choice import NavmeshChoice, choose_navmesh, shipped_navmeshes
+from condvln.sources.regions import in_rooms, side_regions
+from condvln.sources.scene_source import Note, SceneSource, SourceOptions
+from condvln.sources.source import UNKNOWN_LABEL
+from schemas.errors import ConfigError, FormatError
+
+__all__ = ["Mp3dSource"]
+
+MAX_HOUSE_BYTES: Final = 512 << 20
+LAYOUTS: Final = tuple(
+    f"{scans}*/{inside}*.house" for scans in ("", "scans/", "v1/scans/") for inside in ("", "house_segmentations/")
+)
+"""Where ``<scan>.house`` stands: Habitat's ``<scan>/``, the original ``[v1/scans/]<scan>/house_segmentations/``."""
+AXIS_TOLERANCE: Final = 1e-3
+
+
+class Mp3dSource(SceneSource):
+    """Scans, by their ids.
+
+    An object's room is its region, as the file says, never the one around it: a fifth of the centres lie in none or in
+    another. ``<scan>.glb`` and ``<scan>.navmesh`` are taken from the scan's folder where they are there.
+    """
+
+    family: ClassVar[str] = "mp3d"
+
+    def __init__(self, root: Path, options: SourceOptions) -> None:
+        super().__init__(root, options)
+        if not self._scans():
+            raise ConfigError(
+                "no scans (<scan>/<scan>.house or <scan>/house_segmentations/<scan>.house) stand in this folder",
+                where=root,
+                remedy="Download Matterport3D (its terms are to be accepted), or mend the source's 'root'",
+            )
+
+    def listing(self) -> Iterator[tuple[str, Note]]:
+        """See `SceneSource.listing`."""
+        for scene_id, path in self._scans().items():
+            yield scene_id, partial(self._note, scene_id, path)
+
+    def read(self, scene_id: str) -> Scene:
+        """One scan; see `Source.read`."""
+        house, path = self._house(scene_id)
+        ledger = InputLedger()
+        room_of = {region.index: _room(region, self.family, str(self.root / path)) for region in house.regions}
+        rooms = tuple(room_of.values())
+        items, warnings = _objects(house, room_of, self.family)
+        if self.options.regions is not None:
+            drawn = side_regions(self.options.regions, [scene_id], self.family, ledger)
+            if drawn:
+                rooms = drawn
+                items, warnings = in_rooms(items, drawn)
+        stage, navmesh = self._beside(scene_id, path, ledger)
+        return Scene(
+            family=self.family,
+            scene_id=scene_id,
+            root=self.root,
+            rooms=tuple(sorted(rooms, key=lambda r: r.room_id)),
+            objects=tuple(sorted(items, key=lambda o: o.object_id)),
+            navmesh=navmesh.file,
+            stage=stage,
+            warnings=tuple(sorted({*warnings, *navmesh.warnings}, key=lambda w: (w.code, w.where, w.message))),
+        )
+
+    def house(self, scene_id: str) -> HouseFile:
+        """The raw record of a scan: panoramas, portals and categories too, in the file's frame.
+
+        Raises
+        ------
+        InputError : as `read`
+        """
+        return self._house(scene_id)[0]
+
+    def _house(self, scene_id: str) -> tuple[HouseFile, str]:
+        path = self._scans().get(scene_id)
+        if path is None:
+            raise self.not_there(scene_id)
+        return read_house_file(self.files.read(path, MAX_HOUSE_BYTES), str(self.root / path)), path
+
+    def _note(self, scene_id: str, path: str, ledger: InputLedger) -> None:
+        ledger.file(path)
+        if self.options.regions is not None:
+            side_regions(self.options.regions, [scene_id], self.family, ledger)
+        self._beside(scene_id, path, ledger)
+
+    def _beside(self, scene_id: str, path: str, ledger: InputLedger) -> tuple[tuple[MeshPart, ...], NavmeshChoice]:
+        """The scan's mesh and navmesh, in its folder or beside its ``.house``."""
+        folder = posixpath.dirname(path)
+        folders = list(dict.fromkeys([folder.removesuffix("/house_segmentations"), folder]))
+        mesh = next((m for m in (f"{f}/{scene_id}.glb" for f in folders) if self.files.has(m)), None)
+        stage: tuple[MeshPart, ...] = ()
+        if mesh is not None:
+            ledger.file(mesh)
+            stage = (MeshPart(mesh, placement(Z_UP_TO_HABITAT)),)
+        own = [f"{f}/{scene_id}.navmesh" for f in folders]
+        candidates = shipped_navmeshes(self.files, scene_id, self.options.navmesh, own)
+        return stage, choose_navmesh(self.files, candidates, self.options.agent, self.options.hash_file, ledger)
+
+    def _scans(self) -> dict[str, str]:
+        """Scan → path of its ``.house``, sorted; the first layout that has it counts."""
+        found: dict[str, str] = {}
+        for layout in LAYOUTS:
+            for file in sorted(self.root.glob(layout)):
+                scan = file.stem
+                if scan in file.relative_to(self.root).parts:
+                    found.setdefault(scan, file.relative_to(self.root).as_posix())
+        return dict(sorted(found.items()))
+
+
+def _room(region: HouseRegion, family: str, where: str) -> Room:
+    corners = round_mm(np.column_stack([region.corners[:, 0], -region.corners[:, 1]]))
+    polygon = shapely.Polygon(corners)
+    if not polygon.is_valid or not polygon.area > 0:
+        # Traced outlines cross themselves by a hair here and there.
+        mended = shapely.make_valid(polygon)
+        parts = [p for p in shapely.get_parts(mended) if p.geom_type == "Polygon"]
+        if not parts:
+            raise FormatError(
+                f"the floor of region {region.index} has no area",
+                where=where,
+                place="record S",
+                remedy="Take the file from its dataset again",
+            )
+        largest = max(parts, key=lambda p: float(p.area))
+        corners = round_mm(np.array(largest.exterior.coords)[:-1])
+    return Room(
+        room_id=f"region_{region.index}",
+        raw_label=region.label,
+        label=vocabulary.room_type(region.label, family),
+        level=region.level,
+        floor_y=float(round_mm(region.floor)),
+        ceiling_y=float(round_mm(region.floor + region.height)),
+        polygon=corners,
+        annotation="dataset",
+        complete=True,
+    )
+
+
+def _objects(house: HouseFile, room_of: dict[int, Room], family: str) -> tuple[list[SceneObject], list[SceneWarning]]:
+    items: list[SceneObject] = []
+    warnings: list[SceneWarning] = []
+    for entry in house.objects:
+        raw = house.categories.get(entry.category, UNKNOWN_LABEL)
+        object_id = f"{raw}_{entry.index}"
+        if entry.category == -1:
+            warnings.append(SceneWarning("unlabelled_object", object_id, "its category is -1"))
+        if entry.region == -1:
+            warnings.append(SceneWarning("object_outside_rooms", object_id, "its region is -1: left out"))
+            continue
+        box = _box(entry)
+        if box is None:
+            warnings.append(SceneWarning("no_box", object_id, "its axes are no frame: extent unknown"))
+        aabb = None if box is None else round_mm(aabb_of(box_corners(box)))
+        items.append(
+            SceneObject(
+                object_id=object_id,
+                room_id=room_of[entry.region].room_id,
+                raw_label=raw,
+                label=vocabulary.canonical(raw, family),
+                center=round_mm(Z_UP_TO_HABITAT @ entry.centre),
+                aabb=aabb,
+                obb=None if box is None else rounded_box(box),
+                size=None if aabb is None else round_mm(aabb[1] - aabb[0]),
+                radius=float(np.ceil(np.linalg.norm(entry.half_lengths) * 1000) / 1000),
+            )
+        )
+    return items, warnings
+
+
+def _box(entry: HouseObject) -> OrientedBox | None:
+    """The oriented box in Habitat's frame; None where its axes are no frame."""
+    if not np.allclose(entry.axes.T @ entry.axes, np.eye(3), atol=AXIS_TOLERANCE):
+        return None
+    return OrientedBox(Z_UP_TO_HABITAT @ entry.centre, entry.half_lengths, Z_UP_TO_HABITAT @ entry.axes)

@@ -1,0 +1,252 @@
+"""ProcTHOR: procedurally made houses, one JSON document each, in files of one house or of one a line."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, ClassVar, Final, NoReturn
+
+import numpy as np
+import orjson
+
+from condvln.labels import vocabulary
+from condvln.scene import OrientedBox, Room, Scene, SceneObject, SceneWarning, round_mm
+from condvln.scene.boxes import aabb_of, box_corners, rounded_box
+from condvln.sources.asset_database import FILE_NAMES, Asset, AssetDatabase
+from condvln.sources.input_ledger import InputLedger
+from condvln.sources.json_document import parse_json
+from condvln.sources.json_lines import MAX_LINE_BYTES, JsonLines
+from condvln.sources.navmesh_choice import choose_navmesh, shipped_navmeshes
+from condvln.sources.procthor_house import House, HouseObject, read_house
+from condvln.sources.regions import check_polygon, in_rooms, side_regions
+from condvln.sources.scene_source import Note, SceneSource, SourceOptions
+from condvln.sources.source import UNKNOWN_LABEL
+from schemas.errors import ConfigError, InputError
+
+__all__ = ["ProcthorSource"]
+
+_FILE: Final = re.compile(r"^(?P<stem>.+?)(?P<suffix>\.jsonl|\.jsonl\.gz|\.json)$")
+_LINE: Final = re.compile(r"^(?P<stem>.+)-(?P<number>0|[1-9][0-9]{0,8})$")
+_HOUSE_KEYS: Final = (b'"rooms"', b'"walls"')
+"""What tells a house from other JSON that lies beside it."""
+
+
+class ProcthorSource(SceneSource):
+    """Houses in the files of a folder and of its direct subfolders.
+
+    Ids: ``<file>-<line, from 0>`` for files of one house a line, ``<file>`` for files of one house, with the subfolder
+    before it where there is one. The asset database stands in the root folder.
+    """
+
+    family: ClassVar[str] = "procthor"
+
+    def __init__(self, root: Path, options: SourceOptions) -> None:
+        super().__init__(root, options)
+        self._open: dict[str, JsonLines] = {}
+        self._database: tuple[tuple[int, int], AssetDatabase | InputError] | None = None
+        if not self._files():
+            raise ConfigError(
+                "no houses (*.jsonl, *.jsonl.gz, *.json) stand in this folder",
+                where=root,
+                remedy="Download ProcTHOR's houses, or set the source's 'root' to the folder they stand in",
+            )
+
+    def listing(self) -> Iterator[tuple[str, Note]]:
+        """See `SceneSource.listing`. A break in a file of lines is a fault under the file's own name."""
+        for (stem, suffix), path in self._files().items():
+            try:
+                if suffix == ".json":
+                    data = self.files.read(path, MAX_LINE_BYTES)
+                    if all(key in data for key in _HOUSE_KEYS):
+                        yield stem, partial(self._note, stem, path, data)
+                    continue
+                for number, line in self._lines(path).lines():
+                    scene_id = f"{stem}-{number}"
+                    yield scene_id, partial(self._note, scene_id, f"{path}#{number}", line)
+            except InputError as error:
+                yield stem, partial(_fail, error)
+
+    def read(self, scene_id: str) -> Scene:
+        """One house; see `Source.read`."""
+        house, ledger = self.house(scene_id), InputLedger()
+        database = self._assets()
+        rooms = self._rooms(house)
+        if self.options.regions is not None:
+            rooms = side_regions(self.options.regions, [scene_id], self.family, ledger) or rooms
+        kinds = {o.object_id: database.asset(o.asset_id, ledger) for o in house.objects}
+        objects = [self._object(o, kinds[o.object_id]) for o in house.objects]
+        placed, lost = _with_parents_rooms(objects, house, rooms)
+        candidates = shipped_navmeshes(self.files, scene_id, self.options.navmesh)
+        navmesh = choose_navmesh(self.files, candidates, self.options.agent, self.options.hash_file, ledger)
+        warnings = {*lost, *navmesh.warnings, *_unknown_assets(house, kinds)}
+        warnings |= {SceneWarning(_snake(name), "metadata.warnings", text) for name, text in house.warnings}
+        unnamed = {o.room_id for o in placed if o.raw_label == UNKNOWN_LABEL}
+        return Scene(
+            family=self.family,
+            scene_id=scene_id,
+            root=self.root,
+            # Where a thing has no name, nothing can be said not to be there.
+            rooms=tuple(replace(r, complete=r.room_id not in unnamed) for r in sorted(rooms, key=lambda r: r.room_id)),
+            objects=tuple(sorted(placed, key=lambda o: o.object_id)),
+            navmesh=navmesh.file,
+            warnings=tuple(sorted(warnings, key=lambda w: (w.code, w.where, w.message))),
+        )
+
+    def house(self, scene_id: str) -> House:
+        """The raw record of a house in Habitat's frame: its walls, doors and windows too.
+
+        Raises
+        ------
+        InputError : as `read`
+        """
+        files = self._files()
+        if (scene_id, ".json") in files:
+            path = files[scene_id, ".json"]
+            return read_house(parse_json(self.files.read(path, MAX_LINE_BYTES), str(self.root / path)))
+        named = _LINE.match(scene_id)
+        for suffix in (".jsonl", ".jsonl.gz"):
+            if named is not None and (named["stem"], suffix) in files:
+                path = files[named["stem"], suffix]
+                line = self._lines(path).line(int(named["number"]))
+                return read_house(parse_json(line, f"{self.root / path}#{named['number']}"))
+        raise self.not_there(scene_id)
+
+    def _files(self) -> dict[tuple[str, str], str]:
+        """(id without line, suffix) → path of every file that may hold houses, sorted."""
+        found: dict[tuple[str, str], str] = {}
+        for pattern in ("*.json*", "*/*.json*"):
+            for file in sorted(self.root.glob(pattern)):
+                path = file.relative_to(self.root).as_posix()
+                named = _FILE.match(path)
+                if named is not None and path not in FILE_NAMES and file.is_file():
+                    found[named["stem"], named["suffix"]] = path
+        return dict(sorted(found.items()))
+
+    def _lines(self, path: str) -> JsonLines:
+        if path not in self._open:
+            self._open[path] = JsonLines(self.files, path)
+        return self._open[path]
+
+    def _assets(self) -> AssetDatabase:
+        """The asset database, read anew where its file has changed."""
+        signature = next((s for s in map(self.files.signature, FILE_NAMES) if s != (0, 0)), (0, 0))
+        if self._database is None or self._database[0] != signature:
+            try:
+                self._database = (signature, AssetDatabase(self.files))
+            except InputError as error:
+                self._database = (signature, error)
+        if isinstance(self._database[1], InputError):
+            raise self._database[1]
+        return self._database[1]
+
+    def _note(self, scene_id: str, name: str, data: bytes, ledger: InputLedger) -> None:
+        """Note what reading a house would open, without building it."""
+        ledger.record(name, data)
+        database = self._assets()
+        for asset_id in _asset_ids(data, str(self.root / name)):
+            database.asset(asset_id, ledger)
+        if self.options.regions is not None:
+            side_regions(self.options.regions, [scene_id], self.family, ledger)
+        candidates = shipped_navmeshes(self.files, scene_id, self.options.navmesh)
+        choose_navmesh(self.files, candidates, self.options.agent, self.options.hash_file, ledger)
+
+    def _rooms(self, house: House) -> tuple[Room, ...]:
+        tops = {wall.room_id: 0.0 for wall in house.walls}
+        for wall in house.walls:
+            tops[wall.room_id] = max(tops[wall.room_id], wall.top)
+        highest = max(tops.values(), default=0.0)
+        return tuple(
+            Room(
+                room_id=room.room_id,
+                raw_label=room.room_type,
+                label=vocabulary.room_type(room.room_type, self.family),
+                level=0,
+                floor_y=0.0,
+                ceiling_y=float(round_mm(tops.get(room.room_id, highest))),
+                polygon=check_polygon(room.polygon, room.node["floorPolygon"]),
+                annotation="dataset",
+                complete=True,
+            )
+            for room in house.rooms
+        )
+
+    def _object(self, item: HouseObject, asset: Asset | None) -> SceneObject:
+        """An object, in no room yet: the asset's box, turned, about the position."""
+        raw = item.object_type or (None if asset is None else asset.object_type)
+        if raw is None:
+            prefix = item.object_id.split("|")[0]
+            raw = prefix if prefix in vocabulary.raw_labels(self.family) else UNKNOWN_LABEL
+        label = vocabulary.canonical(raw, self.family)
+        centre = round_mm(item.position)
+        if asset is None or asset.size is None:
+            return SceneObject(item.object_id, "", raw, label, centre, static=item.kinematic)
+        box = OrientedBox(item.position, asset.size / 2, item.rotation)
+        aabb = round_mm(aabb_of(box_corners(box)))
+        return SceneObject(
+            object_id=item.object_id,
+            room_id="",
+            raw_label=raw,
+            label=label,
+            center=centre,
+            aabb=aabb,
+            obb=rounded_box(box),
+            size=round_mm(aabb[1] - aabb[0]),
+            radius=float(np.ceil(np.linalg.norm(asset.size) / 2 * 1000) / 1000),
+            static=item.kinematic,
+        )
+
+
+def _with_parents_rooms(
+    objects: list[SceneObject], house: House, rooms: tuple[Room, ...]
+) -> tuple[list[SceneObject], list[SceneWarning]]:
+    """Objects in rooms; what stands on or in another object is in that one's room."""
+    parent_of = {o.object_id: o.parent_id for o in house.objects}
+    placed, lost = in_rooms((o for o in objects if parent_of[o.object_id] is None), rooms)
+    room_of = {o.object_id: o.room_id for o in placed}
+    for item in objects:  # parents come before their children
+        parent = parent_of[item.object_id]
+        if parent is None:
+            continue
+        if parent in room_of:
+            room_of[item.object_id] = room_of[parent]
+            placed.append(replace(item, room_id=room_of[parent]))
+        else:
+            lost.append(SceneWarning("object_outside_rooms", item.object_id, f"it goes with {parent}: left out"))
+    return placed, lost
+
+
+def _unknown_assets(house: House, kinds: dict[str, Asset | None]) -> Iterator[SceneWarning]:
+    unknown = Counter(o.asset_id for o in house.objects if kinds[o.object_id] is None)
+    for asset_id, count in sorted(unknown.items()):
+        yield SceneWarning("unknown_asset", asset_id, f"not in the asset database: extent of {count} unknown")
+
+
+def _asset_ids(data: bytes, where: str) -> set[str]:
+    """Asset ids of all objects of a house; the full reader is asked only where something is amiss.
+
+    Raises
+    ------
+    FormatError : the house is malformed
+    """
+    try:
+        waiting: list[Any] = list(orjson.loads(data)["objects"])
+        found: set[str] = set()
+        while waiting:
+            item = waiting.pop()
+            found.add(item["assetId"])
+            waiting.extend(item.get("children") or ())
+        return {a for a in found if isinstance(a, str)}
+    except (orjson.JSONDecodeError, KeyError, TypeError, AttributeError, RecursionError):
+        return {o.asset_id for o in read_house(parse_json(data, where)).objects}
+
+
+def _fail(error: InputError, ledger: InputLedger) -> NoReturn:
+    raise error
+
+
+def _snake(name: str) -> str:
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()

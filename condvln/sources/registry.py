@@ -1,0 +1,68 @@
+"""The families that can be read, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from condvln.navigation.agent import Agent
+from condvln.sources.gibson import GibsonSource
+from condvln.sources.ithor import IthorSource
+from condvln.sources.mp3d import Mp3dSource
+from condvln.sources.procthor import ProcthorSource
+from condvln.sources.replicacad import ReplicaCadSource
+from condvln.sources.robothor import RobothorSource
+from condvln.sources.scene_choice import SceneChoice
+from condvln.sources.scene_source import SceneSource, SourceOptions
+from condvln.sources.source import HashFile, Source, hash_file
+from schemas.errors import ConfigError
+
+__all__ = ["FAMILIES", "open_source"]
+
+FAMILIES: Final[dict[str, type[SceneSource]]] = {
+    "gibson": GibsonSource,
+    "ithor": IthorSource,
+    "mp3d": Mp3dSource,
+    "procthor": ProcthorSource,
+    "replicacad": ReplicaCadSource,
+    "robothor": RobothorSource,
+}
+"""Reader of each family."""
+
+
+def open_source(
+    family: str,
+    root: Path,
+    *,
+    scenes: Sequence[str] = ("*",),
+    exclude: Sequence[str] = (),
+    agent: Agent | None = None,
+    navmesh: str | None = None,
+    regions: Path | None = None,
+    hash_file: HashFile = hash_file,
+) -> Source:
+    """The dataset of a family under `root`.
+
+    Parameters
+    ----------
+    scenes, exclude : scene ids or patterns with ``*`` and ``?``, to read and to leave out
+    agent : whose navmesh is wanted; Habitat's default agent where None
+    navmesh : folder of navmeshes, relative to `root`, to look in before any other
+    regions : side file or folder of user-drawn room zones
+    hash_file : size and SHA-256 of a file
+
+    Raises
+    ------
+    ConfigError : an unknown family, a folder that is not there or is not such a dataset, a pattern that fits no scene
+    """
+    if family not in FAMILIES:
+        raise ConfigError(f"unknown source family {family!r}", remedy=f"Known are {', '.join(sorted(FAMILIES))}")
+    if not root.is_dir():
+        raise ConfigError(
+            f"the {family} dataset folder is not there",
+            where=root,
+            remedy="Download the dataset, or set the source's 'root' to the folder it stands in",
+        )
+    choice = SceneChoice(tuple(scenes), tuple(exclude))
+    return FAMILIES[family](root, SourceOptions(choice, agent or Agent(), navmesh, regions, hash_file))

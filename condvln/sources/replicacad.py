@@ -1,0 +1,186 @@
+"""ReplicaCAD, and any dataset in the form of a Habitat scene dataset.
+
+A scene instance places rigid and articulated templates by name. Labels come from the semantic lexicon, extents from the
+GLB files (articulated bodies: through the links of their URDF), rooms from region annotations; where there are none the
+apartment is one room.
+"""
+
+from __future__ import annotations
+
+import posixpath
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import ClassVar, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.labels import vocabulary
+from condvln.scene import MeshPart, Room, Scene, SceneObject, SceneWarning, round_mm
+from condvln.scene.boxes import aabb_of, oriented_box, rounded_box, transform_points
+from condvln.scene.meshes import MeshLibrary
+from condvln.sources.body import Body, BodyReader
+from condvln.sources.input_ledger import InputLedger
+from condvln.sources.lexicon import read_descriptors
+from condvln.sources.navmesh_choice import NavmeshChoice, choose_navmesh, shipped_navmeshes
+from condvln.sources.regions import in_rooms, read_regions, side_regions
+from condvln.sources.scene_dataset import SceneDataset
+from condvln.sources.scene_instance import SceneInstance, read_scene_instance
+from condvln.sources.scene_source import Note, SceneSource, SourceOptions
+from condvln.sources.source import UNKNOWN_LABEL
+
+__all__ = ["ReplicaCadSource"]
+
+F64 = NDArray[np.float64]
+
+WHOLE_SCENE: Final = "apartment"
+"""Id and label of the one room of a scene without region annotations."""
+
+FLOOR_BAND: Final = 0.15
+"""Metres. Things whose bottoms lie so close to the lowest one stand on the floor; some (a door leaf) reach below it."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Assembly:
+    """A scene with everything but its geometry."""
+
+    bodies: list[Body]
+    stage: tuple[MeshPart, ...]
+    regions: tuple[Room, ...]
+    navmesh: NavmeshChoice
+    warnings: list[SceneWarning]
+
+
+class ReplicaCadSource(SceneSource):
+    """The scenes of a Habitat scene dataset; a folder that is none is a ConfigError."""
+
+    family: ClassVar[str] = "replicacad"
+
+    def __init__(self, root: Path, options: SourceOptions) -> None:
+        super().__init__(root, options)
+        self._meshes = MeshLibrary(root)
+        SceneDataset(self.files)
+
+    def listing(self) -> Iterator[tuple[str, Note]]:
+        """See `SceneSource.listing`."""
+        dataset = SceneDataset(self.files)
+        for scene_id, path in dataset.scenes().items():
+            yield scene_id, partial(self._assemble, dataset, scene_id, path)
+
+    def read(self, scene_id: str) -> Scene:
+        """One scene; see `Source.read`. Shared files are read anew, so that a mended one is seen."""
+        dataset = SceneDataset(self.files)
+        path = dataset.scenes().get(scene_id)
+        if path is None:
+            raise self.not_there(scene_id)
+        assembly = self._assemble(dataset, scene_id, path, InputLedger())
+        objects = [self._object(body) for body in assembly.bodies]
+        rooms = assembly.regions or (_whole_scene(objects, self.family),)
+        objects, lost = in_rooms(objects, rooms)
+        unnamed = {o.room_id for o in objects if o.raw_label == UNKNOWN_LABEL}
+        return Scene(
+            family=self.family,
+            scene_id=scene_id,
+            root=self.root,
+            # Where a thing has no name, nothing can be said not to be there.
+            rooms=tuple(replace(r, complete=r.room_id not in unnamed) for r in rooms),
+            objects=tuple(sorted(objects, key=lambda o: o.object_id)),
+            navmesh=assembly.navmesh.file,
+            stage=assembly.stage,
+            warnings=tuple(sorted({*assembly.warnings, *lost}, key=lambda w: (w.code, w.where, w.message))),
+        )
+
+    def _assemble(self, dataset: SceneDataset, scene_id: str, path: str, ledger: InputLedger) -> _Assembly:
+        ledger.file(path)
+        instance = read_scene_instance(dataset.document(path))
+        lexicon, annotated = read_descriptors(dataset, posixpath.basename(scene_id), instance.semantics, ledger)
+        reader = BodyReader(dataset, lexicon, self.family, ledger)
+        stage = () if instance.stage is None else reader.stage(instance.stage)
+        bodies = [reader.rigid(p) for p in instance.objects] + [reader.articulated(p) for p in instance.articulated]
+        navmesh, said = self._navmesh(dataset, posixpath.basename(scene_id), instance, ledger)
+        regions = () if annotated is None else read_regions(annotated[1], "dataset", self.family)
+        if self.options.regions is not None:
+            names = [posixpath.basename(scene_id)]
+            if instance.stage is not None:
+                names.append(posixpath.basename(instance.stage.template))
+            regions = side_regions(self.options.regions, names, self.family, ledger) or regions
+        return _Assembly(bodies, stage, regions, navmesh, [*reader.warnings, *said, *navmesh.warnings])
+
+    def _navmesh(
+        self, dataset: SceneDataset, scene_name: str, instance: SceneInstance, ledger: InputLedger
+    ) -> tuple[NavmeshChoice, list[SceneWarning]]:
+        """The scene's navmesh: of the asked folder, of the dataset's configuration, of ``navmeshes*/`` beside it."""
+        named = instance.navmesh or dataset.default("scene_instances", "navmesh_instance")
+        handles = [scene_name] if named is None else [named.text(), scene_name]
+        configured: list[str] = []
+        warnings: list[SceneWarning] = []
+        for handle in handles:
+            entry = dataset.entry("navmesh_instances", handle)
+            if entry is not None:
+                ledger.entry(dataset.config_path, f"navmesh_instances.{handle}", entry.value)
+                configured.append(self.files.join("", entry.text(), where=entry.where, place=entry.place))
+            elif named is not None and handle == named.text():
+                message = f"the dataset names no navmesh {handle!r}; one of the scene's own name is looked for"
+                warnings.append(SceneWarning("navmesh_handle_unknown", "navmesh", message))
+        candidates = shipped_navmeshes(self.files, scene_name, self.options.navmesh, configured)
+        return choose_navmesh(self.files, candidates, self.options.agent, self.options.hash_file, ledger), warnings
+
+    def _object(self, body: Body) -> SceneObject:
+        """A body with its geometry; in no room yet."""
+        meshes = [self._meshes.geometry(part.path).vertices for part in body.parts]
+        own = [transform_points(part.transform, v) for part, v in zip(body.parts, meshes, strict=True) if len(v)]
+        if not own:
+            matrix = body.to_scene(np.zeros(3) if body.com is None else body.com)
+            centre = round_mm(matrix[:3, 3])
+            return SceneObject(body.placed.object_id, "", body.raw_label, body.label, centre, static=body.placed.static)
+        com = body.com if body.com is not None else aabb_of(np.concatenate(own)).mean(axis=0)
+        matrix = body.to_scene(com)
+        parts = tuple(MeshPart(part.path, matrix @ part.transform) for part in body.parts)
+        world = np.concatenate([transform_points(matrix, v) for v in own])
+        aabb = round_mm(aabb_of(world))
+        centre = round_mm(aabb.mean(axis=0))
+        obb = oriented_box(_box_in_first(parts, meshes), parts[0].transform)
+        radius = np.ceil(np.linalg.norm(world - centre, axis=1).max() * 1000) / 1000
+        return SceneObject(
+            object_id=body.placed.object_id,
+            room_id="",
+            raw_label=body.raw_label,
+            label=body.label,
+            center=centre,
+            aabb=aabb,
+            obb=None if obb is None else rounded_box(obb),
+            size=round_mm(aabb[1] - aabb[0]),
+            radius=float(radius),
+            mesh=parts,
+            static=body.placed.static,
+        )
+
+
+def _box_in_first(parts: tuple[MeshPart, ...], meshes: list[F64]) -> F64:
+    """(2, 3) box of all parts in the own frame of the first."""
+    back = np.linalg.inv(parts[0].transform)
+    return aabb_of(
+        np.concatenate(
+            [transform_points(back @ part.transform, v) for part, v in zip(parts, meshes, strict=True) if len(v)]
+        )
+    )
+
+
+def _whole_scene(objects: list[SceneObject], family: str) -> Room:
+    """The one room of a scene whose source knows none."""
+    boxes = np.array([o.aabb for o in objects if o.aabb is not None]).reshape(-1, 2, 3)
+    bottoms, tops = boxes[:, 0, 1], boxes[:, 1, 1]
+    standing = bottoms[bottoms <= bottoms.min(initial=np.inf) + FLOOR_BAND]
+    return Room(
+        room_id=WHOLE_SCENE,
+        raw_label=WHOLE_SCENE,
+        label=vocabulary.room_type(WHOLE_SCENE, family),
+        level=0,
+        floor_y=float(round_mm(np.median(standing))) if len(boxes) else 0.0,
+        ceiling_y=float(tops.max(initial=0.0)),
+        polygon=None,
+        annotation="scene",
+        complete=True,
+    )

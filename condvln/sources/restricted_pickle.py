@@ -1,0 +1,179 @@
+"""Pickles of plain data and numpy arrays, read without trusting them.
+
+The pickle machine can call whatever it is told to. Here it knows four names, all of them stand-ins of this module that
+only keep what they are given; arrays are built afterwards, from the bytes that are there. The machine is the standard
+library's in Python, because the compiled one allocates what a length field claims before it looks for the bytes.
+"""
+
+from __future__ import annotations
+
+import io
+import pickle
+from collections.abc import Callable
+from typing import Any, ClassVar, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["UnsafePickleError", "load_plain", "plain"]
+
+MAX_ARRAY_DIMENSIONS: Final = 8
+
+# Operations that make instances of classes, ask for objects from outside, or allocate by a claimed length.
+_FORBIDDEN: Final = (
+    b"P", b"Q", b"i", b"o", b"\x81", b"\x92", b"\x82", b"\x83", b"\x84", b"\x96", b"\x97", b"\x98",
+)  # fmt: skip
+_DTYPE_KINDS: Final = frozenset("biufSUO")
+
+
+class UnsafePickleError(ValueError):
+    """The pickle asks for something other than plain data and arrays."""
+
+
+class _DType:
+    """A dtype by its string; its state says the byte order."""
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        self.order = ""
+
+    def dtype(self) -> np.dtype[Any]:
+        try:
+            found = np.dtype((self.order if self.order in ("<", ">") else "") + self.text)
+        except (TypeError, ValueError) as error:
+            raise UnsafePickleError(f"{self.text!r:.40} is no plain type of numbers") from error
+        if found.kind not in _DTYPE_KINDS or found.fields is not None or found.subdtype is not None:
+            raise UnsafePickleError(f"{self.text!r:.40} is no plain type of numbers")
+        return found
+
+
+class _Array:
+    """An array's shape, type and content as the pickle states them."""
+
+    def __init__(self) -> None:
+        self.state: Any = None
+
+    def value(self) -> Any:
+        """The array; of objects, a nested list."""
+        try:
+            _, shape, dtype, fortran, content = self.state
+            shape = tuple(int(n) for n in shape)
+            found = dtype.dtype()
+        except (TypeError, ValueError, AttributeError) as error:
+            raise UnsafePickleError("an array without a sound state") from error
+        count = int(np.prod(shape, dtype=object)) if shape else 1
+        if len(shape) > MAX_ARRAY_DIMENSIONS or any(n < 0 for n in shape):
+            raise UnsafePickleError(f"an array of shape {shape!r:.60}")
+        if found.kind == "O":
+            if not isinstance(content, list) or len(content) != count:
+                raise UnsafePickleError("an array of objects without as many objects")
+            return content[0] if shape == () else content
+        if isinstance(content, str):  # written by Python 2
+            content = content.encode("latin1")
+        if not isinstance(content, bytes) or len(content) != count * found.itemsize or not found.itemsize:
+            raise UnsafePickleError(f"an array of {count} items without as many bytes")
+        array: NDArray[Any] = np.frombuffer(content, dtype=found).reshape(shape, order="F" if fortran else "C")
+        return array
+
+
+def _reconstruct(*_: Any) -> _Array:
+    return _Array()
+
+
+def _dtype(text: Any, *_: Any) -> _DType:
+    if not isinstance(text, str):
+        raise UnsafePickleError("a type that is not named by text")
+    return _DType(text)
+
+
+def _scalar(dtype: Any, content: Any = None) -> Any:
+    if not isinstance(dtype, _DType):
+        raise UnsafePickleError("a number without a type")
+    array = _Array()
+    array.state = (1, (), dtype, False, [content] if dtype.text.startswith("O") else content)
+    found = array.value()
+    return found.item() if isinstance(found, np.ndarray) else found
+
+
+def _encode(text: Any, encoding: Any = "latin1") -> bytes:
+    """How protocol 2 writes bytes."""
+    if not isinstance(text, str) or encoding != "latin1":
+        raise UnsafePickleError("bytes that are no Latin-1")
+    return text.encode("latin1")
+
+
+def _no_bytes(*content: Any) -> bytes:
+    """How protocol 2 writes no bytes."""
+    if content:
+        raise UnsafePickleError("bytes made by their class")
+    return b""
+
+
+def _ndarray(*_: Any) -> Any:
+    raise UnsafePickleError("an array made by its class")
+
+
+_KNOWN: Final = {
+    **{(f"numpy.{core}.multiarray", "_reconstruct"): _reconstruct for core in ("core", "_core")},
+    **{(f"numpy.{core}.multiarray", "scalar"): _scalar for core in ("core", "_core")},
+    ("numpy", "ndarray"): _ndarray,
+    ("numpy", "dtype"): _dtype,
+    ("_codecs", "encode"): _encode,
+    ("__builtin__", "bytes"): _no_bytes,
+}
+
+
+class _Unpickler(pickle._Unpickler):
+    stack: list[Any]
+    dispatch: ClassVar[dict[int, Callable[[Any], None]]] = {
+        key: operation for key, operation in pickle._Unpickler.dispatch.items() if bytes([key]) not in _FORBIDDEN
+    }
+
+    def find_class(self, module: str, name: str) -> Any:
+        try:
+            return _KNOWN[module, name]
+        except KeyError:
+            raise UnsafePickleError(f"it asks for {module}.{name}") from None
+
+    def load_build(self) -> None:
+        """Give a stand-in its state; nothing else has one."""
+        state = self.stack.pop()
+        target = self.stack[-1]
+        if isinstance(target, _Array):
+            target.state = state
+        elif isinstance(target, _DType) and isinstance(state, tuple) and len(state) > 1 and isinstance(state[1], str):
+            target.order = state[1]
+        else:
+            raise UnsafePickleError("it gives a state to plain data")
+
+    dispatch[pickle.BUILD[0]] = load_build
+
+
+def load_plain(data: bytes) -> Any:
+    """What a pickle holds: dicts, lists, tuples, sets, text, bytes, numbers, and `_Array`s to be opened by `plain`.
+
+    Raises
+    ------
+    UnsafePickleError : it asks for anything else, or is broken
+    """
+    try:
+        return _Unpickler(io.BytesIO(data), encoding="latin1").load()
+    except UnsafePickleError:
+        raise
+    except Exception as error:  # a broken pickle raises whatever its operations do
+        raise UnsafePickleError(f"not a sound pickle ({error!r:.80})") from None
+
+
+def plain(value: Any, most: int) -> Any:
+    """An array or number of a loaded pickle as lists and numbers, other values as they are.
+
+    Raises
+    ------
+    UnsafePickleError : an array without a sound state, or of more than `most` items
+    """
+    found = value.value() if isinstance(value, _Array) else value
+    if not isinstance(found, np.ndarray):
+        return found
+    if found.size > most:
+        raise UnsafePickleError(f"an array of {found.size} items where {most} are enough")
+    return found.tolist()

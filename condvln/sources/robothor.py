@@ -1,0 +1,23 @@
+"""RoboTHOR: apartments of movable walls, in which nobody annotated rooms."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Final, Literal
+
+from condvln.sources.json_document import JsonNode
+from condvln.sources.thor_scene import ThorSceneSource
+
+__all__ = ["RobothorSource"]
+
+WHOLE_SCENE: Final = "apartment"
+
+
+class RobothorSource(ThorSceneSource):
+    """Apartments of RoboTHOR; each is one zone."""
+
+    family: ClassVar[str] = "robothor"
+    annotation: ClassVar[Literal["dataset", "scene"]] = "scene"
+
+    def room_label(self, document: JsonNode) -> str:
+        """See `ThorSceneSource.room_label`."""
+        return WHOLE_SCENE

@@ -1,0 +1,243 @@
+"""A Habitat scene dataset: its configuration, its templates by name, its scenes.
+
+The form is that of habitat-sim's ``<name>.scene_dataset_config.json``: per kind of template a list of search paths,
+default attributes, and entries that make or modify a template in place.
+"""
+
+from __future__ import annotations
+
+import glob
+import posixpath
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Final
+
+from condvln.sources.dataset_root import DatasetRoot
+from condvln.sources.input_ledger import InputLedger
+from condvln.sources.json_document import JsonNode, parse_json
+from condvln.sources.urdf import MAX_URDF_BYTES, LinkMesh, read_urdf
+from schemas.errors import ConfigError, PathEscapeError
+
+__all__ = ["CONFIG_SUFFIX", "Attribute", "SceneDataset", "Template"]
+
+CONFIG_SUFFIX: Final = ".scene_dataset_config.json"
+MAX_JSON_BYTES: Final = 64 << 20
+"""ReplicaCAD's largest document has 50 kB, the largest scene dataset config known 20 MB."""
+
+_KINDS: Final[dict[str, tuple[str, ...]]] = {
+    "stages": (".stage_config.json",),
+    "objects": (".object_config.json",),
+    "articulated_objects": (".ao_config.json", ".urdf"),
+    "scene_instances": (".scene_instance.json",),
+    "semantic_scene_descriptor_instances": (".semantic_config.json",),
+}
+_ASSETS: Final = (".glb",)
+
+
+@dataclass(frozen=True, slots=True)
+class Attribute:
+    """A value of a template, and the folder that a path in it is relative to."""
+
+    node: JsonNode
+    folder: str
+
+
+@dataclass(frozen=True)
+class Template:
+    """One stage, object or articulated object that scenes place.
+
+    handle : its name without folder and suffix
+    path : its file, relative to the root
+    layers : where its attributes stand, the strongest first
+    """
+
+    handle: str
+    path: str
+    layers: tuple[Attribute, ...] = ()
+
+    def get(self, key: str) -> Attribute | None:
+        """An attribute; None where no layer sets it."""
+        for layer in self.layers:
+            node = layer.node.get(key)
+            if node is not None:
+                return Attribute(node, layer.folder)
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    """A template known by name, not read yet."""
+
+    handle: str
+    path: str
+    made: JsonNode | None = None
+
+
+@dataclass
+class _Index:
+    """The templates of one kind."""
+
+    kind: str
+    defaults: JsonNode | None = None
+    entries: list[_Entry] = field(default_factory=list)
+    by_handle: dict[str, list[_Entry]] = field(default_factory=dict)
+    loaded: dict[str, Template] = field(default_factory=dict)
+
+
+class SceneDataset:
+    """The dataset under `root`, as it is on disk when this is made.
+
+    Raises
+    ------
+    ConfigError : no, or more than one, dataset configuration stands in the root folder
+    """
+
+    def __init__(self, root: DatasetRoot) -> None:
+        self.root = root
+        self.config_path = self._config_path()
+        self.config = self.document(self.config_path).object()
+        self._indices = {kind: self._index(kind) for kind in _KINDS}
+        self._present: dict[str, bool] = {}
+        self._bodies: dict[str, tuple[LinkMesh, ...]] = {}
+
+    def document(self, path: str) -> JsonNode:
+        """A JSON document of the dataset.
+
+        Raises
+        ------
+        InputError : it is missing or malformed
+        """
+        return parse_json(self.root.read(path, MAX_JSON_BYTES), str(self.root.folder / path))
+
+    def has(self, path: str) -> bool:
+        """Is there such a file? Asked of the disk once."""
+        if path not in self._present:
+            self._present[path] = self.root.has(path)
+        return self._present[path]
+
+    def links(self, path: str) -> tuple[LinkMesh, ...]:
+        """The visual meshes of a URDF file.
+
+        Raises
+        ------
+        InputError : it is missing or malformed
+        """
+        if path not in self._bodies:
+            self._bodies[path] = read_urdf(self.root.read(path, MAX_URDF_BYTES), str(self.root.folder / path))
+        return self._bodies[path]
+
+    def scenes(self) -> dict[str, str]:
+        """Scene id → path of its scene instance; the id is the file's name, with its folder where names repeat."""
+        entries = [e for e in self._indices["scene_instances"].entries if e.made is None]
+        times = Counter(e.handle for e in entries)
+        return {e.handle if times[e.handle] == 1 else _stem(e.path, ".scene_instance.json"): e.path for e in entries}
+
+    def default(self, kind: str, key: str) -> JsonNode | None:
+        """A default attribute of a kind."""
+        defaults = self._indices[kind].defaults
+        return None if defaults is None else defaults.get(key)
+
+    def template(self, kind: str, name: str, ledger: InputLedger) -> tuple[Template | None, int]:
+        """The template a scene means by `name`, and how many could be meant.
+
+        As in habitat-sim: the exact name, else the names that contain it; of several the first by path.
+
+        Raises
+        ------
+        InputError : its file is missing or malformed
+        """
+        index = self._indices[kind]
+        wanted = posixpath.basename(_stem(name, *_KINDS[kind], *_ASSETS))
+        meant = index.by_handle.get(wanted, [])
+        if len(meant) > 1:
+            meant = [e for e in meant if name in e.path] or meant
+        if not meant:
+            meant = [e for e in index.entries if name in e.path or wanted in e.handle]
+        if not meant:
+            return None, 0
+        return self._load(index, meant[0], ledger), len(meant)
+
+    def entry(self, kind: str, name: str) -> JsonNode | None:
+        """A plain name → path entry of ``navmesh_instances`` or ``semantic_scene_descriptor_instances``."""
+        section = self.config.get(kind)
+        return None if section is None or name in ("paths", "configs", "default_attributes") else section.get(name)
+
+    def described(self, kind: str, name: str) -> str | None:
+        """Path of the file of this name that the search paths of a kind lead to."""
+        wanted = posixpath.basename(_stem(name, *_KINDS[kind]))
+        return next((e.path for e in self._indices[kind].entries if e.handle == wanted), None)
+
+    def _config_path(self) -> str:
+        found = sorted(p.name for p in self.root.folder.glob(f"*{CONFIG_SUFFIX}"))
+        if len(found) != 1:
+            raise ConfigError(
+                f"{len(found)} files *{CONFIG_SUFFIX} stand in this folder, exactly one is expected",
+                where=self.root.folder,
+                remedy="Set the source's 'root' to the folder that holds the dataset's configuration",
+            )
+        return found[0]
+
+    def _index(self, kind: str) -> _Index:
+        section = self.config.get(kind)
+        index = _Index(kind)
+        if section is None:
+            return index
+        index.defaults = section.get("default_attributes")
+        paths = section.get("paths")
+        found: set[str] = set()
+        for extension, patterns in paths.items() if paths is not None else ():
+            for pattern in patterns.elements():
+                found |= self._search(kind, extension, pattern)
+        index.entries = [_Entry(posixpath.basename(_stem(p, *_KINDS[kind], *_ASSETS)), p) for p in sorted(found)]
+        configs = section.get("configs")
+        for made in configs.elements() if configs is not None else ():
+            handle = made.get("template_handle") or made.get("original_file")
+            if handle is None:
+                made.fail("an entry needs 'template_handle' or 'original_file'")
+            else:
+                index.entries.append(_Entry(posixpath.basename(_stem(handle.text(), *_KINDS[kind])), "", made))
+        for entry in index.entries:
+            index.by_handle.setdefault(entry.handle, []).append(entry)
+        return index
+
+    def _search(self, kind: str, extension: str, pattern: JsonNode) -> set[str]:
+        """Files that a search path leads to. A path that leaves the dataset is not followed (robots live beside it)."""
+        try:
+            relative = self.root.join("", pattern.text(), where=pattern.where, place=pattern.place)
+        except PathEscapeError:
+            return set()
+        suffixes = _ASSETS if extension in _ASSETS else tuple(s for s in _KINDS[kind] if s.endswith(extension))
+        found: set[str] = set()
+        for path in glob.glob(relative, root_dir=self.root.folder):
+            inside = glob.glob(f"{glob.escape(path)}/*", root_dir=self.root.folder)
+            found.update(p for p in (path, *inside) if p.endswith(suffixes))
+        return found
+
+    def _load(self, index: _Index, entry: _Entry, ledger: InputLedger) -> Template:
+        layers: list[Attribute] = []
+        path = entry.path
+        if entry.made is not None:
+            ledger.entry(self.config_path, f"{index.kind}.configs.{entry.handle}", entry.made.value)
+            attributes = entry.made.get("attributes")
+            if attributes is not None:
+                layers.append(Attribute(attributes, ""))
+            original = entry.made.get("original_file")
+            if original is not None:
+                path = self.root.join("", original.text(), where=original.where, place=original.place)
+        if path.endswith(".json"):
+            ledger.file(path)
+            if path not in index.loaded:
+                document = self.document(path).object()
+                index.loaded[path] = Template(entry.handle, path, (Attribute(document, posixpath.dirname(path)),))
+            layers.extend(index.loaded[path].layers)
+        if index.defaults is not None:
+            ledger.entry(self.config_path, f"{index.kind}.default_attributes", index.defaults.value)
+            layers.append(Attribute(index.defaults, ""))
+        return Template(entry.handle, path, tuple(layers))
+
+
+def _stem(name: str, *suffixes: str) -> str:
+    for suffix in suffixes:
+        if name.endswith(suffix):
+            return name[: -len(suffix)]
+    return name

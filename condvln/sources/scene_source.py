@@ -1,0 +1,101 @@
+"""What the readers of all families share: choosing scenes, noting inputs, faults that stay with their scene."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar, Final
+
+from condvln.navigation.agent import Agent
+from condvln.scene import Scene
+from condvln.sources.dataset_root import DatasetRoot
+from condvln.sources.input_ledger import InputLedger
+from condvln.sources.scene_choice import SceneChoice
+from condvln.sources.source import HashFile, SceneHandle
+from schemas.errors import ConfigError, InputError, MissingFileError
+
+__all__ = ["Note", "SceneSource", "SourceOptions"]
+
+Note = Callable[[InputLedger], object]
+"""Notes all inputs of one scene; raises InputError where that already fails."""
+
+# Seconds, measured on two cores: a scene's own work, and that for each byte that it reads.
+COST_OF_SCENE: Final = 0.05
+COST_OF_BYTE: Final = 5e-8
+
+
+@dataclass(frozen=True, slots=True)
+class SourceOptions:
+    """How a dataset is to be read; see `open_source`."""
+
+    choice: SceneChoice
+    agent: Agent
+    navmesh: str | None
+    regions: Path | None
+    hash_file: HashFile
+
+
+class SceneSource(ABC):
+    """A dataset on disk, of one family."""
+
+    family: ClassVar[str]
+
+    def __init__(self, root: Path, options: SourceOptions) -> None:
+        self.root = root
+        self.options = options
+        self.files = DatasetRoot(root)
+        if options.regions is not None and not options.regions.exists():
+            raise ConfigError(
+                "the side file of room zones is not there", where=options.regions, remedy="Mend the source's 'regions'"
+            )
+
+    @abstractmethod
+    def listing(self) -> Iterator[tuple[str, Note]]:
+        """Every scene of the dataset by id, with a function that notes its inputs; called before the next is asked."""
+
+    @abstractmethod
+    def read(self, scene_id: str) -> Scene:
+        """One scene; see `Source.read`."""
+
+    def handles(self) -> list[SceneHandle]:
+        """The scenes asked for; see `Source.handles`."""
+        choice = self.options.choice
+        known: list[str] = []
+        found: list[SceneHandle] = []
+        for scene_id, note in self.listing():
+            known.append(scene_id)
+            if choice.wanted(scene_id):
+                found.append(self._handle(scene_id, note))
+        missing = choice.missing(known)
+        if not found and not missing:
+            raise ConfigError(
+                f"none of the {len(known)} scenes fits {', '.join(choice.scenes) or 'an empty list of patterns'}",
+                where=self.root,
+                remedy="Mend the source's 'scenes' and 'exclude', or put the dataset's scenes there",
+            )
+        found += [SceneHandle(self.family, s, (), 0.0, self.not_there(s)) for s in missing]
+        return sorted(found, key=lambda h: h.scene_id)
+
+    def not_there(self, scene_id: str) -> MissingFileError:
+        """The error of a scene that the dataset does not have."""
+        return MissingFileError(
+            f"the dataset has no scene {scene_id!r}",
+            where=self.root,
+            remedy="Mend the source's 'scenes', or download the scene",
+        )
+
+    def _handle(self, scene_id: str, note: Note) -> SceneHandle:
+        ledger = InputLedger()
+        fault: InputError | None = None
+        try:
+            note(ledger)
+        except InputError as error:
+            fault = error
+        try:
+            inputs = ledger.inputs(self.files, self.options.hash_file)
+        except InputError as error:
+            inputs, fault = (), fault or error
+        cost = COST_OF_SCENE + COST_OF_BYTE * sum(i.size for i in inputs)
+        return SceneHandle(self.family, scene_id, inputs, cost, fault)

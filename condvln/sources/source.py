@@ -1,0 +1,90 @@
+"""What every source family offers: a cheap listing of its scenes with all that each reads, and the reading of one."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Protocol, TypeAlias
+
+from condvln.scene import Scene
+from schemas.errors import InputError
+
+__all__ = ["UNKNOWN_LABEL", "HashFile", "SceneHandle", "SceneInput", "Source", "hash_file"]
+
+HashFile: TypeAlias = Callable[[Path], tuple[int, str]]
+"""Size in bytes and SHA-256 (hex) of a file; the caller may cache it."""
+
+UNKNOWN_LABEL: Final = "unknown"
+"""Raw label of what its dataset does not name; catch-all, so never in text."""
+
+_READ_BYTES = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class SceneInput:
+    """One thing a scene is read from.
+
+    path : relative to the dataset root, '/'-separated; an entry of a shared file as ``file#entry``
+    size : bytes of the file, or of the entry's canonical JSON
+    sha256 : of the same bytes, hex
+    """
+
+    path: str
+    size: int
+    sha256: str
+
+
+@dataclass(frozen=True, slots=True)
+class SceneHandle:
+    """A scene that can be asked for.
+
+    inputs : all that reading it would open, sorted by path
+    cost : seconds that reading it may take; rough, for scheduling only
+    fault : why it can't be read, where listing it already showed that; such a scene is quarantined, never lost
+    """
+
+    family: str
+    scene_id: str
+    inputs: tuple[SceneInput, ...]
+    cost: float
+    fault: InputError | None = None
+
+
+class Source(Protocol):
+    """A dataset on disk."""
+
+    @property
+    def family(self) -> str:
+        """Name of the format, the ``source=`` partition of its tables."""
+        ...
+
+    @property
+    def root(self) -> Path:
+        """Folder that all relative paths of its scenes stand in."""
+        ...
+
+    def handles(self) -> list[SceneHandle]:
+        """The scenes asked for, sorted by id. Reads no geometry; a scene that can't be listed has a fault."""
+        ...
+
+    def read(self, scene_id: str) -> Scene:
+        """One scene in Habitat's frame. A sound scene without objects is returned as it is.
+
+        Raises
+        ------
+        InputError : the scene can't be read; says which file, where in it, and what to do
+        """
+        ...
+
+
+def hash_file(path: Path) -> tuple[int, str]:
+    """Size and SHA-256 of a file, read in pieces."""
+    digest = hashlib.sha256()
+    size = 0
+    with path.open("rb") as stream:
+        while piece := stream.read(_READ_BYTES):
+            digest.update(piece)
+            size += len(piece)
+    return size, digest.hexdigest()

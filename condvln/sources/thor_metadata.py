@@ -1,0 +1,125 @@
+"""AI2-THOR's controller metadata: the objects of a scene as the simulator reports them, in Habitat's frame."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.labels import vocabulary
+from condvln.scene import OrientedBox, SceneObject, round_mm
+from condvln.scene.boxes import rounded_box
+from condvln.scene.frames import UNITY_TO_HABITAT
+from condvln.sources.json_document import JsonNode
+
+__all__ = ["MAX_METADATA_BYTES", "floor_outline", "read_objects", "scene_name"]
+
+F64 = NDArray[np.float64]
+
+MAX_METADATA_BYTES: Final = 256 << 20
+
+# Corners of an oriented box in the simulator's order: the first, its neighbours along each axis, and the one opposite.
+_FIRST, _NEIGHBOURS, _OPPOSITE = 0, (1, 3, 4), 6
+BOX_TOLERANCE: Final = 0.01
+"""Metres by which eight corners may miss a box; the simulator's are float32 and a millimetre off at most."""
+
+
+def scene_name(document: JsonNode) -> str:
+    """The scene that the metadata is of (``FloorPlan207``); the simulator adds ``_physics`` to some."""
+    return document["sceneName"].text().removesuffix("_physics")
+
+
+def read_objects(document: JsonNode, family: str) -> list[SceneObject]:
+    """All objects, in no room yet.
+
+    Places are those of the axis-aligned boxes: ``position`` is a pivot and lies elsewhere for most. Oriented boxes are
+    there for what can be moved.
+
+    Raises
+    ------
+    FormatError : a wrong type, a key missing, two objects with one id
+    """
+    found: dict[str, SceneObject] = {}
+    for node in document["objects"].elements():
+        own, raw = node["objectId"].text(), node["objectType"].text()
+        if not own.strip():
+            node["objectId"].fail("the id is empty")
+        if own in found:
+            node.fail(f"two objects have the id {own!r}")
+        box = _box(node)
+        pickable, movable = node.get("pickupable"), node.get("moveable")
+        aabb = round_mm(box)
+        found[own] = SceneObject(
+            object_id=own,
+            room_id="",
+            raw_label=raw,
+            label=vocabulary.canonical(raw, family),
+            center=round_mm(box.mean(axis=0)),
+            aabb=aabb,
+            obb=_oriented(node),
+            size=round_mm(aabb[1] - aabb[0]),
+            radius=float(np.ceil(np.linalg.norm(box[1] - box[0]) / 2 * 1000) / 1000),
+            static=not any(flag is not None and flag.boolean() for flag in (pickable, movable)),
+        )
+    return list(found.values())
+
+
+def floor_outline(document: JsonNode) -> F64 | None:
+    """(4, 2) corners (x, z) of the box around all objects of type Floor; None where there is none."""
+    boxes = [_box(node) for node in document["objects"].elements() if node["objectType"].text() == "Floor"]
+    if not boxes:
+        return None
+    both = np.concatenate(boxes)[:, [0, 2]]
+    (x0, z0), (x1, z1) = both.min(axis=0), both.max(axis=0)
+    return round_mm([[x0, z0], [x0, z1], [x1, z1], [x1, z0]])
+
+
+def _box(node: JsonNode) -> F64:
+    """(2, 3) axis-aligned box in Habitat's frame, not rounded."""
+    bounds = node["axisAlignedBoundingBox"]
+    centre, size = (np.array([bounds[key][c].number() for c in "xyz"]) for key in ("center", "size"))
+    if not (size >= 0).all():
+        bounds["size"].fail("a size is below zero")
+    centre = UNITY_TO_HABITAT @ centre
+    return np.array([centre - size / 2, centre + size / 2])
+
+
+def _oriented(node: JsonNode) -> OrientedBox | None:
+    """The oriented box of eight corners; None where the simulator gives none, or no box."""
+    bounds = node.get("objectOrientedBoundingBox")
+    if bounds is None:
+        return None
+    points = bounds["cornerPoints"].elements()
+    if len(points) != 8:
+        bounds["cornerPoints"].fail(f"eight corners are expected, not {len(points)}")
+    corners = np.array([p.vector(3) for p in points]) @ UNITY_TO_HABITAT
+    edges = corners[list(_NEIGHBOURS)] - corners[_FIRST]
+    lengths = np.linalg.norm(edges, axis=1)
+    if np.abs(corners[_FIRST] + edges.sum(axis=0) - corners[_OPPOSITE]).max() > BOX_TOLERANCE or not lengths.max() > 0:
+        return None
+    axes = _axes(edges, lengths)
+    if axes is None:
+        return None
+    return rounded_box(OrientedBox(corners.mean(axis=0), lengths / 2, axes))
+
+
+def _axes(edges: F64, lengths: F64) -> F64 | None:
+    """(3, 3) right-handed rotation with the edges' directions as columns; None where they are not at right angles."""
+    order = np.argsort(-lengths)
+    first = edges[order[0]] / lengths[order[0]]
+    # A flat box has an edge without direction: any that is at right angles to the others.
+    flat = lengths[order[1]] < BOX_TOLERANCE / 10
+    second = np.cross(first, np.eye(3)[np.argmin(abs(first))]) if flat else edges[order[1]]
+    if abs(float(second @ first)) > BOX_TOLERANCE * max(1.0, float(np.linalg.norm(second))):
+        return None
+    second = second - (second @ first) * first
+    second = second / np.linalg.norm(second)
+    axes = np.zeros((3, 3))
+    axes[:, order[0]], axes[:, order[1]], axes[:, order[2]] = first, second, np.cross(first, second)
+    third = edges[order[2]]
+    if float(np.linalg.norm(np.cross(third, axes[:, order[2]]))) > BOX_TOLERANCE:
+        return None
+    if np.linalg.det(axes) < 0:
+        axes[:, order[2]] *= -1
+    return axes

@@ -1,0 +1,122 @@
+"""Scenes of AI2-THOR that are one room each, from files of controller metadata: what iTHOR and RoboTHOR share."""
+
+from __future__ import annotations
+
+import posixpath
+from abc import abstractmethod
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import ClassVar, Final, Literal
+
+from condvln.labels import vocabulary
+from condvln.scene import Room, Scene
+from condvln.sources.input_ledger import InputLedger
+from condvln.sources.json_document import JsonNode, parse_json
+from condvln.sources.navmesh_choice import NavmeshChoice, choose_navmesh, shipped_navmeshes
+from condvln.sources.regions import in_rooms, side_regions
+from condvln.sources.scene_source import Note, SceneSource, SourceOptions
+from condvln.sources.thor_metadata import MAX_METADATA_BYTES, floor_outline, read_objects
+from schemas.errors import ConfigError
+
+__all__ = ["ThorSceneSource"]
+
+WHOLE_SCENE: Final = "room"
+_KEYS: Final = (b'"sceneName"', b'"axisAlignedBoundingBox"')
+"""What tells controller metadata from other JSON that lies beside it."""
+
+
+class ThorSceneSource(SceneSource):
+    """Files ``<scene>.json`` of a folder and its direct subfolders, each a controller's metadata of one scene.
+
+    The floor is at height 0 (the simulator's agent stands there). A side file may draw rooms; else the scene is one.
+    """
+
+    annotation: ClassVar[Literal["dataset", "scene"]]
+    """Whether the one room is a room to the dataset, or only the whole scene."""
+
+    def __init__(self, root: Path, options: SourceOptions) -> None:
+        super().__init__(root, options)
+        self._known: dict[str, tuple[tuple[int, int], bool]] = {}
+        if not self._scenes():
+            raise ConfigError(
+                "no controller metadata (<scene>.json) stands in this folder",
+                where=root,
+                remedy="Save controller.last_event.metadata of each scene there, or mend the source's 'root'",
+            )
+
+    @abstractmethod
+    def room_label(self, document: JsonNode) -> str:
+        """The raw label of the scene's one room, by the scene's name."""
+
+    def listing(self) -> Iterator[tuple[str, Note]]:
+        """See `SceneSource.listing`."""
+        for scene_id, path in self._scenes().items():
+            yield scene_id, partial(self._note, scene_id, path)
+
+    def read(self, scene_id: str) -> Scene:
+        """One scene; see `Source.read`."""
+        path = self._scenes().get(scene_id)
+        if path is None:
+            raise self.not_there(scene_id)
+        ledger = InputLedger()
+        document = parse_json(self.files.read(path, MAX_METADATA_BYTES), str(self.root / path)).object()
+        label = self.room_label(document)
+        items = read_objects(document, self.family)
+        rooms = self._drawn(scene_id, ledger)
+        tops = [float(o.aabb[1, 1]) for o in items if o.aabb is not None]
+        whole = Room(
+            room_id=WHOLE_SCENE,
+            raw_label=label,
+            label=vocabulary.room_type(label, self.family),
+            level=0,
+            floor_y=0.0,
+            ceiling_y=max(tops, default=0.0),
+            polygon=floor_outline(document),
+            annotation=self.annotation,
+            complete=True,
+        )
+        placed, lost = in_rooms(items, rooms) if rooms else ([replace(o, room_id=WHOLE_SCENE) for o in items], [])
+        navmesh = self._navmesh(scene_id, ledger)
+        return Scene(
+            family=self.family,
+            scene_id=scene_id,
+            root=self.root,
+            rooms=rooms or (whole,),
+            objects=tuple(sorted(placed, key=lambda o: o.object_id)),
+            navmesh=navmesh.file,
+            warnings=tuple(sorted({*lost, *navmesh.warnings}, key=lambda w: (w.code, w.where, w.message))),
+        )
+
+    def _note(self, scene_id: str, path: str, ledger: InputLedger) -> None:
+        ledger.file(path)
+        self._drawn(scene_id, ledger)
+        self._navmesh(scene_id, ledger)
+
+    def _drawn(self, scene_id: str, ledger: InputLedger) -> tuple[Room, ...]:
+        """Rooms of the user's side file, if any."""
+        side = self.options.regions
+        return () if side is None else side_regions(side, [posixpath.basename(scene_id)], self.family, ledger)
+
+    def _navmesh(self, scene_id: str, ledger: InputLedger) -> NavmeshChoice:
+        candidates = shipped_navmeshes(self.files, posixpath.basename(scene_id), self.options.navmesh)
+        return choose_navmesh(self.files, candidates, self.options.agent, self.options.hash_file, ledger)
+
+    def _scenes(self) -> dict[str, str]:
+        """Scene id → path of its metadata, sorted; the folder is part of the id where there is one."""
+        found: dict[str, str] = {}
+        for pattern in ("*.json", "*/*.json"):
+            for file in sorted(self.root.glob(pattern)):
+                path = file.relative_to(self.root).as_posix()
+                if self._is_metadata(path):
+                    found[path.removesuffix(".json")] = path
+        return dict(sorted(found.items()))
+
+    def _is_metadata(self, path: str) -> bool:
+        """Does this file hold controller metadata? Looked into once, and again where it has changed."""
+        signature = self.files.signature(path)
+        if self._known.get(path, ((-1, -1), False))[0] != signature:
+            data = self.files.read(path, MAX_METADATA_BYTES)
+            self._known[path] = signature, all(key in data for key in _KEYS)
+        return self._known[path][1]

@@ -1,0 +1,9 @@
+"""The proof of an export: texts read, scenes measured and navmeshes asked anew, by code that shares nothing with the
+code that made it."""
+
+from condvln.verify.certificate import FACTS, Certificate, Disagreement
+from condvln.verify.proof import prove_export
+from condvln.verify.reading import Reading, Unreadable, read
+from condvln.verify.rules import Rules
+
+__all__ = ["FACTS", "Certificate", "Disagreement", "Reading", "Rules", "Unreadable", "prove_export", "read"]

@@ -1,0 +1,138 @@
+"""What was checked of one episode, and every fact on which the files and the scene do not agree."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+__all__ = ["FACTS", "Certificate", "Disagreement"]
+
+FACTS: Final[Mapping[str, str]] = {
+    # text
+    "text_reading": "the text has exactly one reading",
+    "text_conditions": "the conditions of the text are those of the program",
+    "text_branches": "in every case the text sends the agent where the program does",
+    "heading": "the heading that the text states is the start's",
+    "heading_stated": "a text with compass words states the start's heading",
+    "words": "number of words of the text",
+    # scene
+    "room_named": "a room goes by the type that the scene has for it",
+    "room_unique": "a room's name fits one room",
+    "room_anchor_needed": "a room is told apart by a thing only where its type is not enough",
+    "anchor_unique": "the thing that a qualifier refers to is alone in its room",
+    "referent_unique": "a phrase without a qualifier fits one thing",
+    "qualifier_needed": "a qualifier stands only where the label fits several things",
+    "qualifier_sufficient": "a qualified phrase fits one thing with margin and all others not, with margin",
+    "absence_known": "absence is claimed only of rooms that are annotated completely",
+    "absent_is_elsewhere": "a label claimed absent is that of a thing in another room of the scene",
+    "condition_decided": "a condition is true or false with margin",
+    "referents": "ids of the things and rooms that a stop's phrase means",
+    "condition_referents": "ids of the room and the anchor that a condition means",
+    "condition_truth": "truth of a condition",
+    "witnesses": "the things that make a condition true",
+    "gold_leaf": "leaf that the text and the scene lead to",
+    # program
+    "axes": "depth, chain, composition and moves",
+    "distinct_goals": "no two leaves have one goal, no leaf visits a thing twice",
+    "condition_matters": "under some truths of the others, each condition changes the goal",
+    "independent_conditions": "no condition's truth follows from its own words or from another's",
+    # places
+    "navmesh": "path and hash of the navmesh",
+    "success_distance": "success distance by the number of rooms",
+    "standable": "starts, subgoals and goals are navigable",
+    "island": "starts, subgoals and goals lie on one island that is wide enough",
+    "start_rotation": "the start's rotation is a turn about the vertical",
+    "leaf_objects": "the objects of a leaf's subgoals and goal are those of its moves",
+    "goal_reach": "a stop lies near its object's box, on its floor and in its room",
+    "goal_side": "no wall stands between the goals of one object",
+    "goal_order": "a leaf's first goal is the one nearest to where the agent comes from",
+    "in_the_way": "starts, goals and paths keep out of furniture that the navmesh ignores",
+    "geodesic_distance": "metres from the start to the nearest goal",
+    "route_length": "metres from the start by the subgoals to the first goal",
+    "reference_path": "corners of the shortest way by the subgoals",
+    "distance_range": "the distance from the start to every leaf is in the range",
+    "start_apart": "the start lies outside twice the success distance of every stop",
+    "leaves_apart": "leaves lie two success distances and the gap apart",
+    "path_apart": "no leaf's path enters another leaf's success ball",
+    "budget": "the step budget follows from the words and from what the leaves take",
+    # files
+    "record": "the VLN-CE record says what the manifest says",
+    "ground_truth": "ground-truth locations lie along the gold path, and actions lead to the goal",
+    "split_named": "a row names the split that it stands in",
+    "unique_id": "an episode's id is its own",
+    "unique_episode": "no other episode has this text and start in this scene",
+    "split_leakage": "a scene belongs to one group of splits",
+    "program_leakage": "a program of a scene stands in one split",
+    "program_once": "a program of a scene has one start, outside of counterfactual groups",
+    "group": "episodes of a counterfactual group share scene, split, category and budget",
+    "readable": "the row and its scene can be read",
+}
+"""Every kind of fact that is checked."""
+
+
+@dataclass(frozen=True, slots=True)
+class Disagreement:
+    """A fact with both its numbers: what the files claim and what was found; `place` says of what part."""
+
+    fact: str
+    place: str
+    claimed: Any
+    found: Any
+
+    def __str__(self) -> str:
+        place = f" of {self.place}" if self.place else ""
+        return f"{self.fact}{place}: the files say {self.claimed}, found {self.found}"
+
+
+@dataclass(slots=True)
+class Certificate:
+    """The verdict on one episode.
+
+    checked : how often each kind of fact was checked; conditions : what was found about each, in the program's order
+    """
+
+    episode_id: str
+    source: str
+    scene_id: str
+    split: str
+    checked: Counter[str] = field(default_factory=Counter)
+    conditions: list[dict[str, Any]] = field(default_factory=list)
+    disagreements: list[Disagreement] = field(default_factory=list)
+
+    @property
+    def proven(self) -> bool:
+        """Whether every fact holds."""
+        return not self.disagreements
+
+    def same(self, fact: str, claimed: Any, found: Any, place: str = "") -> bool:
+        """The two must be equal."""
+        return self.holds(fact, claimed == found, claimed, found, place)
+
+    def close(self, fact: str, claimed: float, found: float, tolerance: float, place: str = "") -> bool:
+        """The two must differ by no more than `tolerance`; NaN and infinities never agree."""
+        return self.holds(fact, abs(claimed - found) <= tolerance, claimed, found, place)
+
+    def holds(self, fact: str, agreed: bool, claimed: Any, found: Any, place: str = "") -> bool:
+        """Note one fact, and both its numbers where they do not agree."""
+        assert fact in FACTS, fact
+        self.checked[fact] += 1
+        if not agreed:
+            self.disagreements.append(Disagreement(fact, place, claimed, found))
+        return agreed
+
+    def document(self) -> dict[str, Any]:
+        """The certificate as JSON."""
+        return {
+            "episode_id": self.episode_id,
+            "source": self.source,
+            "scene_id": self.scene_id,
+            "split": self.split,
+            "proven": self.proven,
+            "checked": dict(sorted(self.checked.items())),
+            "conditions": self.conditions,
+            "disagreements": [
+                {"fact": d.fact, "place": d.place, "claimed": d.claimed, "found": d.found} for d in self.disagreements
+            ],
+        }

@@ -1,0 +1,206 @@
+"""An export's files read side by side, a scene at a time."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import orjson
+from pydantic import ValidationError
+
+from condvln.evaluation.json_entries import entries, json_lines, opened, parsed
+from condvln.evaluation.kernels.json_scan import new_state, scan
+from schemas.errors import FormatError, MissingFileError
+from schemas.evaluation import ManifestEpisode
+
+__all__ = ["ExportFiles", "Row", "SceneRun", "Unread"]
+
+_BLOCK: Final = 1 << 20
+_EPISODES: Final = re.compile(rb'\s*\{\s*"episodes"\s*:\s*(?=\[)')
+_REMEDY: Final = "Export again"
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One manifest row with its record and its ground truth, None where a file has none for it."""
+
+    split: str
+    manifest: ManifestEpisode
+    record: Mapping[str, Any] | None
+    truth: Mapping[str, Any] | None
+
+
+@dataclass(frozen=True, slots=True)
+class Unread:
+    """An entry of a file that stands alone or can't be read."""
+
+    split: str
+    episode_id: str
+    fact: str
+    claimed: str
+    found: str
+
+
+@dataclass(slots=True)
+class SceneRun:
+    """All rows of one scene that stand together."""
+
+    source: str
+    scene_id: str
+    rows: list[Row] = field(default_factory=list)
+
+
+class ExportFiles:
+    """The splits of an export folder.
+
+    Raises
+    ------
+    MissingFileError : the folder has no manifests
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.unread: list[Unread] = []
+        """What was met that is no row with its record; complete when `runs` has ended."""
+        self.splits = sorted(path.stem for path in (folder / "manifest").glob("*.jsonl"))
+        if not self.splits:
+            raise MissingFileError(
+                "no manifest/<split>.jsonl", where=folder, remedy="Name the folder of an export, or export first"
+            )
+
+    def runs(self) -> Iterator[SceneRun]:
+        """The scenes, each once where all files have them in one order, as exports do."""
+        cursors = [_SplitCursor(self.folder, split, self.unread) for split in self.splits]
+        while waiting := [cursor.scene for cursor in cursors if cursor.scene is not None]:
+            run = SceneRun(*min(waiting))
+            for cursor in cursors:
+                while cursor.scene == (run.source, run.scene_id):
+                    run.rows.append(cursor.take())
+            yield run
+        for cursor in cursors:
+            cursor.close()
+
+
+class _SplitCursor:
+    """One split's manifest, with its record and ground truth found along the way."""
+
+    def __init__(self, folder: Path, split: str, unread: list[Unread]) -> None:
+        self.split = split
+        self._unread = unread
+        self._path = folder / "manifest" / f"{split}.jsonl"
+        self._rows = self._parsed_rows()
+        base = folder / "vlnce" / split
+        self._records = _Lookup(_records(base / f"{split}.json.gz"))
+        self._truths = _Lookup(_truths(base / f"{split}_gt.json.gz"))
+        self._next = next(self._rows, None)
+
+    @property
+    def scene(self) -> tuple[str, str] | None:
+        """Source and scene of the row to come; None at the end."""
+        return None if self._next is None else (self._next.source, self._next.scene_id)
+
+    def take(self) -> Row:
+        """The row to come."""
+        assert self._next is not None
+        row = self._next
+        self._next = next(self._rows, None)
+        return Row(self.split, row, self._records.pop(row.episode_id), self._truths.pop(row.episode_id))
+
+    def close(self) -> None:
+        """Note what the other files have that the manifest has not."""
+        for kind, lookup in (("record", self._records), ("ground_truth", self._truths)):
+            for name in lookup.rest():
+                self._unread.append(Unread(self.split, name, kind, "no such episode in the manifest", name))
+
+    def _parsed_rows(self) -> Iterator[ManifestEpisode]:
+        for number, line in json_lines(self._path):
+            try:
+                row = ManifestEpisode.model_validate_json(line)
+            except ValidationError as error:
+                first = error.errors()[0]
+                fault = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+                self._unread.append(Unread(self.split, f"line {number}", "readable", "a manifest row", fault))
+                continue
+            if len(row.leaves) != len(row.program.leaves):
+                fault = f"{len(row.leaves)} leaves for the program's {len(row.program.leaves)}"
+                self._unread.append(Unread(self.split, row.episode_id, "readable", "an entry a leaf", fault))
+                continue
+            yield row
+
+
+class _Lookup:
+    """Entries by name out of a stream in roughly the order in which they are asked for."""
+
+    def __init__(self, stream: Iterator[tuple[str, Mapping[str, Any]]]) -> None:
+        self._stream = stream
+        self._passed: dict[str, list[Mapping[str, Any]]] = {}
+
+    def pop(self, name: str) -> Mapping[str, Any] | None:
+        """The entry of a name, each given once; None where there is none."""
+        if name not in self._passed:
+            for other, entry in self._stream:
+                if other == name:
+                    return entry
+                self._passed.setdefault(other, []).append(entry)
+            if name not in self._passed:
+                return None
+        waiting = self._passed[name]
+        entry = waiting.pop(0)
+        if not waiting:
+            del self._passed[name]
+        return entry
+
+    def rest(self) -> Iterator[str]:
+        """Names of the entries that nobody asked for."""
+        for name, waiting in self._passed.items():
+            yield from [name] * len(waiting)
+        yield from (name for name, _ in self._stream)
+
+
+def _records(path: Path) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Episodes of a VLN-CE document by id.
+
+    Raises
+    ------
+    FormatError, MissingFileError : no such document
+    """
+    for number, text in enumerate(_elements(path)):
+        record = parsed(text, path, f"episodes.{number}")
+        if not isinstance(record, dict):
+            raise FormatError("an episode is no object", where=path, place=f"episodes.{number}", remedy=_REMEDY)
+        yield str(record.get("episode_id")), record
+
+
+def _elements(path: Path) -> Iterator[bytes]:
+    """The bytes of each entry of the array ``episodes``, which must come first."""
+    state, pending, opened_array = new_state(), bytearray(), False
+    with opened(path) as file:
+        while block := file.read(_BLOCK):
+            if not opened_array:
+                head = _EPISODES.match(block)
+                if head is None:
+                    raise FormatError("does not begin with its episodes", where=path, remedy=_REMEDY)
+                block, opened_array = block[head.end() :], True
+            begin = 0
+            for end in scan(np.frombuffer(block, np.uint8), state).tolist():
+                pending += block[begin:end]
+                begin = end
+                element = bytes(pending).lstrip(b"[, \t\r\n")
+                pending.clear()
+                if element.strip() == b"]":
+                    while file.read(_BLOCK):  # a damaged end shows only when it is read
+                        pass
+                    return
+                yield element
+            pending += block[begin:]
+    raise FormatError("is empty or cut short", where=path, remedy=_REMEDY)
+
+
+def _truths(path: Path) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    for name, text in entries(path):
+        entry = orjson.loads(text)
+        yield str(name), entry if isinstance(entry, dict) else {}

@@ -1,0 +1,155 @@
+"""Text against program against scene: what is said, what it means here, and which leaf is gold."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from condvln.verify.certificate import Certificate
+from condvln.verify.heading import COMPASS, heading_of, yaw_of
+from condvln.verify.predicates import DIRECTIONS
+from condvln.verify.program import leaf_of
+from condvln.verify.reading import Moves, Named, Phrase, Reading, Unreadable, read
+from condvln.verify.referents import Answer, Problem, Referent, Referents
+from condvln.verify.rules import Rules
+from schemas.evaluation import ManifestEpisode
+from schemas.program import Condition, ObjectRef, Program
+
+__all__ = ["check_meaning"]
+
+HEADING_TOLERANCE = 0.5
+"""Degrees that a start may be off the direction that its text names."""
+
+
+def check_meaning(row: ManifestEpisode, referents: Referents, rules: Rules, certificate: Certificate) -> None:
+    """Everything about an episode that its text and the scene decide."""
+    certificate.same("words", row.words, len(row.instruction_text.split()))
+    _check_rooms(row.program, referents, certificate)
+    try:
+        reading = read(row.instruction_text)
+    except Unreadable as fault:
+        certificate.holds("text_reading", False, "one reading", str(fault))
+        return
+    certificate.holds("text_reading", True, None, None)
+    _check_heading(row, reading, rules, certificate)
+    order = _check_conditions(row.program, reading, referents.single_room, certificate)
+    if order is None:
+        return
+    truths = _check_claims(row.program, reading, order, referents, certificate)
+    leaves = _check_branches(row.program, reading, order, referents.single_room, certificate)
+    if leaves is None:
+        return
+    _check_stops(row.program, leaves, referents, certificate)
+    if truths is not None:
+        case = sum(1 << place for place, truth in zip(order, truths, strict=True) if truth)
+        certificate.same("gold_leaf", row.gold_leaf, leaves.index(reading.moves[case]))
+
+
+def _check_rooms(program: Program, referents: Referents, certificate: Certificate) -> None:
+    rooms = {condition.room for condition in program.conditions}
+    rooms |= {move.room for leaf in program.leaves for move in leaf.moves}
+    for room in sorted(rooms, key=lambda r: r.room_id):
+        view = referents.rooms.get(room.room_id)
+        certificate.same("room_named", room.label, None if view is None else view.label, room.room_id)
+
+
+def _check_heading(row: ManifestEpisode, reading: Reading, rules: Rules, certificate: Certificate) -> None:
+    phrases = [*reading.conditions, *(stop for moves in reading.moves for stop in moves)]
+    directed = any(phrase.qualifier is not None and phrase.qualifier[0] in DIRECTIONS for phrase in phrases)
+    if directed and rules.preamble:
+        certificate.holds("heading_stated", reading.heading is not None, "compass words", "no heading")
+    yaw = yaw_of(row.start_rotation)
+    if reading.heading is not None and yaw is not None:
+        off = (heading_of(yaw) - COMPASS[reading.heading] + 180.0) % 360.0 - 180.0
+        certificate.holds("heading", abs(off) <= HEADING_TOLERANCE, reading.heading, round(heading_of(yaw), 3))
+
+
+def _check_conditions(
+    program: Program, reading: Reading, single_room: bool, certificate: Certificate
+) -> list[int] | None:
+    """For each condition of the program its place in the text; None where they are not the same conditions."""
+    claimed = [_phrase(condition, single_room) for condition in program.conditions]
+    said = [_unplaced(phrase, single_room) for phrase in reading.conditions]
+    agreed = len(claimed) == len(said) == len(set(said)) and set(claimed) == set(said)
+    if not certificate.holds("text_conditions", agreed, claimed, said):
+        return None
+    return [said.index(phrase) for phrase in claimed]
+
+
+def _check_branches(
+    program: Program, reading: Reading, order: Sequence[int], single_room: bool, certificate: Certificate
+) -> list[Moves] | None:
+    """The text's words for each leaf of the program; None where it sends the agent elsewhere."""
+    claimed = [tuple(_phrase(move, single_room) for move in leaf.moves) for leaf in program.leaves]
+    words: dict[int, Moves] = {}
+    for case, moves in enumerate(reading.moves):
+        truths = tuple(bool(case >> place & 1) for place in order)
+        leaf = leaf_of(program.category, truths)
+        if words.get(leaf) is not moves:
+            said = tuple(_unplaced(stop, single_room) for stop in moves)
+            if said != claimed[leaf]:
+                certificate.holds("text_branches", False, claimed[leaf], said, f"truths {truths}")
+                return None
+            words[leaf] = moves
+    certificate.holds("text_branches", True, None, None)
+    return [words[leaf] for leaf in range(len(claimed))]
+
+
+def _check_claims(
+    program: Program, reading: Reading, order: Sequence[int], referents: Referents, certificate: Certificate
+) -> list[bool] | None:
+    """Truths of the program's conditions as the scene has them; None where one can't be decided."""
+    truths: list[bool] = []
+    for k, (condition, place) in enumerate(zip(program.conditions, order, strict=True)):
+        name = f"condition {k}"
+        answer = referents.claim(reading.conditions[place])
+        if isinstance(answer, Problem):
+            certificate.holds(answer.fact, False, answer.needed, answer.found, f"{name} ({reading.conditions[place]})")
+            continue
+        certificate.holds("condition_decided", True, None, None)
+        certificate.same("condition_truth", condition.truth, answer.truth, name)
+        certificate.same("witnesses", sorted(condition.witnesses), sorted(answer.witnesses), name)
+        certificate.same("condition_referents", _ids(condition), _found_ids(answer), name)
+        certificate.conditions.append(
+            {
+                "condition": str(reading.conditions[place]),
+                "truth": answer.truth,
+                "witnesses": sorted(answer.witnesses),
+                "numbers": dict(answer.numbers),
+            }
+        )
+        truths.append(answer.truth)
+    return truths if len(truths) == len(program.conditions) else None
+
+
+def _check_stops(program: Program, leaves: Sequence[Moves], referents: Referents, certificate: Certificate) -> None:
+    """Every stop means one thing, the program's."""
+    for k, (leaf, moves) in enumerate(zip(program.leaves, leaves, strict=True)):
+        for j, (move, stop) in enumerate(zip(leaf.moves, moves, strict=True)):
+            found = referents.thing(stop)
+            name = f"leaf {k} stop {j}"
+            if isinstance(found, Problem):
+                certificate.holds(found.fact, False, found.needed, found.found, f"{name} ({stop})")
+            else:
+                claimed = (move.object_id, *_ids(move))
+                certificate.same("referents", claimed, (found.object_id, *_found_ids(found)), name)
+
+
+def _phrase(named: Condition | ObjectRef, single_room: bool) -> Phrase:
+    """A part of the program as its text must name it."""
+    qualifier = None if named.qualifier is None else (named.qualifier.predicate, named.qualifier.anchor_label)
+    room = None if single_room else Named(named.room.label, named.room.anchor_label)
+    return Phrase(named.label, qualifier, room)
+
+
+def _unplaced(phrase: Phrase, single_room: bool) -> Phrase:
+    """Without the room where there is but one: a text may name it or not."""
+    return phrase._replace(room=None) if single_room and phrase.room is not None else phrase
+
+
+def _ids(named: Condition | ObjectRef) -> tuple[str | None, ...]:
+    anchor = None if named.qualifier is None else named.qualifier.anchor_id
+    return named.room.room_id, anchor, named.room.anchor_id
+
+
+def _found_ids(found: Answer | Referent) -> tuple[str | None, ...]:
+    return found.room_id, found.anchor_id, found.room_anchor_id

@@ -1,0 +1,106 @@
+"""A language's phrases as one tree of words, made from the grammar's data files.
+
+Only phrases are taken from the data. How sentences hang together is decided by ``reading``, not by the templates that
+the texts were made from.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Final
+
+import yaml
+
+from condvln.verify.words import package_data, words
+
+__all__ = ["END", "Match", "Phrasebook", "phrasebook"]
+
+END: Final = ""
+"""Key of a node under which the phrases that end there stand; no word is empty."""
+
+_TOKEN: Final = re.compile(r"[^\s,.;:]+|[,.;:]")
+_ARTICLES: Final = {"{a}": "indefinite", "{none}": "none"}
+
+Match = tuple[str, str, frozenset[str]]
+"""Kind of phrase, what it stands for, and the classes of noun that its article goes with."""
+
+Node = dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Phrasebook:
+    """The phrases of one language.
+
+    tree : words to nodes; under `END` the matches of the phrase that ends there
+    contractions : words that stand for several, by the word
+    """
+
+    tree: Node
+    contractions: Mapping[str, tuple[str, ...]]
+    classes: frozenset[str]
+
+    def tokens(self, text: str) -> list[str]:
+        """Words and punctuation of a text, in lower case, contractions taken apart."""
+        found: list[str] = _TOKEN.findall(text.lower())
+        if not self.contractions:
+            return found
+        return [word for token in found for word in self.contractions.get(token, (token,))]
+
+    def add(self, text: str, kind: str, value: str, classes: Iterable[str]) -> None:
+        """Enter one phrase."""
+        node = self.tree
+        for token in self.tokens(text):
+            node = node.setdefault(token, {})
+        node.setdefault(END, []).append((kind, value, frozenset(classes)))
+
+
+@cache
+def phrasebook(code: str = "en") -> Phrasebook:
+    """The phrasebook of a language's code, read once a process."""
+    document = yaml.safe_load(package_data("instructions", "grammar", f"{code}.yaml").read_text(encoding="utf-8"))
+    articles: Mapping[str, Mapping[str, str]] = document["articles"]
+    together = {short: tuple(apart.split()) for apart, short in (document.get("contractions") or {}).items()}
+    book = Phrasebook({}, together, frozenset(articles["definite"]))
+    for slot, phrases in document["slots"].items():
+        for phrase in phrases:
+            for text, classes in _with_articles(phrase, articles):
+                book.add(text, slot, "", classes)
+    for predicate, phrases in document["predicates"].items():
+        direction = document["directions"].get(predicate.removesuffix(" of"), "")
+        for phrase in phrases:
+            book.add(phrase.replace("{direction}", direction), "predicate", predicate, book.classes)
+    for name, word in document["directions"].items():
+        book.add(word, "direction", name, book.classes)
+    for text, classes in _with_articles("{the}", {**articles, "{the}": articles["definite"]}):
+        book.add(text, "the", "", classes)
+    for kind, entries in (("noun", _nouns(code, "nouns")), ("room", _nouns(code, "rooms"))):
+        for label, (noun, noun_class) in entries.items():
+            book.add(noun, kind, label, (noun_class,))
+    return book
+
+
+def _with_articles(phrase: str, articles: Mapping[str, Mapping[str, str]]) -> Iterator[tuple[str, frozenset[str]]]:
+    """A phrase in each form its articles can take, with the classes of noun that take it."""
+    slots = [(slot, articles[kind]) for slot, kind in {**_ARTICLES, "{the}": "{the}"}.items() if slot in phrase]
+    forms: dict[str, set[str]] = {}
+    for noun_class in articles["definite"]:
+        text = phrase
+        for slot, by_class in slots:
+            text = text.replace(slot, by_class[noun_class])
+        forms.setdefault(text, set()).add(noun_class)
+    for text, classes in forms.items():
+        yield text, frozenset(classes)
+
+
+def _nouns(code: str, table: str) -> Mapping[str, tuple[str, str]]:
+    """(noun, class) by label or room type, of those that text may name."""
+    fit = words().nouns if table == "nouns" else words().rooms
+    if code == "en":
+        return fit
+    text = package_data("instructions", "grammar", f"{table}.{code}.csv").read_text(encoding="utf-8")
+    rows = csv.DictReader(text.splitlines())
+    return {row["label"]: (row["noun"], row["class"]) for row in rows if row["label"] in fit}

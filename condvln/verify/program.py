@@ -1,0 +1,110 @@
+"""A program by itself: its axes, and that it is no degenerate one."""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import product
+
+from condvln.verify.certificate import Certificate
+from condvln.verify.words import words
+from schemas.evaluation import ManifestEpisode
+from schemas.program import SHAPES, Category, Condition, Program
+
+__all__ = ["check_program", "leaf_of"]
+
+
+def check_program(row: ManifestEpisode, certificate: Certificate) -> None:
+    """What the tree says of itself, and DESIGN's rules of degeneracy."""
+    program = row.program
+    claimed = (row.category, row.depth, row.chain, row.composition, row.moves)
+    moves = len(program.leaves[row.gold_leaf].moves) if 0 <= row.gold_leaf < len(program.leaves) else None
+    found = (program.category, _depth(program, 0), _chain(program), _composition(program), moves)
+    certificate.same("axes", claimed, found)
+    goals = [leaf.moves[-1].object_id for leaf in program.leaves]
+    visited = [[move.object_id for move in leaf.moves] for leaf in program.leaves]
+    certificate.holds("distinct_goals", len(set(goals)) == len(goals), "different goals", goals)
+    for k, stops in enumerate(visited):
+        certificate.holds("distinct_goals", len(set(stops)) == len(stops), "different stops", stops, f"leaf {k}")
+    for k in range(len(program.conditions)):
+        matters = any(goals[one] != goals[other] for one, other in _rivals(program.category, k))
+        certificate.holds("condition_matters", matters, "another goal", "none", f"condition {k}")
+    for k, condition in enumerate(program.conditions):
+        certificate.holds("independent_conditions", not _settled(condition), "open", "settled", f"condition {k}")
+        for j, other in enumerate(program.conditions[:k]):
+            apart = not (_follows(condition, other) or _follows(other, condition))
+            certificate.holds("independent_conditions", apart, "independent", f"condition {j}", f"condition {k}")
+
+
+def _depth(program: Program, at: int) -> int:
+    """Deepest nesting of tests inside THEN parts, the test at `at` included."""
+    if at < 0:
+        return 0
+    branch = program.branches[at]
+    return max(1 + _depth(program, branch.then), _depth(program, branch.otherwise))
+
+
+def _chain(program: Program) -> int:
+    count, at = 0, 0
+    while at >= 0:
+        count, at = count + 1, program.branches[at].otherwise
+    return count
+
+
+def _goal_rooms(program: Program, at: int) -> set[str]:
+    if at < 0:
+        return {program.leaves[-1 - at].moves[-1].room.room_id}
+    branch = program.branches[at]
+    return _goal_rooms(program, branch.then) | _goal_rooms(program, branch.otherwise)
+
+
+def _composition(program: Program) -> str:
+    everywhere = {condition.room.room_id for condition in program.conditions}
+    everywhere |= {move.room.room_id for leaf in program.leaves for move in leaf.moves}
+    if len(everywhere) == 1:
+        return "C0"
+    for branch in program.branches:
+        parts = [
+            {program.conditions[branch.condition].room.room_id},
+            _goal_rooms(program, branch.then),
+            _goal_rooms(program, branch.otherwise),
+        ]
+        if len(set().union(*parts)) == sum(map(len, parts)):
+            return "C2"
+    return "C1"
+
+
+@cache
+def leaf_of(category: Category, truths: tuple[bool, ...]) -> int:
+    """Index of the leaf that the truths of its conditions lead to in a tree of a category."""
+    at = 0
+    while at >= 0:
+        branch = SHAPES[category].branches[at]
+        at = branch.then if truths[branch.condition] else branch.otherwise
+    return -1 - at
+
+
+@cache
+def _rivals(category: Category, k: int) -> tuple[tuple[int, int], ...]:
+    """Pairs of leaves between which condition k alone decides under some truths of the others."""
+    pairs = set()
+    for truths in product((True, False), repeat=len(SHAPES[category].branches)):
+        other = tuple(truth != (place == k) for place, truth in enumerate(truths))
+        pairs.add((leaf_of(category, truths), leaf_of(category, other)))
+    return tuple(sorted(pairs))
+
+
+def _settled(condition: Condition) -> bool:
+    """Whether a condition's own words decide it: a bed near the bed, a piano in the room with the piano."""
+    own = words().meant_by(condition.label)
+    anchors = (condition.qualifier.anchor_label if condition.qualifier else None, condition.room.anchor_label)
+    return any(anchor in own for anchor in anchors)
+
+
+def _follows(one: Condition, other: Condition) -> bool:
+    """Whether `other` takes for granted, or asks, what `one` asks."""
+    if one.room.room_id != other.room.room_id:
+        return False
+    own = words().meant_by(one.label)
+    if other.label in own:
+        return True
+    return one.qualifier is None and other.qualifier is not None and other.qualifier.anchor_label in own

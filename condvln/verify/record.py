@@ -1,0 +1,72 @@
+"""A VLN-CE record, held against the manifest."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import PurePosixPath
+from typing import Any, Final
+
+from condvln.verify.certificate import Certificate
+from condvln.verify.heading import heading_of, yaw_of
+from schemas.evaluation import ManifestEpisode
+
+__all__ = ["check_record"]
+
+MISSING: Final = "missing"
+"""Stands for a key that is not there; null would be a value."""
+HEADING: Final = 1e-3
+"""Degrees that a stated heading may be off its rotation."""
+
+
+def check_record(row: ManifestEpisode, record: Mapping[str, Any] | None, certificate: Certificate) -> None:
+    """The stock episode of a row."""
+    if record is None:
+        certificate.holds("record", False, row.episode_id, "no record")
+        return
+    gold = row.leaves[row.gold_leaf] if 0 <= row.gold_leaf < len(row.leaves) else row.leaves[0]
+    claimed: dict[str, Any] = {
+        "episode_id": row.episode_id,
+        "trajectory_id": row.episode_id,
+        "start_position": list(row.start_position),
+        "start_rotation": list(row.start_rotation),
+        "goals": [{"position": list(goal), "radius": row.success_distance} for goal in gold.goals],
+        "instruction_text": row.instruction_text,
+        "reference_path": [list(point) for point in gold.reference_path],
+    }
+    info: dict[str, Any] = {
+        "geodesic_distance": gold.geodesic_distance,
+        "route_length": gold.route_length,
+        "subgoals": [list(subgoal.position) for subgoal in gold.subgoals],
+        "success_distance": row.success_distance,
+        "max_steps": row.max_steps,
+        "category": row.category,
+        "depth": row.depth,
+        "chain": row.chain,
+        "composition": row.composition,
+        "observability": row.observability,
+        "moves": row.moves,
+        "words": row.words,
+        "instruction_id": row.instruction_id,
+        "group_id": row.group_id,
+        "navmesh_sha256": row.navmesh_sha256,
+    }
+    instruction, said = record.get("instruction"), record.get("info")
+    found = {
+        **record,
+        "instruction_text": instruction.get("instruction_text") if isinstance(instruction, dict) else None,
+    }
+    said = said if isinstance(said, dict) else {}
+    wrong = [(name, value, found.get(name, MISSING)) for name, value in claimed.items()]
+    wrong += [(f"info.{name}", value, said.get(name, MISSING)) for name, value in info.items()]
+    wrong = [difference for difference in wrong if difference[1] != difference[2]]
+    certificate.checked["record"] += len(claimed) + len(info) - len(wrong)
+    for name, manifest, own in wrong:
+        certificate.holds("record", False, own, manifest, name)
+    scene = PurePosixPath(str(record.get("scene_id", "")))
+    certificate.same("record", scene.stem, PurePosixPath(row.scene_id).name, "scene_id")
+    yaw = yaw_of(row.start_rotation)
+    if yaw is not None:
+        heading, stated = heading_of(yaw), said.get("start_heading_degrees")
+        off = (float(stated) - heading + 180.0) % 360.0 - 180.0 if isinstance(stated, (int, float)) else math.inf
+        certificate.holds("record", abs(off) <= HEADING, stated, heading, "info.start_heading_degrees")

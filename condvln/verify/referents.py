@@ -1,0 +1,228 @@
+"""What the phrases of a text mean in a scene: rooms, things, and whether what is claimed of them is so."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from functools import cached_property
+from typing import Any, NamedTuple
+
+from condvln.scene import Room, Scene, SceneObject
+from condvln.verify.predicates import FALSE, TRUE, Judge, Judgement, Thing
+from condvln.verify.reading import Named, Phrase
+from condvln.verify.surfaces import Shapes, SurfaceGauge
+from condvln.verify.words import Words, words
+from schemas.config import Thresholds
+
+__all__ = ["Answer", "Problem", "Referent", "Referents", "RoomView"]
+
+
+class Problem(NamedTuple):
+    """Why a phrase means nothing certain: the fact that fails, what the text needs, and what the scene has."""
+
+    fact: str
+    needed: Any
+    found: Any
+
+
+class Referent(NamedTuple):
+    """The one thing that a phrase means, with the things that its qualifier and its room's name rest on."""
+
+    object_id: str
+    room_id: str
+    anchor_id: str | None
+    room_anchor_id: str | None
+
+
+class Answer(NamedTuple):
+    """Whether a claim holds, by which things, and the numbers of the thing that decides it."""
+
+    truth: bool
+    witnesses: frozenset[str]
+    room_id: str
+    anchor_id: str | None
+    room_anchor_id: str | None
+    numbers: Mapping[str, float | None]
+
+
+class RoomView:
+    """One room with its things, labelled anew from their raw labels."""
+
+    def __init__(self, room: Room, label: str, objects: Iterable[SceneObject], family: str, meaning: Words) -> None:
+        self.room = room
+        self.label = label
+        ordered = sorted(objects, key=lambda item: item.object_id)
+        self.things = tuple(Thing.of(item, meaning.label(item.raw_label, family, _model(item))) for item in ordered)
+        self._meaning = meaning
+        self._meant: dict[str, tuple[Thing, ...]] = {}
+
+    @cached_property
+    def labels(self) -> frozenset[str]:
+        """Labels of its things."""
+        return frozenset(thing.label for thing in self.things)
+
+    def meant(self, label: str) -> tuple[Thing, ...]:
+        """All things that a word for `label` might mean here."""
+        if label not in self._meant:
+            own = self._meaning.meant_by(label)
+            self._meant[label] = tuple(thing for thing in self.things if thing.label in own)
+        return self._meant[label]
+
+    def only(self, label: str) -> Thing | None:
+        """The thing called so that is alone in it: no other could be meant."""
+        found = self.meant(label)
+        return found[0] if len(found) == 1 and found[0].label == label else None
+
+
+class Referents:
+    """The phrases of all texts of one scene; what one phrase means is found once."""
+
+    def __init__(self, scene: Scene, thresholds: Thresholds, shapes: Shapes) -> None:
+        self.scene = scene
+        self.meaning = words()
+        self.judge = Judge(thresholds, SurfaceGauge(shapes))
+        held: dict[str, list[SceneObject]] = {room.room_id: [] for room in scene.rooms}
+        for item in scene.objects:
+            held.setdefault(item.room_id, []).append(item)
+        self.rooms = {
+            room.room_id: RoomView(
+                room,
+                self.meaning.room_type(room.raw_label, scene.family),
+                held[room.room_id],
+                scene.family,
+                self.meaning,
+            )
+            for room in scene.rooms
+        }
+        self._rooms: dict[Named | None, tuple[RoomView, str | None] | Problem] = {}
+        self._things: dict[Phrase, Referent | Problem] = {}
+        self._claims: dict[Phrase, Answer | Problem] = {}
+        self._related: dict[tuple[str, str, str, str], list[tuple[Thing, Judgement]]] = {}
+
+    @property
+    def single_room(self) -> bool:
+        """Whether the scene is one room, so that texts need not name it."""
+        return len(self.rooms) == 1
+
+    def room(self, named: Named | None) -> tuple[RoomView, str | None] | Problem:
+        """The room that a name means, and the id of the thing that its name rests on."""
+        if named not in self._rooms:
+            self._rooms[named] = self._room(named)
+        return self._rooms[named]
+
+    def thing(self, phrase: Phrase) -> Referent | Problem:
+        """The one thing that a stop's phrase means; its qualifier must be needed and must suffice."""
+        if phrase not in self._things:
+            self._things[phrase] = self._thing(phrase)
+        return self._things[phrase]
+
+    def claim(self, phrase: Phrase) -> Answer | Problem:
+        """Whether there is such a thing, certainly or certainly not."""
+        if phrase not in self._claims:
+            self._claims[phrase] = self._claim(phrase)
+        return self._claims[phrase]
+
+    def _room(self, named: Named | None) -> tuple[RoomView, str | None] | Problem:
+        if named is None:
+            if self.single_room:
+                return next(iter(self.rooms.values())), None
+            return Problem("room_unique", "a room's name", f"none, in a scene of {len(self.rooms)} rooms")
+        candidates = [view for view in self.rooms.values() if view.label in self.meaning.rooms_meant_by(named.label)]
+        if named.anchor is None:
+            if len(candidates) == 1 and candidates[0].label == named.label:
+                return candidates[0], None
+            return Problem("room_unique", f"one {named.label}", [view.room.room_id for view in candidates])
+        if len(candidates) < 2:
+            return Problem("room_anchor_needed", f"several rooms like a {named.label}", len(candidates))
+        having = [view for view in candidates if view.meant(named.anchor)]
+        anchor = having[0].only(named.anchor) if len(having) == 1 else None
+        if anchor is None or having[0].label != named.label:
+            found = {view.room.room_id: len(view.meant(named.anchor)) for view in having}
+            return Problem("room_unique", f"one {named.label} with one {named.anchor}", found)
+        unsure = [view.room.room_id for view in candidates if view is not having[0] and not view.room.complete]
+        if unsure:
+            return Problem("absence_known", f"rooms known to have no {named.anchor}", unsure)
+        return having[0], anchor.object_id
+
+    def _anchor(self, view: RoomView, label: str) -> Thing | Problem:
+        found = view.only(label)
+        if found is None:
+            return Problem("anchor_unique", f"one {label}", [thing.object_id for thing in view.meant(label)])
+        return found
+
+    def _relations(self, view: RoomView, label: str, predicate: str, anchor: Thing) -> list[tuple[Thing, Judgement]]:
+        """Each thing that `label` might mean, with how it stands to the anchor."""
+        key = (view.room.room_id, label, predicate, anchor.object_id)
+        if key not in self._related:
+            others = [thing for thing in view.meant(label) if thing is not anchor]
+            self._related[key] = [(thing, self.judge(predicate, thing, anchor)) for thing in others]
+        return self._related[key]
+
+    def _thing(self, phrase: Phrase) -> Referent | Problem:
+        room = self.room(phrase.room)
+        if isinstance(room, Problem):
+            return room
+        view, room_anchor = room
+        meant = view.meant(phrase.label)
+        if phrase.qualifier is None:
+            only = view.only(phrase.label)
+            if only is None:
+                return Problem("referent_unique", f"one {phrase.label}", [thing.object_id for thing in meant])
+            return Referent(only.object_id, view.room.room_id, None, room_anchor)
+        predicate, anchor_label = phrase.qualifier
+        anchor = self._anchor(view, anchor_label)
+        if isinstance(anchor, Problem):
+            return anchor
+        if len(meant) < 2:
+            return Problem("qualifier_needed", f"several things like a {phrase.label}", len(meant))
+        related = self._relations(view, phrase.label, predicate, anchor)
+        fitting = [thing for thing, how in related if how.verdict == TRUE and thing.label == phrase.label]
+        open_ones = [thing.object_id for thing, how in related if how.verdict != FALSE]
+        if len(fitting) != 1 or len(open_ones) != 1:
+            return Problem("qualifier_sufficient", f"one {phrase.label} {predicate} the {anchor_label}", open_ones)
+        return Referent(fitting[0].object_id, view.room.room_id, anchor.object_id, room_anchor)
+
+    def _claim(self, phrase: Phrase) -> Answer | Problem:
+        room = self.room(phrase.room)
+        if isinstance(room, Problem):
+            return room
+        view, room_anchor = room
+        if phrase.qualifier is None:
+            anchor = None
+            numbers: Mapping[str, float | None] = {}
+            possible = view.meant(phrase.label)
+            sure = [thing for thing in possible if thing.label == phrase.label]
+            found: Any = [thing.object_id for thing in possible]
+        else:
+            predicate, anchor_label = phrase.qualifier
+            anchored = self._anchor(view, anchor_label)
+            if isinstance(anchored, Problem):
+                return anchored
+            related = self._relations(view, phrase.label, predicate, anchored)
+            sure = [thing for thing, how in related if how.verdict == TRUE and thing.label == phrase.label]
+            possible = tuple(thing for thing, how in related if how.verdict != FALSE)
+            anchor, numbers = anchored.object_id, _deciding(related, sure)
+            found = {thing.object_id: dict(how.numbers) for thing, how in related}
+        if not sure and possible:
+            return Problem("condition_decided", f"surely a {phrase.label} or surely none", found)
+        if not sure and not view.room.complete:
+            return Problem("absence_known", "a room annotated completely", view.room.room_id)
+        if not sure and anchor is None and not self._elsewhere(phrase.label, view):
+            return Problem("absent_is_elsewhere", f"a {phrase.label} in another room", "none in the scene")
+        witnesses = frozenset(thing.object_id for thing in sure)
+        return Answer(bool(sure), witnesses, view.room.room_id, anchor, room_anchor, numbers)
+
+    def _elsewhere(self, label: str, view: RoomView) -> bool:
+        return self.single_room or any(label in other.labels for other in self.rooms.values() if other is not view)
+
+
+def _deciding(related: list[tuple[Thing, Judgement]], sure: list[Thing]) -> Mapping[str, float | None]:
+    """The numbers of the first witness, or of the rival that comes first where there is none."""
+    for thing, how in related:
+        if not sure or thing is sure[0]:
+            return how.numbers
+    return {}
+
+
+def _model(item: SceneObject) -> str:
+    """The model of an object, where its id is that and the number of the copy."""
+    return item.object_id.rpartition(":")[0]

@@ -1,0 +1,156 @@
+"""Where objects stand: how far a point is from them, and which of them a navmesh leads through."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from condvln.navigation.pathfinder import Pathfinder
+from condvln.scene import Room, Scene, SceneObject
+from condvln.verify.walks import Point
+
+__all__ = ["HANG", "SINK", "Ground", "Obstacles", "Reach"]
+
+F64 = NDArray[np.float64]
+
+_GROUND: Final = np.array([0, 2])
+
+UPRIGHT: Final = 0.999
+"""Cosine of the tilt up to which an oriented box counts as upright; more tilted ones go by their axis-aligned box."""
+HANG: Final = 2.2
+"""Metres that an object's bottom may be above the floor it is reached from: a picture, a wall cabinet."""
+SINK: Final = 0.5
+"""Metres that the floor may be above an object's bottom, or off the floor of its room."""
+FLOOR_STANDING: Final = 0.5
+"""Objects whose bottom is lower than this above the floor stand in the agent's way."""
+SIDEWAYS: Final = 0.05
+"""Metres that a point may move sideways when it is snapped, and still have been on the floor."""
+TOUCHING: Final = 0.001
+"""Metres by which a path may cut into a footprint: positions are rounded to as much."""
+
+
+class Ground:
+    """The rectangle that an object stands over, in the (x, z) plane."""
+
+    def __init__(self, item: SceneObject) -> None:
+        box = item.box
+        self.bottom = float(item.center[1] if box is None else box[0, 1])
+        self.centre: F64 = item.center[[0, 2]]
+        self._half: F64 = np.zeros(2)
+        self._axes: F64 = np.eye(2)
+        if item.obb is not None and np.abs(item.obb.rotation[1]).max() >= UPRIGHT:
+            flat = np.flatnonzero(np.arange(3) != np.abs(item.obb.rotation[1]).argmax())
+            axes = item.obb.rotation[np.ix_(_GROUND, flat)]
+            self.centre = item.obb.center[[0, 2]]
+            self._half, self._axes = item.obb.half_extents[flat], axes / np.linalg.norm(axes, axis=0)
+        elif item.aabb is not None:
+            low, high = item.aabb[:, [0, 2]]
+            self.centre, self._half = (low + high) / 2, (high - low) / 2
+
+    def distances(self, points: F64) -> F64:
+        """Horizontal metres (n,) from points (n, 3); 0 over the rectangle."""
+        beyond = np.abs((points[:, [0, 2]] - self.centre) @ self._axes) - self._half
+        return np.asarray(np.linalg.norm(np.maximum(beyond, 0.0), axis=1))
+
+    @property
+    def half_round(self) -> float:
+        """Metres half way round the rectangle."""
+        return float(2.0 * self._half.sum())
+
+    def polygon(self, inset: float) -> shapely.Polygon:
+        """The rectangle with its sides moved inwards."""
+        half = np.maximum(self._half - inset, 0.0)
+        corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * half
+        return shapely.Polygon(self.centre + corners @ self._axes.T)
+
+
+class Reach:
+    """How points stand to the objects of a scene. An object's goals are those of many episodes: each is asked once."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._grounds: dict[str, Ground | None] = {}
+        self._known: dict[str, dict[Point, tuple[float, bool]]] = {}
+
+    def around(self, object_id: str, positions: Sequence[Point]) -> list[tuple[float, bool]] | None:
+        """Horizontal metres from the object, and whether the point is on its floor and in its room; None: no such."""
+        known = self._known.setdefault(object_id, {})
+        new = [position for position in positions if position not in known]
+        if new:
+            ground = self._ground(object_id)
+            if ground is None:
+                return None
+            points = np.array(new)
+            room = self._scene.room_of[self._scene.object_of[object_id].room_id]
+            here = _in_reach(ground, room, points)
+            known.update(zip(new, zip(ground.distances(points).tolist(), here.tolist(), strict=True), strict=True))
+        return [known[position] for position in positions]
+
+    def half_round(self, object_id: str) -> float | None:
+        """Metres half way round what the object stands over; None of one that the scene does not have."""
+        ground = self._ground(object_id)
+        return None if ground is None else ground.half_round
+
+    def _ground(self, object_id: str) -> Ground | None:
+        if object_id not in self._grounds:
+            item = self._scene.object_of.get(object_id)
+            known = item is not None and item.room_id in self._scene.room_of
+            self._grounds[object_id] = Ground(item) if item is not None and known else None
+        return self._grounds[object_id]
+
+
+def _in_reach(ground: Ground, room: Room, points: F64) -> NDArray[np.bool_]:
+    """Which points (n, 3) are on the floor that an object is reached from, and in its room."""
+    hang = ground.bottom - points[:, 1]
+    good = (hang <= HANG) & (hang >= -SINK)
+    if room.annotation != "scene":
+        good &= np.abs(points[:, 1] - room.floor_y) <= SINK
+        if room.polygon is not None:
+            good &= shapely.intersects_xy(shapely.Polygon(room.polygon), points[:, 0], points[:, 2])
+    return np.asarray(good, dtype=np.bool_)
+
+
+class Obstacles:
+    """Objects that stand on the floor although the navmesh goes on beneath them."""
+
+    def __init__(self, scene: Scene, pathfinder: Pathfinder, max_climb: float) -> None:
+        standing = [item for item in scene.objects if item.aabb is not None and item.room_id in scene.room_of]
+        grounds = [Ground(item) for item in standing]
+        below = np.array([[g.centre[0], g.bottom, g.centre[1]] for g in grounds]).reshape(-1, 3)
+        floor = np.asarray(pathfinder.snap_points(below), dtype=np.float64)
+        # Furniture that was built in has a hole, or its own top, under its centre.
+        open_below = (np.linalg.norm((floor - below)[:, [0, 2]], axis=1) <= SIDEWAYS) & (
+            np.abs(floor[:, 1] - below[:, 1]) < SINK
+        )
+        chosen = []
+        for item, ground, height, ignored in zip(standing, grounds, floor[:, 1], open_below, strict=True):
+            room = scene.room_of[item.room_id]
+            assert item.aabb is not None
+            base = max(room.floor_y, ground.bottom) if room.annotation == "scene" else room.floor_y
+            off = ground.bottom - (height if room.annotation == "scene" else base)
+            if ignored and off < FLOOR_STANDING and item.aabb[1, 1] - base > max_climb:
+                chosen.append((item.object_id, ground.polygon(TOUCHING)))
+        self.object_ids = [name for name, _ in chosen]
+        self._tree = shapely.STRtree([polygon for _, polygon in chosen])
+
+    def holding(self, points: F64) -> list[str | None]:
+        """The obstacle over each of n points (n, 3), None where there is none."""
+        return self._met(shapely.points(points[:, [0, 2]]), len(points))
+
+    def crossed(self, paths: Sequence[F64]) -> list[str | None]:
+        """The obstacle that each path (k, 3) leads through, None where there is none."""
+        if not paths:
+            return []
+        corners = np.concatenate(paths)[:, [0, 2]]
+        owners = np.repeat(np.arange(len(paths)), [len(path) for path in paths])
+        return self._met(shapely.linestrings(corners, indices=owners), len(paths))
+
+    def _met(self, shapes: NDArray[np.object_], count: int) -> list[str | None]:
+        met: list[str | None] = [None] * count
+        for which, obstacle in self._tree.query(shapes, predicate="intersects").T.tolist():
+            met[which] = self.object_ids[obstacle]
+        return met

@@ -1,0 +1,174 @@
+"""Distances between the surfaces of two objects, asked of FCL pair by pair."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import fcl
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from trimesh.collision import mesh_to_BVH
+
+from condvln.scene import SceneObject
+from condvln.scene.meshes import MeshLibrary
+
+__all__ = ["Shapes", "SurfaceGauge"]
+
+F64 = NDArray[np.float64]
+
+KEPT_TRIANGLES: Final = 1_500_000
+"""Triangles whose hierarchies are kept for the next scene; some 300 MB, and four times what ReplicaCAD has."""
+
+ORTHOGONAL: Final = 1e-9
+"""Largest product of two unit axes of a placement that still counts as a rotation."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Shape:
+    """Triangles in a frame of their own; corners (m, 3), one of each; bounds (2, 3); `solid`: they have an inside."""
+
+    mesh: trimesh.Trimesh
+    model: Any
+    corners: F64
+    bounds: F64
+    solid: bool
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """A shape where it stands: a rotation (3, 3) and a translation (3,); `bounds` (2, 3) hold it, perhaps loosely."""
+
+    shape: _Shape
+    rotation: F64
+    translation: F64
+    bounds: F64
+    collision: Any
+
+    def to_own(self, points: F64) -> F64:
+        """Points (n, 3) of the scene in the shape's frame."""
+        moved: F64 = (points - self.translation) @ self.rotation
+        return moved
+
+    def to_scene(self, points: F64) -> F64:
+        """The inverse of `to_own`."""
+        moved: F64 = points @ self.rotation.T + self.translation
+        return moved
+
+
+class Shapes:
+    """The meshes under one dataset root as FCL knows them. Shared by scenes, since building a hierarchy is dear."""
+
+    def __init__(self, root: Path) -> None:
+        self._library = MeshLibrary(root)
+        self._kept: OrderedDict[tuple[str, bytes], _Shape] = OrderedDict()
+
+    def parts(self, item: SceneObject) -> list[_Part]:
+        """An object as its meshes, else its oriented box, else its axis-aligned one; empty without extent."""
+        parts = [self._placed(part.path, part.transform) for part in item.mesh]
+        parts = [part for part in parts if len(part.shape.corners)]
+        if parts or (item.obb is None and item.box is None):
+            return parts
+        if item.obb is not None:
+            extents, centre, rotation = 2 * item.obb.half_extents, item.obb.center, item.obb.rotation
+        else:
+            assert item.box is not None
+            extents, centre, rotation = item.box[1] - item.box[0], item.box.mean(axis=0), np.eye(3)
+        # FCL's own box against box goes wrong where centres share a coordinate; twelve triangles do not.
+        return [_placed(_shape(trimesh.creation.box(extents=extents), True), rotation, centre)]
+
+    def _placed(self, path: str, transform: F64) -> _Part:
+        """A mesh file where it stands; what of its placement is no rotation is worked into the triangles."""
+        linear = transform[:3, :3]
+        scale = np.linalg.norm(linear, axis=0)
+        rotation = linear / scale if (scale > 0).all() else np.eye(3)
+        if np.abs(rotation.T @ rotation - np.eye(3)).max() > ORTHOGONAL or np.linalg.det(rotation) < 0:
+            rotation = np.eye(3)
+        own = rotation.T @ linear
+        # Placements of one model differ in the last bits of what should be its one scale.
+        own = np.round(own, 12) + 0.0
+        key = (path, own.tobytes())
+        shape = self._kept.get(key)
+        if shape is None:
+            known = self._library.geometry(path)
+            shape = _shape(trimesh.Trimesh(known.vertices @ own.T, known.faces, process=False), known.watertight)
+            self._kept[key] = shape
+            while len(self._kept) > 1 and sum(len(kept.corners) for kept in self._kept.values()) > KEPT_TRIANGLES:
+                self._kept.popitem(last=False)
+        self._kept.move_to_end(key)
+        return _placed(shape, rotation, transform[:3, 3])
+
+
+class SurfaceGauge:
+    """Surface distances in one scene, each measured once."""
+
+    def __init__(self, shapes: Shapes) -> None:
+        self._shapes = shapes
+        self._parts: dict[str, list[_Part]] = {}
+        self._distances: dict[tuple[str, str], float | None] = {}
+
+    def millimetres(self, one: SceneObject, other: SceneObject) -> float | None:
+        """Whole millimetres between two surfaces, 0 where they touch or one lies in the other; None if unknown."""
+        first, second = sorted((one, other), key=lambda item: item.object_id)
+        key = (first.object_id, second.object_id)
+        if key not in self._distances:
+            self._distances[key] = _between(self._of(first), self._of(second))
+        return self._distances[key]
+
+    def _of(self, item: SceneObject) -> list[_Part]:
+        if item.object_id not in self._parts:
+            self._parts[item.object_id] = self._shapes.parts(item)
+        return self._parts[item.object_id]
+
+
+def _shape(mesh: trimesh.Trimesh, solid: bool) -> _Shape:
+    # Taken out once: trimesh checks its arrays for changes at every question.
+    corners = np.array(mesh.triangles[:, 0])
+    bounds = np.zeros((2, 3)) if mesh.bounds is None else np.array(mesh.bounds)
+    return _Shape(mesh, mesh_to_BVH(mesh) if len(corners) else None, corners, bounds, solid)
+
+
+def _placed(shape: _Shape, rotation: F64, translation: F64) -> _Part:
+    low, high = shape.bounds
+    centre, reach = rotation @ (low + high) / 2 + translation, np.abs(rotation) @ (high - low) / 2
+    collision = None if shape.model is None else fcl.CollisionObject(shape.model, fcl.Transform(rotation, translation))
+    return _Part(shape, rotation, translation, np.array([centre - reach, centre + reach]), collision)
+
+
+def _between(first: list[_Part], second: list[_Part]) -> float | None:
+    if not first or not second:
+        return None
+    apart = [(_least(one, other), one, other) for one in first for other in second]
+    distance = np.inf
+    for bound, one, other in sorted(apart, key=lambda pair: pair[0]):
+        if bound > distance:
+            break
+        found = fcl.distance(one.collision, other.collision, fcl.DistanceRequest(), fcl.DistanceResult())
+        distance = min(distance, float(found))
+    if distance <= 0.0 or _holds(first, second) or _holds(second, first):
+        return 0.0
+    return float(np.rint(distance * 1000.0))
+
+
+def _least(one: _Part, other: _Part) -> float:
+    """Metres that two parts are at least apart."""
+    gaps = np.maximum(one.bounds[0] - other.bounds[1], other.bounds[0] - one.bounds[1])
+    return float(np.linalg.norm(np.maximum(gaps, 0.0)))
+
+
+def _holds(outer: list[_Part], inner: list[_Part]) -> bool:
+    """Whether some of a body lies inside another whose surface it does not touch."""
+    return all(part.shape.solid for part in outer) and any(_contains(one, other) for one in outer for other in inner)
+
+
+def _contains(outer: _Part, inner: _Part) -> bool:
+    if _least(outer, inner) > 0.0:
+        return False
+    low, high = outer.shape.bounds
+    # One corner of each triangle meets every connected piece of the surface; each is inside as a whole or not at all.
+    points = outer.to_own(inner.to_scene(inner.shape.corners))
+    points = points[((points >= low) & (points <= high)).all(axis=1)]
+    return bool(len(points)) and bool(outer.shape.mesh.contains(points).any())

@@ -1,0 +1,84 @@
+"""Ground truth of an episode: actions walked anew on the navmesh, or locations along the reference path."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.navigation.follower import FORWARD, STOP, Follower
+from condvln.verify.certificate import Certificate
+from condvln.verify.heading import yaw_of
+from schemas.evaluation import ManifestEpisode
+
+__all__ = ["check_truth"]
+
+F64 = NDArray[np.float64]
+
+ROUNDED: Final = 0.002
+"""Metres that a location may be off: both sides of the comparison are rounded to 1 mm."""
+SLACK: Final = 1e-6
+"""Parts: a side of 2.5000000001 m is ten steps of 0.25 m and not eleven."""
+
+
+def check_truth(
+    row: ManifestEpisode, truth: Mapping[str, Any] | None, follower: Follower, spacing: float, certificate: Certificate
+) -> None:
+    """The ground-truth entry of a row.
+
+    spacing : metres between two locations at most, where nobody walked them
+    """
+    try:
+        assert truth is not None
+        locations = np.array(truth["locations"], dtype=np.float64).reshape(-1, 3)
+        forward, actions = truth["forward_steps"], truth.get("actions")
+        taken = None if actions is None else np.array(actions, dtype=np.int8)
+    except (AssertionError, KeyError, TypeError, ValueError):
+        certificate.holds("ground_truth", False, row.episode_id, "no such entry, or a malformed one")
+        return
+    certificate.same("ground_truth", forward, len(locations) - 1, "forward_steps")
+    if not 0 <= row.gold_leaf < len(row.leaves):
+        return
+    if taken is None:
+        along = _cut(np.array(row.leaves[row.gold_leaf].reference_path), spacing)
+    else:
+        along = _walked(row, taken, follower)
+        _check_actions(row, taken, along, certificate)
+    off = float(np.abs(along - locations).max(initial=0.0)) if along.shape == locations.shape else np.inf
+    certificate.holds("ground_truth", off <= ROUNDED, "the places gone through", f"{off} m off", "locations")
+
+
+def _check_actions(row: ManifestEpisode, taken: NDArray[np.int8], along: F64, certificate: Certificate) -> None:
+    """Actions end with their one STOP, at the goal, having passed the subgoals in their order."""
+    stops = np.flatnonzero(taken == STOP).tolist()
+    certificate.same("ground_truth", stops, [len(taken) - 1], "places of STOP")
+    certificate.holds(
+        "ground_truth", 2 * len(taken) <= row.max_steps, row.max_steps, 2 * len(taken), "twice the actions"
+    )
+    gold = row.leaves[row.gold_leaf]
+    at = 0
+    for subgoal in gold.subgoals:
+        near = np.linalg.norm(along[at:] - np.array(subgoal.position), axis=1) <= row.success_distance
+        passed = bool(near.any())
+        certificate.holds("ground_truth", passed, subgoal.object_id, "not passed", "subgoals")
+        at += int(near.argmax()) if passed else 0
+    end = float(np.linalg.norm(np.array(gold.goals) - along[-1], axis=1).min())
+    certificate.holds("ground_truth", end < row.success_distance, row.success_distance, end, "metres left to the goal")
+
+
+def _walked(row: ManifestEpisode, taken: NDArray[np.int8], follower: Follower) -> F64:
+    """The start and the place after each forward step (n, 3)."""
+    walk = follower.walk(row.start_position, yaw_of(row.start_rotation) or 0.0, taken)
+    places: F64 = walk.positions[np.concatenate([[0], np.flatnonzero(taken == FORWARD) + 1])].astype(np.float64)
+    return places
+
+
+def _cut(path: F64, spacing: float) -> F64:
+    """Corners (n, 3) with each side cut into the fewest equal parts of at most `spacing` metres."""
+    along = np.diff(path, axis=0)
+    parts = np.ceil(np.sqrt((along * along).sum(axis=1)) / spacing - SLACK).astype(np.int64)
+    side = np.repeat(np.arange(len(along)), parts)
+    within = np.arange(len(side)) - np.repeat(np.cumsum(parts) - parts, parts)
+    return np.concatenate([path[side] + along[side] * (within / parts[side])[:, None], path[-1:]])

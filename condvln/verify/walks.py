@@ -1,0 +1,80 @@
+"""Questions to a navmesh, gathered over all episodes of a scene and asked at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.navigation.pathfinder import Pathfinder
+
+__all__ = ["Point", "Walks"]
+
+F64 = NDArray[np.float64]
+Point = tuple[float, float, float]
+
+
+class Walks:
+    """Points, distances and ways of one scene.
+
+    First everything is noted, then `ask` is called once, then the answers are there.
+
+    Attributes
+    ----------
+    positions : the noted points, by index
+    sideways, upwards : metres that snapping moves each point; NaN where nothing is near
+    islands, island_radii : each point's island, -1 for none, and that one's radius in metres
+    """
+
+    def __init__(self) -> None:
+        self._index: dict[Point, int] = {}
+        self._pairs: dict[tuple[int, int], int] = {}
+        self._legs: dict[tuple[int, int], int] = {}
+        self._lengths: list[float] = []
+        self._ways: list[tuple[float, tuple[Point, ...]]] = []
+        self.positions: list[Point] = []
+        self.sideways: list[float] = []
+        self.upwards: list[float] = []
+        self.islands: list[int] = []
+        self.island_radii: list[float] = []
+
+    def point(self, position: Point) -> int:
+        """Note a point; its index."""
+        return self._index.setdefault(position, len(self._index))
+
+    def pair(self, one: int, other: int) -> int:
+        """Note that the distance between two points is wanted; its index."""
+        return self._pairs.setdefault((one, other), len(self._pairs))
+
+    def leg(self, one: int, other: int) -> int:
+        """Note that the way between two points is wanted; its index."""
+        return self._legs.setdefault((one, other), len(self._legs))
+
+    def ask(self, pathfinder: Pathfinder) -> None:
+        """Have everything answered."""
+        self.positions = list(self._index)
+        points = np.array(self.positions).reshape(-1, 3)
+        moved = np.asarray(pathfinder.snap_points(points), dtype=np.float64) - points
+        self.sideways = np.hypot(moved[:, 0], moved[:, 2]).tolist()
+        self.upwards = np.abs(moved[:, 1]).tolist()
+        self.islands = pathfinder.get_islands(points).tolist()
+        radii = {k: pathfinder.island_radius(k) if k >= 0 else 0.0 for k in set(self.islands)}
+        self.island_radii = [radii[k] for k in self.islands]
+        if self._pairs:
+            ends = np.array(list(self._pairs))
+            away = pathfinder.geodesic_distances(points[ends[:, 0]], points[ends[:, 1]]).astype(np.float64)
+            self._lengths = np.where(np.isnan(away), np.inf, away).tolist()
+        if self._legs:
+            ends = np.array(list(self._legs))
+            for way in pathfinder.find_paths(points[ends[:, 0]], points[ends[:, 1]]):
+                corners = np.round(way.points.astype(np.float64), 3) + 0.0
+                self._ways.append((way.geodesic_distance, tuple(map(tuple, corners.tolist()))))
+
+    def metres(self, pairs: Sequence[int]) -> list[float]:
+        """Geodesics of noted pairs; infinite where there is no way."""
+        return [self._lengths[pair] for pair in pairs]
+
+    def way(self, leg: int) -> tuple[float, tuple[Point, ...]]:
+        """Metres and corners, rounded to 1 mm, of a noted leg; infinite and none where there is no way."""
+        return self._ways[leg]

@@ -1,0 +1,173 @@
+"""What words mean, read from the vocabulary's tables by code of this package's own.
+
+The tables are the contract; the code that made the instructions from them is not used here, so that a fault in it
+shows.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from itertools import combinations
+from typing import Final
+
+__all__ = ["Words", "folded", "package_data", "words"]
+
+SOURCE_OF_FAMILY: Final = {
+    "replicacad": "replicacad",
+    "procthor": "ai2thor",
+    "ithor": "ai2thor",
+    "robothor": "ai2thor",
+    "ai2thor-hab": "ai2thor",
+    "mp3d": "mp3d",
+    "gibson": "gibson",
+}
+"""The list of raw labels that a family's scenes use."""
+
+_BORDERS: Final = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])|[_#\s]+")
+_COPY_NUMBER: Final = re.compile(r"\s\d+$")
+
+
+def package_data(*parts: str) -> Traversable:
+    """A data file of the science package. The path goes by folders, so that no module of theirs is imported."""
+    found: Traversable = files("condvln")
+    for part in parts:
+        found = found / part
+    return found
+
+
+def folded(raw: str) -> str:
+    """A raw label as lower-case words: ``ArmChair``, ``arm_chair`` and ``arm#chair`` are ``arm chair``."""
+    return " ".join(_BORDERS.sub(" ", raw).lower().split())
+
+
+@dataclass(frozen=True, eq=False)
+class Words:
+    """The vocabulary.
+
+    confusable : by label of an object, the labels that a speaker might mean by a word for it, itself included
+    confusable_rooms : the same of room types
+    nouns, rooms : (noun, its article) of the labels and room types that text may name
+    """
+
+    confusable: Mapping[str, frozenset[str]]
+    confusable_rooms: Mapping[str, frozenset[str]]
+    nouns: Mapping[str, tuple[str, str]]
+    rooms: Mapping[str, tuple[str, str]]
+    _labels: Mapping[tuple[str, str], str]
+    _room_types: Mapping[tuple[str, str], str]
+    _by_word: Mapping[str, str]
+    _room_by_word: Mapping[str, str]
+
+    def meant_by(self, label: str) -> frozenset[str]:
+        """Labels that a word for `label` might mean."""
+        return self.confusable.get(label, frozenset((label,)))
+
+    def rooms_meant_by(self, label: str) -> frozenset[str]:
+        """Room types that a word for `label` might mean."""
+        return self.confusable_rooms.get(label, frozenset((label,)))
+
+    def label(self, raw: str, family: str, model: str = "") -> str:
+        """Canonical label of a source's own label; the words of `raw` where the tables know none.
+
+        model : name of the model that stands for the object; where the tables list that, it goes before the label,
+            since some sources label a model wrongly
+        """
+        if (SOURCE_OF_FAMILY.get(family, ""), model) in self._labels:
+            raw = model
+        return _listed(self._labels, raw, family) or self._said(raw)
+
+    def _said(self, raw: str) -> str:
+        text = folded(raw)
+        return self._by_word.get(text) or self._by_word.get(_COPY_NUMBER.sub("", text)) or text
+
+    def room_type(self, raw: str, family: str) -> str:
+        """Canonical room type of a source's own."""
+        listed = _listed(self._room_types, raw, family)
+        return listed if listed is not None else self._room_by_word.get(folded(raw), folded(raw))
+
+
+@cache
+def words() -> Words:
+    """The vocabulary as shipped, read once a process."""
+    labels = {row["label"]: row for row in _rows("labels.csv")}
+    said = {label: {label, row["noun"], *filter(None, row["synonyms"].split(";"))} for label, row in labels.items()}
+    rooms = {row["label"]: row for row in _rows("rooms.csv")}
+    room_words = {label: {label, *filter(None, row["synonyms"].split(";"))} for label, row in rooms.items()}
+    confusable = _sharing(said)
+    for label in labels:
+        for broader in _broader(label, labels):
+            confusable[label].add(broader)
+            confusable[broader].add(label)
+    return Words(
+        confusable={label: frozenset(others) for label, others in confusable.items()},
+        confusable_rooms={label: frozenset(others) for label, others in _sharing(room_words).items()},
+        nouns={x: (row["noun"], row["article"]) for x, row in labels.items() if row["in_text"] == "yes"},
+        rooms={x: (row["noun"], row["article"]) for x, row in rooms.items() if row["in_text"] == "yes"},
+        _labels=_raw_table("raw_labels.csv"),
+        _room_types=_raw_table("raw_rooms.csv"),
+        _by_word=_unambiguous(said),
+        _room_by_word=_unambiguous(room_words),
+    )
+
+
+def _rows(name: str) -> Iterator[dict[str, str]]:
+    return csv.DictReader(package_data("labels", name).read_text(encoding="utf-8").splitlines())
+
+
+def _raw_table(name: str) -> dict[tuple[str, str], str]:
+    """Canonical label by (source, raw label); spelled as listed, or, where nothing is listed so, folded."""
+    listed = {(row["source"], row["raw_label"]): row["label"] for row in _rows(name)}
+    # Matterport's one-letter labels mean what their case says, and so have no folded form.
+    other = {(source, folded(raw)): label for (source, raw), label in reversed(listed.items()) if len(raw) > 1}
+    return other | listed
+
+
+def _listed(table: Mapping[tuple[str, str], str], raw: str, family: str) -> str | None:
+    """The entry of a raw label; an empty one says that it was looked at and means nothing in particular."""
+    source = SOURCE_OF_FAMILY.get(family, "")
+    exact = table.get((source, raw))
+    if exact is not None:
+        return exact or folded(raw)
+    found = table.get((source, folded(raw)))
+    return found if found is None else found or folded(raw)
+
+
+def _sharing(said: Mapping[str, set[str]]) -> dict[str, set[str]]:
+    """Labels that share a word, each with itself."""
+    found = {label: {label} for label in said}
+    of_word: dict[str, set[str]] = {}
+    for label, own in said.items():
+        for word in own:
+            of_word.setdefault(word, set()).add(label)
+    for sharers in of_word.values():
+        for one, other in combinations(sharers, 2):
+            found[one].add(other)
+            found[other].add(one)
+    return found
+
+
+def _unambiguous(said: Mapping[str, set[str]]) -> dict[str, str]:
+    """Label by word: a label's own name always, another word where only one label has it."""
+    holders: dict[str, list[str]] = {}
+    for label, own in said.items():
+        for word in own:
+            holders.setdefault(word, []).append(label)
+    only = {word: labels[0] for word, labels in holders.items() if len(labels) == 1}
+    return only | {label: label for label in said}
+
+
+def _broader(label: str, labels: Mapping[str, Mapping[str, str]]) -> set[str]:
+    """All labels of which `label` is a kind."""
+    found: set[str] = set()
+    ahead = [label]
+    while ahead:
+        above = [x for x in labels[ahead.pop()]["hypernyms"].split(";") if x and x not in found]
+        found.update(above)
+        ahead.extend(above)
+    return found

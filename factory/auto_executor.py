@@ -1,0 +1,61 @@
+"""Ray where it pays: a run too small for starting it goes inline by itself, and says so."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from types import TracebackType
+from typing import Final
+
+from factory.context import RunContext
+from factory.executor import Executor, InlineExecutor, Task
+from factory.packing import Packed, PackJob
+from factory.ray_executor import RayExecutor
+from factory.receipt import Receipt
+
+__all__ = ["SMALL_SECONDS", "AutoExecutor"]
+
+SMALL_SECONDS: Final = 20.0
+"""Estimated work below which Ray does not pay: starting it costs about nine CPU seconds, five by the clock."""
+
+
+class AutoExecutor:
+    """Chooses by the estimated cost of what is to be done. A Ray that is up already, or a cluster, is always used.
+
+    say : told once when a run goes inline
+    """
+
+    def __init__(
+        self, ray: RayExecutor, say: Callable[[str], None] = lambda _: None, small: float = SMALL_SECONDS
+    ) -> None:
+        self._ray = ray
+        self._inline = InlineExecutor()
+        self._say = say
+        self._small = small
+
+    @property
+    def workers(self) -> int:
+        return self._ray.workers
+
+    def run(self, context: RunContext, tasks: Iterable[Task]) -> Iterator[Receipt]:
+        seconds = float(getattr(tasks, "seconds", float("inf")))
+        small = seconds < self._small and not self._ray.running
+        if small and seconds > 0:
+            self._say(f"about {seconds:.0f} s of work: done in this process, starting Ray would cost more")
+        executor: Executor = self._inline if small else self._ray
+        yield from executor.run(context, tasks)
+
+    def pack(self, context: RunContext, jobs: Iterable[PackJob]) -> Iterator[Packed]:
+        executor: Executor = self._ray if self._ray.running else self._inline
+        yield from executor.pack(context, jobs)
+
+    def close(self) -> None:
+        """Stop Ray if it was started here."""
+        self._ray.close()
+
+    def __enter__(self) -> AutoExecutor:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

@@ -1,0 +1,148 @@
+"""Committed outputs of stages, and records of those that failed.
+
+``units/<stage>/<key[:2]>/<key>/<table>.parquet``, further files beside it, and ``unit.json`` last: a key whose
+``unit.json`` is there is done. ``quarantine/<stage>/<key>.json`` says why one is not.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import pyarrow as pa
+from pydantic import ValidationError
+
+from factory.faults import FaultPlan
+from factory.pipeline import Pipeline
+from factory.rows import parquet_bytes, parquet_table
+from factory.store import Store
+from schemas.errors import CorruptShardError
+from schemas.unit import QuarantineRecord, ShardRecord, TableRecord, UnitCommit
+
+__all__ = ["Commits"]
+
+LISTING = "listing"
+"""The stage name under which units that could not even be listed are quarantined."""
+
+
+class Commits:
+    """The units and the quarantine of one store."""
+
+    def __init__(self, store: Store, faults: FaultPlan | None = None) -> None:
+        self.store = store
+        self._faults = faults or FaultPlan()
+
+    @staticmethod
+    def folder(stage: str, key: str) -> str:
+        """Where the files of a key lie."""
+        return f"units/{stage}/{key[:2]}/{key}"
+
+    def exists(self, stage: str, key: str) -> bool:
+        """Whether the stage was committed under this key."""
+        return self.store.exists(f"{self.folder(stage, key)}/unit.json")
+
+    def committed(self) -> Iterator[tuple[str, str]]:
+        """(stage, key) of everything that is committed."""
+        for entry in self.store.list("units"):
+            parts = entry.path.split("/")
+            if parts[-1] == "unit.json":
+                yield parts[1], parts[3]
+
+    def find(self, stage: str, key: str) -> UnitCommit | None:
+        """The commit under this key, or None. One that is damaged is removed: it will be made again."""
+        path = f"{self.folder(stage, key)}/unit.json"
+        try:
+            data = self.store.read(path)
+        except FileNotFoundError:
+            return None
+        try:
+            commit = UnitCommit.model_validate_json(data)
+        except ValidationError:
+            self.discard(stage, key)
+            return None
+        if commit.key != key or commit.stage != stage:
+            self.discard(stage, key)
+            return None
+        return commit
+
+    def save(
+        self, pipeline: Pipeline, commit: UnitCommit, tables: Mapping[str, pa.Table], files: Mapping[str, bytes]
+    ) -> UnitCommit:
+        """Write the files of a stage, then its ``unit.json``; returns the commit with the files' hashes.
+
+        tables : canonical tables, whose ``rows`` and ``logical_hash`` are in ``commit`` already
+        """
+        folder = self.folder(commit.stage, commit.key)
+        self._faults.reach("unit-before-data")
+        shards: dict[str, TableRecord] = {}
+        for name, table in tables.items():
+            spec = pipeline.tables.get(name)
+            keys = spec.sort_keys if spec else ()
+            data = parquet_bytes(table, sort_keys=keys, metadata={f"{pipeline.name}.table": name})
+            self.store.write(f"{folder}/{name}.parquet", data, settle=False)
+            self._faults.reach("unit-between-data")
+            shards[name] = commit.tables[name].model_copy(
+                update={"sha256": hashlib.sha256(data).hexdigest(), "bytes": len(data)}
+            )
+        kept = {}
+        for name, content in files.items():
+            self.store.write(f"{folder}/{name}", content, settle=False)
+            kept[name] = ShardRecord(sha256=hashlib.sha256(content).hexdigest(), bytes=len(content))
+        commit = commit.model_copy(update={"tables": shards, "files": kept})
+        self._faults.reach("unit-before-commit")
+        self.store.write(f"{folder}/unit.json", commit.model_dump_json(indent=1).encode())
+        self._faults.reach("unit-after-commit")
+        return commit
+
+    def table(self, stage: str, key: str, name: str, sha256: str | None = None) -> pa.Table:
+        """One table of a commit. Raises ``CorruptShardError`` when it is gone, cut, or differs from its hash."""
+        path = f"{self.folder(stage, key)}/{name}.parquet"
+        return parquet_table(self._verified(path, sha256), path)
+
+    def file(self, commit: UnitCommit, name: str) -> bytes:
+        """One further file of a commit. Raises ``CorruptShardError`` as ``table`` does."""
+        return bytes(self._verified(f"{self.folder(commit.stage, commit.key)}/{name}", commit.files[name].sha256))
+
+    def _verified(self, path: str, sha256: str | None) -> Any:
+        try:
+            data = self.store.read(path)
+        except FileNotFoundError as error:
+            raise CorruptShardError("a committed file is gone", where=path) from error
+        if sha256 is not None and hashlib.sha256(data).hexdigest() != sha256:
+            raise CorruptShardError("the bytes differ from the hash of their commit", where=path)
+        return data
+
+    def discard(self, stage: str, key: str) -> None:
+        """Forget a commit: ``unit.json`` goes first, so that at no time a commit stands without its files."""
+        folder = self.folder(stage, key)
+        self.store.delete(f"{folder}/unit.json")
+        for entry in [*self.store.list(folder)]:
+            self.store.delete(entry.path)
+
+    def quarantine(self, record: QuarantineRecord) -> None:
+        """Record why a unit could not be made, in place of an older record of the same key."""
+        self._faults.reach("quarantine-before-record")
+        path = f"quarantine/{record.stage}/{record.key}.json"
+        self.store.write(path, record.model_dump_json(indent=1).encode())
+
+    def quarantine_record(self, stage: str, key: str) -> QuarantineRecord | None:
+        """The record under this key, or None (also when it is damaged: then the unit is tried again)."""
+        path = f"quarantine/{stage}/{key}.json"
+        try:
+            return QuarantineRecord.model_validate_json(self.store.read(path))
+        except FileNotFoundError:
+            return None
+        except ValidationError:
+            self.store.delete(path)
+            return None
+
+    def release(self, stage: str, key: str) -> None:
+        """Take a key out of quarantine."""
+        self.store.delete(f"quarantine/{stage}/{key}.json")
+
+    def quarantined(self) -> Iterator[tuple[str, str]]:
+        """(stage, key) of every record."""
+        for entry in self.store.list("quarantine"):
+            _, stage, name = entry.path.split("/")
+            yield stage, name.removesuffix(".json")

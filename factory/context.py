@@ -1,0 +1,37 @@
+"""What every worker of a run is given, once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from factory.pipeline import Pipeline
+from factory.store import Store
+
+__all__ = ["RunContext"]
+
+
+@dataclass(frozen=True)
+class RunContext:
+    """What every worker of a run is given once.
+
+    shared : hashes of the pinned aggregates
+    quarantined : (stage, key) pairs not to be tried again
+    retrying : units in quarantine are tried again: a success takes their record away
+    transient_tries : how often a stage may raise ``TransientIOError`` before its unit is quarantined
+    transient_pause : seconds before the second try; each further pause is four times as long
+    deadline : seconds one unit may take; None for no limit
+    """
+
+    pipeline: Pipeline
+    store: Store
+    shared: Mapping[str, str] = field(default_factory=dict)
+    quarantined: frozenset[tuple[str, str]] = frozenset()
+    retrying: bool = False
+    revision: str = ""
+    transient_tries: int = 3
+    transient_pause: float = 0.2
+    deadline: float | None = None
+    faults: str = ""
+    token: str = ""
+    """Names the run; a record of quarantine under it is never tried again within the run."""

@@ -1,0 +1,67 @@
+"""A limit on the seconds of a unit.
+
+Python code is interrupted by a signal and quarantined with its traceback. Compiled code that keeps the interpreter
+locked cannot be: there, in a worker process that may die, a watchdog written in C prints where every thread stands
+(to the worker's log) and ends the process; the driver then counts the death.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import faulthandler
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from types import FrameType
+from typing import Final
+
+from schemas.errors import DeadlineError
+
+__all__ = ["Deadline"]
+
+_AGAIN: Final = 1.0
+"""Seconds until the signal comes again, should a stage have swallowed the error."""
+
+_GRACE: Final = 5.0
+"""Seconds beyond which compiled code that does not return is ended together with its process."""
+
+
+class Deadline:
+    """The time left of one unit.
+
+    seconds : the whole limit; None for no limit
+    may_exit : this process may be ended by the watchdog (a worker, not the driver)
+    """
+
+    def __init__(self, seconds: float | None, *, may_exit: bool = False) -> None:
+        self.seconds = seconds
+        self._end = time.monotonic() + (seconds or 0.0)
+        self._may_exit = may_exit
+
+    @contextlib.contextmanager
+    def watch(self) -> Iterator[None]:
+        """Raise ``DeadlineError`` inside the block when the time is up. Works in the main thread only."""
+        if self.seconds is None or threading.current_thread() is not threading.main_thread():
+            yield
+            return
+        watching = True
+        limit = self.seconds
+
+        def late(signum: int, frame: FrameType | None) -> None:
+            if watching:
+                raise DeadlineError(f"it ran longer than its deadline of {limit:g} s")
+
+        left = max(self._end - time.monotonic(), 1e-3)
+        before = signal.signal(signal.SIGALRM, late)
+        signal.setitimer(signal.ITIMER_REAL, left, _AGAIN)
+        if self._may_exit:
+            faulthandler.dump_traceback_later(left + _GRACE, exit=True)
+        try:
+            yield
+        finally:
+            watching = False
+            signal.setitimer(signal.ITIMER_REAL, 0)
+            signal.signal(signal.SIGALRM, before)
+            if self._may_exit:
+                faulthandler.cancel_dump_traceback_later()

@@ -1,0 +1,77 @@
+"""Who does the work: the interface, and the executor that does it in this very process."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+from factory.context import RunContext
+from factory.packing import Packed, PackJob, pack
+from factory.receipt import Receipt
+from factory.unit import Work
+from factory.worker import Worker
+
+__all__ = ["Executor", "InlineExecutor", "Task"]
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """Units that travel together.
+
+    until : number of stages to make
+    attempt : how many times these units were given out, this one included
+    last_try : running out of memory quarantines
+    memory : estimated bytes at the peak
+    """
+
+    work: tuple[Work, ...]
+    until: int
+    attempt: int = 1
+    last_try: bool = False
+    memory: int = 0
+
+    @property
+    def seconds(self) -> float:
+        """Estimated seconds of all its units."""
+        return sum(item.seconds for item in self.work)
+
+
+class Executor(Protocol):
+    """Runs tasks in any order; hands back one receipt for each unit, as they are done."""
+
+    @property
+    def workers(self) -> int:
+        """How many units are worked on at once."""
+        ...
+
+    def run(self, context: RunContext, tasks: Iterable[Task]) -> Iterator[Receipt]:
+        """Work ``tasks`` off. Closing the iterator stops what is under way; what is committed stays."""
+        ...
+
+    def pack(self, context: RunContext, jobs: Iterable[PackJob]) -> Iterator[Packed]:
+        """Write the parts of a snapshot."""
+        ...
+
+
+class InlineExecutor:
+    """All in this process, one unit after the other, without Ray: for debugging and for small runs."""
+
+    workers = 1
+
+    def run(self, context: RunContext, tasks: Iterable[Task]) -> Iterator[Receipt]:
+        worker = Worker(context)
+        for task in tasks:
+            for item in task.work:
+                receipt = self._one(worker, task, item, last_try=task.last_try)
+                if receipt.status == "memory":
+                    receipt = self._one(worker, task, item, last_try=True)
+                yield receipt
+
+    def _one(self, worker: Worker, task: Task, item: Work, *, last_try: bool) -> Receipt:
+        attempt = task.attempt + (last_try and not task.last_try)
+        return worker.work(item.unit, task.until, item.fingerprint, attempt=attempt, last_try=last_try)
+
+    def pack(self, context: RunContext, jobs: Iterable[PackJob]) -> Iterator[Packed]:
+        for job in jobs:
+            yield pack(context.store, context.pipeline, job, context.faults)

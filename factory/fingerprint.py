@@ -1,0 +1,75 @@
+"""The guard against a version that was not raised: keys and output hashes of a golden corpus, kept in a file.
+
+A stage whose rows change while its key stays would leave old and new rows side by side in every store, for ever. So a
+test makes a small corpus from scratch and compares: under an equal key, the rows must be equal.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from factory.pipeline import Pipeline
+from factory.run import run
+from factory.snapshot import Snapshot
+from factory.store import LocalStore
+from factory.unit import Unit
+from schemas.errors import ProofError
+
+__all__ = ["Drift", "Fingerprints", "compare", "fingerprints"]
+
+StageFingerprint: TypeAlias = Mapping[str, str]
+"""``key``, and for each table its logical hash."""
+
+Fingerprints: TypeAlias = Mapping[str, Mapping[str, StageFingerprint]]
+"""unit id → stage → fingerprint; plain JSON."""
+
+
+@dataclass(frozen=True)
+class Drift:
+    """How a corpus differs from its golden fingerprints.
+
+    unbumped : ``unit: stage`` whose rows changed under an equal key: the stage's version must be raised
+    outdated : ``unit: stage`` whose key changed, or that is new or gone: the golden file must be written anew
+    """
+
+    unbumped: tuple[str, ...]
+    outdated: tuple[str, ...]
+
+
+def fingerprints(pipeline: Pipeline, units: Iterable[Unit]) -> dict[str, dict[str, dict[str, str]]]:
+    """Make ``units`` from scratch, in this process, and tell keys and hashes.
+
+    Raises ``ProofError`` when a unit fails.
+    """
+    with tempfile.TemporaryDirectory(prefix="fingerprints-") as folder:
+        store = LocalStore(folder, durable=False)
+        report = run(pipeline, units, store)
+        if report.failures:
+            unit_id, failure = report.failures[0]
+            raise ProofError(f"{unit_id} failed in {failure.stage}: {failure.exception}: {failure.message}")
+        index = Snapshot.open(store).index()
+        return {
+            receipt.unit_id: {
+                stage.stage: {"key": stage.key.hex(), **{table.table: table.hash.hex() for table in stage.tables}}
+                for stage in receipt.stages
+            }
+            for receipt in index.receipts(range(len(index)), pipeline)
+        }
+
+
+def compare(golden: Fingerprints, found: Fingerprints) -> Drift:
+    """What changed from ``golden`` to ``found``."""
+    unbumped: list[str] = []
+    outdated: list[str] = []
+    for unit_id in sorted({*golden, *found}):
+        before, after = golden.get(unit_id, {}), found.get(unit_id, {})
+        for stage in dict.fromkeys([*before, *after]):
+            old, new = before.get(stage), after.get(stage)
+            if old == new:
+                continue
+            same_key = old is not None and new is not None and old["key"] == new["key"]
+            (unbumped if same_key else outdated).append(f"{unit_id}: {stage}")
+    return Drift(tuple(unbumped), tuple(outdated))

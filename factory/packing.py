@@ -1,0 +1,164 @@
+"""Packing: the rows of many units into few files.
+
+The units of a partition are spread over 2^k buckets by the CRC of their id, k the smallest that keeps a bucket's share
+below ``part_bytes``; so one changed unit rewrites one file of each table it changed in, and the same rows make the same
+files whatever their history. Sizes are those of the canonical buffers, since file sizes depend on the writer's version.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import zlib
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from factory.commits import Commits
+from factory.faults import FaultPlan
+from factory.pipeline import Pipeline, TableSpec
+from factory.rows import ROW_GROUP_ROWS, ZSTD_LEVEL, concatenated, logical_hash, parquet_bytes, schema_hash
+from factory.store import Store
+from schemas.canonical import digest
+from schemas.errors import CorruptShardError
+from schemas.snapshot import PartRecord
+
+__all__ = ["PART_BYTES", "PackJob", "Packed", "bucket_count", "buckets", "content_hash", "members_hash", "pack"]
+
+PART_BYTES: Final = 128 * 1024 * 1024
+"""Canonical bytes that one part may hold: a file of some 16-64 MB after zstd, packed within 1 GiB of memory."""
+
+READERS: Final = 16
+"""Requests to an object store at once while packing: each takes some tens of milliseconds and no CPU."""
+
+_BATCH: Final = 8192
+
+
+@dataclass(frozen=True, slots=True)
+class PackJob:
+    """One file to write.
+
+    members : columns unit_id, stage, key, hash, bytes; one row for each unit and stage with rows in it, by unit id
+    """
+
+    table: str
+    partition: str
+    bucket: int
+    path: str
+    content: str
+    members: pa.Table
+
+    @property
+    def logical_bytes(self) -> int:
+        """Canonical bytes of all members."""
+        return int(pc.sum(self.members.column("bytes")).as_py() or 0)
+
+
+@dataclass(frozen=True, slots=True)
+class Packed:
+    """What became of a job: the file, or the units whose committed files are damaged (and were removed)."""
+
+    table: str
+    partition: str
+    part: PartRecord | None
+    damaged: tuple[str, ...] = ()
+
+
+def buckets(members: pa.Table, part_bytes: int) -> Iterator[tuple[int, pa.Table]]:
+    """(bucket, members) of one table and partition; one empty bucket when there is no row at all."""
+    count = bucket_count(members, part_bytes)
+    if count == 1:
+        yield 0, members
+        return
+    numbers = np.fromiter(
+        (zlib.crc32(unit_id.encode()) % count for (unit_id,) in _rows(members, "unit_id")), np.int64, members.num_rows
+    )
+    order = np.argsort(numbers, kind="stable")
+    starts = np.searchsorted(numbers[order], np.arange(count + 1))
+    for bucket in range(count):
+        share = order[starts[bucket] : starts[bucket + 1]]
+        if len(share):
+            yield bucket, members.take(pa.array(share))
+
+
+def bucket_count(members: pa.Table, part_bytes: int) -> int:
+    """Number of buckets of one table and partition, a power of two."""
+    whole = int(pc.sum(members.column("bytes")).as_py() or 0)
+    count = 1
+    while count * part_bytes < whole:
+        count *= 2
+    return count
+
+
+def _rows(members: pa.Table, *names: str) -> Iterator[tuple[Any, ...]]:
+    """Values of some columns, row by row, without holding all of them as objects."""
+    for batch in members.select(list(names)).to_batches(max_chunksize=_BATCH):
+        yield from zip(*(column.to_pylist() for column in batch.columns), strict=True)
+
+
+def _in_threads(load: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
+    """As ``map``, with requests to a distant store side by side."""
+    with ThreadPoolExecutor(READERS) as pool:
+        yield from pool.map(load, items)
+
+
+def members_hash(members: pa.Table, state: Any = None) -> str:
+    """128-bit hash over (unit id, logical hash of its rows)."""
+    state = hashlib.sha256() if state is None else state
+    for unit_id, hash_ in _rows(members, "unit_id", "hash"):
+        name = unit_id.encode()
+        state.update(len(name).to_bytes(4, "little") + name + hash_)
+    found: str = state.hexdigest()[:32]
+    return found
+
+
+def content_hash(spec: TableSpec, members: pa.Table) -> str:
+    """128-bit hash of all that a part's bytes depend on (but for the versions of libraries)."""
+    settings = [schema_hash(spec.schema), *spec.sort_keys, str(ROW_GROUP_ROWS), str(ZSTD_LEVEL)]
+    return members_hash(members, hashlib.sha256(bytes.fromhex(digest(settings))))
+
+
+def pack(store: Store, pipeline: Pipeline, job: PackJob, faults: str = "") -> Packed:
+    """Write the file of ``job``; every unit's rows are checked against their logical hash on the way."""
+    plan = FaultPlan.parse(faults) if faults else FaultPlan.from_environment()
+    commits = Commits(store)
+    spec = pipeline.tables[job.table]
+    tables: list[pa.Table] = []
+    damaged = []
+
+    def load(member: tuple[Any, ...]) -> pa.Table | str:
+        unit_id, stage, key, hash_ = member
+        try:
+            table = commits.table(stage, key.hex(), job.table)
+            if logical_hash(table)[0] != hash_.hex():
+                raise CorruptShardError("the rows differ from the hash of their commit", where=job.table)
+        except CorruptShardError:
+            commits.discard(stage, key.hex())
+            return str(unit_id)
+        return table
+
+    rows = _rows(job.members, "unit_id", "stage", "key", "hash")
+    for found in map(load, rows) if store.lists_cheaply else _in_threads(load, rows):
+        if isinstance(found, str):
+            damaged.append(found)
+        else:
+            tables.append(found)
+    if damaged:
+        return Packed(job.table, job.partition, None, tuple(damaged))
+    whole = concatenated(iter(tables), spec, job.table)
+    metadata = {f"{pipeline.name}.table": job.table, f"{pipeline.name}.schema_version": pipeline.schema_version}
+    data = parquet_bytes(whole, sort_keys=spec.sort_keys, metadata=metadata)
+    store.write(job.path, data)
+    plan.reach("snapshot-between-parts")
+    part = PartRecord(
+        path=job.path.split("/", 2)[2],
+        rows=whole.num_rows,
+        bytes=len(data),
+        sha256=hashlib.sha256(data).hexdigest(),
+        content=job.content,
+    )
+    return Packed(job.table, job.partition, part)

@@ -1,0 +1,110 @@
+"""A pipeline: stages in their order, the aggregates between them, and the tables it publishes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import pyarrow as pa
+
+from factory.stage import Aggregate, Stage
+from schemas.errors import UsageError
+from schemas.version import SCHEMA_VERSION
+
+__all__ = ["Pipeline", "TableSpec", "plain_name"]
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.\-]{0,99}")
+
+
+def plain_name(name: str) -> bool:
+    """Whether ``name`` can be a file or a folder anywhere: ASCII letters, digits, ``_ . -``; at most 100 of them."""
+    return _NAME.fullmatch(name) is not None
+
+
+@dataclass(frozen=True)
+class TableSpec:
+    """The contract of one published table.
+
+    schema : exactly the columns of every file
+    sort_keys : columns that order the rows; together unique in the table
+    stage : the stage whose rows are published, or several whose rows are published together
+    """
+
+    schema: pa.Schema
+    sort_keys: tuple[str, ...]
+    stage: str | tuple[str, ...]
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """The stages whose rows are published."""
+        return (self.stage,) if isinstance(self.stage, str) else self.stage
+
+
+@dataclass(frozen=True)
+class Pipeline:
+    """Stages, aggregates and published tables; checked when it is made.
+
+    Raises ``UsageError`` naming the part that does not fit (a repeated name, a table no stage writes, an aggregate
+    that a stage needs before it can be there).
+    """
+
+    name: str
+    stages: tuple[Stage, ...]
+    tables: Mapping[str, TableSpec]
+    aggregates: tuple[Aggregate, ...] = ()
+    schema_version: str = SCHEMA_VERSION
+    _order: Mapping[str, int] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_order", {stage.name: at for at, stage in enumerate(self.stages)})
+        for kind, names in (
+            ("stage", [stage.name for stage in self.stages]),
+            ("aggregate", [aggregate.name for aggregate in self.aggregates]),
+            ("table", [*self.tables]),
+            ("pipeline", [self.name]),
+            *(("table", [*stage.tables]) for stage in self.stages),
+        ):
+            for name in names:
+                _require(plain_name(name), f"the {kind} name {name!r} is not a plain file name")
+                _require(names.count(name) == 1, f"two {kind}s are called {name!r}")
+        _require(bool(self.stages), "there is no stage")
+        for aggregate in self.aggregates:
+            _require(aggregate.after in self._order, f"aggregate {aggregate.name!r} follows no stage of this pipeline")
+        for at, stage in enumerate(self.stages):
+            for need in stage.needs:
+                found = [a for a in self.aggregates if a.name == need and self._order[a.after] < at]
+                _require(bool(found), f"stage {stage.name!r} needs {need!r}, which no earlier stage leads to")
+            for table in stage.reads or ():
+                _require(
+                    any(table in earlier.tables for earlier in self.stages[:at]),
+                    f"stage {stage.name!r} reads {table!r}, which no earlier stage writes",
+                )
+        for name, spec in self.tables.items():
+            for writer in spec.stages:
+                _require(
+                    writer in self._order and name in self.stages[self._order[writer]].tables,
+                    f"table {name!r} is published from stage {writer!r}, which does not write it",
+                )
+            _require(set(spec.sort_keys) <= set(spec.schema.names), f"table {name!r} lacks one of its sort keys")
+
+    def position(self, stage: str) -> int:
+        """Where ``stage`` stands in the chain."""
+        return self._order[stage]
+
+    def stage_tables(self, stage: Stage) -> tuple[tuple[str, TableSpec | None], ...]:
+        """The tables of ``stage`` with their contract, or None for tables that are not published."""
+        return tuple((name, self.tables.get(name)) for name in stage.tables)
+
+    def visible(self, at: int) -> tuple[tuple[str, int], ...]:
+        """(table, stage position) of what the stage at position ``at`` reads; the latest writer of a name wins."""
+        writers = {table: position for position, stage in enumerate(self.stages[:at]) for table in stage.tables}
+        reads = self.stages[at].reads
+        return tuple(
+            sorted((table, position) for table, position in writers.items() if reads is None or table in reads)
+        )
+
+
+def _require(holds: bool, what: str) -> None:
+    if not holds:
+        raise UsageError(f"the pipeline does not fit together: {what}")

@@ -1,0 +1,75 @@
+"""A plan: which units are missing, stale (and why), fresh or quarantined, and what it would cost to make them.
+
+It runs nothing. It is exact for everything that is known before running; a stage behind a stale one is POSSIBLE,
+since an equal output there would spare it (early cut-off).
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Literal
+
+from factory.spool import Spool
+
+__all__ = ["Plan", "PlanEntry", "Reason", "StagePlan", "UnitPlan"]
+
+Reason = Literal["data", "parameters", "code", "dependency", "partition"]
+StagePlan = Literal["FRESH", "STALE", "MISSING", "POSSIBLE", "QUARANTINED"]
+UnitPlan = Literal["FRESH", "STALE", "MISSING", "QUARANTINED"]
+
+
+@dataclass(frozen=True, slots=True)
+class PlanEntry:
+    """What a run would do with one unit.
+
+    reasons : what changed since it was published, for a stale unit
+    stages : what would become of each stage, up to one that skipped or failed
+    seconds : estimated cost of the stages that will run (POSSIBLE ones not counted)
+    possible_seconds : estimated cost of the POSSIBLE ones
+    detail : why it is quarantined
+    """
+
+    unit_id: str
+    partition: str
+    status: UnitPlan
+    reasons: tuple[Reason, ...] = ()
+    stages: tuple[tuple[str, StagePlan], ...] = ()
+    seconds: float = 0.0
+    possible_seconds: float = 0.0
+    detail: str = ""
+
+
+@dataclass
+class Plan:
+    """All entries, and their sums.
+
+    entries : on disk when there are many; iterate
+    removed : units that are published and no longer in the corpus
+    renamed : (old id, new id) of removed and missing units with the same bytes: their rows name them, so they are made
+    renewed : aggregates that would be built (none is pinned, or its version changed): units behind them show POSSIBLE
+    """
+
+    entries: Spool[PlanEntry]
+    counts: Counter[str] = field(default_factory=Counter)
+    reasons: Counter[str] = field(default_factory=Counter)
+    stages: Counter[str] = field(default_factory=Counter)
+    seconds: float = 0.0
+    possible_seconds: float = 0.0
+    removed: tuple[str, ...] = ()
+    renamed: tuple[tuple[str, str], ...] = ()
+    renewed: tuple[str, ...] = ()
+
+    @property
+    def empty(self) -> bool:
+        """Nothing would change."""
+        return not (self.counts["MISSING"] or self.counts["STALE"] or self.removed or self.renewed)
+
+    def add(self, entry: PlanEntry) -> None:
+        """Take one unit in."""
+        self.entries.append(entry)
+        self.counts[entry.status] += 1
+        self.reasons.update(entry.reasons)
+        self.stages.update(f"{stage} {status}" for stage, status in entry.stages)
+        self.seconds += entry.seconds
+        self.possible_seconds += entry.possible_seconds

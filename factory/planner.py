@@ -1,0 +1,279 @@
+"""Compares a corpus with the published index: cheaply for a run, exactly for a plan."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from itertools import islice
+from typing import Any, Final
+
+import numpy as np
+
+from factory.chain import Chain, SharedTables, receipt_of
+from factory.commits import Commits
+from factory.costs import CostModel
+from factory.index import Index, id_hashes
+from factory.key import Keyer, StageKey
+from factory.pipeline import Pipeline, plain_name
+from factory.plan import PlanEntry, Reason, StagePlan, UnitPlan
+from factory.receipt import Receipt, StageReceipt
+from factory.unit import Unit, Work
+from schemas.errors import CondVLNError, InputError, StageError, UsageError
+
+__all__ = ["Planner"]
+
+_BATCH: Final = 2048
+"""Units compared at a time."""
+
+PROBES: Final = 100
+"""Single questions to an object store after which everything committed is listed instead, a thousand to a request."""
+
+
+class Planner:
+    """Compares units with an index.
+
+    shared : hashes of the pinned aggregates; those not there yet are left out
+    stages : how many stages of the chain are planned (a first pass stops where an aggregate is built)
+    quarantined : (stage, key) pairs with a record that stands
+    again : ids of units that count as changed
+    """
+
+    def __init__(
+        self,
+        pipeline: Pipeline,
+        commits: Commits,
+        index: Index,
+        shared: Mapping[str, str],
+        quarantined: frozenset[tuple[str, str]] = frozenset(),
+        stages: int | None = None,
+        again: frozenset[str] = frozenset(),
+    ) -> None:
+        self.pipeline = pipeline
+        self.commits = commits
+        self.index = index
+        self.keyer = Keyer(pipeline)
+        self.stages = len(pipeline.stages) if stages is None else stages
+        self._whole = self.stages == len(pipeline.stages)
+        self._shared = SharedTables(commits, shared)
+        self._quarantined = quarantined
+        self._again = again
+        self._fingerprints = index.fingerprints()
+        self._statuses = index.statuses()
+        self._model = CostModel(index, pipeline)
+        self._probes = 0
+        self._listed: frozenset[tuple[str, str]] | None = None
+        self._seen: list[Any] = []
+        self._all_fresh: tuple[tuple[str, StagePlan], ...] = tuple((stage.name, "FRESH") for stage in pipeline.stages)
+        self.kept = np.zeros(len(index), dtype=bool)
+        """(rows of the index,) whether the unit is unchanged, so that its row is carried over."""
+        self.present = np.zeros(len(index), dtype=bool)
+        """(rows of the index,) whether the unit is still in the corpus."""
+
+    def compare(self, units: Iterable[Unit]) -> Iterator[tuple[Unit, bytes, int, bool]]:
+        """(unit, fingerprint, row in the index or -1, unchanged) of each unit.
+
+        Raises ``UsageError`` on a unit id that comes twice or can't be stored.
+        """
+        stream = iter(units)
+        while batch := [*islice(stream, _BATCH)]:
+            for unit in batch:
+                _check(unit)
+            ids = [unit.unit_id for unit in batch]
+            self._seen.append(id_hashes(ids))
+            rows = self.index.rows_of(ids).tolist()
+            for unit, row in zip(batch, rows, strict=True):
+                checked, fingerprint = self._fingerprint(unit)
+                if row >= 0:
+                    self.present[row] = True
+                fresh = row >= 0 and self._whole and fingerprint == self._fingerprints[row] and self._stands(row)
+                fresh = fresh and unit.unit_id not in self._again
+                if fresh:
+                    self.kept[row] = True
+                yield checked, fingerprint, row, fresh
+        seen = np.sort(np.concatenate(self._seen)) if self._seen else np.zeros(0, np.uint64)
+        if (seen[1:] == seen[:-1]).any():
+            raise UsageError("two units of this run have one id", remedy="Ids must be unique over all sources.")
+
+    def _stands(self, row: int) -> bool:
+        """A quarantined unit stands as long as its record does: without it, it is tried again."""
+        if self._statuses[row] != "quarantined":
+            return True
+        failure = self.index.receipt(row, self.pipeline).failure
+        return failure is not None and (failure.stage, failure.key.hex()) in self._quarantined
+
+    def status(self, row: int) -> str:
+        """Published status of the unit in ``row`` of the index."""
+        return self._statuses[row]
+
+    def _fingerprint(self, unit: Unit) -> tuple[Unit, bytes]:
+        if unit.fault is None:
+            try:
+                return unit, self.keyer.fingerprint(unit, self._shared.hashes, self.stages)
+            except CondVLNError as error:
+                fault = error if isinstance(error, InputError) else InputError(str(error))
+            except Exception as error:
+                fault = InputError(f"{type(error).__name__}: {error}", where=unit.unit_id)
+            unit = replace(unit, fault=fault)
+        return unit, id_hashes([unit.unit_id]).tobytes() + id_hashes([str(unit.fault)]).tobytes()
+
+    def work(self, units: Iterable[Unit]) -> Iterator[Work]:
+        """The units that a run must look at; the others are marked in ``kept``."""
+        for unit, fingerprint, row, fresh in self.compare(units):
+            if not fresh:
+                yield Work(unit, fingerprint, self._model.seconds(unit, row), self._model.memory(unit, row))
+
+    def entry(self, unit: Unit, row: int, fresh: bool) -> PlanEntry:
+        """What would become of one unit, exactly."""
+        if fresh and self._statuses[row] == "ok":
+            return PlanEntry(unit.unit_id, unit.partition, "FRESH", stages=self._all_fresh)
+        old = self.index.receipt(row, self.pipeline) if row >= 0 else None
+        if fresh:
+            assert old is not None
+            if old.failure is not None:
+                return self._quarantined_entry(unit, f"{old.failure.exception}: {old.failure.message}")
+            return PlanEntry(
+                unit.unit_id, unit.partition, "FRESH", stages=tuple((s.stage, "FRESH") for s in old.stages)
+            )
+        if unit.fault is not None:
+            return self._quarantined_entry(unit, str(unit.fault))
+        try:
+            return self._walk(unit, old)
+        except (StageError, InputError) as error:
+            return self._quarantined_entry(unit, str(error))
+
+    def _quarantined_entry(self, unit: Unit, detail: str) -> PlanEntry:
+        return PlanEntry(unit.unit_id, unit.partition, "QUARANTINED", detail=detail)
+
+    def _walk(self, unit: Unit, old: Receipt | None) -> PlanEntry:
+        before = {stage.stage: stage for stage in old.stages} if old else {}
+        chain = Chain(self.pipeline, self.keyer, self.commits, self._shared, unit)
+        stages: list[tuple[str, StagePlan]] = []
+        reasons: list[Reason] = []
+        if old is not None and old.partition != unit.partition:
+            reasons.append("partition")
+        while chain.at < self.stages:
+            stage = self.pipeline.stages[chain.at]
+            if not set(stage.needs) <= set(self._shared.hashes):
+                break  # its aggregate is not there yet
+            key = chain.key()
+            known = before.get(stage.name)
+            done = known if known is not None and known.key == key.key else self._committed(stage.name, key)
+            if done is None:
+                if (stage.name, key.hex) in self._quarantined:
+                    record = self.commits.quarantine_record(stage.name, key.hex)
+                    return self._quarantined_entry(unit, f"{record.exception}: {record.message}" if record else "")
+                if known is not None:
+                    reasons += _differences(known, key)
+                break
+            if known is not None and known.key != key.key:
+                reasons += _differences(known, key)
+            stages.append((stage.name, "FRESH"))
+            chain.add(done)
+            if done.skipped:
+                break
+        first = chain.at
+        if not (chain.done and chain.done[-1].skipped):
+            stages += self._behind(unit, first, before, reasons)
+        seconds, possible = self._costs(unit, stages, before)
+        status: UnitPlan = "MISSING" if old is None else "STALE"
+        if all(plan == "FRESH" for _, plan in stages):
+            # Everything is committed, by an interrupted run say: publishing is all that is left.
+            status = "FRESH" if old is None or not reasons else "STALE"
+        elif old is not None and not reasons:
+            # Its files are gone, or it failed and is tried again: as good as missing.
+            status = "MISSING"
+        return PlanEntry(
+            unit.unit_id,
+            unit.partition,
+            status,
+            reasons=tuple(sorted(set(reasons))),
+            stages=tuple(stages),
+            seconds=seconds,
+            possible_seconds=possible,
+        )
+
+    def _committed(self, stage: str, key: StageKey) -> StageReceipt | None:
+        self._probes += 1
+        if self._listed is None and self._probes > PROBES and not self.commits.store.lists_cheaply:
+            self._listed = frozenset(self.commits.committed())
+        if self._listed is not None and (stage, key.hex) not in self._listed:
+            return None
+        commit = self.commits.find(stage, key.hex)
+        return receipt_of(commit, made=False) if commit else None
+
+    def _behind(
+        self, unit: Unit, first: int, before: Mapping[str, StageReceipt], reasons: list[Reason]
+    ) -> Iterator[tuple[str, StagePlan]]:
+        """The stages from the first that is not done: that one runs, those that read from it perhaps."""
+        unsure = {first}
+        for at in range(first, self.stages):
+            stage = self.pipeline.stages[at]
+            known = before.get(stage.name)
+            if known is None:
+                yield stage.name, "MISSING" if at == first or not before else "POSSIBLE"
+                unsure.add(at)
+                continue
+            own: list[Reason] = []
+            if known.code != self.keyer.code(at):
+                own.append("code")
+            if known.parameters != self.keyer.parameters(unit, at):
+                own.append("parameters")
+            reasons += own
+            if at == first or own:
+                yield stage.name, "STALE"
+                unsure.add(at)
+            elif (
+                stage.needs
+                or stage.reads_inputs
+                or any(position in unsure for _, position in self.pipeline.visible(at))
+            ):
+                yield stage.name, "POSSIBLE"
+                unsure.add(at)
+            else:
+                yield stage.name, "FRESH"
+
+    def _costs(
+        self, unit: Unit, stages: list[tuple[str, StagePlan]], before: Mapping[str, StageReceipt]
+    ) -> tuple[float, float]:
+        share = self._model.seconds(unit, -1) / len(self.pipeline.stages)
+        sums = {"certain": 0.0, "possible": 0.0}
+        for name, plan in stages:
+            if plan != "FRESH":
+                known = before.get(name)
+                sums["possible" if plan == "POSSIBLE" else "certain"] += known.seconds if known else share
+        return sums["certain"], sums["possible"]
+
+    def renamed(self, missing: Mapping[bytes, str]) -> tuple[tuple[str, str], ...]:
+        """(old id, new id) of published units that are gone and whose bytes are those of a missing one.
+
+        missing : hash of the content → unit id
+        """
+        if not missing or "content" not in self.index.table.column_names:
+            return ()
+        gone = self.index.table.select(["unit_id", "content"]).filter(~self.present).to_pylist()
+        return tuple((row["unit_id"], missing[row["content"]]) for row in gone if row["content"] in missing)
+
+    def removed(self) -> tuple[str, ...]:
+        """Published units that were not in what was compared."""
+        return tuple(self.index.table.column("unit_id").filter(~self.present).to_pylist())
+
+
+def _differences(known: StageReceipt, key: StageKey) -> list[Reason]:
+    parts: tuple[tuple[Reason, str], ...] = (
+        ("code", "code"),
+        ("data", "inputs"),
+        ("parameters", "parameters"),
+        ("dependency", "dependencies"),
+    )
+    return [reason for reason, part in parts if getattr(known, part) != getattr(key, part)]
+
+
+def _check(unit: Unit) -> None:
+    try:
+        unit.unit_id.encode()
+    except UnicodeEncodeError as error:
+        raise UsageError(f"the unit id {unit.unit_id!r} is not text that can be stored") from error
+    if not unit.unit_id:
+        raise UsageError("a unit has an empty id")
+    if not plain_name(unit.partition):
+        raise UsageError(f"the partition {unit.partition!r} of {unit.unit_id} is not a plain folder name")

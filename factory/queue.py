@@ -1,0 +1,56 @@
+"""The order of work: biggest first, so that no big unit is left to run alone at the end; tiny units share a task."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterator
+from typing import Any, Final
+
+import numpy as np
+
+from factory.executor import Task
+from factory.spool import Spool
+from factory.unit import Work
+
+__all__ = ["Queue", "tasks"]
+
+TASK_SECONDS: Final = 2.0
+"""Units are put together until they make this much work: the cost of handing out a task is then below 1 %."""
+
+TASK_UNITS: Final = 64
+"""Most units of a task: their receipts, 2 kB each at most, stay small enough to be handed back directly."""
+
+
+class Queue:
+    """Tasks over a spool of work, made one by one; in memory are only costs and positions."""
+
+    def __init__(self, work: Spool[Work], until: int, workers: int) -> None:
+        self._work = work
+        self._until = until
+        costs = array("d", (item.seconds for item in work))
+        self._costs: Any = np.frombuffer(costs, dtype=np.float64) if len(costs) else np.zeros(0)
+        self.seconds = float(self._costs.sum())
+        # Towards the end all workers should stay busy, so no task takes more than a small part of one worker's share.
+        self._target = min(TASK_SECONDS, self.seconds / (4 * max(workers, 1)))
+
+    def __iter__(self) -> Iterator[Task]:
+        held: list[Work] = []
+        seconds = 0.0
+        # Equal costs keep the order they came in.
+        for at in np.argsort(-self._costs, kind="stable").tolist():
+            item = self._work[at]
+            held.append(item)
+            seconds += item.seconds
+            if seconds >= self._target or len(held) >= TASK_UNITS:
+                yield self._task(held)
+                held, seconds = [], 0.0
+        if held:
+            yield self._task(held)
+
+    def _task(self, held: list[Work]) -> Task:
+        return Task(tuple(held), self._until, memory=max(item.memory for item in held))
+
+
+def tasks(work: Spool[Work], until: int, workers: int) -> Queue:
+    """The tasks of ``work``, biggest units first."""
+    return Queue(work, until, workers)

@@ -1,0 +1,276 @@
+"""Tasks through Ray: how many are in flight, and whose fault it is when one does not come back.
+
+Ray itself retries nothing here. A dead worker or node gives its units back, one by one from then on, so that the one
+which kills workers is found; after ``SYSTEM_TRIES`` it is quarantined. Running out of memory gives a unit one more try
+with twice the memory.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import secrets
+import time
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+from factory.context import RunContext
+from factory.executor import Task
+from factory.packing import Packed, PackJob, pack
+from factory.ray_metrics import RunMetrics
+from factory.receipt import Receipt
+from factory.worker import Worker
+from schemas.errors import StoreError, TransientIOError
+
+__all__ = ["Dispatch", "pack_task", "work_task"]
+
+SYSTEM_TRIES: Final = 3
+"""Deaths of workers that a unit may cause before it is quarantined."""
+
+LATE_TRIES: Final = 2
+"""Deaths of workers past the deadline before a unit is quarantined: one may be by chance, since waiting counts too."""
+
+NODE_TRIES: Final = 10
+"""Losses of whole nodes that a unit may see: spot nodes go away, and that is no fault of the unit."""
+
+TRANSIENT_TRIES: Final = 5
+"""Tries of a task whose store did not answer."""
+
+TASKS_PER_CPU: Final = 2
+"""Tasks in flight for each CPU: one runs, one waits, so that no worker idles while the driver looks away."""
+
+LEAST_IN_FLIGHT: Final = 8
+"""Tasks in flight on a cluster that has no CPUs yet, for an autoscaler to see."""
+
+PACK_FACTOR: Final = 6
+"""Memory of packing a part in multiples of its canonical bytes: rows read, sorted, written, with a margin."""
+
+_workers: dict[str, Worker] = {}
+"""In a worker process: the worker of the dispatch it serves, by name."""
+
+
+def _worker(name: str, context: Sequence[Any]) -> Worker:
+    import ray
+
+    if name not in _workers:
+        _workers.clear()
+        _workers[name] = Worker(ray.get(context[0]), may_exit=True)
+    return _workers[name]
+
+
+def work_task(name: str, context: Sequence[Any], task: Task) -> list[Receipt]:
+    """In a worker process: work a task off."""
+    worker = _worker(name, context)
+    return [
+        worker.work(item.unit, task.until, item.fingerprint, attempt=task.attempt, last_try=task.last_try)
+        for item in task.work
+    ]
+
+
+def pack_task(name: str, context: Sequence[Any], job: PackJob) -> list[Packed]:
+    """In a worker process: write a part."""
+    run = _worker(name, context).context
+    return [pack(run.store, run.pipeline, job, run.faults)]
+
+
+@dataclass(frozen=True, slots=True)
+class _Flight:
+    """Something handed to Ray.
+
+    tries : how often it was handed out, deaths of nodes not counted
+    nodes : how many nodes were lost under it
+    late : how many workers died under it when its deadline was over
+    """
+
+    item: Any
+    tries: int = 1
+    nodes: int = 0
+    late: int = 0
+
+
+class Dispatch:
+    """One stream of tasks through Ray, bounded in flight. Ray must be up.
+
+    function : ``work_task`` or ``pack_task``
+    grows : the cluster may gain CPUs when tasks wait for them
+    """
+
+    def __init__(self, context: RunContext, function: Any, *, grows: bool) -> None:
+        import ray
+
+        self._ray = ray
+        self._least = LEAST_IN_FLIGHT if grows else 2
+        self._context = context
+        self._shipped = [ray.put(context)]
+        # A run has several contexts, one for each pass.
+        self._name = secrets.token_hex(8)
+        self._remote = ray.remote(function)
+        self._flying: dict[Any, tuple[_Flight, float]] = {}
+        self._metrics = RunMetrics()
+        self._again: deque[_Flight] = deque()
+        self._cpus, self._memory = 0.0, 0.0
+        self._looked = -1e9
+        # Only the driver's side of a worker: it never runs a stage.
+        self._driver = Worker(context)
+
+    # ---- flow
+
+    def units(self, tasks: Iterable[Task]) -> Iterator[Receipt]:
+        for flight, result in self._stream((_Flight(task) for task in tasks), _task_memory):
+            if isinstance(result, BaseException):
+                error, kind = _unwrapped(result)
+                self._metrics.failed(kind)
+                for receipt in self._failed(flight, error, kind):
+                    self._metrics.unit(receipt)
+                    yield receipt
+                continue
+            for receipt, item in zip(result, flight.item.work, strict=True):
+                if receipt.status == "memory":
+                    self._metrics.failed("memory")
+                    self._more_memory(flight, replace(flight.item, work=(item,)))
+                else:
+                    self._metrics.unit(receipt)
+                    yield receipt
+
+    def packs(self, jobs: Iterable[PackJob]) -> Iterator[Packed]:
+        for flight, result in self._stream((_Flight(job) for job in jobs), _pack_memory):
+            if isinstance(result, BaseException):
+                error, _ = _unwrapped(result)
+                if flight.tries >= SYSTEM_TRIES or not _is_system(self._ray, result):
+                    raise StoreError(f"{flight.item.path} could not be packed: {error}") from error
+                self._again.append(replace(flight, tries=flight.tries + 1))
+            else:
+                yield from result
+
+    def _stream(self, flights: Iterator[_Flight], memory: Any) -> Iterator[tuple[_Flight, Any]]:
+        """(flight, list of results or the exception), as they come; failed ones may be put into ``_again``."""
+        more = True
+        try:
+            while True:
+                while more and len(self._flying) + len(self._again) < self._room():
+                    flight = next(flights, None)
+                    if flight is None:
+                        more = False
+                    else:
+                        self._again.append(flight)
+                while self._again and len(self._flying) < self._room():
+                    flight = self._again.popleft()
+                    asked = self._bounded(memory(flight.item))
+                    remote = self._remote.options(num_cpus=1, memory=asked, max_retries=0)
+                    reference = remote.remote(self._name, self._shipped, flight.item)
+                    self._flying[reference] = (flight, time.monotonic())
+                self._metrics.in_flight(len(self._flying))
+                if not self._flying:
+                    return
+                # The timeout lets signals through and the cluster's growth be seen.
+                done, _ = self._ray.wait([*self._flying], num_returns=1, timeout=1.0)
+                for reference in done:
+                    flight, since = self._flying.pop(reference)
+                    try:
+                        result: Any = self._ray.get(reference)
+                    except self._ray.exceptions.RayError as error:
+                        result = error
+                        limit = self._context.deadline
+                        if limit is not None and time.monotonic() - since >= limit:
+                            flight = replace(flight, late=flight.late + 1)
+                    yield flight, result
+        finally:
+            for reference in self._flying:
+                with contextlib.suppress(Exception):
+                    self._ray.cancel(reference, force=True)
+            self._flying.clear()
+            self._metrics.in_flight(0)
+
+    def _room(self) -> int:
+        """Tasks that may be in flight now."""
+        now = time.monotonic()
+        if now - self._looked > 5.0:
+            self._looked = now
+            self._cpus = self._ray.cluster_resources().get("CPU", 0.0)  # type: ignore[no-untyped-call]
+            nodes = [node for node in self._ray.nodes() if node["Alive"]]  # type: ignore[no-untyped-call]
+            self._memory = max((node["Resources"].get("memory", 0.0) for node in nodes), default=0.0)
+        return max(int(self._cpus * TASKS_PER_CPU), self._least)
+
+    def _bounded(self, memory: float) -> int:
+        """A request that some node can meet: a bigger one would wait for ever."""
+        return int(min(memory, self._memory * 0.9)) if self._memory else int(memory)
+
+    # ---- failures
+
+    def _failed(self, flight: _Flight, error: BaseException, kind: str) -> Iterator[Receipt]:
+        task: Task = flight.item
+        if kind == "raised":
+            if isinstance(error, TransientIOError) and flight.tries < TRANSIENT_TRIES:
+                time.sleep(min(0.2 * 4**flight.tries, 10.0))
+                self._again.append(replace(flight, tries=flight.tries + 1))
+                return
+            raise error
+        if kind == "memory":
+            yield from self._out_of_memory(flight, error)
+            return
+        tries, nodes = flight.tries + (kind == "worker"), flight.nodes + (kind == "node")
+        attempts = tries + nodes - 1
+        if len(task.work) == 1 and kind == "worker" and flight.late >= LATE_TRIES:
+            message = (
+                f"it ran longer than its deadline of {self._context.deadline:g} s in compiled code, which can't be "
+                "interrupted, so its worker was ended; the worker's log shows where it was"
+            )
+            yield self._driver.blame(task.work[0], task.until, "deadline", "DeadlineError", message, attempts=attempts)
+            return
+        if len(task.work) == 1 and (tries > SYSTEM_TRIES or nodes > NODE_TRIES):
+            message = f"{attempts} workers died while they had this unit. {error}"
+            yield self._driver.blame(
+                task.work[0], task.until, "worker", type(error).__name__, message, attempts=attempts
+            )
+            return
+        # A task of many may have one that kills: from now on each goes alone, those that are committed just pass.
+        for item in task.work:
+            single = replace(task, work=(item,), attempt=task.attempt + 1, memory=item.memory)
+            alone = len(task.work) == 1
+            self._again.append(_Flight(single, tries if alone else 1, nodes, flight.late if alone else 0))
+
+    def _out_of_memory(self, flight: _Flight, error: BaseException) -> Iterator[Receipt]:
+        task: Task = flight.item
+        for item in task.work:
+            if task.last_try:
+                message = f"out of memory with {task.memory / 2**20:.0f} MiB asked for. {error}"
+                yield self._driver.blame(
+                    item, task.until, "memory", type(error).__name__, message, attempts=task.attempt
+                )
+            else:
+                self._more_memory(flight, replace(task, work=(item,), memory=item.memory))
+
+    def _more_memory(self, flight: _Flight, task: Task) -> None:
+        """Once more, alone, with twice the memory."""
+        doubled = replace(task, attempt=task.attempt + 1, last_try=True, memory=2 * task.memory)
+        self._again.append(_Flight(doubled, flight.tries, flight.nodes))
+
+
+def _task_memory(task: Task) -> int:
+    return task.memory
+
+
+def _pack_memory(job: PackJob) -> int:
+    return PACK_FACTOR * job.logical_bytes + 64 * 1024 * 1024
+
+
+def _unwrapped(error: BaseException) -> tuple[BaseException, str]:
+    """(the cause, raised | memory | node | worker)."""
+    import ray
+
+    if isinstance(error, ray.exceptions.RayTaskError):
+        return (error.cause if isinstance(error.cause, BaseException) else error), "raised"
+    if isinstance(error, ray.exceptions.OutOfMemoryError):
+        return error, "memory"
+    if isinstance(
+        error, (ray.exceptions.NodeDiedError, ray.exceptions.LocalRayletDiedError, ray.exceptions.ObjectLostError)
+    ):
+        return error, "node"
+    if isinstance(error, ray.exceptions.WorkerCrashedError):
+        return error, "worker"
+    return error, "raised"
+
+
+def _is_system(ray: Any, error: BaseException) -> bool:
+    return not isinstance(error, ray.exceptions.RayTaskError)

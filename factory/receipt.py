@@ -1,0 +1,92 @@
+"""What a worker hands back for a unit: what was made and its hashes, never rows. At most 2 kB pickled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+__all__ = ["Failure", "Receipt", "StageReceipt", "Status", "TableReceipt"]
+
+Status = Literal["ok", "skipped", "quarantined", "partial", "memory"]
+"""``partial``: well so far, made only up to the stage that was asked for; ``memory``: to be tried once with more."""
+
+
+@dataclass(frozen=True, slots=True)
+class TableReceipt:
+    """One table of one stage: 16-byte logical hash, rows, bytes of its canonical buffers."""
+
+    table: str
+    hash: bytes
+    rows: int
+    logical_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class StageReceipt:
+    """One stage of a unit: its key and the parts of it (16 bytes each), and what it cost when it was made.
+
+    made : it was made just now, rather than found committed
+    skipped : it ended the unit's chain
+    """
+
+    stage: str
+    key: bytes
+    code: bytes
+    inputs: bytes
+    parameters: bytes
+    dependencies: bytes
+    seconds: float
+    peak_rss: int
+    made: bool
+    skipped: bool
+    tables: tuple[TableReceipt, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """Why and where a unit was quarantined; the whole record is in the store.
+
+    known : it stood in quarantine already and was not tried again
+    """
+
+    stage: str
+    key: bytes
+    cause: str
+    exception: str
+    message: str
+    known: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Receipt:
+    """One unit, done with.
+
+    estimate : the unit's own estimate of its seconds, from which the cost model learns
+    content : hash of its files' bytes without their paths, by which a renamed unit is known
+    """
+
+    unit_id: str
+    partition: str
+    status: Status
+    reason: str
+    fingerprint: bytes
+    stages: tuple[StageReceipt, ...]
+    failure: Failure | None = None
+    attempts: int = 1
+    estimate: float = 0.0
+    content: bytes = b""
+
+    @property
+    def made(self) -> int:
+        """How many stages were made just now."""
+        return sum(stage.made for stage in self.stages)
+
+    @property
+    def seconds(self) -> float:
+        """Seconds spent just now."""
+        return sum(stage.seconds for stage in self.stages if stage.made)
+
+    @property
+    def rows(self) -> int:
+        """Rows of all its tables."""
+        return sum(table.rows for stage in self.stages for table in stage.tables)

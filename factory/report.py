@@ -1,0 +1,152 @@
+"""What a run tells: while it goes (``Progress``) and when it is done (``RunReport``)."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Final, Protocol
+
+from factory import machine
+from factory.receipt import Failure, Receipt
+from factory.store import Store
+from schemas.snapshot import RunFailure, RunRecord
+
+__all__ = ["ABORTED", "DONE", "WITH_QUARANTINE", "FailureBudget", "Progress", "RunReport", "Silence"]
+
+DONE: Final = 0
+WITH_QUARANTINE: Final = 3
+ABORTED: Final = 4
+
+LISTED_FAILURES: Final = 1000
+"""Failures that a report lists; the index and the quarantine have all of them."""
+
+
+RECORDED_FAILURES: Final = 100
+"""Failures told in a run's record."""
+
+
+@dataclass(frozen=True)
+class FailureBudget:
+    """How many units may be quarantined before a run stops: a number, or a share of all units."""
+
+    units: int | None = None
+    share: float | None = None
+
+    @classmethod
+    def of(cls, value: FailureBudget | float | None) -> FailureBudget:
+        """A whole number counts units, a fraction is a share, None is no limit."""
+        if isinstance(value, FailureBudget):
+            return value
+        if value is None:
+            return cls()
+        return cls(share=value) if isinstance(value, float) else cls(units=int(value))
+
+    def exceeded(self, failed: int, units: int) -> bool:
+        """Whether ``failed`` of ``units`` are too many."""
+        if self.units is not None and failed > self.units:
+            return True
+        return self.share is not None and failed > self.share * units
+
+
+class Progress(Protocol):
+    """Told what happens; draws it, logs it, or measures it. Called from the driver's thread only."""
+
+    def phase(self, name: str, total: int, seconds: float) -> None:
+        """A phase begins: its name, how many steps it has, and their estimated cost in seconds of one worker."""
+        ...
+
+    def unit(self, receipt: Receipt) -> None:
+        """A unit is done, well or not."""
+        ...
+
+    def step(self) -> None:
+        """A step of a phase without units (a file packed) is done."""
+        ...
+
+    def note(self, message: str) -> None:
+        """Something a person should know."""
+        ...
+
+
+class Silence:
+    """Progress that nobody watches."""
+
+    def phase(self, name: str, total: int, seconds: float) -> None: ...
+
+    def unit(self, receipt: Receipt) -> None: ...
+
+    def step(self) -> None: ...
+
+    def note(self, message: str) -> None: ...
+
+
+@dataclass
+class RunReport:
+    """The end of a run.
+
+    exit_code : 0 done, 3 done with quarantined units, 4 stopped over the failure budget
+    snapshot_id : what is published at the end; None when the run was stopped
+    published : the ref was moved
+    counts : units: total, ok, skipped, quarantined; fresh (unchanged, not looked at), made, reused (looked at, and all
+        was committed already); removed
+    failures : (unit id, failure), at most ``LISTED_FAILURES``
+    stages : stages made just now, by name
+    seconds : the run, by the clock
+    message : why it was stopped, or why nothing was published (another run was faster)
+    record : path in the store of the run's record; empty when there was nothing to do
+    """
+
+    exit_code: int = DONE
+    snapshot_id: str | None = None
+    published: bool = False
+    counts: Counter[str] = field(default_factory=Counter)
+    failures: list[tuple[str, Failure]] = field(default_factory=list)
+    stages: Counter[str] = field(default_factory=Counter)
+    stage_seconds: Counter[str] = field(default_factory=Counter)
+    peak_rss: int = 0
+    seconds: float = 0.0
+    message: str = ""
+    record: str = ""
+
+    def fail(self, unit_id: str, failure: Failure) -> None:
+        """Count a quarantined unit."""
+        self.counts["quarantined"] += 1
+        if len(self.failures) < LISTED_FAILURES:
+            self.failures.append((unit_id, failure))
+
+    def write(
+        self, store: Store, *, token: str, pipeline: str, ref: str, executor: str, started_at: str, revision: str
+    ) -> None:
+        """Leave a record of the run in the store: ``runs/<started_at>-<token>.json``."""
+        failures = [
+            RunFailure(
+                unit_id=unit_id,
+                stage=failure.stage,
+                key=failure.key.hex(),
+                cause=failure.cause,
+                exception=failure.exception,
+                message=failure.message,
+            )
+            for unit_id, failure in self.failures[:RECORDED_FAILURES]
+        ]
+        record = RunRecord(
+            token=token,
+            pipeline=pipeline,
+            ref=ref,
+            executor=executor,
+            started_at=started_at,
+            seconds=round(self.seconds, 3),
+            exit_code=self.exit_code,
+            snapshot_id=self.snapshot_id,
+            published=self.published,
+            counts=dict(self.counts),
+            stages=dict(self.stages),
+            stage_seconds={name: round(seconds, 3) for name, seconds in self.stage_seconds.items()},
+            peak_rss=self.peak_rss,
+            failures=failures,
+            message=self.message,
+            host=machine.host(),
+            revision=revision,
+        )
+        self.record = f"runs/{started_at}-{token}.json"
+        store.write(self.record, record.model_dump_json(indent=1).encode())

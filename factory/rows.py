@@ -1,0 +1,246 @@
+"""Rows with one form: sorted, with exactly their contract's columns, hashed whatever the encoding.
+
+The logical hash covers column names, types and values. It does not depend on chunks, dictionary or run-end encoding,
+the bytes under nulls, offsets of slices, or the version of pyarrow (whose IPC padding and metadata may change), and so
+it names the same rows in every store and across upgrades. NaNs count as one value; 0.0 and -0.0 as two.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from factory.pipeline import TableSpec
+from schemas.errors import CorruptShardError, StageError
+
+__all__ = ["ROW_GROUP_ROWS", "canonical_table", "logical_hash", "parquet_bytes", "parquet_table", "schema_hash"]
+
+ROW_GROUP_ROWS: Final = 122_880
+"""Rows of a row group: DuckDB's default, its unit of parallelism."""
+
+ZSTD_LEVEL: Final = 3
+"""Level 9 gains less than 1 % on these tables and costs several times as much."""
+
+
+def canonical_table(table: pa.Table, spec: TableSpec | None, name: str) -> pa.Table:
+    """``table`` in its one form: columns, types and order of ``spec``; a table without a contract keeps its own.
+
+    Raises ``StageError`` on missing or extra columns, values that do not fit, nulls where none may be, and rows that
+    the sort keys do not tell apart.
+    """
+    if spec is None:
+        return table.replace_schema_metadata(None).combine_chunks()
+    if set(table.column_names) != set(spec.schema.names):
+        missing = [c for c in spec.schema.names if c not in table.column_names]
+        extra = [c for c in table.column_names if c not in spec.schema.names]
+        raise StageError(f"table {name!r} does not have its columns: missing {missing}, extra {extra}")
+    try:
+        cast = table.select(spec.schema.names).cast(spec.schema.remove_metadata()).combine_chunks()
+    except (pa.ArrowInvalid, pa.ArrowNotImplementedError, ValueError) as error:
+        raise StageError(f"table {name!r} does not fit its schema: {error}") from error
+    for field in spec.schema:
+        _refuse_nulls(cast.column(field.name), field, f"{name}.{field.name}")
+    return _sorted(cast, spec.sort_keys, name)
+
+
+def _sorted(table: pa.Table, keys: tuple[str, ...], name: str) -> pa.Table:
+    if table.num_rows < 2 or not keys:
+        return table
+    order = pc.sort_indices(table, sort_keys=[(key, "ascending") for key in keys])
+    if not np.array_equal(order.to_numpy(), np.arange(table.num_rows, dtype=np.uint64)):
+        table = table.take(order).combine_chunks()
+    same = np.ones(table.num_rows - 1, dtype=bool)
+    for key in keys:
+        column = table.column(key)
+        one, two = column.slice(0, table.num_rows - 1), column.slice(1)
+        equal = pc.or_(pc.fill_null(pc.equal(one, two), False), pc.and_(pc.is_null(one), pc.is_null(two)))
+        same &= equal.to_numpy().astype(bool)
+    if same.any():
+        row = table.slice(int(np.argmax(same)), 1).select(list(keys)).to_pylist()[0]
+        raise StageError(f"table {name!r} has two rows with the sort keys {row}; together they must be unique")
+    return table
+
+
+def _refuse_nulls(column: Any, field: pa.Field, where: str) -> None:
+    for array in column.chunks if isinstance(column, pa.ChunkedArray) else [column]:
+        if not field.nullable and array.null_count:
+            raise StageError(f"{where} has {array.null_count} nulls, and its schema allows none")
+        if pa.types.is_struct(field.type):
+            # Fields of a null struct are null themselves, so only whole structs are looked into.
+            whole = array.drop_null() if array.null_count else array
+            for at in range(field.type.num_fields):
+                _refuse_nulls(whole.field(at), field.type.field(at), f"{where}.{field.type.field(at).name}")
+        elif pa.types.is_list(field.type) or pa.types.is_large_list(field.type):
+            _refuse_nulls(array.flatten(), field.type.value_field, f"{where}[]")
+
+
+def logical_hash(table: pa.Table) -> tuple[str, int]:
+    """(128-bit hash in hexadecimal, size in bytes) of the rows of ``table`` in the order they have.
+
+    Raises ``StageError`` on a column type that has no canonical form here (maps, unions).
+    """
+    feed = _Feed()
+    for field, column in zip(table.schema, table.columns, strict=True):
+        feed.add(f"{field.name}:{_type_name(field.type)}".encode())
+        chunks = column.chunks
+        feed.array(chunks[0] if len(chunks) == 1 else pa.concat_arrays(chunks) if chunks else _empty(field.type))
+    return feed.hash.hexdigest()[:32], feed.size
+
+
+def schema_hash(schema: pa.Schema) -> str:
+    """128-bit hash of names, types and nullability of the columns, in their order."""
+    text = ";".join(f"{f.name}:{_type_name(f.type)}{'?' if f.nullable else ''}" for f in schema)
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+def _empty(kind: pa.DataType) -> Any:
+    return pa.array([], type=kind)
+
+
+def _type_name(kind: pa.DataType) -> str:
+    """A name that does not depend on how a version of pyarrow prints types, nor on how the values are encoded."""
+    if pa.types.is_dictionary(kind) or pa.types.is_run_end_encoded(kind):
+        return _type_name(kind.value_type)
+    if isinstance(kind, pa.BaseExtensionType):
+        return _type_name(kind.storage_type)
+    if pa.types.is_struct(kind):
+        return "struct(" + ",".join(f"{f.name}:{_type_name(f.type)}{'?' if f.nullable else ''}" for f in kind) + ")"
+    if pa.types.is_fixed_size_list(kind):
+        return f"list[{kind.list_size}]({_type_name(kind.value_type)})"
+    if pa.types.is_list(kind) or pa.types.is_large_list(kind):
+        return f"list({_type_name(kind.value_type)}{'?' if kind.value_field.nullable else ''})"
+    if pa.types.is_string(kind) or pa.types.is_large_string(kind) or pa.types.is_string_view(kind):
+        return "string"
+    if pa.types.is_binary(kind) or pa.types.is_large_binary(kind) or pa.types.is_binary_view(kind):
+        return "binary"
+    return str(kind)
+
+
+class _Feed:
+    """Feeds arrays to a hash; every value is framed by its length, so that no two tables feed the same bytes."""
+
+    def __init__(self) -> None:
+        self.hash = hashlib.sha256()
+        self.size = 0
+
+    def add(self, data: Any) -> None:
+        view = memoryview(data).cast("B") if len(data) else memoryview(b"")
+        self.hash.update(len(view).to_bytes(8, "little"))
+        self.hash.update(view)
+        self.size += len(view)
+
+    def array(self, array: Any) -> None:
+        kind = array.type
+        if pa.types.is_dictionary(kind):
+            self.array(array.dictionary_decode())
+            return
+        if pa.types.is_run_end_encoded(kind):
+            self.array(pc.run_end_decode(array))
+            return
+        if isinstance(kind, pa.BaseExtensionType):
+            self.array(array.storage)
+            return
+        self.hash.update(len(array).to_bytes(8, "little"))
+        valid = None
+        if array.null_count:
+            valid = array.is_valid().to_numpy(zero_copy_only=False)
+            self.add(np.packbits(valid))
+        else:
+            self.add(b"")
+        if pa.types.is_null(kind):
+            return
+        if pa.types.is_struct(kind):
+            for child in array.flatten():
+                self.array(child)
+        elif pa.types.is_list(kind) or pa.types.is_large_list(kind):
+            self.add(pc.fill_null(pc.list_value_length(array), 0).to_numpy().astype("<i8"))
+            self.array(array.flatten())
+        elif pa.types.is_fixed_size_list(kind):
+            self.array(array.flatten())
+        elif _type_name(kind) in ("string", "binary"):
+            self._variable(array)
+        elif pa.types.is_boolean(kind):
+            self.add(np.packbits(pc.fill_null(array, False).to_numpy(zero_copy_only=False)))
+        elif pa.types.is_primitive(kind) or pa.types.is_decimal(kind) or pa.types.is_fixed_size_binary(kind):
+            self._fixed(array, valid)
+        else:
+            raise StageError(f"columns of type {kind} have no canonical form; use structs and lists")
+
+    def _variable(self, array: Any) -> None:
+        if array.null_count:
+            array = pc.fill_null(array, "" if _type_name(array.type) == "string" else b"")
+        large = array.cast(pa.large_string() if _type_name(array.type) == "string" else pa.large_binary())
+        _, offsets, data = large.buffers()
+        ends = (
+            np.frombuffer(offsets, "<i8", count=len(large) + 1, offset=large.offset * 8) if len(large) else np.zeros(1)
+        )
+        self.add(np.diff(ends).astype("<i8"))
+        first, last = int(ends[0]), int(ends[-1])
+        self.add(memoryview(data)[first:last] if data is not None and last > first else b"")
+
+    def _fixed(self, array: Any, valid: Any) -> None:
+        width = array.type.bit_width // 8
+        buffer = array.buffers()[1]
+        if buffer is None or len(array) == 0:
+            self.add(b"")
+            return
+        raw = np.frombuffer(buffer, np.uint8, count=len(array) * width, offset=array.offset * width)
+        if pa.types.is_floating(array.type):
+            values = raw.view(f"<f{width}").copy()
+            values[np.isnan(values)] = np.nan
+            raw = values.view(np.uint8)
+        if valid is not None:
+            raw = raw.reshape(-1, width).copy()
+            raw[~valid] = 0
+        self.add(np.ascontiguousarray(raw).reshape(-1))
+
+
+def parquet_bytes(
+    table: pa.Table, *, sort_keys: tuple[str, ...] = (), metadata: Mapping[str, str] | None = None
+) -> Any:
+    """``table`` as one Parquet file in memory, from one ``write_table``, so that equal tables give equal bytes."""
+    sink = pa.BufferOutputStream()
+    pq.write_table(
+        table.replace_schema_metadata(dict(metadata) if metadata else None),
+        sink,
+        compression="zstd",
+        compression_level=ZSTD_LEVEL,
+        row_group_size=ROW_GROUP_ROWS,
+        write_page_index=True,
+        sorting_columns=pq.SortingColumn.from_ordering(table.schema, [(key, "ascending") for key in sort_keys])
+        if sort_keys
+        else None,
+    )
+    return sink.getvalue()
+
+
+def parquet_table(data: Any, where: str, columns: Iterable[str] | None = None) -> pa.Table:
+    """The table in ``data``, as it was before it was written (columns' types included).
+
+    Raises ``CorruptShardError`` when it is not a Parquet file.
+    """
+    try:
+        table = pq.read_table(
+            pa.BufferReader(data), columns=None if columns is None else list(columns), use_threads=False
+        )
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise CorruptShardError(f"not a readable Parquet file: {error}", where=where) from error
+    return pa.table(table.columns, schema=_plain(table.schema))
+
+
+def _plain(schema: pa.Schema) -> pa.Schema:
+    return pa.schema([field.remove_metadata() for field in schema])
+
+
+def concatenated(tables: Iterator[pa.Table], spec: TableSpec, name: str) -> pa.Table:
+    """Rows of several canonical tables of one contract, in its order."""
+    whole = [*tables]
+    if not whole:
+        return spec.schema.remove_metadata().empty_table()
+    return _sorted(pa.concat_tables(whole).combine_chunks(), spec.sort_keys, name)

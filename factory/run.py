@@ -1,0 +1,329 @@
+"""A run: plan, work off what changed, compose a snapshot, publish it.
+
+::
+
+    units ──► compare with the published index ──► tasks, biggest first ──► executor ──► receipts
+                        │ unchanged                                                         │
+                        └────────────────► new index ◄──────────────────────────────────────┘
+                                             │ same rows, same id
+                                             ▼
+                        parts (carried over or packed) ──► manifest ──► index ──► ref
+
+Where an aggregate is not pinned, a first pass runs all units up to the stage it follows, then builds and pins it.
+Everything between two commits may die; the next run finds what was committed and goes on.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import secrets
+import signal
+import threading
+import time
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from types import FrameType
+from typing import Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from factory.commits import Commits
+from factory.context import RunContext
+from factory.executor import Executor, InlineExecutor
+from factory.faults import FaultPlan
+from factory.index import IndexWriter, failed_keys
+from factory.packing import PART_BYTES
+from factory.pins import Pins, build_aggregate
+from factory.pipeline import Pipeline
+from factory.plan import Plan
+from factory.planner import Planner
+from factory.publish import Publisher, published_index
+from factory.queue import tasks
+from factory.receipt import Receipt
+from factory.report import ABORTED, WITH_QUARANTINE, FailureBudget, Progress, RunReport, Silence
+from factory.snapshot import read_ref
+from factory.spool import Spool
+from factory.stage import Aggregate
+from factory.store import Store
+from factory.unit import Unit, Work
+from schemas.errors import CorruptShardError, FailureBudgetError, StoreError
+
+__all__ = ["plan", "run"]
+
+_REPAIRS: Final = 3
+"""How often damaged files found while publishing are made again before giving up."""
+
+
+def plan(
+    pipeline: Pipeline,
+    units: Iterable[Unit],
+    store: Store,
+    ref: str = "main",
+    *,
+    retry_quarantined: bool = False,
+    renew: Iterable[str] = (),
+) -> Plan:
+    """What ``run`` with the same arguments would do. Runs nothing and writes nothing.
+
+    renew : names of aggregates to build anew
+    """
+    commits = Commits(store)
+    index = published_index(pipeline, store, read_ref(store, ref)[0])
+    shared = Pins(pipeline, commits, ref).hashes(renew)
+    quarantined = frozenset() if retry_quarantined else frozenset(commits.quarantined())
+    planner = Planner(pipeline, commits, index, shared, quarantined)
+    found = Plan(Spool())
+    missing: dict[bytes, str] = {}
+    for unit, _, row, fresh in planner.compare(units):
+        found.add(planner.entry(unit, row, fresh))
+        if row < 0 and len(index) and unit.inputs:
+            missing[planner.keyer.content(unit)] = unit.unit_id
+    found.removed = planner.removed()
+    found.renamed = planner.renamed(missing)
+    found.renewed = tuple(a.name for a in pipeline.aggregates if a.name not in shared)
+    return found
+
+
+def run(
+    pipeline: Pipeline,
+    units: Iterable[Unit],
+    store: Store,
+    ref: str = "main",
+    executor: Executor | None = None,
+    *,
+    budget: FailureBudget | float | None = None,
+    progress: Progress | None = None,
+    retry_quarantined: bool = False,
+    renew: Iterable[str] = (),
+    deadline: float | None = None,
+    verify: bool = False,
+    revision: str = "",
+    part_bytes: int = PART_BYTES,
+    faults: str = "",
+) -> RunReport:
+    """Bring ``ref`` up to date with ``units``.
+
+    executor : who does the work; this process by default
+    budget : quarantined units that stop the run (a count, or a share of all units); no limit by default
+    retry_quarantined : try units again whose key is in quarantine
+    renew : names of aggregates to build anew
+    deadline : seconds one unit may take
+    verify : read every published file again and make those anew that differ from their hash
+    revision : recorded in every commit, never keyed
+    part_bytes : canonical bytes of one published file, see ``factory.packing``
+    faults : a ``FaultPlan``, for tests
+
+    When another run publishes under ``ref`` meanwhile, that one stands, and the report's message says so. Raises
+    ``StoreError`` when the store refuses (what was committed stays), ``KeyboardInterrupt`` on Ctrl-C and on SIGTERM.
+    """
+    with _terminable():
+        return _Run(
+            pipeline=pipeline,
+            store=store,
+            ref=ref,
+            executor=executor or InlineExecutor(),
+            budget=FailureBudget.of(budget),
+            progress=progress or Silence(),
+            retry=retry_quarantined,
+            renew=tuple(renew),
+            deadline=deadline,
+            verify=verify,
+            revision=revision,
+            part_bytes=part_bytes,
+            faults=faults,
+        ).go(units)
+
+
+@contextlib.contextmanager
+def _terminable() -> Iterator[None]:
+    """Let SIGTERM stop a run as Ctrl-C does: tasks are cancelled, Ray is shut down by its owner."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(signum: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+@dataclass
+class _Run:
+    pipeline: Pipeline
+    store: Store
+    ref: str
+    executor: Executor
+    budget: FailureBudget
+    progress: Progress
+    retry: bool
+    renew: tuple[str, ...]
+    deadline: float | None
+    verify: bool
+    revision: str
+    part_bytes: int
+    faults: str
+    report: RunReport = field(default_factory=RunReport)
+    failed: set[tuple[str, str]] = field(default_factory=set)
+    """(stage, key) of what failed in this run: a later pass does not try it again."""
+    token: str = field(default_factory=lambda: secrets.token_hex(8))
+
+    def go(self, units: Iterable[Unit]) -> RunReport:
+        started, started_at = time.perf_counter(), time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
+        self.plan_of_faults = FaultPlan.parse(self.faults) if self.faults else FaultPlan.from_environment()
+        self.commits = Commits(self.store, self.plan_of_faults)
+        self.publisher = Publisher(
+            self.pipeline, self.store, self.ref, self.executor, self.progress, self.plan_of_faults, self.part_bytes
+        )
+        self.index = self.publisher.index()
+        self.quarantined = frozenset() if self.retry else frozenset(self.commits.quarantined())
+        pins = Pins(self.pipeline, self.commits, self.ref, self.plan_of_faults)
+        self.shared = pins.hashes(self.renew)
+        if self.verify:
+            self.publisher.verify()
+        try:
+            with Spool(units) as spool:
+                self._bring_up_to_date(spool, pins)
+            if self.report.counts["quarantined"]:
+                self.report.exit_code = WITH_QUARANTINE
+        except FailureBudgetError as error:
+            self.report.exit_code = ABORTED
+            self.report.message = str(error)
+        self.report.seconds = time.perf_counter() - started
+        if self.report.published or self.report.exit_code == ABORTED or self.report.stages:
+            self.report.write(
+                self.store,
+                token=self.token,
+                pipeline=self.pipeline.name,
+                ref=self.ref,
+                executor=type(self.executor).__name__,
+                started_at=started_at,
+                revision=self.revision,
+            )
+        return self.report
+
+    def _bring_up_to_date(self, units: Spool[Unit], pins: Pins) -> None:
+        waiting = [a for a in self.pipeline.aggregates if a.name not in self.shared]
+        for position in sorted({self.pipeline.position(a.after) for a in waiting}):
+            due = [a for a in waiting if self.pipeline.position(a.after) == position]
+            self._first_pass(units, position + 1, due, pins)
+        damaged: set[str] = set()
+        for _ in range(_REPAIRS):
+            table = self._pass(units, frozenset(damaged))
+            if table is None:
+                return
+            damaged = self.publisher.publish(table, self._context(), self.report)
+            if not damaged:
+                # What was in quarantine and is no more: mended, changed or gone.
+                for stage, key in sorted(failed_keys(self.index.table) - failed_keys(table)):
+                    self.commits.release(stage, key)
+                return
+            self.progress.note(f"committed files of {len(damaged)} units are damaged: made again")
+        raise StoreError("committed files keep getting damaged", where=self.store.url, remedy="Check the disk.")
+
+    # ---- working off
+
+    def _begin(self) -> None:
+        """Units are counted by the last pass over them, stages by all."""
+        self.report.counts.clear()
+        self.report.failures.clear()
+
+    def _first_pass(self, units: Iterable[Unit], until: int, due: list[Aggregate], pins: Pins) -> None:
+        for _ in range(_REPAIRS):
+            self._begin()
+            planner = Planner(self.pipeline, self.commits, self.index, self.shared, self.quarantined, stages=until)
+            with Spool(planner.work(units)) as spool, Spool[Receipt]() as receipts:
+                for receipt in self._work(spool, until, f"first pass, for {', '.join(a.name for a in due)}"):
+                    receipts.append(receipt)
+                order = pc.sort_indices(pa.array((receipt.unit_id for receipt in receipts), pa.string())).to_pylist()
+                try:
+                    for aggregate in due:
+                        table, count = build_aggregate(aggregate, self.commits, (receipts[at] for at in order))
+                        self.shared[aggregate.name] = pins.set(aggregate, table, count)
+                    return
+                except CorruptShardError as error:
+                    self.progress.note(f"{error}: made again")
+        raise StoreError("committed files keep getting damaged", where=self.store.url, remedy="Check the disk.")
+
+    def _pass(self, units: Iterable[Unit], again: frozenset[str]) -> pa.Table | None:
+        """The new index; None when nothing at all changed. Units in ``again`` are looked at in any case."""
+        report = self.report
+        self._begin()
+        planner = Planner(self.pipeline, self.commits, self.index, self.shared, self.quarantined, again=again)
+        writer = IndexWriter(self.pipeline)
+        with Spool(planner.work(units)) as spool:
+            kept = np.nonzero(planner.kept)[0]
+            report.counts["fresh"] = len(kept)
+            report.counts["removed"] = int((~planner.present).sum())
+            report.counts["total"] = len(spool) + len(kept)
+            for row in kept[np.array([planner.status(int(at)) != "ok" for at in kept], dtype=bool)].tolist():
+                self._count(self.index.receipt(row, self.pipeline), worked=False)
+            report.counts["ok"] += len(kept) - report.counts["skipped"] - report.counts["quarantined"]
+            self._within_budget()
+            if not len(spool) and not report.counts["removed"] and len(self.index) and self.publisher.sound():
+                assert self.publisher.old is not None
+                report.snapshot_id = self.publisher.old.snapshot_id
+                return None
+            for receipt in self._work(spool, len(self.pipeline.stages), "units"):
+                writer.add(receipt)
+        return writer.finish(self.index.table.take(kept))
+
+    def _work(self, work: Spool[Work], until: int, phase: str) -> Iterator[Receipt]:
+        """Receipts of all units in ``work``, counted, as they come."""
+        self.report.counts["total"] = max(self.report.counts["total"], len(work))
+        queue = tasks(work, until, self.executor.workers)
+        self.progress.phase(phase, len(work), queue.seconds)
+        receipts = self.executor.run(self._context(), queue)
+        try:
+            for receipt in receipts:
+                self._count(receipt)
+                self.progress.unit(receipt)
+                self._within_budget()
+                yield receipt
+        finally:
+            close = getattr(receipts, "close", None)
+            if close is not None:
+                close()
+
+    def _context(self) -> RunContext:
+        return RunContext(
+            pipeline=self.pipeline,
+            store=self.store,
+            shared=self.shared,
+            quarantined=self.quarantined | self.failed,
+            retrying=self.retry,
+            revision=self.revision,
+            deadline=self.deadline,
+            faults=self.faults,
+            token=self.token,
+        )
+
+    def _count(self, receipt: Receipt, *, worked: bool = True) -> None:
+        report = self.report
+        if receipt.failure is not None:
+            report.fail(receipt.unit_id, receipt.failure)
+            self.failed.add((receipt.failure.stage, receipt.failure.key.hex()))
+        else:
+            report.counts[receipt.status] += 1
+        made = [stage for stage in receipt.stages if stage.made]
+        if made:
+            report.counts["made"] += 1
+        elif worked and receipt.failure is None:
+            report.counts["reused"] += 1
+        for stage in made:
+            report.stages[stage.stage] += 1
+            report.stage_seconds[stage.stage] += stage.seconds  # type: ignore[assignment]
+            report.peak_rss = max(report.peak_rss, stage.peak_rss)
+
+    def _within_budget(self) -> None:
+        failed, total = self.report.counts["quarantined"], self.report.counts["total"]
+        if self.budget.exceeded(failed, total):
+            raise FailureBudgetError(
+                f"{failed} of {total} units are quarantined, more than the budget allows",
+                remedy="See status for the causes; what was committed stays, nothing was published.",
+            )

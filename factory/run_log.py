@@ -1,0 +1,95 @@
+"""The structured log of a run: one JSON line for each event and each unit, written as it happens."""
+
+from __future__ import annotations
+
+import json
+from datetime import datetime, timezone
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from factory.receipt import Receipt
+from factory.report import Progress, Silence
+
+__all__ = ["RunLog"]
+
+
+class RunLog:
+    """Progress that is logged to a file and passed on. Every line has ``at`` (UTC) and ``event``.
+
+    path : appended to; its folder is made
+    inner : progress that is told too (a bar)
+    """
+
+    def __init__(self, path: Path, inner: Progress | None = None) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._file = open(path, "a", encoding="utf-8", buffering=1)  # noqa: SIM115 - closed by close()
+        self._inner = inner or Silence()
+
+    def phase(self, name: str, total: int, seconds: float) -> None:
+        """A phase begins."""
+        self._line("phase", name=name, total=total, estimated_seconds=round(seconds, 3))
+        self._inner.phase(name, total, seconds)
+
+    def unit(self, receipt: Receipt) -> None:
+        """A unit is done: what became of each stage, and the cause if it failed."""
+        stages = [
+            {
+                "stage": stage.stage,
+                "key": stage.key.hex(),
+                "made": stage.made,
+                "seconds": round(stage.seconds, 4),
+                "peak_rss": stage.peak_rss,
+                "rows": {table.table: table.rows for table in stage.tables},
+            }
+            for stage in receipt.stages
+        ]
+        fields: dict[str, Any] = {
+            "unit": receipt.unit_id,
+            "partition": receipt.partition,
+            "status": receipt.status,
+            "attempts": receipt.attempts,
+            "seconds": round(receipt.seconds, 4),
+            "stages": stages,
+        }
+        if receipt.reason:
+            fields["reason"] = receipt.reason
+        if receipt.failure is not None:
+            failure = receipt.failure
+            fields["failure"] = {
+                "stage": failure.stage,
+                "key": failure.key.hex(),
+                "cause": failure.cause,
+                "exception": failure.exception,
+                "message": failure.message,
+                "known": failure.known,
+            }
+        self._line("unit", **fields)
+        self._inner.unit(receipt)
+
+    def step(self) -> None:
+        """A step of a phase without units is done."""
+        self._inner.step()
+
+    def note(self, message: str) -> None:
+        """Something a person should know."""
+        self._line("note", message=message)
+        self._inner.note(message)
+
+    def _line(self, event: str, **fields: Any) -> None:
+        at = datetime.now(timezone.utc).isoformat(timespec="milliseconds")
+        self._file.write(json.dumps({"at": at, "event": event, **fields}) + "\n")
+
+    def close(self) -> None:
+        """End the log."""
+        self._file.close()
+
+    def __enter__(self) -> RunLog:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is not None:
+            self._line("end", error=f"{type(error).__name__}: {error}")
+        self.close()

@@ -1,0 +1,275 @@
+"""Snapshots: immutable folders of Parquet files, each named by the hash of its rows, published by moving a ref.
+
+``snapshots/<id>/<table>/source=<partition>/part-<bucket>.parquet``, then ``manifest.json``, then the unit index, then
+``refs/<name>.json``. Until the ref moves, readers see the previous snapshot; a snapshot without manifest is none.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+from pydantic import ValidationError
+
+from factory.commits import Commits
+from factory.index import Index
+from factory.packing import PackJob, buckets, content_hash, members_hash
+from factory.pipeline import Pipeline, plain_name
+from factory.rows import parquet_table, schema_hash
+from factory.store import Store, token_of
+from schemas.canonical import JSON, digest
+from schemas.errors import CorruptShardError, StoreError, UsageError
+from schemas.snapshot import PartitionRecord, PartRecord, Ref, SnapshotManifest, StageTotals, TableManifest
+
+__all__ = ["Composition", "Snapshot", "damaged_parts", "read_manifest", "read_ref"]
+
+
+@dataclass(frozen=True)
+class Composition:
+    """What a snapshot will be, known from the index alone, before any file of it is written.
+
+    members : for each (table, partition) the rows' places and hashes, as in ``PackJob``
+    hashes : for each (table, partition) the hash over all rows
+    """
+
+    pipeline: Pipeline
+    index: pa.Table
+    members: Mapping[tuple[str, str], pa.Table]
+    hashes: Mapping[tuple[str, str], str]
+    snapshot_id: str
+
+    @classmethod
+    def of(cls, pipeline: Pipeline, index: pa.Table) -> Composition:
+        """Compose from an index sorted by unit id."""
+        done = pc.not_equal(index.column("status"), "quarantined")
+        partitions = sorted(pc.unique(index.column("partition").filter(done)).to_pylist())
+        members: dict[tuple[str, str], pa.Table] = {}
+        hashes: dict[tuple[str, str], str] = {}
+        document: dict[str, JSON] = {}
+        for name, spec in sorted(pipeline.tables.items()):
+            sums: dict[str, JSON] = {}
+            for partition in partitions:
+                here = pc.and_(done, pc.equal(index.column("partition"), partition))
+                found = members[name, partition] = _members(index, here, name, spec.stages)
+                hashes[name, partition] = sums[partition] = members_hash(found)
+            document[name] = {"schema": schema_hash(spec.schema), "sort": list(spec.sort_keys), "partitions": sums}
+        snapshot_id = digest({"pipeline": pipeline.name, "tables": document})[:32]
+        return cls(pipeline, index, members, hashes, snapshot_id)
+
+    def jobs(self, part_bytes: int) -> Iterator[PackJob]:
+        """The files of the snapshot."""
+        for (table, partition), members in self.members.items():
+            spec = self.pipeline.tables[table]
+            for bucket, share in buckets(members, part_bytes):
+                path = f"snapshots/{self.snapshot_id}/{table}/source={partition}/part-{bucket:05d}.parquet"
+                yield PackJob(table, partition, bucket, path, content_hash(spec, share), share)
+
+    def manifest(
+        self,
+        parts: Mapping[tuple[str, str], list[PartRecord]],
+        shared: Mapping[str, str],
+        provenance: Mapping[str, str],
+    ) -> SnapshotManifest:
+        """The manifest, once all parts are there."""
+        tables = {}
+        for name, spec in sorted(self.pipeline.tables.items()):
+            partitions = {
+                partition: PartitionRecord(
+                    rows=sum(part.rows for part in found),
+                    logical_hash=self.hashes[table, partition],
+                    parts=sorted(found, key=lambda part: part.path),
+                )
+                for (table, partition), found in sorted(parts.items())
+                if table == name
+            }
+            tables[name] = TableManifest(
+                stages=list(spec.stages),
+                columns=spec.schema.names,
+                sort_keys=list(spec.sort_keys),
+                rows=sum(partition.rows for partition in partitions.values()),
+                partitions=partitions,
+            )
+        status = pc.value_counts(self.index.column("status")).to_pylist()
+        return SnapshotManifest(
+            snapshot_id=self.snapshot_id,
+            pipeline=self.pipeline.name,
+            tables=tables,
+            units={item["values"]: item["counts"] for item in status},
+            aggregates=dict(shared),
+            stages={stage.name: self._totals(at) for at, stage in enumerate(self.pipeline.stages)},
+            provenance=dict(provenance),
+        )
+
+    def _totals(self, at: int) -> StageTotals:
+        stage = self.pipeline.stages[at]
+
+        def total(name: str) -> Any:
+            return pc.sum(self.index.column(f"{stage.name}{name}")).as_py() or 0
+
+        return StageTotals(
+            version=stage.version,
+            units=pc.count(self.index.column(f"{stage.name}.key")).as_py(),
+            skipped=total(".skipped"),
+            seconds=round(float(total(".seconds")), 3),
+            peak_rss=pc.max(self.index.column(f"{stage.name}.peak_rss")).as_py() or 0,
+            rows=sum(total(f"/{table}.rows") for table in stage.tables),
+            bytes=sum(total(f"/{table}.bytes") for table in stage.tables),
+        )
+
+
+def _members(index: pa.Table, here: pa.Array, table: str, stages: tuple[str, ...]) -> pa.Table:
+    """Units of ``here`` with rows in ``table``, by id and then by the order of ``stages``."""
+    parts = []
+    for order, stage in enumerate(stages):
+        prefix = f"{stage}/{table}"
+        rows = pc.fill_null(pc.greater(index.column(f"{prefix}.rows"), 0), False)
+        names = ["unit_id", f"{stage}.key", f"{prefix}.hash", f"{prefix}.bytes"]
+        there = index.select(names).filter(pc.and_(here, rows))
+        columns = {
+            "unit_id": there.column("unit_id"),
+            "stage": pa.repeat(pa.scalar(stage), there.num_rows),
+            "key": there.column(f"{stage}.key"),
+            "hash": there.column(f"{prefix}.hash"),
+            "bytes": there.column(f"{prefix}.bytes"),
+            "order": pa.repeat(pa.scalar(order, pa.int8()), there.num_rows),
+        }
+        parts.append(pa.table(columns))
+    whole = pa.concat_tables(parts)
+    if len(parts) > 1:
+        whole = whole.sort_by([("unit_id", "ascending"), ("order", "ascending")])
+    return whole.drop_columns(["order"])
+
+
+def read_ref(store: Store, name: str) -> tuple[Ref | None, str | None]:
+    """(the ref, its token for ``Store.swap``); (None, None) when it was never published."""
+    path = ref_path(name)
+    try:
+        data = store.read(path)
+    except FileNotFoundError:
+        return None, None
+    try:
+        return Ref.model_validate_json(data), token_of(data)
+    except ValidationError as error:
+        raise StoreError(f"the ref is not readable: {error}", where=path, remedy="Remove it and run again.") from error
+
+
+def ref_path(name: str) -> str:
+    """Where a ref lies. Raises ``UsageError`` when the name is not a plain one."""
+    if not plain_name(name):
+        raise UsageError(f"{name!r} can't name a ref", remedy="Use letters, digits, '-', '_' and '.'.")
+    return f"refs/{name}.json"
+
+
+def manifest_path(snapshot_id: str) -> str:
+    """Where a snapshot's manifest lies."""
+    return f"snapshots/{snapshot_id}/manifest.json"
+
+
+def read_manifest(store: Store, snapshot_id: str) -> SnapshotManifest | None:
+    """The manifest of a snapshot, or None when there is none (the snapshot was never finished, or is damaged)."""
+    try:
+        return SnapshotManifest.model_validate_json(store.read(manifest_path(snapshot_id)))
+    except (FileNotFoundError, ValidationError):
+        return None
+
+
+def damaged_parts(store: Store, snapshot_id: str) -> Iterator[str]:
+    """Paths of a snapshot's files that are gone or differ from the manifest."""
+    manifest = read_manifest(store, snapshot_id)
+    for table in manifest.tables.values() if manifest else ():
+        for partition in table.partitions.values():
+            for part in partition.parts:
+                path = f"snapshots/{snapshot_id}/{part.path}"
+                try:
+                    data = store.read(path)
+                except FileNotFoundError:
+                    data = b""
+                if hashlib.sha256(data).hexdigest() != part.sha256:
+                    yield path
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """A published snapshot, for readers."""
+
+    store: Store
+    manifest: SnapshotManifest
+    index_hash: str
+
+    @classmethod
+    def open(cls, store: Store, ref: str = "main") -> Snapshot:
+        """The snapshot that ``ref`` names now. Raises ``StoreError`` when nothing was published under it."""
+        found, _ = read_ref(store, ref)
+        if found is None:
+            raise StoreError(f"nothing is published as {ref!r}", where=store.url, remedy="Run generate first.")
+        manifest = read_manifest(store, found.snapshot_id)
+        if manifest is None:
+            raise CorruptShardError(
+                "the published snapshot has no readable manifest", where=manifest_path(found.snapshot_id)
+            )
+        return cls(store, manifest, found.index)
+
+    @property
+    def snapshot_id(self) -> str:
+        """Hash over the logical hashes of all rows."""
+        return self.manifest.snapshot_id
+
+    def paths(self, table: str) -> tuple[str, ...]:
+        """Paths in the store of a table's files. Raises ``UsageError`` on a table that is not there."""
+        if table not in self.manifest.tables:
+            raise UsageError(f"there is no table {table!r}", remedy=f"There are: {', '.join(self.manifest.tables)}.")
+        partitions = self.manifest.tables[table].partitions
+        return tuple(
+            f"snapshots/{self.snapshot_id}/{part.path}"
+            for name in sorted(partitions)
+            for part in partitions[name].parts
+        )
+
+    def local_paths(self, table: str) -> tuple[Path, ...]:
+        """The same on this machine's disk. Raises ``StoreError`` for a store that is elsewhere."""
+        found = tuple(self.store.local_path(path) for path in self.paths(table))
+        local = tuple(path for path in found if path is not None)
+        if len(local) != len(found):
+            raise StoreError("the files are not on this machine's disk", where=self.store.url)
+        return local
+
+    def table(self, name: str, columns: list[str] | None = None, partition: str | None = None) -> pa.Table:
+        """Rows of a table, with the partition as the last column ``source``.
+
+        Raises ``CorruptShardError`` when a file differs from the manifest.
+        """
+        tables = []
+        for source, record in sorted(self.manifest.tables[name].partitions.items()):
+            if partition is not None and source != partition:
+                continue
+            for part in record.parts:
+                path = f"snapshots/{self.snapshot_id}/{part.path}"
+                data = self.store.read(path)
+                if hashlib.sha256(data).hexdigest() != part.sha256:
+                    raise CorruptShardError("the file differs from the manifest", where=path)
+                rows = parquet_table(data, path, columns)
+                tables.append(rows.append_column("source", pa.array([source] * rows.num_rows, pa.string())))
+        return pa.concat_tables(tables) if tables else pa.table({})
+
+    def index(self) -> Index:
+        """The unit index this snapshot was published from."""
+        return Index.read(self.store, self.index_hash)
+
+    def unit_files(self, unit_id: str, pipeline: Pipeline) -> dict[str, bytes]:
+        """Further files (a built navmesh) that the stages of a unit kept, by name."""
+        index = self.index()
+        row = int(index.rows_of([unit_id])[0])
+        if row < 0:
+            raise UsageError(f"no unit {unit_id!r} is published")
+        commits = Commits(self.store)
+        found = {}
+        for stage in index.receipt(row, pipeline).stages:
+            commit = commits.find(stage.stage, stage.key.hex())
+            if commit is not None:
+                found.update({name: commits.file(commit, name) for name in commit.files})
+        return found

@@ -1,0 +1,91 @@
+"""What a pipeline is made of: stages that turn one unit's tables into more tables, and aggregates over all units.
+
+Subclass the protocols to inherit their defaults. Instances are pickled to the workers, so they hold parameters, not
+open files. A stage is a pure function of what its key covers: the unit's id and inputs (or the tables it reads),
+``parameters``, and of the shared tables only what ``dependencies`` tells. Change what it computes, and ``version``
+must be raised by hand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Literal, Protocol
+
+import pyarrow as pa
+
+from factory.unit import Unit
+from schemas.canonical import JSON
+
+__all__ = ["Aggregate", "Stage", "StageOutput"]
+
+
+@dataclass(slots=True)
+class StageOutput:
+    """What one stage made of one unit.
+
+    tables : one for each name in ``Stage.tables`` (a skipped output may leave some out: they count as empty)
+    files : further files kept in the unit's folder (plain names), such as a built navmesh
+    outcome : ``skipped`` ends the unit's chain well: what there is gets published, later stages don't run
+    reason : why it was skipped
+    measures : numbers worth recording in the commit; not published, not hashed
+    """
+
+    tables: dict[str, pa.Table] = field(default_factory=dict)
+    files: dict[str, bytes] = field(default_factory=dict)
+    outcome: Literal["ok", "skipped"] = "ok"
+    reason: str = ""
+    measures: dict[str, float] = field(default_factory=dict)
+
+
+class Stage(Protocol):
+    """One step of a unit's chain.
+
+    name : plain name, the folder under ``units/``
+    version : raised by hand whenever the output for equal inputs changes
+    tables : names of the tables it writes; those a pipeline publishes have their schema there, others keep their own
+    reads : names of earlier stages' tables it reads (it sees no others); None means all of them
+    needs : names of the aggregates it reads
+    reads_inputs : it reads the unit's source files too, and so is keyed on them (the first stage always is)
+    """
+
+    name: str
+    version: int
+    tables: tuple[str, ...]
+    reads: tuple[str, ...] | None = None
+    needs: tuple[str, ...] = ()
+    reads_inputs: bool = False
+
+    def parameters(self, unit: Unit) -> JSON:
+        """All configuration this stage reads for ``unit``, and nothing else: it is keyed.
+
+        Returning the same object for every unit makes planning faster.
+        """
+        return {}
+
+    def dependencies(self, unit: Unit, upstream: Mapping[str, pa.Table], shared: Mapping[str, pa.Table]) -> JSON:
+        """What this unit's rows depend on in ``shared``; keyed in place of the whole shared tables."""
+        return None
+
+    def run(self, unit: Unit, upstream: Mapping[str, pa.Table], shared: Mapping[str, pa.Table]) -> StageOutput:
+        """Make the tables of ``unit``. Any error quarantines this unit, except ``TransientIOError``, tried again."""
+        ...
+
+
+class Aggregate(Protocol):
+    """A table over all units' outputs of one stage, built once and then pinned until it is renewed.
+
+    name : how stages name it in ``needs``
+    version : raised by hand when ``build`` changes
+    after : the stage whose outputs it reads
+    tables : names of the tables it reads
+    """
+
+    name: str
+    version: int
+    after: str
+    tables: tuple[str, ...]
+
+    def build(self, tables: Iterator[tuple[str, Mapping[str, pa.Table]]]) -> pa.Table:
+        """Fold ``(unit_id, tables)``, sorted by unit id, into one table."""
+        ...

@@ -1,0 +1,119 @@
+"""What a store holds: refs and their snapshots, the quarantine with its causes, latest runs, drift of pinned tables."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import Final
+
+from pydantic import ValidationError
+
+from factory.chain import SharedTables
+from factory.commits import Commits
+from factory.pins import Pins, build_aggregate
+from factory.pipeline import Pipeline
+from factory.snapshot import Snapshot, read_manifest, read_ref
+from factory.store import Store
+from schemas.snapshot import Ref, RunRecord, SnapshotManifest
+from schemas.unit import QuarantineRecord
+
+__all__ = ["AggregateDrift", "RefStatus", "StoreStatus", "drift", "store_status"]
+
+RUNS_SHOWN: Final = 10
+"""Latest runs that a status tells."""
+
+
+@dataclass(frozen=True)
+class RefStatus:
+    """One ref and what it names; ``manifest`` is None when the snapshot is damaged."""
+
+    ref: Ref
+    manifest: SnapshotManifest | None
+
+
+@dataclass(frozen=True)
+class StoreStatus:
+    """A store at a glance.
+
+    quarantine : every record, by unit id
+    runs : the latest first
+    files, bytes : by folder; empty unless sizes were asked for
+    """
+
+    url: str
+    refs: tuple[RefStatus, ...]
+    quarantine: tuple[QuarantineRecord, ...]
+    runs: tuple[RunRecord, ...]
+    files: Counter[str]
+    bytes: Counter[str]
+
+
+def store_status(store: Store, *, sizes: bool = False) -> StoreStatus:
+    """Look at a store. ``sizes`` lists every file of it, which takes long for a big one."""
+    refs = []
+    for entry in sorted(store.list("refs"), key=lambda entry: entry.path):
+        ref, _ = read_ref(store, entry.path.split("/", 1)[1].removesuffix(".json"))
+        if ref is not None:
+            refs.append(RefStatus(ref, read_manifest(store, ref.snapshot_id)))
+    commits = Commits(store)
+    records = [commits.quarantine_record(stage, key) for stage, key in commits.quarantined()]
+    runs = []
+    for path in sorted((entry.path for entry in store.list("runs")), reverse=True)[:RUNS_SHOWN]:
+        try:
+            runs.append(RunRecord.model_validate_json(store.read(path)))
+        except (FileNotFoundError, ValidationError):
+            continue
+    files: Counter[str] = Counter()
+    size: Counter[str] = Counter()
+    for entry in store.list("") if sizes else ():
+        kind = entry.path.split("/", 1)[0]
+        files[kind] += 1
+        size[kind] += entry.size
+    return StoreStatus(
+        url=store.url,
+        refs=tuple(refs),
+        quarantine=tuple(sorted((record for record in records if record), key=lambda record: record.unit_id)),
+        runs=tuple(runs),
+        files=files,
+        bytes=size,
+    )
+
+
+@dataclass(frozen=True)
+class AggregateDrift:
+    """How far a pinned aggregate is from what the published units would give now.
+
+    rows, rows_now : of the pinned table, and of the one built now
+    differing : rows that are in only one of the two (each counted)
+    units, units_now : how many units it was built from
+    """
+
+    name: str
+    rows: int
+    rows_now: int
+    differing: int
+    units: int
+    units_now: int
+
+
+def drift(pipeline: Pipeline, store: Store, ref: str = "main") -> tuple[AggregateDrift, ...]:
+    """Build the aggregates of ``ref`` over its published units and compare them with the pinned ones.
+
+    Raises ``StoreError`` when nothing is published, ``CorruptShardError`` when a unit's files are damaged.
+    """
+    commits = Commits(store)
+    pins = Pins(pipeline, commits, ref)
+    index = Snapshot.open(store, ref).index()
+    shared = SharedTables(commits, pins.hashes())
+    found = []
+    for aggregate in pipeline.aggregates:
+        pinned = pins.pin.tables.get(aggregate.name)
+        if pinned is None or aggregate.name not in shared.hashes:
+            continue
+        now, units = build_aggregate(aggregate, commits, index.receipts(range(len(index)), pipeline))
+        before = shared.of((aggregate.name,))[aggregate.name]
+        one = Counter(map(repr, before.to_pylist()))
+        two = Counter(map(repr, now.to_pylist()))
+        differing = sum(((one - two) + (two - one)).values())
+        found.append(AggregateDrift(aggregate.name, before.num_rows, now.num_rows, differing, pinned.units, units))
+    return tuple(found)

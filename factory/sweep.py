@@ -1,0 +1,173 @@
+"""Garbage collection: what no ref needs goes, after a grace period. What a ref names never does.
+
+Kept for each ref are its snapshot and the ones before it, ``keep`` in all, with their unit indexes, the units that
+these list, the shared tables they were made with or that are pinned, and the quarantine of what they list; and the
+records of the latest runs. Everything else that was last written before the grace period goes; a unit is unmade from
+its ``unit.json``, a snapshot from its manifest, so that nobody takes what is left for whole. Should a run be using an
+old unit at that very moment, it finds the unit damaged and makes it again.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Final
+
+import pyarrow as pa
+from pydantic import ValidationError
+
+from factory.index import Index, failed_keys
+from factory.snapshot import read_manifest, read_ref
+from factory.store import Entry, LocalStore, Store
+from schemas.errors import CorruptShardError
+from schemas.snapshot import Pin, Published
+
+__all__ = ["GRACE_SECONDS", "SweepReport", "sweep"]
+
+GRACE_SECONDS: Final = 24 * 3600.0
+"""A run that is killed is commonly started again within a day; until then its commits are safe from sweeping."""
+
+RUNS_KEPT: Final = 200
+"""Records of runs that are kept, some kilobytes each."""
+
+_KINDS: Final = ("snapshots", "indexes", "units", "aggregates", "quarantine", "runs")
+
+
+@dataclass
+class SweepReport:
+    """What went (or would go): files and bytes by folder; and ids of snapshots that stay and go."""
+
+    files: Counter[str] = field(default_factory=Counter)
+    bytes: Counter[str] = field(default_factory=Counter)
+    kept: tuple[str, ...] = ()
+    removed: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Live:
+    snapshots: frozenset[str]
+    indexes: frozenset[str]
+    units: frozenset[tuple[str, str]]
+    aggregates: frozenset[tuple[str, str]]
+    quarantine: frozenset[tuple[str, str]]
+    runs: frozenset[str]
+
+
+def sweep(
+    store: Store, *, keep: int = 3, grace: float = GRACE_SECONDS, dry_run: bool = False, now: float | None = None
+) -> SweepReport:
+    """Remove what no ref needs.
+
+    keep : snapshots kept for each ref, the published one included (at least 1)
+    grace : seconds for which whatever was written stays, needed or not
+    dry_run : only tell
+    now : seconds since 1970; the clock by default
+    """
+    before = (time.time() if now is None else now) - grace
+    live = _live(store, max(keep, 1))
+    report = SweepReport(kept=tuple(sorted(live.snapshots)))
+    gone = set()
+    for kind in _KINDS:
+        for folder, entries in _whole(store, kind, before):
+            if _is_live(kind, folder, live):
+                continue
+            if kind == "snapshots":
+                # Someone may have published it again since we looked.
+                if not dry_run and folder in _live(store, max(keep, 1)).snapshots:
+                    continue
+                gone.add(folder)
+            for entry in entries:
+                report.files[kind] += 1
+                report.bytes[kind] += entry.size
+                if not dry_run:
+                    store.delete(entry.path)
+    report.removed = tuple(sorted(gone))
+    if isinstance(store, LocalStore):
+        _unfinished(store, before, dry_run, report)
+    return report
+
+
+def _unfinished(store: LocalStore, before: float, dry_run: bool, report: SweepReport) -> None:
+    for path in [*store.unfinished()]:
+        try:
+            stat = path.stat()
+            if stat.st_mtime < before:
+                report.files["unfinished"] += 1
+                report.bytes["unfinished"] += stat.st_size
+                if not dry_run:
+                    path.unlink()
+        except FileNotFoundError:
+            continue
+
+
+def _live(store: Store, keep: int) -> _Live:
+    states: list[Published] = []
+    for entry in store.list("refs"):
+        ref, _ = read_ref(store, entry.path.split("/")[1].removesuffix(".json"))
+        if ref is not None:
+            states += [ref, *ref.history][:keep]
+    units: set[tuple[str, str]] = set()
+    quarantine: set[tuple[str, str]] = set()
+    aggregates: set[tuple[str, str]] = set()
+    for state in states:
+        try:
+            index = Index.read(store, state.index).table
+        except CorruptShardError:
+            continue
+        units |= {*_keys(index)}
+        quarantine |= failed_keys(index)
+        manifest = read_manifest(store, state.snapshot_id)
+        if manifest is not None:
+            aggregates |= {*manifest.aggregates.items()}
+    for entry in store.list("pins"):
+        try:
+            pin = Pin.model_validate_json(store.read(entry.path))
+        except (FileNotFoundError, ValidationError):
+            continue
+        aggregates |= {(name, pinned.hash) for name, pinned in pin.tables.items()}
+    return _Live(
+        snapshots=frozenset(state.snapshot_id for state in states),
+        indexes=frozenset(state.index for state in states),
+        units=frozenset(units),
+        aggregates=frozenset(aggregates),
+        quarantine=frozenset(quarantine),
+        # Their names begin with the time they began.
+        runs=frozenset(sorted(entry.path.split("/")[1] for entry in store.list("runs"))[-RUNS_KEPT:]),
+    )
+
+
+def _keys(index: pa.Table) -> Iterator[tuple[str, str]]:
+    for name in index.column_names:
+        stage, _, last = name.rpartition(".")
+        if last == "key" and stage != "failure":
+            for key in index.column(name).drop_null().to_pylist():
+                yield stage, key.hex()
+
+
+def _whole(store: Store, kind: str, before: float) -> Iterator[tuple[str, list[Entry]]]:
+    """(name, files) of everything of a kind that is wholly older than ``before``; its commit comes first."""
+    groups: dict[str, list[Entry]] = {}
+    for entry in store.list(kind):
+        parts = entry.path.split("/")
+        name = {"snapshots": parts[1], "units": "/".join(parts[1:4]), "runs": parts[1]}.get(kind, "/".join(parts[1:]))
+        groups.setdefault(name, []).append(entry)
+    for name, entries in groups.items():
+        if max(entry.modified for entry in entries) < before:
+            entries.sort(key=lambda entry: not entry.path.endswith(("/unit.json", "/manifest.json")))
+            yield name, entries
+
+
+def _is_live(kind: str, name: str, live: _Live) -> bool:
+    parts = name.split("/")
+    if kind == "snapshots":
+        return name in live.snapshots
+    if kind == "indexes":
+        return name.removesuffix(".parquet") in live.indexes
+    if kind == "units":
+        return (parts[0], parts[2]) in live.units
+    if kind in ("aggregates", "quarantine"):
+        stem = parts[-1].rsplit(".", 1)[0]
+        return (parts[0], stem) in (live.aggregates if kind == "aggregates" else live.quarantine)
+    return name in live.runs

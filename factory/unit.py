@@ -1,0 +1,62 @@
+"""A unit of work: the smallest thing that is made, kept, and made again when its inputs change."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from schemas.canonical import JSON
+from schemas.errors import InputError
+
+__all__ = ["InputFile", "Unit", "Work"]
+
+
+@dataclass(frozen=True, slots=True)
+class InputFile:
+    """One keyed input: a file, or a record inside one (``houses.jsonl#12``).
+
+    path : relative to the dataset's root, '/' between folders, so that a moved dataset keeps its keys
+    size : bytes
+    sha256 : of the content, hexadecimal
+    """
+
+    path: str
+    size: int
+    sha256: str
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """One unit of a run.
+
+    unit_id : unique in a run; part of every key, since rows name the unit they belong to
+    partition : folder ``source=<partition>`` that its rows are published in
+    inputs : what its first stage (and every stage with ``reads_inputs``) is keyed on; order is free
+    payload : handed to the stages as it is (root folder, scene name); never keyed
+    cost : estimated seconds of all stages together
+    memory : estimated bytes at the peak
+    fault : the unit could not even be listed: it is quarantined with this error, and so not lost
+    """
+
+    unit_id: str
+    partition: str
+    inputs: tuple[InputFile, ...] = ()
+    payload: Mapping[str, JSON] = field(default_factory=dict)
+    cost: float = 1.0
+    memory: int = 256 * 1024 * 1024
+    fault: InputError | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """One unit as a run gives it to a worker.
+
+    fingerprint : hash of all that its chain can depend on (16 bytes)
+    seconds : expected cost
+    memory : expected peak in bytes
+    """
+
+    unit: Unit
+    fingerprint: bytes
+    seconds: float
+    memory: int

@@ -1,0 +1,337 @@
+"""The worker's side: runs what is not done of one unit's chain and commits each stage.
+
+The same code runs inline and inside a Ray task. What happens to an error:
+
+* ``TransientIOError`` from a stage: tried again, with growing pauses, then quarantined;
+* ``MemoryError``: handed back once, so that the driver tries again with twice the memory, then quarantined;
+* the store refusing (``StoreError``, no space left): no fault of the unit, so it is raised and ends the run;
+* anything else from a stage: quarantined at once with its traceback.
+"""
+
+from __future__ import annotations
+
+import errno
+import time
+import traceback
+from collections.abc import Mapping
+from datetime import datetime, timezone
+from typing import Final
+
+import pyarrow as pa
+
+from factory import machine
+from factory.chain import Chain, SharedTables, receipt_of
+from factory.commits import LISTING, Commits
+from factory.context import RunContext
+from factory.deadline import Deadline
+from factory.faults import FaultPlan
+from factory.key import Keyer, StageKey
+from factory.pipeline import plain_name
+from factory.receipt import Failure, Receipt, Status
+from factory.rows import canonical_table, logical_hash
+from factory.stage import Stage, StageOutput
+from factory.unit import Unit, Work
+from schemas.canonical import digest
+from schemas.errors import (
+    CorruptShardError,
+    DeadlineError,
+    InputError,
+    StageError,
+    StoreError,
+    TransientIOError,
+)
+from schemas.unit import Cause, KeyParts, QuarantineRecord, TableRecord, UnitCommit
+
+__all__ = ["Worker"]
+
+PENDING: Final = "0" * 64
+"""Stands for a file's hash until the file is written."""
+
+
+class _Failed(Exception):
+    """A stage failed and its unit goes to quarantine."""
+
+    def __init__(self, cause: Cause, error: BaseException, attempts: int) -> None:
+        super().__init__(str(error))
+        self.cause = cause
+        self.error = error
+        self.attempts = attempts
+
+
+class Worker:
+    """Works units off, one at a time."""
+
+    def __init__(self, context: RunContext, *, may_exit: bool = False) -> None:
+        """may_exit : this process may be ended when a unit hangs in compiled code."""
+        self.context = context
+        self._may_exit = may_exit
+        self._deadline = Deadline(None)
+        self.pipeline = context.pipeline
+        self.faults = FaultPlan.parse(context.faults) if context.faults else FaultPlan.from_environment()
+        self.commits = Commits(context.store, self.faults)
+        self.keyer = Keyer(context.pipeline)
+        self.shared = SharedTables(self.commits, context.shared)
+
+    def work(self, unit: Unit, until: int, fingerprint: bytes, *, attempt: int = 1, last_try: bool = False) -> Receipt:
+        """Make the stages before position ``until`` that are not there yet.
+
+        attempt : how many times the unit was given to a worker, this one included
+        last_try : running out of memory quarantines it, rather than handing it back
+        """
+        if unit.fault is not None:
+            return self._refused(unit, fingerprint, unit.fault)
+        self._deadline = Deadline(self.context.deadline, may_exit=self._may_exit)
+        for _ in range(len(self.pipeline.stages) + 1):
+            chain = Chain(self.pipeline, self.keyer, self.commits, self.shared, unit)
+            try:
+                return self._walk(unit, chain, until, fingerprint, attempt, last_try)
+            except CorruptShardError:
+                continue  # the damaged commit was removed: its stage is made again
+        raise StoreError(
+            f"files of {unit.unit_id} are damaged again as soon as they are made",
+            where=self.context.store.url,
+            remedy="Check the disk.",
+        )
+
+    def _walk(self, unit: Unit, chain: Chain, until: int, fingerprint: bytes, attempt: int, last_try: bool) -> Receipt:
+        status: Status = "ok" if until == len(self.pipeline.stages) else "partial"
+        reason = ""
+        failure = None
+        while chain.at < until:
+            stage = self.pipeline.stages[chain.at]
+            key: StageKey | None = None
+            try:
+                key = self._key(chain)
+                commit = self.commits.find(stage.name, key.hex)
+                if commit is None:
+                    failure = self._known_failure(stage, key, attempt)
+                    if failure is not None:
+                        status = "quarantined"
+                        break
+                    commit, tables = self._make(unit, chain, stage, key)
+                    chain.add(receipt_of(commit, made=True), tables)
+                else:
+                    chain.add(receipt_of(commit, made=False))
+            except _Failed as failed:
+                if failed.cause == "memory" and not last_try:
+                    status = "memory"
+                else:
+                    status = "quarantined"
+                    failure = self._quarantine(unit, stage.name, key, failed, attempt)
+                break
+            if commit.outcome == "skipped":
+                status, reason = "skipped", commit.reason
+                break
+        return Receipt(
+            unit_id=unit.unit_id,
+            partition=unit.partition,
+            status=status,
+            reason=reason,
+            fingerprint=fingerprint,
+            stages=tuple(chain.done),
+            failure=failure,
+            attempts=attempt,
+            estimate=unit.cost,
+            content=self.keyer.content(unit),
+        )
+
+    def _key(self, chain: Chain) -> StageKey:
+        try:
+            with self._deadline.watch():
+                return chain.key()
+        except (StoreError, TransientIOError):
+            raise
+        except Exception as error:
+            raise _Failed(_cause(error), error, 1) from error
+
+    def _known_failure(self, stage: Stage, key: StageKey, attempt: int) -> Failure | None:
+        """What stands against trying: an older record, or, when an earlier attempt died, one of this very run."""
+        listed = (stage.name, key.hex) in self.context.quarantined
+        if not listed and attempt == 1:
+            return None
+        record = self.commits.quarantine_record(stage.name, key.hex)
+        if record is None or not (listed or record.run == self.context.token):
+            return None
+        return Failure(stage.name, key.key, record.cause, record.exception, record.message[:300], known=True)
+
+    def _make(self, unit: Unit, chain: Chain, stage: Stage, key: StageKey) -> tuple[UnitCommit, Mapping[str, pa.Table]]:
+        self.faults.reach("unit-before-run")
+        machine.reset_peak_rss()
+        started = time.perf_counter()
+        output, tables = self._run(unit, chain, stage)
+        records = {}
+        for name, table in tables.items():
+            found, size = logical_hash(table)
+            records[name] = TableRecord(
+                sha256=PENDING, bytes=0, logical_hash=found, rows=table.num_rows, logical_bytes=size
+            )
+        commit = UnitCommit(
+            unit_id=unit.unit_id,
+            partition=unit.partition,
+            stage=stage.name,
+            stage_version=stage.version,
+            key=key.hex,
+            key_parts=KeyParts(
+                code=key.code.hex(),
+                inputs=key.inputs.hex(),
+                parameters=key.parameters.hex(),
+                dependencies=key.dependencies.hex(),
+            ),
+            outcome=output.outcome,
+            reason=output.reason,
+            tables=records,
+            files={},
+            measures=output.measures,
+            seconds=time.perf_counter() - started,
+            peak_rss=machine.peak_rss(),
+            host=machine.host(),
+            libraries=machine.library_versions(),
+            revision=self.context.revision,
+        )
+        commit = self.commits.save(self.pipeline, commit, tables, output.files)
+        if self.context.retrying:
+            self.commits.release(stage.name, key.hex)
+        return commit, tables
+
+    def _run(self, unit: Unit, chain: Chain, stage: Stage) -> tuple[StageOutput, dict[str, pa.Table]]:
+        """Run the stage, with further tries for transient faults, and bring its tables into their one form."""
+        pause = self.context.transient_pause
+        for attempt in range(1, self.context.transient_tries + 1):
+            try:
+                with self._deadline.watch():
+                    output = stage.run(unit, chain.upstream(), chain.shared())
+                return output, self._checked(stage, output)
+            except StoreError:
+                raise
+            except TransientIOError as error:
+                if attempt == self.context.transient_tries:
+                    raise _Failed("input", error, attempt) from error
+                time.sleep(pause)
+                pause *= 4
+            except OSError as error:
+                if error.errno in (errno.ENOSPC, errno.EDQUOT):
+                    raise StoreError(
+                        f"no space left while {stage.name} ran for {unit.unit_id}",
+                        remedy="Free some space and run again; what was committed stays.",
+                    ) from error
+                raise _Failed("error", error, attempt) from error
+            except (Exception, SystemExit) as error:
+                raise _Failed(_cause(error), error, attempt) from error
+        raise AssertionError("unreachable")
+
+    def _checked(self, stage: Stage, output: StageOutput) -> dict[str, pa.Table]:
+        undeclared = set(output.tables) - set(stage.tables)
+        if undeclared:
+            raise StageError(f"stage {stage.name!r} wrote tables it does not declare: {sorted(undeclared)}")
+        tables = {}
+        for name, spec in self.pipeline.stage_tables(stage):
+            if name in output.tables:
+                tables[name] = canonical_table(output.tables[name], spec, name)
+            elif output.outcome != "skipped":
+                raise StageError(f"stage {stage.name!r} declares table {name!r} and did not write it")
+            elif spec is not None:
+                tables[name] = canonical_table(spec.schema.empty_table(), spec, name)
+        for name in output.files:
+            if not plain_name(name):
+                raise StageError(f"stage {stage.name!r} wrote a file under {name!r}, which is not a plain file name")
+            if name in ("unit.json", *(f"{table}.parquet" for table in tables)):
+                raise StageError(f"stage {stage.name!r} wrote a file under the reserved name {name!r}")
+        return tables
+
+    def _quarantine(self, unit: Unit, stage: str, key: StageKey | None, failed: _Failed, attempt: int) -> Failure:
+        # A key that could not even be computed is stood in for by what is known.
+        hexadecimal = key.hex if key else digest([unit.unit_id, stage, str(failed)])[:32]
+        return self.refuse(
+            QuarantineRecord(
+                unit_id=unit.unit_id,
+                partition=unit.partition,
+                stage=stage,
+                key=hexadecimal,
+                cause=failed.cause,
+                exception=type(failed.error).__name__,
+                message=str(failed.error),
+                traceback="".join(traceback.format_exception(failed.error)),
+                attempts=max(failed.attempts, attempt),
+                peak_rss=machine.peak_rss(),
+            )
+        )
+
+    def _refused(self, unit: Unit, fingerprint: bytes, fault: Exception) -> Receipt:
+        """A unit that could not be listed."""
+        record = QuarantineRecord(
+            unit_id=unit.unit_id,
+            partition=unit.partition,
+            stage=LISTING,
+            key=digest([unit.unit_id, type(fault).__name__, str(fault)])[:32],
+            cause=_cause(fault),
+            exception=type(fault).__name__,
+            message=str(fault),
+            traceback="".join(traceback.format_exception(fault)),
+        )
+        failure = self.refuse(record)
+        return Receipt(unit.unit_id, unit.partition, "quarantined", "", fingerprint, (), failure)
+
+    def blame(self, work: Work, until: int, cause: Cause, exception: str, message: str, attempts: int) -> Receipt:
+        """Quarantine a unit that took its workers down with it, at the stage that it can't have got past.
+
+        Called by the driver, which runs no stage: it walks over what is committed.
+        """
+        unit = work.unit
+        chain = Chain(self.pipeline, self.keyer, self.commits, self.shared, unit)
+        stage, key = self.pipeline.stages[0].name, digest([unit.unit_id, message])[:32]
+        while chain.at < until:
+            stage = self.pipeline.stages[chain.at].name
+            try:
+                key = chain.key().hex
+            except (StoreError, TransientIOError):
+                raise
+            except Exception:
+                break
+            commit = self.commits.find(stage, key)
+            if commit is None:
+                break
+            chain.add(receipt_of(commit, made=False))
+        record = QuarantineRecord(
+            unit_id=unit.unit_id,
+            partition=unit.partition,
+            stage=stage,
+            key=key,
+            cause=cause,
+            exception=exception,
+            message=message,
+            attempts=attempts,
+        )
+        failure = self.refuse(record)
+        return Receipt(
+            unit_id=unit.unit_id,
+            partition=unit.partition,
+            status="quarantined",
+            reason="",
+            fingerprint=work.fingerprint,
+            stages=tuple(chain.done),
+            failure=failure,
+            attempts=attempts,
+            estimate=unit.cost,
+            content=self.keyer.content(unit),
+        )
+
+    def refuse(self, record: QuarantineRecord) -> Failure:
+        """Write a record of failure and say what it says in short."""
+        complete = record.model_copy(
+            update={
+                "host": machine.host(),
+                "revision": self.context.revision,
+                "run": self.context.token,
+                "recorded_at": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+            }
+        )
+        self.commits.quarantine(complete)
+        return Failure(record.stage, bytes.fromhex(record.key), record.cause, record.exception, record.message[:300])
+
+
+def _cause(error: BaseException) -> Cause:
+    if isinstance(error, MemoryError):
+        return "memory"
+    if isinstance(error, DeadlineError):
+        return "deadline"
+    return "input" if isinstance(error, InputError) else "error"

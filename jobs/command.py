@@ -1,0 +1,320 @@
+"""The ``condvln`` command: one verb a function, each a thin door to its module."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import typer
+from rich.console import Console
+
+from schemas.errors import CondVLNError, UsageError
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(
+    name="condvln",
+    help="Conditional navigation instructions from indoor scenes: made, proven, published, measured.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+ConfigPath = Annotated[Path, typer.Argument(metavar="CONFIG", help="YAML configuration of the run")]
+Overrides = Annotated[
+    list[str] | None, typer.Option("--set", metavar="A.B=C", help="override one key; may be repeated")
+]
+AsJson = Annotated[bool, typer.Option("--json", help="print one JSON document instead of text")]
+
+PIPE_WIDTH: Final = 160
+"""Columns of tables that are not printed on a terminal."""
+
+EXIT_CODES: Final = (
+    "Exit codes: 0 done, 1 usage, 3 done with quarantined scenes or failed proofs, 4 over the failure budget."
+)
+
+
+@app.command(epilog=EXIT_CODES)
+def demo(
+    out: Annotated[Path, typer.Option(help="folder to write to")] = Path("out/demo"),
+    scenes: Annotated[int, typer.Option(help="made apartments")] = 12,
+    seed: Annotated[int, typer.Option(help="seed of everything")] = 0,
+    workers: Annotated[int | None, typer.Option(help="Ray workers; 0 runs inline")] = None,
+) -> None:
+    """Made scenes → instructions → episodes → tables and VLN-CE files, in minutes on two cores."""
+    from jobs.demo import run_demo
+
+    _exit(run_demo(out, scenes=scenes, seed=seed, workers=workers, console=_console()))
+
+
+@app.command()
+def samples(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="folder to write the dataset to")],
+    family: Annotated[str, typer.Option(help="native format of the scenes")] = "replicacad",
+    scenes: Annotated[int, typer.Option(min=1, help="how many")] = 12,
+    seed: Annotated[int, typer.Option(help="scene k of a seed is the same however many are made")] = 0,
+) -> None:
+    """Write whole made scenes in a family's native format."""
+    from jobs.samples import write_samples
+
+    write_samples(folder, family=family, scenes=scenes, seed=seed, console=_console())
+
+
+@app.command()
+def sources(config: ConfigPath, overrides: Overrides = None, as_json: AsJson = False) -> None:
+    """What is there, what is missing, and what will be skipped and why. Runs nothing."""
+    from jobs.configuration import load_config
+    from jobs.sources import survey
+
+    _show(survey(load_config(config, overrides or ())), as_json)
+
+
+@app.command()
+def plan(config: ConfigPath, overrides: Overrides = None, as_json: AsJson = False) -> None:
+    """The difference between the published snapshot and the sources, with its cost. Runs nothing."""
+    from jobs.configuration import load_config
+    from jobs.plan import make_plan
+
+    _show(make_plan(load_config(config, overrides or ())), as_json)
+
+
+@app.command(epilog=EXIT_CODES)
+def generate(
+    config: ConfigPath,
+    overrides: Overrides = None,
+    inline: Annotated[bool, typer.Option("--inline", help="run in this process, without Ray")] = False,
+    retry_quarantined: Annotated[
+        bool, typer.Option("--retry-quarantined", help="try quarantined scenes again")
+    ] = False,
+    priors: Annotated[bool, typer.Option("--priors", help="renew the label priors")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Run the plan and publish a snapshot; write the export where the configuration names one."""
+    from jobs.configuration import load_config
+    from jobs.generate import run_generate
+
+    report = run_generate(
+        load_config(config, overrides or ()),
+        inline=inline,
+        retry_quarantined=retry_quarantined,
+        renew_priors=priors,
+        console=_console(quiet=as_json),
+    )
+    _show(report, as_json)
+    _exit(report.exit_code)
+
+
+@app.command()
+def status(config: ConfigPath, overrides: Overrides = None, as_json: AsJson = False) -> None:
+    """Snapshots, refs, and what is quarantined and why."""
+    from jobs.configuration import load_config
+    from jobs.status import report_status
+
+    _show(report_status(load_config(config, overrides or (), check_roots=False)), as_json)
+
+
+@app.command()
+def export(config: ConfigPath, overrides: Overrides = None, as_json: AsJson = False) -> None:
+    """Published snapshot → splits, ground truth and manifests."""
+    from jobs.configuration import load_config
+    from jobs.export import run_export
+
+    _show(run_export(load_config(config, overrides or (), check_roots=False)), as_json)
+
+
+@app.command()
+def query(
+    config: ConfigPath,
+    sql: Annotated[str, typer.Argument(metavar="SQL", help="over scenes, rooms, objects, relations, instructions, …")],
+    overrides: Overrides = None,
+    as_json: AsJson = False,
+) -> None:
+    """DuckDB over the published tables; each has a ``source`` column from its folder."""
+    from jobs.configuration import load_config
+    from jobs.query import run_query
+
+    _show(run_query(load_config(config, overrides or (), check_roots=False), sql), as_json)
+
+
+@app.command()
+def show(
+    config: ConfigPath,
+    episode: Annotated[str | None, typer.Argument(metavar="ID", help="episode id")] = None,
+    sample: Annotated[int | None, typer.Option(min=1, help="show this many, spread over categories")] = None,
+    picture: Annotated[Path | None, typer.Option(help="folder for a top-down picture of each")] = None,
+    overrides: Overrides = None,
+    as_json: AsJson = False,
+) -> None:
+    """Episodes: text, tree, truths, paths, and a top-down picture."""
+    from jobs.configuration import load_config
+    from jobs.show import show_episodes
+
+    loaded = load_config(config, overrides or (), check_roots=picture is not None)
+    _show(show_episodes(loaded, episode=episode, sample=sample, picture=picture), as_json)
+
+
+ExportPath = Annotated[Path, typer.Argument(metavar="EXPORT", help="folder of an export")]
+SplitName = Annotated[str, typer.Argument(metavar="SPLIT", help="train, val_seen, val_unseen or test")]
+NavmeshRoots = Annotated[
+    list[Path] | None,
+    typer.Option("--navmesh-root", help="dataset folder with the navmeshes that the export does not ship"),
+]
+
+
+@app.command(epilog=EXIT_CODES)
+def verify(
+    config: ConfigPath,
+    export: Annotated[
+        Path | None, typer.Option("--export", metavar="DIR", help="export to prove; by default the configuration's")
+    ] = None,
+    overrides: Overrides = None,
+    as_json: AsJson = False,
+) -> None:
+    """Independent proof of every published episode, from its text and the raw source files."""
+    from jobs.configuration import load_config
+    from jobs.verify import verify_export
+
+    loaded = load_config(config, overrides or ())
+    folder = export or loaded.export
+    if folder is None:
+        raise UsageError("no export folder is named", place="export", remedy="Set export: FOLDER, or say --export DIR.")
+    report = verify_export(loaded, folder)
+    _show(report, as_json)
+    _exit(report.exit_code)
+
+
+@app.command()
+def walk(
+    export: ExportPath,
+    split: SplitName,
+    agent: Annotated[str, typer.Option(help="perfect, oracle, wrong-branch, random-leaf, always-then, nearest, …")],
+    out: Annotated[Path, typer.Option(help="file of predictions to write (VLN-CE's format)")],
+    navmesh_root: NavmeshRoots = None,
+    seed: Annotated[int, typer.Option(help="seed of agents that draw")] = 0,
+) -> None:
+    """Predictions of a reference agent, walked on the navmesh with VLN-CE's actions."""
+    from jobs.evaluate import walk_split
+
+    _show(walk_split(export, split, agent, out, navmesh_root or (), seed), False)
+
+
+@app.command()
+def evaluate(
+    export: ExportPath,
+    split: SplitName,
+    predictions: Annotated[list[Path], typer.Argument(metavar="P...", help="a file an agent, named after it")],
+    navmesh_root: NavmeshRoots = None,
+    distance: Annotated[str, typer.Option(help="geodesic, or euclidean as the paper's authors measure")] = "geodesic",
+    radius: Annotated[list[float] | None, typer.Option(help="success distance of a sweep; may be repeated")] = None,
+    assume_stop: Annotated[bool, typer.Option("--assume-stop", help="take the last pose as STOP")] = False,
+    scores: Annotated[Path | None, typer.Option(help="file for one JSON line an episode")] = None,
+    latex: Annotated[bool, typer.Option("--latex", help="print LaTeX tables (booktabs)")] = False,
+    markdown: Annotated[bool, typer.Option("--markdown", help="print Markdown tables")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Metrics of agents' predictions: SR, SPL, nDTW, BSA, CSR, which branch was taken, and how sure it all is."""
+    from jobs.evaluate import evaluate_predictions
+
+    if distance not in ("geodesic", "euclidean"):
+        raise UsageError(f"--distance {distance!r}", remedy="Say geodesic or euclidean.")
+    report = evaluate_predictions(
+        export,
+        split,
+        predictions,
+        navmesh_root or (),
+        euclidean=distance == "euclidean",
+        radii=radius or (),
+        assume_stop=assume_stop,
+        scores=scores,
+    )
+    if latex or markdown:
+        sys.stdout.write(report.as_latex() if latex else report.as_markdown())
+    else:
+        _show(report, as_json)
+
+
+navmesh = typer.Typer(help="The navigation engine by itself.", no_args_is_help=True, rich_markup_mode=None)
+app.add_typer(navmesh, name="navmesh")
+
+NavmeshPath = Annotated[Path, typer.Argument(metavar="FILE", help="a .navmesh file")]
+
+
+@navmesh.command("build")
+def navmesh_build(
+    mesh: Annotated[Path, typer.Argument(metavar="MESH", help="GLB, PLY, OBJ …, in Habitat's frame")],
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="the .navmesh file to write")],
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="a NavMeshSettings field; may be repeated")
+    ] = None,
+    profile: Annotated[str, typer.Option(help="habitat>=0.3.4 or habitat<=0.3.3")] = "habitat>=0.3.4",
+    as_json: AsJson = False,
+) -> None:
+    """Build the navmesh that Habitat would build, byte for byte."""
+    from jobs.navmesh import build, settings_of
+
+    _show(build(mesh, out, settings_of(settings or ()), profile, _console(quiet=as_json)), as_json)
+
+
+@navmesh.command("info")
+def navmesh_info(file: NavmeshPath, as_json: AsJson = False) -> None:
+    """What stands in a navmesh: settings, size, islands."""
+    from jobs.navmesh import info
+
+    _show(info(file), as_json)
+
+
+@navmesh.command("compare", epilog=EXIT_CODES)
+def navmesh_compare(
+    first: Annotated[Path, typer.Argument(metavar="A")],
+    second: Annotated[Path, typer.Argument(metavar="B")],
+    as_json: AsJson = False,
+) -> None:
+    """Name the first stage of the build at which two navmeshes part (exit code 3)."""
+    from jobs.navmesh import compare
+
+    report = compare(first, second)
+    _show(report, as_json)
+    _exit(report.exit_code)
+
+
+@navmesh.command("picture")
+def navmesh_picture(file: NavmeshPath, out: Annotated[Path, typer.Argument(metavar="OUT.png")]) -> None:
+    """Draw a navmesh from above, each island in its own colour."""
+    from jobs.navmesh import picture
+
+    _show(picture(file, out), False)
+
+
+def _console(quiet: bool = False) -> Console:
+    return Console(stderr=True, quiet=quiet)
+
+
+def _show(report: Any, as_json: bool) -> None:
+    if as_json:
+        sys.stdout.write(json.dumps(report.as_json(), ensure_ascii=False, sort_keys=True) + "\n")
+    else:
+        console = Console()
+        # Nobody's window is that narrow: a file or a pipe has no width, and rich would take 80 columns for it.
+        (console if console.is_terminal else Console(width=PIPE_WIDTH)).print(report)
+
+
+def _exit(code: int) -> None:
+    if code:
+        raise typer.Exit(code)
+
+
+CLICK_USAGE: Final = 2
+"""Exit code of the command-line library for wrong usage; ours is 1."""
+
+
+def main() -> None:
+    """Entry point: errors of ours become one message and their exit code."""
+    try:
+        app()
+    except CondVLNError as error:
+        Console(stderr=True, highlight=False, soft_wrap=True).print(f"condvln: {error}", markup=False)
+        raise SystemExit(error.exit_code) from None
+    except SystemExit as stop:
+        raise SystemExit(1 if stop.code == CLICK_USAGE else stop.code) from None

@@ -1,0 +1,168 @@
+"""Reading the configuration file: YAML, then CONDVLN_ variables, then ``--set``; every fault named by its key."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import yaml
+from pydantic import ValidationError
+
+from schemas.config import Config
+from schemas.errors import ConfigError
+
+__all__ = ["ENVIRONMENT_PREFIX", "load_config"]
+
+ENVIRONMENT_PREFIX: Final = "CONDVLN_"
+"""``CONDVLN_RAY__WORKERS=2`` sets ``ray.workers``; two underscores part the keys."""
+
+
+class _UniqueKeyLoader(yaml.SafeLoader):
+    """SafeLoader that refuses a key given twice, where the later one would silently win."""
+
+
+def _mapping(loader: _UniqueKeyLoader, node: yaml.MappingNode) -> dict[Any, Any]:
+    keys: dict[Any, Any] = {}
+    for key_node, value_node in node.value:
+        key = loader.construct_object(key_node, deep=True)
+        if key in keys:
+            raise ConfigError(
+                f"key {key!r} stands twice", place=f"line {key_node.start_mark.line + 1}", remedy="Keep one of them."
+            )
+        keys[key] = loader.construct_object(value_node, deep=True)
+    return keys
+
+
+_UniqueKeyLoader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _mapping)
+
+
+def load_config(
+    path: Path, overrides: Sequence[str] = (), environment: Mapping[str, str] | None = None, *, check_roots: bool = True
+) -> Config:
+    """Read, override and validate one configuration.
+
+    Parameters
+    ----------
+    path : the YAML file; relative folders in it count from its own folder
+    overrides : ``a.b=value`` strings, the last word
+    environment : variables to look for ``CONDVLN_…`` in; the process's own by default
+    check_roots : whether a missing source folder is an error
+
+    Raises ConfigError naming the key and what is allowed.
+    """
+    if not path.is_file():
+        raise ConfigError("no such configuration file", where=path, remedy="Give the path of a YAML file.")
+    try:
+        data = yaml.load(path.read_text(encoding="utf-8"), Loader=_UniqueKeyLoader)
+    except ConfigError as error:
+        raise ConfigError(error.what, where=path, place=error.place, remedy=error.remedy) from None
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
+        raise ConfigError(f"not YAML: {error}", where=path, remedy="Mend the file.") from None
+    if not isinstance(data, dict):
+        raise ConfigError("holds no keys", where=path, remedy="Start from configs/replicacad.yaml.")
+    for name, value in sorted((os.environ if environment is None else environment).items()):
+        keys = name.removeprefix(ENVIRONMENT_PREFIX).lower().split("__")
+        # Other CONDVLN_ variables exist (paths of tests and caches); only keys of the configuration count.
+        if name.startswith(ENVIRONMENT_PREFIX) and keys[0] in Config.model_fields:
+            _put(data, keys, _value(value, name), origin=name)
+    for text in overrides:
+        key, equals, value = text.partition("=")
+        if not equals or not key:
+            raise ConfigError(f"--set {text!r} is not of the form a.b=value", remedy="Example: --set ray.workers=2")
+        _put(data, key.split("."), _value(value, f"--set {key}"), origin=f"--set {text}")
+    try:
+        config = Config.model_validate(data)
+    except ValidationError as error:
+        raise ConfigError(_first_fault(error), where=path, remedy=_remedy(error)) from None
+    return _resolve(config, path.resolve().parent, path, check_roots)
+
+
+def _value(text: str, origin: str) -> Any:
+    try:
+        return yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise ConfigError(f"{origin}: value is not YAML: {error}") from None
+
+
+def _put(data: dict[str, Any], keys: Sequence[str], value: Any, origin: str) -> None:
+    at: Any = data
+    for key in keys[:-1]:
+        if isinstance(at, list):
+            at = _item(at, key, origin)
+            continue
+        at = at.setdefault(key, {})
+        if not isinstance(at, dict | list):
+            raise ConfigError(f"{origin}: {key!r} holds a value, not keys", remedy="Name a key inside a section.")
+    if isinstance(at, list):
+        _item(at, keys[-1], origin)
+        at[int(keys[-1])] = value
+    else:
+        at[keys[-1]] = value
+
+
+def _item(items: list[Any], key: str, origin: str) -> Any:
+    if not key.isdigit() or int(key) >= len(items):
+        raise ConfigError(f"{origin}: {key!r} is not one of the {len(items)} entries", remedy="Entries count from 0.")
+    return items[int(key)]
+
+
+def _first_fault(error: ValidationError) -> str:
+    faults = []
+    for fault in error.errors():
+        key = ".".join(str(part) for part in fault["loc"]) or "(top)"
+        if fault["type"] == "extra_forbidden":
+            faults.append(f"{key}: unknown key")
+        else:
+            faults.append(f"{key}: {fault['msg']} (got {str(fault.get('input'))[:60]!r})")
+    return "; ".join(faults)
+
+
+def _remedy(error: ValidationError) -> str:
+    for fault in error.errors():
+        if fault["type"] != "extra_forbidden":
+            continue
+        model: Any = Config
+        for part in fault["loc"][:-1]:
+            if isinstance(part, int):
+                continue
+            model = _inner_model(model.model_fields[part].annotation)
+            if model is None:
+                return ""
+        return f"Allowed here: {', '.join(model.model_fields)}."
+    return ""
+
+
+def _inner_model(annotation: Any) -> Any:
+    if hasattr(annotation, "model_fields"):
+        return annotation
+    for inner in getattr(annotation, "__args__", ()):
+        found = _inner_model(inner)
+        if found is not None:
+            return found
+    return None
+
+
+def _resolve(config: Config, base: Path, path: Path, check_roots: bool) -> Config:
+    sources = []
+    for k, source in enumerate(config.sources):
+        root = (base / source.root).resolve()
+        if check_roots and not root.is_dir():
+            raise ConfigError(
+                f"no such folder: {root}",
+                where=path,
+                place=f"sources.{k}.root",
+                remedy=f"Point it at your copy of {source.family}, or override it with --set sources.{k}.root=FOLDER.",
+            )
+        regions = None if source.regions is None else (base / source.regions).resolve()
+        if check_roots and regions is not None and not regions.exists():
+            raise ConfigError(f"no such file or folder: {regions}", where=path, place=f"sources.{k}.regions")
+        sources.append(source.model_copy(update={"root": root, "regions": regions}))
+    return config.model_copy(
+        update={
+            "sources": tuple(sources),
+            "store": (base / config.store).resolve(),
+            "export": None if config.export is None else (base / config.export).resolve(),
+        }
+    )

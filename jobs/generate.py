@@ -1,0 +1,106 @@
+"""``condvln generate``: run the plan, publish a snapshot, write the export."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, Final
+
+from rich.console import Console
+
+from condvln.navigation.compiled import warm_up
+from factory.auto_executor import AutoExecutor
+from factory.executor import Executor, InlineExecutor
+from factory.report import ABORTED, RunReport
+from factory.run import run
+from jobs.export import export_snapshot_of
+from jobs.pipeline import build_pipeline, list_units
+from jobs.progress import RunProgress
+from jobs.report import Report, Section
+from jobs.workspace import file_hashes, git_revision, hasher, open_store, published
+from schemas.config import Config
+
+__all__ = ["run_generate"]
+
+SHOWN_FAILURES: Final = 20
+"""Quarantined scenes listed on a terminal; ``condvln status`` has all of them."""
+
+
+def run_generate(
+    config: Config,
+    *,
+    inline: bool = False,
+    retry_quarantined: bool = False,
+    renew_priors: bool = False,
+    console: Console | None = None,
+) -> Report:
+    """Bring the published snapshot up to date with the sources, and the export with the snapshot."""
+    console = console or Console(stderr=True)
+    hashes = file_hashes(config)
+    pipeline = build_pipeline(config)
+    units = list_units(config, hasher(hashes))
+    hashes.save()
+    # Compiled once here, so that workers find the kernels in the cache instead of compiling them side by side.
+    warm_up(lambda message: console.print(message, highlight=False, markup=False), only=("paths", "follower"))
+    with RunProgress(console) as progress, _executor(config, inline, progress.note) as executor:
+        done = run(
+            pipeline,
+            units,
+            open_store(config),
+            config.name,
+            executor,
+            budget=config.ray.max_failures,
+            progress=progress,
+            retry_quarantined=retry_quarantined,
+            renew=("priors",) if renew_priors else (),
+            deadline=config.ray.deadline_seconds,
+            revision=git_revision(),
+        )
+    report = _report(done)
+    if config.export is not None and done.exit_code != ABORTED and done.snapshot_id is not None:
+        if not published(config).manifest.tables["episodes"].rows:
+            report.lines.append("no episodes, so nothing is exported; the tables scenes and rejections say why")
+            return report
+        exported = export_snapshot_of(config)
+        report.document["export"] = exported.document
+        report.lines += exported.lines
+        report.sections += exported.sections
+    return report
+
+
+@contextmanager
+def _executor(config: Config, inline: bool, say: Callable[[str], None]) -> Iterator[Executor]:
+    if inline:
+        yield InlineExecutor()
+        return
+    from factory.ray_executor import RayExecutor
+
+    with RayExecutor(workers=config.ray.workers, address=config.ray.address) as ray:
+        # A cluster is asked for its own sake; on this machine Ray must pay for its own start.
+        yield ray if config.ray.address else AutoExecutor(ray, say=say)
+
+
+def _report(done: RunReport) -> Report:
+    counts = {name: done.counts[name] for name in ("total", "fresh", "reused", "made", "ok", "skipped", "quarantined")}
+    document: dict[str, Any] = {
+        "snapshot_id": done.snapshot_id,
+        "published": done.published,
+        "counts": counts,
+        "stages": dict(done.stages),
+        "stage_seconds": {name: round(seconds, 3) for name, seconds in done.stage_seconds.items()},
+        "peak_rss": done.peak_rss,
+        "seconds": round(done.seconds, 3),
+        "quarantined": [{"unit": unit, "stage": f.stage, "message": f.message} for unit, f in done.failures],
+        "message": done.message,
+    }
+    lines = [done.message] if done.message else []
+    lines.append(
+        f"{counts['total']} scenes: {counts['ok']} done, {counts['skipped']} skipped, "
+        f"{counts['quarantined']} quarantined ({counts['fresh']} were fresh, {counts['reused']} found committed) "
+        f"in {done.seconds:.1f} s"
+    )
+    if done.snapshot_id is not None:
+        lines.append(f"snapshot {done.snapshot_id}{'' if done.published else ' (already published)'}")
+    failures = [(unit, f.stage, f.message) for unit, f in done.failures[:SHOWN_FAILURES]]
+    sections = [Section("Quarantined", ("scene", "stage", "cause"), [*failures])]
+    return Report(document, lines, sections, done.exit_code)

@@ -1,0 +1,117 @@
+"""From a configuration to the pipeline and its units: the wiring of science, factory and contracts."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any, Final
+
+from condvln.episodes.rules import EpisodeRules
+from condvln.instructions.config import InstructionConfig
+from condvln.navigation.agent import Agent
+from condvln.relations import RelationThresholds
+from condvln.sources.registry import open_source
+from condvln.sources.source import HashFile, Source
+from factory.pipeline import Pipeline, TableSpec
+from factory.unit import InputFile, Unit
+from jobs.stages import EpisodeStage, PriorsAggregate, ProgramStage, RelationStage, SceneStage, TextStage
+from schemas.config import Config, SourceConfig
+from schemas.errors import ConfigError
+from schemas.tables import SORT_KEYS, TABLES
+
+__all__ = ["build_pipeline", "list_units", "open_configured"]
+
+BYTES_BASE: Final = 300 * 2**20
+"""Memory of a worker before it reads a scene: interpreter, numpy, Arrow, compiled kernels."""
+
+SECONDS_PER_EPISODE: Final = 0.015
+"""Sampling, placing and wording of one episode on one core; refined by the factory from what units really took."""
+
+_STAGE_OF: Final[dict[str, str | tuple[str, ...]]] = {
+    "scenes": "scene",
+    "rooms": "scene",
+    "objects": "scene",
+    "relations": "relations",
+    "instructions": "text",
+    "episodes": "text",
+    "rejections": ("programs", "episodes"),
+}
+
+
+def build_pipeline(config: Config) -> Pipeline:
+    """The five stages under `config`, and the seven tables they publish."""
+    agent = _agent(config)
+    thresholds = _mirror(RelationThresholds, config.thresholds)
+    rules = _mirror(EpisodeRules, config.episodes)
+    wanted = config.instructions
+    sampling = _mirror(InstructionConfig, wanted)
+    return Pipeline(
+        name="condvln",
+        stages=(
+            SceneStage(agent),
+            RelationStage(thresholds),
+            ProgramStage(sampling, thresholds, rules, agent, config.seed),
+            EpisodeStage(wanted.per_category, wanted.label_cap, wanted.preamble, rules, agent, config.seed),
+            TextStage(rules, wanted.preamble, config.seed),
+        ),
+        aggregates=(PriorsAggregate(wanted.plausible_share),),
+        tables={name: TableSpec(TABLES[name], SORT_KEYS[name], _STAGE_OF[name]) for name in TABLES},
+    )
+
+
+def open_configured(config: Config, source: SourceConfig, hash_file: HashFile) -> Source:
+    """The reader of one configured source."""
+    return open_source(
+        source.family,
+        source.root,
+        scenes=source.scenes,
+        exclude=source.exclude,
+        agent=_agent(config),
+        regions=source.regions,
+        hash_file=hash_file,
+    )
+
+
+def list_units(config: Config, hash_file: HashFile) -> list[Unit]:
+    """All scenes of all sources as units; one that can't even be listed is a unit with its fault."""
+    units = []
+    for source in config.sources:
+        for handle in open_configured(config, source, hash_file).handles():
+            payload: dict[str, Any] = {
+                "family": handle.family,
+                "root": str(source.root),
+                "scene_id": handle.scene_id,
+                "regions": None if source.regions is None else str(source.regions),
+            }
+            units.append(
+                Unit(
+                    unit_id=f"{handle.family}/{handle.scene_id}",
+                    partition=handle.family,
+                    inputs=tuple(InputFile(i.path, i.size, i.sha256) for i in handle.inputs),
+                    payload=payload,
+                    cost=handle.cost + SECONDS_PER_EPISODE * sum(config.instructions.per_category.values()),
+                    memory=BYTES_BASE + 4 * sum(i.size for i in handle.inputs),
+                    fault=handle.fault,
+                )
+            )
+    for name, count in Counter(unit.unit_id for unit in units).items():
+        if count > 1:
+            raise ConfigError(
+                f"scene {name} comes from two sources",
+                remedy="Keep one of them, or part them with 'scenes' and 'exclude'.",
+            )
+    return units
+
+
+def _agent(config: Config) -> Agent:
+    agent: Agent = _mirror(Agent, config.agent)
+    return agent
+
+
+def _mirror(kind: type[Any], model: Any) -> Any:
+    """A frozen dataclass of the science from its configuration model: the same names on both sides, or an error."""
+    values = model.model_dump()
+    known = set(kind.__dataclass_fields__)
+    unknown = set(values) - known
+    if unknown:
+        raise AssertionError(f"{kind.__name__} does not know {sorted(unknown)}")
+    return kind(**values)

@@ -1,0 +1,59 @@
+"""``condvln plan``: what a run would do, why, and what it would cost. Runs nothing, writes no table."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any, Final
+
+from factory.run import plan
+from jobs.pipeline import build_pipeline, list_units
+from jobs.report import Report, Section
+from jobs.workspace import file_hashes, hasher, open_store
+from schemas.config import Config
+
+__all__ = ["make_plan"]
+
+SHOWN: Final = 40
+"""Scenes listed on a terminal; ``--json`` has all of them."""
+
+
+def make_plan(config: Config) -> Report:
+    """The plan of `config` against what is published under its name."""
+    hashes = file_hashes(config)
+    units = list_units(config, hasher(hashes))
+    hashes.save()
+    found = plan(build_pipeline(config), units, open_store(config), config.name)
+    entries = [asdict(entry) for entry in found.entries]
+    document: dict[str, Any] = {
+        "counts": dict(found.counts),
+        "reasons": dict(found.reasons),
+        "seconds": round(found.seconds, 3),
+        "possible_seconds": round(found.possible_seconds, 3),
+        "removed": list(found.removed),
+        "renewed": list(found.renewed),
+        "scenes": entries,
+    }
+    lines = [
+        ", ".join(f"{n} {status.lower()}" for status, n in sorted(found.counts.items())) or "no scenes",
+        f"about {found.seconds:.0f} s of one worker"
+        + (
+            f", up to {found.possible_seconds:.0f} s more where an early cut-off does not spare it"
+            if found.possible_seconds
+            else ""
+        ),
+    ]
+    if found.removed:
+        lines.append(f"{len(found.removed)} no longer in the sources: {', '.join(found.removed[:5])} …")
+    if found.renewed:
+        lines.append(f"would be built anew: {', '.join(found.renewed)}")
+    todo = [e for e in entries if e["status"] != "FRESH"][:SHOWN]
+    rows = [
+        (e["unit_id"], e["status"], ", ".join(e["reasons"]), _stages(e["stages"]), e["seconds"], e["detail"])
+        for e in todo
+    ]
+    section = Section("Scenes", ("scene", "status", "because of", "stages", "seconds", "detail"), [*rows])
+    return Report(document, lines, [section])
+
+
+def _stages(stages: tuple[tuple[str, str], ...]) -> str:
+    return " ".join(f"{name}:{status.lower()}" for name, status in stages if status != "FRESH")

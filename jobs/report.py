@@ -1,0 +1,62 @@
+"""What a verb has to say, for people (rich) and for scripts (JSON) alike."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from rich.console import Console, ConsoleOptions, RenderResult
+from rich.table import Table
+from rich.text import Text
+
+__all__ = ["Report", "Section"]
+
+
+@dataclass
+class Section:
+    """A titled table; empty ones are not shown."""
+
+    title: str
+    columns: Sequence[str]
+    rows: list[Sequence[Any]] = field(default_factory=list)
+
+    def table(self) -> Table:
+        """As rich draws it."""
+        table = Table(title=self.title, title_justify="left", header_style="bold")
+        for k, column in enumerate(self.columns):
+            numeric = bool(self.rows) and all(isinstance(row[k], int | float) for row in self.rows)
+            table.add_column(column, justify="right" if numeric else "left", overflow="fold")
+        for row in self.rows:
+            table.add_row(*(Text(_cell(value)) for value in row))
+        return table
+
+
+@dataclass
+class Report:
+    """Lines and tables for people, `document` for scripts, and how the command ends."""
+
+    document: dict[str, Any]
+    lines: list[str] = field(default_factory=list)
+    sections: list[Section] = field(default_factory=list)
+    exit_code: int = 0
+
+    def as_json(self) -> dict[str, Any]:
+        """The document, with the exit code."""
+        return {**self.document, "exit_code": self.exit_code}
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        yield from (Text(line) for line in self.lines)
+        yield from (section.table() for section in self.sections if section.rows)
+
+    def extend(self, lines: Iterable[str]) -> None:
+        """Add lines."""
+        self.lines.extend(lines)
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "–"
+    if isinstance(value, float):
+        return f"{value:,.3g}" if abs(value) < 1000 else f"{value:,.0f}"
+    return f"{value:,}" if isinstance(value, int) and not isinstance(value, bool) else str(value)

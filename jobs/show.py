@@ -1,0 +1,127 @@
+"""``condvln show``: episodes with their text, tree, truths and paths, and a top-down picture of each."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pyarrow.compute as pc
+
+from condvln.episodes.picture import draw_episode
+from condvln.instructions.tables import programs_from_table
+from condvln.navigation.pathfinder import Pathfinder
+from condvln.scene.tables import scene_from_tables
+from factory.snapshot import Snapshot
+from jobs.report import Report
+from jobs.tree import program_tree
+from jobs.workspace import published
+from schemas.config import Config
+from schemas.errors import UsageError
+from schemas.program import CATEGORIES, Program
+
+__all__ = ["show_episodes"]
+
+
+def show_episodes(
+    config: Config, *, episode: str | None = None, sample: int | None = None, picture: Path | None = None
+) -> Report:
+    """One episode by id (or the beginning of it), or a sample spread evenly over the categories.
+
+    picture : folder for a PNG of each; needs the sources' files
+    """
+    snapshot = published(config)
+    rows = _chosen(snapshot, episode, sample or (0 if episode else 1))
+    programs = _programs(snapshot, rows)
+    report = Report({"episodes": []})
+    for row in rows:
+        program = programs[row["source"], row["instruction_id"]]
+        tree = program_tree(program)
+        report.document["episodes"].append(
+            {**row, "program": program.model_dump(mode="json"), "tree": tree, "leaves": row["leaves"]}
+        )
+        report.extend(_lines(row, tree))
+        if picture is not None:
+            report.lines.append(f"  picture: {_draw(config, snapshot, row, tree, picture)}")
+        report.lines.append("")
+    return report
+
+
+def _chosen(snapshot: Snapshot, episode: str | None, sample: int) -> list[dict[str, Any]]:
+    table = snapshot.table("episodes")
+    if not table.num_rows:
+        raise UsageError("the snapshot holds no episodes", remedy="Its rejections table says why.")
+    if episode is not None:
+        rows: list[dict[str, Any]] = table.filter(pc.starts_with(table["episode_id"], episode)).to_pylist()
+        if not rows:
+            raise UsageError(f"no episode {episode!r}", remedy="condvln show CONFIG --sample 5 lists some.")
+        return rows
+    # Ids are hashes: taking them in their order is a sample that is the same every time.
+    by_category = {
+        category: table.filter(pc.equal(table["category"], category)).sort_by("episode_id") for category in CATEGORIES
+    }
+    picked: list[dict[str, Any]] = []
+    for k in range(sample):
+        for category, rows_left in by_category.items():
+            if len(picked) < sample and k < rows_left.num_rows:
+                picked += by_category[category].slice(k, 1).to_pylist()
+    return picked
+
+
+def _programs(snapshot: Snapshot, rows: list[dict[str, Any]]) -> dict[tuple[str, str], Program]:
+    found = {}
+    for source in sorted({row["source"] for row in rows}):
+        table = snapshot.table("instructions", partition=source)
+        wanted = [row["instruction_id"] for row in rows if row["source"] == source]
+        kept = table.filter(pc.is_in(table["instruction_id"], value_set=_strings(wanted)))
+        found.update({(source, name): program for name, program in programs_from_table(kept)})
+    return found
+
+
+def _strings(values: list[str]) -> Any:
+    import pyarrow as pa
+
+    return pa.array(values, pa.string())
+
+
+def _lines(row: dict[str, Any], tree: str) -> list[str]:
+    lines = [
+        f"{row['source']}/{row['scene_id']} · {row['category']} · {row['composition']} · episode {row['episode_id']}",
+        f"  “{row['instruction_text']}”",
+        *("  " + line for line in tree.splitlines()),
+    ]
+    for leaf in row["leaves"]:
+        mark = "★" if leaf["leaf"] == row["gold_leaf"] else " "
+        lines.append(
+            f"  {mark} leaf {leaf['leaf']}: {leaf['object_id']}, {len(leaf['subgoals'])} subgoals, "
+            f"{leaf['geodesic_distance']:.2f} m direct, {leaf['route_length']:.2f} m by its stops"
+        )
+    start = row["start_position"]
+    lines.append(
+        f"  start ({start['x']:.2f}, {start['y']:.2f}, {start['z']:.2f}) facing {row['start_heading_degrees']:.0f}°, "
+        f"τ {row['success_distance']} m, at most {row['max_steps']} steps"
+    )
+    return lines
+
+
+def _draw(config: Config, snapshot: Snapshot, row: dict[str, Any], tree: str, folder: Path) -> Path:
+    tables = {}
+    for name in ("scenes", "rooms", "objects"):
+        table = snapshot.table(name, partition=row["source"])
+        tables[name] = table.filter(pc.equal(table["scene_id"], row["scene_id"])).drop_columns(["source"])
+    roots = [source.root for source in config.sources if source.family == row["source"]]
+    scene = next(
+        (
+            s
+            for s in (scene_from_tables(tables, root, family=row["source"]) for root in roots)
+            if s.navmesh and (s.root / s.navmesh.path).is_file()
+        ),
+        None,
+    )
+    if scene is None or scene.navmesh is None:
+        raise UsageError(f"the navmesh of {row['scene_id']} is not there", remedy="Pictures need the source's files.")
+    tile = Pathfinder.load(scene.root / scene.navmesh.path).navmesh.tile
+    floor = [tile.verts[poly["verts"][: poly["vert_count"]]] for poly in tile.polys]
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{row['episode_id']}.png"
+    draw_episode(path, scene, floor, row, tree)
+    return path

@@ -1,0 +1,273 @@
+"""The five stages of a scene, each a thin wrapping of the science for the factory.
+
+scene → relations → programs → episodes → text. What a stage computes is decided in ``condvln``; here stands only what
+it reads, what it is keyed on, and where its rows go. A change of what a stage makes for equal inputs must raise its
+``version``; a golden test holds that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from condvln.episodes.placing import Placer
+from condvln.episodes.pool import fill_pool
+from condvln.episodes.rules import EpisodeRules
+from condvln.episodes.table import placements_table, rejections_table, with_text
+from condvln.instructions import (
+    InstructionConfig,
+    LabelPriors,
+    PriorBits,
+    ProgramSampler,
+    instruction_id,
+    instruction_table,
+    names_compass,
+    programs_from_table,
+    render,
+    with_preamble,
+)
+from condvln.navigation.agent import Agent
+from condvln.navigation.pathfinder import Pathfinder
+from condvln.relations import RelationThresholds, RoomRelations, relate_scene, relation_table, text_facts
+from condvln.scene import Scene
+from condvln.scene.meshes import MeshLibrary
+from condvln.scene.tables import scene_from_tables, scene_tables
+from condvln.sources.registry import open_source
+from condvln.sources.source import Source
+from factory.stage import Aggregate, Stage, StageOutput
+from factory.unit import Unit
+from schemas.canonical import JSON
+from schemas.program import CATEGORIES, Category
+
+__all__ = ["EpisodeStage", "PriorsAggregate", "ProgramStage", "RelationStage", "SceneStage", "TextStage"]
+
+Tables = Mapping[str, pa.Table]
+
+
+@lru_cache(maxsize=8)
+def _source(family: str, root: str, regions: str | None, agent: Agent) -> Source:
+    """One reader a process and dataset: its shared files are read once."""
+    return open_source(family, Path(root), agent=agent, regions=None if regions is None else Path(regions))
+
+
+def _scene(unit: Unit, tables: Tables) -> Scene:
+    return scene_from_tables(tables, Path(str(unit.payload["root"])), family=str(unit.payload["family"]))
+
+
+def _placer(scene: Scene, rules: EpisodeRules, agent: Agent, seed: int) -> Placer:
+    assert scene.navmesh is not None  # the first stage skips scenes without
+    pathfinder = Pathfinder.load(scene.root / scene.navmesh.path)
+    return Placer(scene, pathfinder, rules, seed, max_climb=agent.max_climb)
+
+
+@dataclass
+class SceneStage(Stage):
+    """Native files → scenes, rooms, objects. A sound scene that can't yield is skipped, with its reason."""
+
+    agent: Agent
+    name: str = "scene"
+    version: int = 1
+    tables: tuple[str, ...] = ("scenes", "rooms", "objects")
+    reads_inputs: bool = True
+
+    def parameters(self, unit: Unit) -> JSON:
+        return {"agent": asdict(self.agent)}
+
+    def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
+        payload = unit.payload
+        regions = payload.get("regions")
+        source = _source(
+            str(payload["family"]), str(payload["root"]), None if regions is None else str(regions), self.agent
+        )
+        scene = source.read(str(payload["scene_id"]))
+        reason = ""
+        if len(scene.objects) < 2:
+            reason = f"{'no' if not scene.objects else 'only one'} object: nothing to relate or to choose between"
+        elif scene.navmesh is None:
+            reason = "no navmesh: nowhere to place episodes"
+        tables = scene_tables(scene, status="skipped" if reason else "ok", reason=reason or None)
+        return StageOutput(tables=tables, outcome="skipped" if reason else "ok", reason=reason)
+
+
+@dataclass
+class RelationStage(Stage):
+    """rooms, objects (and their meshes) → relations."""
+
+    thresholds: RelationThresholds
+    name: str = "relations"
+    version: int = 1
+    tables: tuple[str, ...] = ("relations",)
+    reads: tuple[str, ...] | None = ("scenes", "rooms", "objects")
+    reads_inputs: bool = True
+
+    def parameters(self, unit: Unit) -> JSON:
+        return {"thresholds": asdict(self.thresholds)}
+
+    def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
+        scene = _scene(unit, upstream)
+        relations = relate_scene(scene, self.thresholds, MeshLibrary(scene.root).world_mesh)
+        return StageOutput(tables={"relations": relation_table(scene, relations, self.thresholds)})
+
+
+@dataclass
+class PriorsAggregate(Aggregate):
+    """Which labels are plausible in which type of room, over all scenes of all sources."""
+
+    plausible_share: float
+    name: str = "priors"
+    version: int = 1
+    after: str = "scene"
+    tables: tuple[str, ...] = ("rooms", "objects")
+
+    def build(self, tables: Iterator[tuple[str, Tables]]) -> pa.Table:
+        parts = (LabelPriors.of_tables(t["rooms"], t["objects"]) for _, t in tables)
+        return LabelPriors.merged(parts, self.plausible_share).table()
+
+
+@dataclass
+class ProgramStage(Stage):
+    """relations → candidate programs, in the order in which they will be tried."""
+
+    config: InstructionConfig
+    thresholds: RelationThresholds
+    rules: EpisodeRules
+    agent: Agent
+    seed: int
+    name: str = "programs"
+    version: int = 1
+    tables: tuple[str, ...] = ("candidates", "rejections")
+    reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "relations")
+    needs: tuple[str, ...] = ("priors",)
+
+    def parameters(self, unit: Unit) -> JSON:
+        return {
+            "config": asdict(self.config),
+            "thresholds": asdict(self.thresholds),
+            "rules": asdict(self.rules),
+            "max_climb": self.agent.max_climb,
+            "seed": self.seed,
+        }
+
+    def dependencies(self, unit: Unit, upstream: Tables, shared: Tables) -> JSON:
+        return dict(self._bits(_scene(unit, upstream), shared).document())
+
+    def _bits(self, scene: Scene, shared: Tables) -> PriorBits:
+        return LabelPriors.from_table(shared["priors"], self.config.plausible_share).bits(scene)
+
+    def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
+        scene = _scene(unit, upstream)
+        facts = {}
+        for room in scene.rooms:
+            arrays = scene.arrays(room.room_id)
+            relations = RoomRelations.from_table(upstream["relations"], arrays, self.thresholds)
+            facts[room.room_id] = text_facts(relations, self.thresholds)
+        # Leaves are checked before the gold one is drawn among them, so that the check can't favour a truth.
+        stops = _placer(scene, self.rules, self.agent, self.seed).stops
+        sampler = ProgramSampler(scene, facts, self._bits(scene, shared), self.config, self.seed, stops=stops)
+        programs = [
+            (instruction_id(scene.family, scene.scene_id, program), program)
+            for category in CATEGORIES
+            for program in sampler.candidates(category)
+        ]
+        return StageOutput(
+            tables={
+                "candidates": instruction_table(scene.scene_id, programs),
+                "rejections": rejections_table(scene.scene_id, self.name, sampler.rejections),
+            },
+            measures={"candidates": float(len(programs))},
+        )
+
+
+@dataclass
+class EpisodeStage(Stage):
+    """Candidate programs + navmesh → placed episodes, without their words."""
+
+    wanted: Mapping[Category, int]
+    label_cap: float
+    preamble: bool
+    rules: EpisodeRules
+    agent: Agent
+    seed: int
+    name: str = "episodes"
+    version: int = 1
+    tables: tuple[str, ...] = ("placements", "rejections")
+    reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "candidates")
+
+    def parameters(self, unit: Unit) -> JSON:
+        return {
+            "rules": asdict(self.rules),
+            "wanted": {str(category): count for category, count in self.wanted.items()},
+            "label_cap": self.label_cap,
+            "preamble": self.preamble,
+            "max_climb": self.agent.max_climb,
+            "seed": self.seed,
+        }
+
+    def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
+        scene = _scene(unit, upstream)
+        assert scene.navmesh is not None
+        candidates = programs_from_table(upstream["candidates"])
+        placer = _placer(scene, self.rules, self.agent, self.seed)
+        pool = fill_pool(
+            candidates,
+            placer,
+            self.wanted,
+            self.label_cap,
+            lambda program: self.preamble and names_compass(program),
+        )
+        compositions = dict(
+            zip(*(upstream["candidates"][c].to_pylist() for c in ("instruction_id", "composition")), strict=True)
+        )
+        return StageOutput(
+            tables={
+                "placements": placements_table(scene.scene_id, pool, compositions, scene.navmesh.sha256),
+                "rejections": rejections_table(scene.scene_id, self.name, pool.rejections, pool.examples),
+            },
+            measures={"episodes": float(len(pool.episodes)), "candidates": float(len(candidates))},
+        )
+
+
+@dataclass
+class TextStage(Stage):
+    """Placed programs → their words: instructions and episodes as they are published."""
+
+    rules: EpisodeRules
+    preamble: bool
+    seed: int
+    name: str = "text"
+    version: int = 1
+    tables: tuple[str, ...] = ("instructions", "episodes")
+    reads: tuple[str, ...] | None = ("candidates", "placements", "rooms")
+
+    def parameters(self, unit: Unit) -> JSON:
+        return {
+            "max_steps": self.rules.max_steps,
+            "steps_per_word": self.rules.steps_per_word,
+            "preamble": self.preamble,
+            "seed": self.seed,
+        }
+
+    def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
+        placements = upstream["placements"]
+        candidates = upstream["candidates"]
+        kept = candidates.filter(pc.is_in(candidates["instruction_id"], value_set=placements["instruction_id"]))
+        programs = dict(programs_from_table(kept))
+        bodies = {k: render(program, self.seed, k) for k, program in programs.items()}
+        texts = {}
+        for row in placements.select(["episode_id", "instruction_id", "start_heading_degrees"]).to_pylist():
+            name = row["instruction_id"]
+            named = self.preamble and names_compass(programs[name])
+            texts[row["episode_id"]] = (
+                with_preamble(bodies[name], row["start_heading_degrees"]) if named else bodies[name]
+            )
+        return StageOutput(
+            tables={
+                "instructions": instruction_table(str(unit.payload["scene_id"]), programs.items(), bodies),
+                "episodes": with_text(placements, texts, self.rules.max_steps, self.rules.steps_per_word),
+            }
+        )

@@ -1,0 +1,45 @@
+"""One byte string for one JSON value, so that equal values hash equally everywhere.
+
+Keys are sorted, nothing is padded, text is ASCII-escaped (so that a file name with undecodable bytes still has a form),
+and NaN and infinities are refused: they are not JSON, and a NaN in a key would silently equal ``null``. It is not
+RFC 8785: ``1`` and ``1.0`` stay different, as they are in Python.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from typing import TypeAlias, Union
+
+__all__ = ["JSON", "canonical_json", "digest"]
+
+JSON: TypeAlias = Union[bool, int, float, str, Sequence["JSON"], Mapping[str, "JSON"], None]  # noqa: UP007
+"""A JSON value; tuples count as arrays."""
+
+
+def canonical_json(value: JSON) -> bytes:
+    """The one form of ``value``.
+
+    Raises ``ValueError`` on NaN and infinities, ``TypeError`` on what is not JSON (keys that are not text included,
+    since ``1`` and ``"1"`` would fall together).
+    """
+    return json.dumps(
+        _checked(value), sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False
+    ).encode("ascii")
+
+
+def digest(value: JSON) -> str:
+    """SHA-256 of the canonical form, 64 hexadecimal digits."""
+    return hashlib.sha256(canonical_json(value)).hexdigest()
+
+
+def _checked(value: JSON) -> JSON:
+    if isinstance(value, Mapping):
+        for name in value:
+            if not isinstance(name, str):
+                raise TypeError(f"keys of a canonical document are text, not {type(name).__name__} ({name!r})")
+        return {name: _checked(item) for name, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_checked(item) for item in value]
+    return value

@@ -1,0 +1,167 @@
+"""The one configuration file, in YAML.
+
+Every number that decides something has its unit in its name or its description. Unknown keys, wrong types and missing
+folders fail at once. Relative paths count from the folder of the configuration file.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from schemas.base import Document, Finite
+from schemas.program import CATEGORIES, Category
+
+__all__ = [
+    "AgentConfig",
+    "Config",
+    "EpisodeConfig",
+    "Family",
+    "InstructionsConfig",
+    "RayConfig",
+    "SourceConfig",
+    "SplitsConfig",
+    "Thresholds",
+]
+
+Family = Literal["replicacad", "procthor", "ithor", "robothor", "mp3d", "gibson"]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Share = Annotated[float, Field(ge=0, le=1)]
+
+
+class SourceConfig(Document):
+    """One dataset on disk."""
+
+    family: Family
+    root: Path = Field(description="folder of the dataset")
+    scenes: tuple[str, ...] = Field(("*",), description="scene ids or patterns with * and ?")
+    exclude: tuple[str, ...] = Field((), description="scene ids or patterns left out")
+    regions: Path | None = Field(None, description="side file or folder of user-drawn room zones")
+
+
+class AgentConfig(Document):
+    """The agent the navmesh must fit; Habitat's and VLN-CE's defaults."""
+
+    radius: Positive = Field(0.1, description="metres")
+    height: Positive = Field(1.5, description="metres")
+    max_climb: Positive = Field(0.2, description="metres")
+    max_slope: Positive = Field(45.0, description="degrees")
+
+
+class Thresholds(Document):
+    """Where relations begin and end: emitted, usable as true in text, usable as false in text. Metres and degrees."""
+
+    near: Positive = 1.0
+    near_true: Positive = 0.85
+    near_false: Positive = 1.15
+    far: Positive = 3.0
+    far_true: Positive = 3.45
+    far_false: Positive = 2.55
+    height: Positive = 0.30
+    height_true: Positive = 0.45
+    height_false: Positive = 0.15
+    over_horizontal: Positive = Field(0.50, description="horizontal distance up to which higher is also above")
+    over_horizontal_true: Positive = 0.42
+    over_horizontal_false: Positive = 0.65
+    over_footprint_true: Share = Field(0.2, description="least footprint overlap for above and below in text")
+    sector_true: Positive = Field(15.0, description="degrees from the sector's centre")
+    sector_false: Positive = 30.0
+    sector_horizontal_true: Positive = Field(0.5, description="least horizontal distance for compass words in text")
+    level: Positive = Field(22.5, description="elevation below which a pair is level, degrees")
+    degenerate_horizontal: Positive = Field(0.1, description="horizontal distance below which direction means little")
+    surface_within: Positive = Field(1.15, description="AABB distance up to which the surface distance is asked")
+
+    @model_validator(mode="after")
+    def _margins_are_on_the_right_side(self) -> Thresholds:
+        for low, middle, high, name in (
+            (self.near_true, self.near, self.near_false, "near"),
+            (self.far_false, self.far, self.far_true, "far"),
+            (self.height_false, self.height, self.height_true, "height"),
+            (self.over_horizontal_true, self.over_horizontal, self.over_horizontal_false, "over_horizontal"),
+            (self.sector_true, 22.5, self.sector_false, "sector"),
+        ):
+            if not low < middle < high:
+                raise ValueError(f"{name}: the emitted threshold must lie between those for true and false")
+        if self.surface_within < self.near_false:
+            raise ValueError("surface_within must reach near_false, else a false 'near' could not be proven")
+        return self
+
+
+class InstructionsConfig(Document):
+    """What is sampled of each scene."""
+
+    per_category: dict[Category, int] = Field(
+        default_factory=lambda: dict.fromkeys(CATEGORIES, 20), description="episodes wanted a scene"
+    )
+    candidates_per_episode: int = Field(8, ge=1, description="candidates drawn for each episode wanted")
+    moves: tuple[Share, Share, Share] = Field((0.4, 0.4, 0.2), description="shares of leaves with 1, 2, 3 moves")
+    label_cap: Share = Field(0.15, description="no label is the target of more than this share of a scene's leaves")
+    presence_false_share: Share = Field(
+        0.2, description="most label-only conditions among the false ones where a scene is one room"
+    )
+    presence_share: Share = Field(0.4, description="share of label-only conditions in scenes of several rooms")
+    plausible_share: Share = Field(0.05, description="a label is plausible in a room type seen in this share of rooms")
+    preamble: bool = Field(True, description="open texts that use compass words with the start heading")
+
+    @model_validator(mode="after")
+    def _shares_sum_to_one(self) -> InstructionsConfig:
+        if abs(sum(self.moves) - 1.0) > 1e-9:
+            raise ValueError("moves: the three shares must sum to 1")
+        return self
+
+
+class EpisodeConfig(Document):
+    """Rules of starts, goals and paths. Metres."""
+
+    success_distance_single_room: Positive = 0.5
+    success_distance: Positive = 1.0
+    island_radius: Positive = Field(1.5, description="least radius of the island an episode stands on")
+    distance_single_room: tuple[Finite, Finite] = (1.0, 10.0)
+    distance: tuple[Finite, Finite] = (2.0, 30.0)
+    leaf_gap: Positive = Field(0.5, description="leaves lie at least 2 success distances plus this apart")
+    goal_reach: Positive = Field(0.5, description="goal points lie at most this far from the object's box")
+    goal_points: int = Field(8, ge=1, description="most goal points of an object")
+    goal_reach_at_most: Positive = Field(1.0, description="where nothing nearer can be stood on")
+    starts: int = Field(96, ge=1, description="starts drawn a scene, shared by its programs")
+    starts_per_program: int = Field(24, ge=1, description="starts tried before a program is given up")
+    path_spacing: Positive = Field(0.25, description="spacing of the dense reference path")
+    max_steps: int = Field(500, ge=1, description="step budget's ceiling (VLN-CE's)")
+    steps_per_word: int = Field(10, ge=1)
+
+
+class SplitsConfig(Document):
+    """How the pool becomes splits; families with official lists keep to them."""
+
+    seed: int = 0
+    per_cell: int | None = Field(
+        None, description="most episodes per split × category × gold leaf; none = all that balance"
+    )
+    val_seen_share: Share = Field(0.1, description="share of the train scenes' episodes set aside as val_seen")
+    fractions: tuple[Share, Share, Share] = Field((0.8, 0.1, 0.1), description="train, val_unseen, test by id hash")
+
+
+class RayConfig(Document):
+    """How a run is spread out."""
+
+    workers: int | None = Field(None, ge=1, description="none = every core")
+    address: str | None = Field(None, description="ray:// or host:port of a cluster; none = this machine")
+    max_failures: Share = Field(0.5, description="share of failed scenes over which the run is stopped (exit 4)")
+    deadline_seconds: Positive = Field(1800.0, description="wall time one scene may take")
+
+
+class Config(Document):
+    """One run: sources in, tables and splits out."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", description="name of the published ref")]
+    seed: int = 0
+    store: Path = Field(description="folder of units, snapshots and refs")
+    export: Path | None = Field(None, description="folder of the VLN-CE splits")
+    sources: tuple[SourceConfig, ...] = Field(min_length=1)
+    agent: AgentConfig = Field(default_factory=AgentConfig)
+    thresholds: Thresholds = Field(default_factory=Thresholds)
+    instructions: InstructionsConfig = Field(default_factory=InstructionsConfig)
+    episodes: EpisodeConfig = Field(default_factory=EpisodeConfig)
+    splits: SplitsConfig = Field(default_factory=SplitsConfig)
+    ray: RayConfig = Field(default_factory=RayConfig)

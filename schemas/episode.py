@@ -1,0 +1,67 @@
+"""An episode: an instruction placed on a navmesh, with the whole truth about every leaf."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from schemas.base import Document, Finite, Vec3
+from schemas.program import Category
+
+__all__ = ["Composition", "EpisodeLeaf", "EpisodeRecord", "Observability", "Subgoal"]
+
+Composition = Literal["C0", "C1", "C2"]
+"""C0 all in one room; C2 some branch whose condition, then- and else-leaf rooms pairwise differ; else C1."""
+
+Observability = Literal["O0", "O1", "O2"]
+"""Where the evidence is visible: from the start, on the common prefix of all paths, or only after a detour."""
+
+
+class Subgoal(Document):
+    """A place to pass through on the way, snapped to the navmesh, and the object it stands for."""
+
+    object_id: str
+    position: Vec3
+
+
+class EpisodeLeaf(Document):
+    """One leaf as if it were gold: its object, goal points (best first), subgoals and path."""
+
+    leaf: int = Field(ge=0)
+    object_id: str
+    goals: tuple[Vec3, ...] = Field(min_length=1)
+    subgoals: tuple[Subgoal, ...] = ()
+    reference_path: tuple[Vec3, ...] = Field(min_length=2)
+    geodesic_distance: Finite = Field(description="start to the nearest goal point, metres, as Habitat computes it")
+    route_length: Finite = Field(description="start via subgoals to the goal, metres")
+
+
+class EpisodeRecord(Document):
+    """One row of the episodes table; its program stands in the instructions table under ``instruction_id``."""
+
+    scene_id: str
+    episode_id: str
+    instruction_id: str
+    group_id: str | None = None
+    category: Category
+    composition: Composition
+    observability: Observability | None = None
+    gold_leaf: int = Field(ge=0)
+    n_leaves: int = Field(ge=2)
+    gold_label: str
+    moves: int = Field(ge=1, le=3, description="moves on the gold branch")
+    start_position: Vec3
+    start_rotation: tuple[Finite, Finite, Finite, Finite] = Field(description="quaternion [x, y, z, w]")
+    start_heading_degrees: Finite = Field(ge=0, lt=360, description="compass heading, clockwise from north")
+    geodesic_distance: Finite = Field(description="start to the nearest goal point of the gold leaf, metres")
+    route_length: Finite = Field(description="start via the gold leaf's subgoals to its goal, metres")
+    leaves: tuple[EpisodeLeaf, ...] = Field(min_length=2)
+    success_distance: Finite
+    ground_truth_steps: int = Field(description="actions of the longest leaf, STOP included")
+    actions: tuple[int, ...] | None = Field(None, description="STOP 0, FORWARD 1, LEFT 2, RIGHT 3, to the gold leaf")
+    locations: tuple[Vec3, ...] | None = Field(None, description="the start and the place after each forward step")
+    words: int
+    max_steps: int
+    instruction_text: str
+    navmesh_sha256: str

@@ -1,0 +1,148 @@
+"""Every error this project raises, in one tree.
+
+::
+
+    CondVLNError
+    ├── UsageError              the command or its configuration is wrong          exit 1
+    │   └── ConfigError         a key of the configuration: unknown, mistyped, missing folder
+    ├── InputError              a source file can't be used: the scene is quarantined
+    │   ├── FormatError         malformed, truncated, hostile, or of the wrong type
+    │   ├── MissingFileError    a file that the format requires is not there
+    │   └── PathEscapeError     a path inside a file climbs out of the dataset's root
+    ├── StoreError              the store refused or is damaged
+    │   ├── CorruptShardError   bytes on disk differ from their recorded hash
+    │   └── PublishConflictError  another publisher moved the ref first
+    ├── TransientIOError        worth another try (network, busy disk)
+    ├── StageError              a stage broke its contract (wrong columns, repeated keys, an undeclared table)
+    ├── DeadlineError           a unit ran longer than its deadline
+    ├── ProofError              a published fact does not hold                      exit 3
+    └── FailureBudgetError      too many scenes failed; the run was stopped         exit 4
+
+An error says what is wrong, where (file, place in it, scene) and what to do about it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+__all__ = [
+    "CondVLNError",
+    "ConfigError",
+    "CorruptShardError",
+    "DeadlineError",
+    "FailureBudgetError",
+    "FormatError",
+    "InputError",
+    "MissingFileError",
+    "PathEscapeError",
+    "ProofError",
+    "PublishConflictError",
+    "StageError",
+    "StoreError",
+    "TransientIOError",
+    "UsageError",
+]
+
+
+class CondVLNError(Exception):
+    """Base of all errors raised on purpose.
+
+    Parameters
+    ----------
+    what : what is wrong, as a sentence without a full stop
+    where : file the fault lies in, if any
+    place : place inside that file (JSON path, byte offset, field, object id)
+    remedy : what the reader should do
+    """
+
+    exit_code = 1
+
+    def __init__(self, what: str, *, where: str | Path | None = None, place: str = "", remedy: str = "") -> None:
+        self.what = what
+        self.where = str(where) if where is not None else ""
+        self.place = place
+        self.remedy = remedy
+        super().__init__(self._message())
+
+    def _message(self) -> str:
+        parts = []
+        if self.where:
+            parts.append(self.where)
+        if self.place:
+            parts.append(self.place)
+        head = ": ".join([*parts, self.what])
+        return f"{head}. {self.remedy}" if self.remedy else head
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # Keyword-only arguments need a hand in crossing process borders.
+        return (_rebuild, (type(self), self.what, self.where, self.place, self.remedy))
+
+
+def _rebuild(kind: type[CondVLNError], what: str, where: str, place: str, remedy: str) -> CondVLNError:
+    return kind(what, where=where or None, place=place, remedy=remedy)
+
+
+class UsageError(CondVLNError):
+    """The command line is wrong."""
+
+
+class ConfigError(UsageError):
+    """A key of the configuration is unknown, mistyped, or names something that is not there."""
+
+
+class InputError(CondVLNError):
+    """A source file can't be used; the scene it belongs to is quarantined and the run goes on."""
+
+    exit_code = 3
+
+
+class FormatError(InputError):
+    """A file is malformed, truncated, hostile or of the wrong type."""
+
+
+class MissingFileError(InputError):
+    """A file that the format requires is not there."""
+
+
+class PathEscapeError(InputError):
+    """A path found inside a file leads out of the root of its dataset."""
+
+
+class StoreError(CondVLNError):
+    """The store refused a write, or holds something it should not."""
+
+
+class CorruptShardError(StoreError):
+    """The bytes of a committed file differ from the hash recorded at its commit."""
+
+
+class PublishConflictError(StoreError):
+    """Another publisher moved the ref between our read and our write."""
+
+
+class TransientIOError(CondVLNError):
+    """An input/output fault that another try may cure. The only error the factory retries."""
+
+
+class StageError(CondVLNError):
+    """A stage's output is not what the stage declared. The unit is quarantined; the stage needs a mend."""
+
+    exit_code = 3
+
+
+class DeadlineError(CondVLNError):
+    """A unit ran longer than its deadline and was stopped; it is quarantined."""
+
+    exit_code = 3
+
+
+class ProofError(CondVLNError):
+    """A published fact was recomputed and does not hold."""
+
+    exit_code = 3
+
+
+class FailureBudgetError(CondVLNError):
+    """More scenes failed than the run's budget allows."""
+
+    exit_code = 4

@@ -1,0 +1,42 @@
+"""The evaluation manifest: one line an episode, with all that an evaluator needs and no agent should see."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from schemas.base import Finite, Vec3, VersionedDocument
+from schemas.episode import Composition, EpisodeLeaf, Observability
+from schemas.program import Category, Program
+
+__all__ = ["ManifestEpisode"]
+
+
+class ManifestEpisode(VersionedDocument):
+    """One row of ``manifest/<split>.jsonl``."""
+
+    episode_id: str
+    instruction_id: str
+    group_id: str | None = None
+    source: str
+    scene_id: str
+    split: str
+    category: Category
+    depth: int
+    chain: int
+    composition: Composition
+    observability: Observability | None = None
+    moves: int = Field(description="moves on the gold branch")
+    words: int
+    instruction_text: str
+    program: Program
+    gold_leaf: int
+    start_position: Vec3
+    start_rotation: tuple[Finite, Finite, Finite, Finite]
+    leaves: tuple[EpisodeLeaf, ...]
+    success_distance: Finite
+    max_steps: int
+    geodesic_distance: Finite
+    route_length: Finite
+    navmesh: str = Field(description="path of the navmesh, as the export or the source ships it")
+    navmesh_sha256: str
+    snapshot: str

@@ -1,0 +1,199 @@
+"""The instruction program: a decision tree over object references; its text is one rendering of it.
+
+The tree is kept flat, as the tables keep it: conditions in the order in which the text asks them, branches that
+point at each other by index, leaves in reading order. ``Program.walk`` gives the nested view.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, Literal
+
+from pydantic import Field, model_validator
+
+from schemas.base import Frozen
+
+__all__ = [
+    "CATEGORIES",
+    "SHAPES",
+    "Branch",
+    "Category",
+    "Condition",
+    "Leaf",
+    "ObjectRef",
+    "Predicate",
+    "Program",
+    "Qualifier",
+    "RoomRef",
+    "Shape",
+]
+
+Category = Literal["simple", "nested", "deep_nested", "chain", "long_chain", "nested_chain"]
+
+Predicate = Literal[
+    "near",
+    "above",
+    "below",
+    "east of",
+    "north-east of",
+    "north of",
+    "north-west of",
+    "west of",
+    "south-west of",
+    "south of",
+    "south-east of",
+    "higher than",
+    "lower than",
+    "far from",
+]
+"""Predicates that may stand in text. ``S north of T`` holds iff S lies north of T."""
+
+
+class Qualifier(Frozen):
+    """``near the bed``: a predicate and the anchor object, itself unique in its room by canonical label."""
+
+    predicate: Predicate
+    anchor_id: str
+    anchor_label: str
+
+
+class RoomRef(Frozen):
+    """A room as text names it; ``anchor_*`` where its label alone is not unique (``the bedroom with the piano``)."""
+
+    room_id: str
+    label: str
+    anchor_id: str | None = None
+    anchor_label: str | None = None
+
+
+class ObjectRef(Frozen):
+    """One object, unique in its room by label, or by label and qualifier."""
+
+    object_id: str
+    label: str
+    room: RoomRef
+    qualifier: Qualifier | None = None
+
+
+class Condition(Frozen):
+    """``there is a <label> [<qualifier>] in <room>``, with its truth and the objects that make it true."""
+
+    label: str
+    room: RoomRef
+    qualifier: Qualifier | None = None
+    truth: bool
+    witnesses: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _witnessed(self) -> Condition:
+        if self.truth != bool(self.witnesses):
+            raise ValueError("a condition has witnesses exactly when it is true")
+        return self
+
+    @property
+    def kind(self) -> Literal["presence", "relation"]:
+        """Presence of a label in a room, or presence in a relation."""
+        return "presence" if self.qualifier is None else "relation"
+
+
+class Branch(Frozen):
+    """``if conditions[condition] then A else B``; a target ≥ 0 is a branch, one < 0 the leaf ``-1 - target``."""
+
+    condition: int = Field(ge=0)
+    then: int
+    otherwise: int
+
+
+class Leaf(Frozen):
+    """One to three moves; the last is the leaf's goal, those before it are its subgoals."""
+
+    moves: tuple[ObjectRef, ...] = Field(min_length=1, max_length=3)
+
+    @property
+    def goal(self) -> ObjectRef:
+        """The object the agent must stop at."""
+        return self.moves[-1]
+
+
+class Shape(Frozen):
+    """The tree of a category: its branches, its number of leaves, depth and chain length."""
+
+    depth: int
+    chain: int
+    leaves: int
+    branches: tuple[Branch, ...]
+
+
+def _b(condition: int, then: int, otherwise: int) -> Branch:
+    return Branch(condition=condition, then=then, otherwise=otherwise)
+
+
+SHAPES: Final[dict[Category, Shape]] = {
+    # IF A x ELSE y
+    "simple": Shape(depth=1, chain=1, leaves=2, branches=(_b(0, -1, -2),)),
+    # IF A (IF B x ELSE y) ELSE z
+    "nested": Shape(depth=2, chain=1, leaves=3, branches=(_b(0, 1, -3), _b(1, -1, -2))),
+    # IF A (IF B (IF C x ELSE y) ELSE z) ELSE w
+    "deep_nested": Shape(depth=3, chain=1, leaves=4, branches=(_b(0, 1, -4), _b(1, 2, -3), _b(2, -1, -2))),
+    # IF A x ELSE IF B y ELSE z
+    "chain": Shape(depth=1, chain=2, leaves=3, branches=(_b(0, -1, 1), _b(1, -2, -3))),
+    # IF A x ELIF B y ELIF C z ELSE w
+    "long_chain": Shape(depth=1, chain=3, leaves=4, branches=(_b(0, -1, 1), _b(1, -2, 2), _b(2, -3, -4))),
+    # IF A (IF B x ELSE y) ELIF C z ELSE w
+    "nested_chain": Shape(depth=2, chain=2, leaves=4, branches=(_b(0, 1, 2), _b(1, -1, -2), _b(2, -3, -4))),
+}
+"""The six categories. Depth is the deepest THEN-nesting, chain the number of tests in the top chain."""
+
+CATEGORIES: Final[tuple[Category, ...]] = tuple(SHAPES)
+
+
+class Program(Frozen):
+    """A typed conditional instruction.
+
+    ``branches[0]`` is the root; conditions stand in the order in which the text asks them.
+    """
+
+    category: Category
+    conditions: tuple[Condition, ...] = Field(min_length=1)
+    branches: tuple[Branch, ...] = Field(min_length=1)
+    leaves: tuple[Leaf, ...] = Field(min_length=2)
+
+    @model_validator(mode="after")
+    def _is_the_category_s_tree(self) -> Program:
+        shape = SHAPES[self.category]
+        if self.branches != shape.branches or len(self.leaves) != shape.leaves:
+            raise ValueError(f"branches and leaves are not those of category {self.category!r}")
+        if len(self.conditions) != len(self.branches):
+            raise ValueError("one condition a branch")
+        return self
+
+    def gold_leaf(self, truths: Sequence[bool] | None = None) -> int:
+        """Index of the leaf that the conditions' truths (or `truths`, in their order) lead to."""
+        return self.route(truths)[1]
+
+    def route(self, truths: Sequence[bool] | None = None) -> tuple[tuple[int, ...], int]:
+        """Indices of the conditions evaluated on the way, and the leaf reached."""
+        values = [c.truth for c in self.conditions] if truths is None else truths
+        asked: list[int] = []
+        at = 0
+        while at >= 0:
+            branch = self.branches[at]
+            asked.append(branch.condition)
+            at = branch.then if values[branch.condition] else branch.otherwise
+        return tuple(asked), -1 - at
+
+    @property
+    def depth(self) -> int:
+        """Deepest THEN-nesting."""
+        return SHAPES[self.category].depth
+
+    @property
+    def chain(self) -> int:
+        """Number of tests in the top chain."""
+        return SHAPES[self.category].chain
+
+    @property
+    def rooms(self) -> tuple[str, ...]:
+        """Ids of all rooms named, sorted."""
+        named = {c.room.room_id for c in self.conditions} | {m.room.room_id for leaf in self.leaves for m in leaf.moves}
+        return tuple(sorted(named))

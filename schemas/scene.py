@@ -1,0 +1,110 @@
+"""The Scene on the wire: what every source family is turned into. In memory it is arrays (``condvln.scene``)."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from schemas.base import Document, Finite, Vec3, VersionedDocument
+
+__all__ = [
+    "Box",
+    "MeshPart",
+    "NavmeshChoice",
+    "ObjectRecord",
+    "OrientedBox",
+    "RoomRecord",
+    "SceneRecord",
+    "SceneWarning",
+]
+
+Geometry = Literal["mesh", "obb", "aabb", "size", "radius", "none"]
+
+
+class Box(Document):
+    """Axis-aligned box in metres, Habitat frame."""
+
+    min: Vec3
+    max: Vec3
+
+
+class OrientedBox(Document):
+    """Oriented box: centre, half extents along its own axes, rotation as quaternion ``[x, y, z, w]``."""
+
+    center: Vec3
+    half_extents: Vec3
+    rotation: tuple[Finite, Finite, Finite, Finite]
+
+
+class MeshPart(Document):
+    """A mesh file of an object and the row-major 4×4 transform that takes it to the scene's frame."""
+
+    path: str = Field(description="relative to the dataset root, '/'-separated")
+    transform: Annotated[tuple[Finite, ...], Field(min_length=16, max_length=16)]
+
+
+class ObjectRecord(Document):
+    """One object; geometry that is not known stays null."""
+
+    object_id: str
+    room_id: str
+    raw_label: str
+    label: str = Field(description="canonical label")
+    center: Vec3
+    aabb: Box | None = None
+    obb: OrientedBox | None = None
+    size: Vec3 | None = None
+    radius: Finite | None = None
+    geometry: Geometry = "none"
+    mesh: tuple[MeshPart, ...] = ()
+    static: bool = True
+
+
+class RoomRecord(Document):
+    """One room, or the whole scene where its source knows no rooms."""
+
+    room_id: str
+    raw_label: str
+    label: str
+    level: int = 0
+    floor_y: Finite
+    ceiling_y: Finite
+    polygon: tuple[tuple[Finite, Finite], ...] | None = Field(None, description="(x, z) corners, implicitly closed")
+    annotation: Literal["dataset", "user", "scene"] = Field(
+        description="who drew it; 'scene' = the whole scene as one room"
+    )
+    complete: bool = Field(description="annotated completely enough for claims of absence")
+
+
+class NavmeshChoice(Document):
+    """The navmesh an episode of this scene lives on."""
+
+    path: str
+    sha256: str
+    built: bool
+    fits: bool = Field(description="its settings are those of the agent")
+    agent_radius: Finite
+    agent_height: Finite
+    agent_max_climb: Finite
+    agent_max_slope: Finite
+
+
+class SceneWarning(Document):
+    """Something of the source that was missing or odd, and what was done about it."""
+
+    code: str
+    where: str
+    message: str
+
+
+class SceneRecord(VersionedDocument):
+    """A whole scene."""
+
+    family: str
+    scene_id: str
+    rooms: tuple[RoomRecord, ...]
+    objects: tuple[ObjectRecord, ...]
+    navmesh: NavmeshChoice | None = None
+    stage: tuple[MeshPart, ...] = ()
+    warnings: tuple[SceneWarning, ...] = ()

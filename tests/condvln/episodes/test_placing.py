@@ -1,0 +1,263 @@
+"""Goal points and placements on a floor made here: every rule re-checked by code of the test's own."""
+
+from __future__ import annotations
+
+import dataclasses
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from condvln.episodes.goals import blocked_footprints, goal_points
+from condvln.episodes.placing import Placement, Placer, Rejected
+from condvln.episodes.pool import fill_pool
+from condvln.episodes.rules import REASONS, EpisodeRules
+from condvln.navigation.pathfinder import Pathfinder
+from condvln.navigation.polygon_tile import tile_of_polygons
+from condvln.scene import Room, Scene, SceneObject
+from schemas.program import SHAPES, Condition, Leaf, ObjectRef, Program, RoomRef
+
+RULES = EpisodeRules()
+CELL = 0.25
+
+
+def grid_floor(width: float, depth: float, solid) -> Pathfinder:
+    """A floor of 0.25 m squares at y = 0 without the squares whose middle is `solid`."""
+    columns, rows = round(width / CELL), round(depth / CELL)
+    corner = {}
+    verts: list[tuple[float, float, float]] = []
+
+    def index(i: int, j: int) -> int:
+        if (i, j) not in corner:
+            corner[i, j] = len(verts)
+            verts.append((i * CELL, 0.0, j * CELL))
+        return corner[i, j]
+
+    polys = [
+        [index(i, j), index(i + 1, j), index(i + 1, j + 1), index(i, j + 1)]
+        for j in range(rows)
+        for i in range(columns)
+        if not solid((i + 0.5) * CELL, (j + 0.5) * CELL)
+    ]
+    return Pathfinder.from_tile(tile_of_polygons(np.array(verts, np.float32), polys))
+
+
+def box(name: str, x: float, z: float, half: float = 0.3, bottom: float = 0.0, top: float = 1.0) -> SceneObject:
+    aabb = np.array([[x - half, bottom, z - half], [x + half, top, z + half]])
+    return SceneObject(name, "zone", name, name, aabb.mean(axis=0), aabb=aabb, size=aabb[1] - aabb[0])
+
+
+def apartment(*objects: SceneObject) -> Scene:
+    room = Room("zone", "apartment", "apartment", 0, 0.0, 2.5, None, "scene", True)
+    return Scene("made", "flat", Path("."), (room,), objects)
+
+
+def inside(item: SceneObject, x: float, z: float, grow: float = 0.0) -> bool:
+    low, high = item.aabb[0] - grow, item.aabb[1] + grow
+    return bool(low[0] < x < high[0] and low[2] < z < high[2])
+
+
+OBJECTS = (box("sofa", 1, 1), box("sink", 7, 1), box("lamp", 7, 5), box("bed", 1, 5), box("table", 4, 3))
+
+
+@pytest.fixture(scope="module")
+def flat() -> tuple[Scene, Pathfinder]:
+    scene = apartment(*OBJECTS)
+    return scene, grid_floor(8, 6, lambda x, z: any(inside(o, x, z) for o in OBJECTS))
+
+
+def program(*leaves: tuple[str, ...]) -> Program:
+    room = RoomRef(room_id="zone", label="apartment")
+    category = {2: "simple", 3: "nested", 4: "deep_nested"}[len(leaves)]
+    return Program(
+        category=category,
+        conditions=tuple(
+            Condition(label=f"c{k}", room=room, truth=True, witnesses=("w",)) for k in range(len(leaves) - 1)
+        ),
+        branches=SHAPES[category].branches,
+        leaves=tuple(Leaf(moves=tuple(ObjectRef(object_id=m, label=m, room=room) for m in moves)) for moves in leaves),
+    )
+
+
+def test_goal_points_stand_around_the_box(flat) -> None:
+    scene, pathfinder = flat
+    for item in OBJECTS:
+        points = goal_points(item, scene.rooms[0], pathfinder, RULES)
+        assert 4 <= len(points) <= RULES.goal_points
+        outside = np.maximum(np.abs(points - item.center)[:, [0, 2]] - 0.3, 0)
+        reach = np.hypot(*outside.T)
+        assert reach.max() <= RULES.goal_reach
+        assert (np.diff(reach) >= 0).all(), "nearest to the box first"
+        assert all(pathfinder.is_navigable(p) for p in points)
+        np.testing.assert_array_equal(points, np.round(points, 3))
+
+
+def test_goal_points_keep_to_one_side_of_a_wall() -> None:
+    picture = box("picture", 3.8, 3, half=0.05, bottom=1.2, top=1.8)
+    # A wall x ∈ [4, 4.25) with a doorway at the far end only: its other side is near the picture, but a long way round.
+    pathfinder = grid_floor(8, 6, lambda x, z: 4 < x < 4.25 and z < 5.5)
+    points = goal_points(picture, apartment(picture).rooms[0], pathfinder, RULES)
+    assert len(points)
+    assert (points[:, 0] <= 4.0).all()
+    through = grid_floor(8, 6, lambda x, z: False)
+    assert (goal_points(picture, apartment(picture).rooms[0], through, RULES)[:, 0] > 4.0).any()
+
+
+def test_an_object_in_the_middle_of_nothing_has_none(flat) -> None:
+    scene, pathfinder = flat
+    assert goal_points(box("moon", 40, 40), scene.rooms[0], pathfinder, RULES).shape == (0, 3)
+    assert goal_points(box("chandelier", 4, 1, bottom=3, top=3.5), scene.rooms[0], pathfinder, RULES).shape == (0, 3)
+
+
+def test_furniture_the_navmesh_ignores_is_found(flat) -> None:
+    scene, pathfinder = flat
+    assert blocked_footprints(scene, pathfinder, 0.2) == []
+    rug = box("rug", 4, 1, half=0.8, top=0.02)
+    shelf = box("shelf", 4, 5, half=0.4)
+    picture = box("picture", 2.5, 3, bottom=1.2, top=1.8)
+    fuller = apartment(*OBJECTS, rug, shelf, picture)
+    assert [item.object_id for item, _ in blocked_footprints(fuller, pathfinder, 0.2)] == ["shelf"]
+
+
+def check_walk(walk, start: np.ndarray, yaw: float, stops: np.ndarray, pathfinder: Pathfinder) -> None:
+    """The actions replayed by the test's own kinematics end within 0.5 m of every stop in turn."""
+    assert walk.actions[-1] == 0
+    assert len(walk.locations) == int((walk.actions == 1).sum()) + 1
+    at, heading, places = np.asarray(start, np.float32), yaw, [np.asarray(start, np.float32)]
+    for action in walk.actions[:-1]:
+        if action == 1:
+            step = at + np.float32(0.25) * np.array([-np.sin(heading), 0, -np.cos(heading)], np.float32)
+            at = pathfinder.try_step(at, step)
+            places.append(at)
+        else:
+            heading += np.radians(15.0) if action == 2 else -np.radians(15.0)
+    np.testing.assert_allclose(np.array(places), walk.locations, atol=2e-3)
+    k = 0
+    for place in places:
+        if k < len(stops) and pathfinder.geodesic_distance(place, stops[k]) < 0.5:
+            k += 1
+    assert k == len(stops)
+    assert pathfinder.geodesic_distance(at, stops[-1]) < 0.5
+
+
+def recheck(placement: Placement, made: Program, pathfinder: Pathfinder, tau: float) -> None:
+    """The rules of placement again, one by one, from the pathfinder alone."""
+    low, high = RULES.distance_single_room
+
+    def to_any(a: np.ndarray, points: np.ndarray) -> float:
+        return min(pathfinder.geodesic_distance(a, p) for p in points)
+
+    start = placement.start
+    assert pathfinder.is_navigable(start)
+    assert pathfinder.island_radius(start) >= RULES.island_radius
+    for leaf, placed in zip(made.leaves, placement.leaves, strict=True):
+        assert placed.objects == tuple(m.object_id for m in leaf.moves)
+        direct = to_any(start, placed.goals)
+        assert low <= direct <= high
+        assert placed.geodesic_distance == direct
+        at, total = start, 0.0
+        for stop in placed.route.stops:
+            assert pathfinder.geodesic_distance(start, stop) > 2 * tau
+            total += pathfinder.geodesic_distance(at, stop)
+            at = stop
+        assert placed.route.length == pytest.approx(total, abs=1e-6)
+        np.testing.assert_array_equal(placed.goals[0], placed.route.stops[-1])
+        path = placed.route.path
+        np.testing.assert_allclose(path[0], start, atol=1e-3)
+        np.testing.assert_allclose(path[-1], placed.goals[0], atol=1e-3)
+        walked = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
+        assert walked == pytest.approx(placed.route.length, abs=0.02)
+        assert 2 * placed.steps <= RULES.max_steps
+        check_walk(placed.walk, start, placement.yaw, placed.route.stops, pathfinder)
+    for one, other in combinations(placement.leaves, 2):
+        assert min(to_any(p, other.goals) for p in one.goals) >= 2 * tau + RULES.leaf_gap
+    for one in placement.leaves:
+        for other in placement.leaves:
+            if one is other:
+                continue
+            for a, b in zip(one.route.path[:-1], one.route.path[1:], strict=True):
+                for t in np.linspace(0, 1, 25):
+                    assert np.linalg.norm(a + t * (b - a) - other.goals, axis=1).min() >= tau
+
+
+def test_every_rule_holds_for_every_leaf(flat) -> None:
+    scene, pathfinder = flat
+    placer = Placer(scene, pathfinder, RULES, seed=5, max_climb=0.2)
+    placed, reasons = 0, set()
+    for made in (
+        program(("sofa",), ("sink",)),
+        program(("table", "sofa"), ("lamp",)),
+        program(("sofa",), ("sink",), ("lamp",)),
+        program(("bed",), ("table", "sink"), ("lamp",), ("sofa",)),
+    ):
+        for k in range(6):
+            try:
+                placement = placer.place(made, f"i{k}", compass=k % 2 == 0)
+            except Rejected as rejected:
+                reasons.add(rejected.reason)
+                continue
+            placed += 1
+            recheck(placement, made, pathfinder, RULES.success_distance_single_room)
+            if k % 2 == 0:
+                assert (np.degrees(placement.yaw) / 45) == pytest.approx(round(np.degrees(placement.yaw) / 45))
+    assert placed >= 12
+    assert reasons <= set(REASONS)
+
+
+@pytest.mark.parametrize(
+    ("objects", "leaves", "rules", "reason"),
+    [
+        (("a", "b", "far"), (("a",), ("far",)), {}, "object_without_goal_point"),
+        (("a", "beside a"), (("a",), ("beside a",)), {}, "leaves_too_close"),
+        (("a", "b", "beside b"), (("a",), ("beside b", "b")), {}, "moves_too_close"),
+        (("a", "b"), (("a",), ("b",)), {"distance_single_room": (7.0, 10.0)}, "no_start_in_range"),
+        (("a", "b"), (("a",), ("b",)), {"max_steps": 10}, "over_step_budget"),
+        (("a", "b"), (("a",), ("b",)), {"island_radius": 50.0}, "no_start"),
+    ],
+)
+def test_reasons(objects, leaves, rules, reason) -> None:
+    places = {"a": (1, 1), "b": (7, 5), "beside a": (1.8, 1), "beside b": (7, 4.2), "far": (60, 60)}
+    scene = apartment(*(box(name, *places[name]) for name in objects))
+    pathfinder = grid_floor(8, 6, lambda x, z: any(inside(o, x, z) for o in scene.objects))
+    placer = Placer(scene, pathfinder, dataclasses.replace(RULES, **rules), seed=0, max_climb=0.2)
+    with pytest.raises(Rejected) as caught:
+        placer.place(program(*leaves), "i", compass=False)
+    assert caught.value.reason == reason
+
+
+def test_a_corridor_past_one_leaf_to_the_other_is_refused() -> None:
+    # Both objects stand along a corridor 0.75 m wide: whoever comes from the open end passes the first.
+    scene = apartment(box("a", 3, 0.4, half=0.1, bottom=0.6), box("b", 6, 0.4, half=0.1, bottom=0.6))
+    pathfinder = grid_floor(8, 2, lambda x, z: z > 0.75 and x > 1.5)
+    placer = Placer(scene, pathfinder, RULES, seed=0, max_climb=0.2)
+    with pytest.raises(Rejected) as caught:
+        placer.place(program(("a",), ("b",)), "i", compass=False)
+    assert caught.value.reason in {"path_enters_other_leaf", "no_start_in_range"}
+
+
+def test_order_of_calls_changes_nothing(flat) -> None:
+    scene, pathfinder = flat
+    programs = [program(("sofa",), ("sink",)), program(("bed",), ("lamp",)), program(("table", "sofa"), ("lamp",))]
+    one = Placer(scene, pathfinder, RULES, seed=5, max_climb=0.2)
+    other = Placer(scene, pathfinder, RULES, seed=5, max_climb=0.2)
+    first = [one.place(p, f"{k}", compass=False) for k, p in enumerate(programs)]
+    second = [other.place(p, f"{k}", compass=False) for k, p in reversed(list(enumerate(programs)))][::-1]
+    for a, b in zip(first, second, strict=True):
+        np.testing.assert_array_equal(a.start, b.start)
+        assert a.yaw == b.yaw
+
+
+def test_pool_keeps_quota_gold_balance_and_label_cap(flat) -> None:
+    scene, pathfinder = flat
+    placer = Placer(scene, pathfinder, RULES, seed=5, max_climb=0.2)
+    names = [o.object_id for o in OBJECTS]
+    candidates = [(f"{a}-{b}", program((a,), (b,))) for a in names for b in names if a != b]
+    pool = fill_pool(candidates * 2, placer, {"simple": 8}, 0.3, lambda _: False)
+    assert 0 < len(pool.episodes) <= 8
+    labels = [leaf.goal.label for e in pool.episodes for leaf in e.program.leaves]
+    assert max(labels.count(name) for name in names) <= np.ceil(0.3 * len(labels))
+    assert len({e.instruction_id for e in pool.episodes}) == len(pool.episodes)
+    assert sum(pool.rejections.values()) + len(pool.episodes) == len(candidates * 2)
+    # All these programs have leaf 0 as gold, which may have only half of the places.
+    assert len(pool.episodes) <= 4

@@ -1,0 +1,47 @@
+"""Clearance and step counts against closed forms."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from shapely import LineString, Point
+
+from condvln.episodes.placing import heading_degrees, yaw_quaternion
+from condvln.episodes.routes import clearance
+
+flat_points = st.lists(st.tuples(st.floats(-9, 9), st.floats(-9, 9)), min_size=2, max_size=6).map(
+    lambda pairs: np.array([[round(x, 3), 0.0, round(z, 3)] for x, z in pairs])
+)
+
+
+@given(flat_points, flat_points)
+def test_clearance_is_shapely_s_on_the_plane(path: np.ndarray, points: np.ndarray) -> None:
+    line = LineString(path[:, [0, 2]])
+    expected = min(line.distance(Point(x, z)) for x, _, z in points)
+    assert clearance(path, points) == pytest.approx(expected, abs=1e-9)
+
+
+def test_clearance_counts_height() -> None:
+    path = np.array([[0, 0, 0], [1, 0, 0.0]])
+    assert clearance(path, np.array([[0.5, 3.0, 4.0]])) == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize(
+    ("yaw", "heading"), [(0, 0), (-math.pi / 2, 90), (math.pi, 180), (math.pi / 2, 270), (-math.pi, 180)]
+)
+def test_heading_is_clockwise_from_north(yaw: float, heading: float) -> None:
+    assert heading_degrees(yaw) == heading
+
+
+@given(st.floats(-math.pi, math.pi))
+def test_quaternion_turns_the_forward_axis_to_the_heading(yaw: float) -> None:
+    x, y, z, w = yaw_quaternion(yaw)
+    # Rotating −Z by a quaternion about +Y, written out.
+    forward = np.array([-2 * y * w, 0.0, -(1 - 2 * y * y)])
+    heading = math.radians(heading_degrees(yaw))
+    np.testing.assert_allclose(forward, [math.sin(heading), 0, -math.cos(heading)], atol=1e-6)
+    assert x == z == 0.0

@@ -1,0 +1,117 @@
+"""Tasks and worlds for the tests of evaluation."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from condvln.evaluation.task import LeafTask, Task
+from condvln.navigation.pathfinder import Pathfinder
+from condvln.navigation.polygon_tile import tile_of_polygons
+from schemas.program import SHAPES, Condition, Leaf, ObjectRef, Program, RoomRef
+
+L_VERTICES = [[0, 0, 0], [4, 0, 0], [4, 0, 2], [2, 0, 2], [0, 0, 2], [2, 0, 4], [0, 0, 4]]
+L_POLYGONS = [[0, 1, 2, 3, 4], [4, 3, 5, 6]]
+
+
+class OpenPlain:
+    """A world without walls: geodesic = straight line; beyond x = 50 m lies an island nobody reaches."""
+
+    def snap_points(self, points: Any, island: int | None = None) -> np.ndarray:
+        return np.asarray(points, dtype=np.float64).reshape(-1, 3)
+
+    def geodesic_distances(self, starts: Any, ends: Any) -> np.ndarray:
+        a, b = np.broadcast_arrays(np.asarray(starts, float).reshape(-1, 3), np.asarray(ends, float).reshape(-1, 3))
+        lines = np.sqrt(np.square(a - b).sum(axis=1))
+        return np.where((a[:, 0] > 50) != (b[:, 0] > 50), np.inf, lines)
+
+    def geodesic_distance(self, start: Any, end: Any) -> float:
+        return float(self.geodesic_distances(start, end).min())
+
+
+@pytest.fixture(scope="session")
+def plain() -> OpenPlain:
+    return OpenPlain()
+
+
+@pytest.fixture(scope="session")
+def l_shape() -> Pathfinder:
+    """Two rooms of an L, 12 m²; the reflex corner is at (2, 2)."""
+    return Pathfinder.from_tile(tile_of_polygons(L_VERTICES, L_POLYGONS))
+
+
+def program_of(category: str, gold: int = 0) -> Program:
+    """A program of a category whose truths lead to leaf ``gold``."""
+    shape = SHAPES[category]  # type: ignore[index]
+    room = RoomRef(room_id="r", label="kitchen")
+    for bits in range(2 ** len(shape.branches)):
+        truths = [bool(bits >> i & 1) for i in range(len(shape.branches))]
+        program = Program(
+            category=category,  # type: ignore[arg-type]
+            conditions=tuple(
+                Condition(label=f"thing{i}", room=room, truth=truth, witnesses=("w",) if truth else ())
+                for i, truth in enumerate(truths)
+            ),
+            branches=shape.branches,
+            leaves=tuple(
+                Leaf(moves=(ObjectRef(object_id=f"o{i}", label=f"goal{i}", room=room),)) for i in range(shape.leaves)
+            ),
+        )
+        if program.gold_leaf() == gold:
+            return program
+    raise AssertionError(gold)
+
+
+def task_with(
+    leaves: list[dict[str, Any]],
+    gold: int = 0,
+    *,
+    start: Any = (0.0, 0.0, 0.0),
+    reference: Any = None,
+    tau: float = 1.0,
+    max_steps: int = 500,
+    category: str | None = None,
+    **changes: Any,
+) -> Task:
+    """A task of the given leaves (goals, subgoals, route_length)."""
+    category = category or {2: "simple", 3: "nested", 4: "deep_nested"}[len(leaves)]
+    tasks = tuple(
+        LeafTask(
+            np.array(leaf["goals"], float).reshape(-1, 3),
+            np.array(leaf.get("subgoals", []), float).reshape(-1, 3),
+            float(leaf.get("route_length", 1.0)),
+            float(leaf.get("geodesic_distance", 1.0)),
+            np.array([start, *leaf.get("subgoals", []), leaf["goals"][0]], float),
+        )
+        for leaf in leaves
+    )
+    axes = {
+        "source": "made",
+        "scene": "made/a",
+        "category": category,
+        "depth": SHAPES[category].depth,  # type: ignore[index]
+        "chain": SHAPES[category].chain,  # type: ignore[index]
+        "composition": "C0",
+        "observability": None,
+        "moves": 1 + len(leaves[gold].get("subgoals", [])),
+    }
+    values = {
+        "episode_id": "e",
+        "group_id": None,
+        "text": "If there's a lamp, go to the sink, otherwise to the bed.",
+        "axes": axes,
+        "program": program_of(category, gold),
+        "gold_leaf": gold,
+        "leaves": tasks,
+        "start": np.array(start, float),
+        "start_rotation": (0.0, 0.0, 0.0, 1.0),
+        "reference": np.array([start, leaves[gold]["goals"][0]] if reference is None else reference, float),
+        "success_distance": tau,
+        "max_steps": max_steps,
+        "navmesh": "a.navmesh",
+        "navmesh_sha256": "0" * 64,
+        **changes,
+    }
+    return Task(**values)

@@ -1,0 +1,54 @@
+"""docs/metrics.md names every measure, agent and constant as the code has them."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+from condvln.evaluation.agents import AGENTS
+from condvln.evaluation.discrete import ERROR_MARGIN
+from condvln.evaluation.measures import FIDELITY_DISTANCE
+from condvln.evaluation.nearness import SLACK, SNAPPED
+from condvln.evaluation.score import START_TOLERANCE, Score
+from condvln.evaluation.statistics import REPLICATES
+
+
+@pytest.fixture(scope="module")
+def text(repository: Path) -> str:
+    return (repository / "docs" / "metrics.md").read_text(encoding="utf-8")
+
+
+def test_every_measure_is_defined(text: str) -> None:
+    for item in fields(Score):
+        assert f"`{item.name}`" in text, item.name
+
+
+def test_every_agent_is_described_and_no_other(text: str) -> None:
+    table = text.split("## Reference agents")[1].split("\n## ")[0]
+    assert re.findall(r"^\| `([a-z-]+)` \|", table, re.MULTILINE) == list(AGENTS)
+
+
+def test_constants_are_those_of_the_code(text: str) -> None:
+    assert (FIDELITY_DISTANCE, ERROR_MARGIN, START_TOLERANCE, SLACK, SNAPPED, REPLICATES) == (
+        3,
+        3,
+        0.25,
+        0.01,
+        0.01,
+        10_000,
+    )
+    for phrase in ("· 3 m))", "nearer than 3 m", "more than 0.25 m", "τ + 1 cm", "more than 1 cm", "10,000 draws"):
+        assert phrase in text, phrase
+
+
+def test_every_table_is_a_table(text: str) -> None:
+    widths: list[int] = []
+    for line in [*text.splitlines(), ""]:
+        if line.startswith("|"):
+            widths.append(len(re.findall(r"(?<!\\)\|", line)))
+        else:
+            assert len(set(widths)) <= 1, line
+            widths = []

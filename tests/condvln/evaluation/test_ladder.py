@@ -1,0 +1,91 @@
+"""Reference agents order themselves on episodes of every family: what a ceiling, a floor and a guess must score."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from condvln.evaluation.agents import AGENTS, predict_all
+from condvln.evaluation.evaluate import Evaluation, evaluate
+from condvln.evaluation.navmeshes import NavmeshFolder
+from condvln.evaluation.split import split_tasks
+from condvln.evaluation.task import Task
+from condvln.export.splits import SPLITS
+from condvln.samples import FAMILIES, make_samples
+from jobs.generate import run_generate
+from schemas.config import Config, InstructionsConfig, SourceConfig
+from schemas.program import CATEGORIES
+
+
+def made_tasks(family: str, folder: Path, scenes: int, per_category: int) -> tuple[list[Task], NavmeshFolder]:
+    """Episodes of all splits of a made dataset, selected and exported as ever."""
+    make_samples(folder / "scenes", family=family, scenes=scenes, seed=5)
+    config = Config(
+        name="ladder",
+        store=folder / "store",
+        export=folder / "export",
+        sources=(SourceConfig(family=family, root=folder / "scenes"),),  # type: ignore[arg-type]
+        instructions=InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, per_category)),
+    )
+    report = run_generate(config, inline=True, console=Console(quiet=True))
+    if not (folder / "export" / "export.json").exists():
+        pytest.skip(f"the made scenes of {family} yield no episodes: {report.lines}")
+    tasks = [task for split in SPLITS for task in split_tasks(folder / "export", split)]
+    return tasks, NavmeshFolder((folder / "export", folder / "scenes", folder / "store"))
+
+
+def check_ladder(tasks: list[Task], navmeshes: NavmeshFolder) -> None:
+    found = {
+        name: evaluate(tasks, predict_all(agent, tasks, navmeshes, seed=1), navmeshes, agent=name)
+        for name, agent in AGENTS.items()
+    }
+
+    def mean(name: str, measure: str, where: np.ndarray | slice = slice(None)) -> float:
+        return float(found[name].scores[measure][where].mean())
+
+    for name in ("perfect", "oracle"):
+        for measure in ("success", "oracle_success", "bsa_all", "csr_all", "leaf_correct"):
+            assert (found[name].scores[measure] == 1).all(), (name, measure)
+        assert (found[name].scores["bsa"] == 1).all()
+        assert mean(name, "ndtw") >= 0.95
+    np.testing.assert_allclose(found["perfect"].scores["spl_route"], 1, atol=1e-5)
+    assert mean("oracle", "spl_route") >= 0.95
+    direct = np.array([len(task.gold.subgoals) == 0 for task in tasks])
+    assert mean("oracle", "spl", direct) >= 0.95
+    assert (found["oracle"].scores["over_budget"] == 0).all()
+    assert (found["wrong-branch"].scores["success"] == 0).all()
+    assert mean("wrong-branch", "wrong_branch") >= 0.95
+    for name, truth in (("always-then", True), ("always-else", False)):
+        expected = [task.gold_leaf == task.program.gold_leaf([truth] * len(task.program.conditions)) for task in tasks]
+        assert found[name].scores["success"].tolist() == [float(right) for right in expected], name
+    chance = np.array([1 / len(task.leaves) for task in tasks])
+    spread = math.sqrt(float((chance * (1 - chance)).sum())) / len(tasks)
+    assert abs(mean("random-leaf", "success") - chance.mean()) < 3.5 * spread
+    assert mean("stop-at-start", "success") == 0
+    check_laws(found)
+
+
+def check_laws(found: dict[str, Evaluation]) -> None:
+    for evaluation in found.values():
+        scores = evaluation.scores
+        assert (scores["csr_all"] <= scores["success"]).all()
+        assert (scores["spl"] <= scores["success"]).all()
+        assert (scores["oracle_success"] >= scores["success"]).all()
+        assert (scores["bsa_all"] >= scores["csr_all"]).all()
+
+
+def test_ladder(tmp_path: Path) -> None:
+    tasks, navmeshes = made_tasks("replicacad", tmp_path, 2, 4)
+    assert len(tasks) >= 10
+    check_ladder(tasks, navmeshes)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("family", sorted(FAMILIES))
+def test_ladder_of_every_family(family: str, tmp_path: Path) -> None:
+    tasks, navmeshes = made_tasks(family, tmp_path, 4, 10)
+    check_ladder(tasks, navmeshes)

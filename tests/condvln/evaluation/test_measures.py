@@ -1,0 +1,131 @@
+"""Measures against their plain definitions, other people's code, and worked values."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from fastdtw import fastdtw
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from condvln.evaluation.kernels.alignment import dtw, dtw_of_costs
+from condvln.evaluation.measures import cls, ndtw, path_length, spl, without_repeats
+from tests.condvln.evaluation import plain
+
+# Whole and half metres too, so that repeats and ties are common.
+# To a micrometre: moving a path by metres must not merge points that lay a rounding apart.
+micrometres = st.floats(-8, 8, allow_nan=False).map(lambda value: round(value, 6))
+coordinate = st.one_of(micrometres, st.integers(-4, 4).map(lambda n: n / 2))
+paths = st.integers(1, 12).flatmap(lambda n: hnp.arrays(np.float64, (n, 3), elements=coordinate))
+
+
+def listed(path: np.ndarray) -> list[tuple[float, ...]]:
+    return [tuple(point) for point in path.tolist()]
+
+
+def check_all(path: np.ndarray, reference: np.ndarray, tau: float) -> None:
+    p, r = listed(path), listed(reference)
+    assert path_length(path) == pytest.approx(plain.length(p), abs=1e-9)
+    assert ndtw(path, reference, tau) == pytest.approx(plain.ndtw(p, r, tau), rel=1e-9)
+    assert cls(path, reference, tau) == pytest.approx(plain.cls(p, r, tau), rel=1e-9)
+    assert listed(without_repeats(path)) == plain.no_repeats(p)
+
+
+@given(paths, paths, st.sampled_from([0.5, 1.0, 3.0]))
+@settings(max_examples=300)
+def test_equal_the_plain_definitions(path: np.ndarray, reference: np.ndarray, tau: float) -> None:
+    check_all(path, reference, tau)
+
+
+@pytest.mark.soak
+@given(paths, paths, st.sampled_from([0.5, 1.0, 3.0]))
+@settings(max_examples=10_000)
+def test_equal_the_plain_definitions_at_length(path: np.ndarray, reference: np.ndarray, tau: float) -> None:
+    check_all(path, reference, tau)
+
+
+def check_fast(path: np.ndarray, reference: np.ndarray) -> None:
+    theirs = fastdtw(without_repeats(path), reference, dist=lambda a, b: float(np.linalg.norm(a - b)))[0]
+    ours = ndtw(path, reference, fast=True)
+    assert ours == pytest.approx(math.exp(-theirs / (len(reference) * 3.0)), rel=1e-9)
+    assert ours <= ndtw(path, reference) * (1 + 1e-12)
+
+
+long_paths = st.integers(1, 60).flatmap(lambda n: hnp.arrays(np.float64, (n, 3), elements=coordinate))
+
+
+@given(long_paths, long_paths)
+@settings(max_examples=60)
+def test_fast_mode_equals_the_package_that_vlnce_uses(path: np.ndarray, reference: np.ndarray) -> None:
+    check_fast(path, reference)
+
+
+@pytest.mark.soak
+@given(long_paths, long_paths)
+@settings(max_examples=10_000)
+def test_fast_mode_equals_the_package_at_length(path: np.ndarray, reference: np.ndarray) -> None:
+    check_fast(path, reference)
+
+
+@given(paths, paths)
+def test_laws(path: np.ndarray, reference: np.ndarray) -> None:
+    value = ndtw(path, reference)
+    assert 0 <= value <= 1
+    assert 0 <= cls(path, reference) <= 1 + 1e-12
+    assert ndtw(reference, without_repeats(reference)) == 1
+    turned = np.stack([path[:, 2], path[:, 1], -path[:, 0]], axis=1) + 3.0
+    turned_reference = np.stack([reference[:, 2], reference[:, 1], -reference[:, 0]], axis=1) + 3.0
+    assert ndtw(turned, turned_reference) == pytest.approx(value, rel=1e-9)
+    costs = np.linalg.norm(path[:, None] - reference[None], axis=2)
+    assert dtw_of_costs(costs) == pytest.approx(dtw(path, reference), abs=1e-9)
+    assert dtw_of_costs(costs.T.copy()) == pytest.approx(dtw(path, reference), abs=1e-9)
+
+
+def line(step: float, metres: float = 10.0) -> np.ndarray:
+    return np.stack([np.arange(0, metres + step / 2, step)] + [np.zeros(round(metres / step) + 1)] * 2, axis=1)
+
+
+@pytest.mark.parametrize(
+    ("walked", "reference", "tau", "value"),
+    [
+        (0.25, 0.25, 3.0, 1.000),
+        (0.25, 0.25, 1.0, 1.000),
+        (0.25, 10.0, 3.0, 0.000),
+        (0.25, 10.0, 1.0, 0.000),
+        (0.25, 2.0, 3.0, 0.329),
+        (0.25, 2.0, 1.0, 0.036),
+        (1.0, 0.25, 3.0, 0.922),
+        (1.0, 0.25, 1.0, 0.784),
+    ],
+)
+def test_worked_values_of_a_perfect_ten_metre_walk(walked: float, reference: float, tau: float, value: float) -> None:
+    assert ndtw(line(walked), line(reference), tau) == pytest.approx(value, abs=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("success", "shortest", "walked", "value"),
+    [
+        (True, 10.0, 10.0, 1.0),
+        (True, 10.0, 20.0, 0.5),
+        (True, 10.0, 5.0, 1.0),
+        (False, 10.0, 10.0, 0.0),
+        (True, 0.0, 0.0, 1.0),
+        (True, 0.0, 3.0, 0.0),
+        (True, math.inf, 3.0, 0.0),
+        (True, math.nan, 3.0, 0.0),
+    ],
+)
+def test_spl_has_no_undefined_corner(success: bool, shortest: float, walked: float, value: float) -> None:
+    assert spl(success, shortest, walked) == value
+
+
+def test_a_million_steps() -> None:
+    path = np.zeros((1_000_000, 3))
+    path[:, 0] = np.arange(1_000_000) % 7
+    reference = np.zeros((20, 3))
+    # Each of the 20 points meets at least one of the million, and the million average 3 m from it.
+    assert ndtw(path, reference) == pytest.approx(0.0, abs=1e-300)
+    assert ndtw(np.zeros((1_000_000, 3)), reference) == 1.0

@@ -1,0 +1,296 @@
+"""Whole scores against the plain definitions; the laws that hold on any input; every edge rule."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from condvln.evaluation.nearness import Nearness
+from condvln.evaluation.predictions import Prediction
+from condvln.evaluation.score import Rules, Score, score
+from condvln.navigation.pathfinder import Pathfinder
+from schemas.errors import FormatError
+from tests.condvln.evaluation import plain
+from tests.condvln.evaluation.conftest import OpenPlain, task_with
+
+OPEN = OpenPlain()
+coordinate = st.one_of(
+    st.floats(-4, 4, allow_nan=False).map(lambda v: round(v, 3)), st.integers(-6, 6).map(lambda n: n / 2), st.just(60.0)
+)
+point = st.tuples(coordinate, st.sampled_from([0.0, 0.0, 0.3]), coordinate)
+
+
+@st.composite
+def cases(draw: st.DrawFn) -> dict[str, Any]:
+    start = draw(st.tuples(st.integers(-2, 2).map(float), st.just(0.0), st.integers(-2, 2).map(float)))
+    leaf = st.fixed_dictionaries(
+        {
+            "goals": st.lists(point, min_size=1, max_size=3),
+            "subgoals": st.lists(point, max_size=3),
+            "route_length": st.floats(0, 20),
+        }
+    )
+    leaves = draw(st.lists(leaf, min_size=2, max_size=4))
+    return {
+        "start": start,
+        "path": [start, *draw(st.lists(point, max_size=10))],
+        "stopped": draw(st.booleans()),
+        "counts": draw(st.booleans()),
+        "leaves": leaves,
+        "gold": draw(st.integers(0, len(leaves) - 1)),
+        "reference": draw(st.lists(point, min_size=1, max_size=6)),
+        "tau": draw(st.sampled_from([0.5, 1.0, 3.0])),
+        "max_steps": draw(st.integers(1, 12)),
+        "euclidean": draw(st.booleans()),
+    }
+
+
+def straight(a: plain.Point, b: plain.Point) -> float:
+    return math.inf if (a[0] > 50) != (b[0] > 50) else plain.euclid(a, b)
+
+
+def judged(case: dict[str, Any], prune: bool = True) -> Score:
+    task = task_with(
+        case["leaves"],
+        case["gold"],
+        start=case["start"],
+        reference=case["reference"],
+        tau=case["tau"],
+        max_steps=case["max_steps"],
+    )
+    prediction = Prediction("e", np.array(case["path"], float), case["stopped"], case["counts"])
+    rules = Rules(distance="euclidean" if case["euclidean"] else "geodesic")
+    return score(task, prediction, Nearness(OPEN, prune=prune), rules)
+
+
+def check(case: dict[str, Any]) -> None:
+    ours = asdict(judged(case))
+    theirs = plain.judge(
+        case["path"],
+        case["stopped"],
+        start=case["start"],
+        leaves=case["leaves"],
+        gold=case["gold"],
+        reference=case["reference"],
+        tau=case["tau"],
+        max_steps=case["max_steps"] if case["counts"] else None,
+        distance=straight,
+        euclidean=case["euclidean"],
+    )
+    for name, value in theirs.items():
+        assert ours[name] == pytest.approx(value, rel=1e-9, abs=1e-12, nan_ok=True), name
+    assert asdict(judged(case, prune=False)) == pytest.approx(ours, nan_ok=True, abs=0, rel=0)
+
+
+@given(cases())
+@settings(max_examples=250)
+def test_equal_the_plain_definitions(case: dict[str, Any]) -> None:
+    check(case)
+
+
+@pytest.mark.soak
+@given(cases())
+@settings(max_examples=10_000)
+def test_equal_the_plain_definitions_at_length(case: dict[str, Any]) -> None:
+    check(case)
+
+
+@given(cases())
+@settings(max_examples=200)
+def test_laws_on_any_input(case: dict[str, Any]) -> None:
+    found = judged(case)
+    assert found.csr_all <= found.success
+    assert found.spl <= found.success
+    assert found.spl_route <= found.success
+    assert found.oracle_success >= found.success
+    assert found.bsa_all >= found.csr_all
+    assert math.isnan(found.bsa) == math.isnan(found.csr)
+    assert math.isnan(found.bsa) or found.bsa >= found.csr
+    assert found.leaf_correct + found.wrong_branch + found.no_commit == 1
+    assert 0 <= found.sdtw <= found.ndtw <= 1
+    assert found.success <= 1 - found.unreachable
+    assert all(math.isfinite(v) for n, v in asdict(found).items() if n not in NAN_ALLOWED)
+
+
+NAN_ALLOWED = {"bsa", "csr", "steps", "collisions", "divergence"}
+
+RATES = ("success", "oracle_success", "spl", "spl_route", "ndtw", "sdtw", "cls", "bsa", "csr", "bsa_all", "csr_all")
+
+# -- worked episodes ---------------------------------------------------------------------------------------------------
+
+TWO = [
+    {"goals": [[3, 0, 0]], "subgoals": [[1, 0, 0], [2, 0, 0]], "route_length": 3.0},
+    {"goals": [[0, 0, 3]], "route_length": 3.0},
+]
+
+
+def walk(*points: Any, stopped: bool = True, counts: bool = True) -> Prediction:
+    return Prediction("e", np.array(points, float).reshape(-1, 3), stopped, counts)
+
+
+def scored(prediction: Prediction | None, rules: Rules | None = None, **changes: Any) -> Score:
+    task = task_with(changes.pop("leaves", TWO), changes.pop("gold", 0), **changes)
+    return score(task, prediction, Nearness(OPEN), rules or Rules())
+
+
+def test_a_perfect_walk() -> None:
+    reference = np.stack([np.arange(13) / 4, np.zeros(13), np.zeros(13)], axis=1)
+    found = scored(walk(*reference), reference=reference)
+    for name in (
+        "success",
+        "oracle_success",
+        "spl",
+        "spl_route",
+        "ndtw",
+        "sdtw",
+        "cls",
+        "bsa",
+        "csr",
+        "bsa_all",
+        "csr_all",
+    ):
+        assert getattr(found, name) == pytest.approx(1.0), name
+    assert found.navigation_error == 0
+    assert found.steps == 12
+    assert (found.committed_leaf, found.leaf_correct) == (0, 1)
+
+
+def test_success_is_strict_and_needs_stop() -> None:
+    assert scored(walk([0, 0, 0], [2, 0, 0])).success == 0  # exactly 1 m away
+    assert scored(walk([0, 0, 0], [2.001, 0, 0])).success == 1
+    unstopped = scored(walk([0, 0, 0], [3, 0, 0], stopped=False))
+    assert (unstopped.success, unstopped.oracle_success, unstopped.no_commit) == (0, 1, 1)
+
+
+def test_the_authors_ball_is_closed_and_ours_open() -> None:
+    path = walk([0, 0, 0], [3, 0, 0])
+    leaves = [{"goals": [[3, 0, 0]], "subgoals": [[1, 0, 0]]}, TWO[1]]
+    assert scored(path, leaves=leaves).bsa == 0  # the start is exactly 1 m from the subgoal
+    assert scored(path, Rules(distance="euclidean"), leaves=leaves).bsa == 1
+
+
+def test_one_pose_reaches_several_subgoals_here_and_one_there() -> None:
+    leaves = [{"goals": [[3, 0, 0]], "subgoals": [[1, 0, 0], [1.5, 0, 0]]}, TWO[1]]
+    path = walk([0, 0, 0], [1.2, 0, 0], [3, 0, 0])
+    assert scored(path, leaves=leaves).bsa == 1
+    assert scored(path, Rules(distance="euclidean"), leaves=leaves).bsa == 1  # the start takes the first
+    far = [{"goals": [[6, 0, 0]], "subgoals": [[3, 0, 0], [3.5, 0, 0]]}, TWO[1]]
+    path = walk([0, 0, 0], [3.2, 0, 0], [6, 0, 0])
+    assert scored(path, leaves=far).bsa == 1
+    assert scored(path, Rules(distance="euclidean"), leaves=far).bsa == 0.5
+
+
+def test_subgoals_count_in_order() -> None:
+    leaves = [{"goals": [[9, 0, 0]], "subgoals": [[6, 0, 0], [3, 0, 0]]}, TWO[1]]
+    assert scored(walk([0, 0, 0], [3, 0, 0], [6, 0, 0], [9, 0, 0]), leaves=leaves).bsa == 0.5
+    assert scored(walk([0, 0, 0], [6, 0, 0], [3, 0, 0], [9, 0, 0]), leaves=leaves).bsa == 1
+
+
+def test_without_subgoals_the_paper_leaves_failures_out() -> None:
+    right, wrong = walk([0, 0, 0], [0, 0, 3]), walk([0, 0, 0], [3, 0, 0])
+    found = scored(right, gold=1)
+    assert (found.bsa, found.csr, found.bsa_all, found.csr_all) == (1, 1, 1, 1)
+    found = scored(wrong, gold=1)
+    assert math.isnan(found.bsa)
+    assert math.isnan(found.csr)
+    assert (found.bsa_all, found.csr_all) == (0, 0)
+
+
+def test_wrong_branch_and_where_it_parted() -> None:
+    found = scored(walk([0, 0, 0], [0, 0, 3]))
+    assert (found.wrong_branch, found.committed_leaf, found.divergence) == (1, 1, 0)
+    nowhere = scored(walk([0, 0, 0], [-5, 0, 0]))
+    assert (nowhere.no_commit, nowhere.committed_leaf) == (1, -1)
+    assert math.isnan(nowhere.divergence)
+
+
+@pytest.mark.parametrize("prediction", [None, walk()])
+def test_missing_and_empty_are_failures(prediction: Prediction | None) -> None:
+    found = scored(prediction)
+    assert found.missing == 1
+    assert found.navigation_error == 3.0
+    for name in (
+        "success",
+        "oracle_success",
+        "spl",
+        "spl_route",
+        "ndtw",
+        "sdtw",
+        "cls",
+        "bsa",
+        "csr",
+        "bsa_all",
+        "csr_all",
+    ):
+        assert getattr(found, name) == 0, name
+    assert math.isnan(scored(prediction, gold=1).bsa)
+
+
+def test_one_point() -> None:
+    found = scored(walk([0, 0, 0]), leaves=[{"goals": [[0.2, 0, 0]], "route_length": 0.2}, TWO[1]])
+    assert (found.success, found.spl, found.path_length, found.steps) == (1, 1, 0, 0)
+
+
+def test_start_on_the_goal_is_no_nan() -> None:
+    found = scored(walk([0, 0, 0]), leaves=[{"goals": [[0, 0, 0]], "route_length": 0.0}, TWO[1]])
+    assert (found.spl, found.spl_route) == (1, 1)
+
+
+def test_an_infinite_distance_is_no_good_score() -> None:
+    found = scored(walk([0, 0, 0], [1, 0, 0]), leaves=[{"goals": [[60, 0, 0]], "route_length": 9.0}, TWO[1]])
+    assert (found.unreachable, found.success, found.oracle_success, found.spl) == (1, 0, 0, 0)
+    assert found.navigation_error == 59.0  # straight line, never 0 and never infinite
+
+
+def test_a_start_elsewhere_is_an_error() -> None:
+    scored(walk([0.25, 0, 0]))
+    with pytest.raises(FormatError, match=r"episode e.*0\.26 m from the episode's start"):
+        scored(walk([0.26, 0, 0]))
+
+
+def test_the_budget_cuts_the_path_and_its_stop() -> None:
+    path = walk(*[[x / 4, 0, 0] for x in range(13)])
+    assert scored(path, max_steps=12).success == 1
+    cut = scored(path, max_steps=11)
+    assert (cut.success, cut.over_budget, cut.stopped, cut.steps) == (0, 1, 0, 11)
+    assert cut.path_length == pytest.approx(2.75)
+    assert scored(path, Rules(keep_budget=False), max_steps=11).success == 1
+    free = replace(path, counts_actions=False)
+    assert scored(free, max_steps=11).success == 1
+    assert math.isnan(scored(free).steps)
+
+
+def test_a_million_step_path() -> None:
+    positions = np.zeros((1_000_000, 3))
+    positions[1:, 0] = np.linspace(0, 2.5, 999_999)
+    found = scored(Prediction("e", positions, True, False))
+    assert (found.success, found.bsa, found.spl) == (1, 1, 1)
+    assert scored(Prediction("e", positions, True, True)).over_budget == 1
+
+
+def test_oracle_success_never_falls_below_success() -> None:
+    path = walk([0, 0, 0], [2.5, 0, 0])
+    assert scored(path, Rules(oracle_success_distance=0.1)).oracle_success == 1
+    assert scored(walk([0, 0, 0], [0.5, 0, 0]), Rules(oracle_success_distance=3.0)).oracle_success == 1
+
+
+def test_a_given_success_distance_replaces_the_episodes_own() -> None:
+    path = walk([0, 0, 0], [1, 0, 0])
+    assert scored(path).success == 0
+    assert scored(path, Rules(success_distance=3.0)).success == 1
+
+
+def test_geodesics_go_around_corners(l_shape: Pathfinder) -> None:
+    # From (4, 2) round the reflex corner (2, 2) to (2, 4): 4 m, though the straight line is 2.83 m.
+    leaves = [{"goals": [[2.0, 0, 4.0]], "subgoals": [[2.0, 0, 3.9]]}, {"goals": [[0, 0, 0]]}]
+    task = task_with(leaves, start=(4.0, 0, 2.0), tau=3.0)
+    stay = score(task, walk([4, 0, 2]), Nearness(l_shape), Rules())
+    assert stay.navigation_error == pytest.approx(4.0, abs=1e-5)
+    assert (stay.success, stay.oracle_success, stay.bsa) == (0, 0, 0)
+    assert score(task, walk([4, 0, 2]), Nearness(l_shape), Rules(distance="euclidean")).bsa == 1

@@ -1,0 +1,151 @@
+"""Tables in every form: the same numbers, valid in their format."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from condvln.evaluation.evaluate import Evaluation, evaluate
+from condvln.evaluation.plots import axis_figure, save_figures
+from condvln.evaluation.render import as_csv, as_document, as_latex, as_markdown, as_rich, written
+from condvln.evaluation.tables import Cell, Column, Table, all_tables, axis_table, main_table, twin_tables
+from condvln.evaluation.task import Task
+from tests.condvln.evaluation.conftest import OpenPlain
+from tests.condvln.evaluation.test_aggregate import choosing, fleet
+
+
+@pytest.fixture(scope="module")
+def tasks() -> list[Task]:
+    return fleet()
+
+
+@pytest.fixture(scope="module")
+def evaluations(tasks: list[Task]) -> list[Evaluation]:
+    gold = {t.episode_id: t.gold_leaf for t in tasks}
+    first = {t.episode_id: 0 for t in tasks}
+    return [
+        evaluate(tasks, choosing(tasks, which), lambda task: OpenPlain(), agent=name, radii=(0.5, 3.0))
+        for name, which in (("oracle_100%", gold), ("always|first", first))
+    ]
+
+
+@pytest.fixture(scope="module")
+def tables(evaluations: list[Evaluation], tasks: list[Task]) -> list[Table]:
+    return all_tables(evaluations, tasks)
+
+
+def test_everything_is_there(tables: list[Table]) -> None:
+    names = [table.name for table in tables]
+    assert len(set(names)) == len(names)
+    assert {"main", "branches", "by_depth", "by_chain", "sweep", "divergence", "groups", "comparison"} <= set(names)
+    assert sum(name.startswith("leaves_") for name in names) == 12
+
+
+def test_main_table_says_what_the_scores_say(evaluations: list[Evaluation]) -> None:
+    table = main_table(evaluations)
+    headings = [column.heading for column in table.columns]
+    assert headings[:6] == ["source", "agent", "TL", "NE", "OSR", "SR"]
+    row = table.rows[1]
+    scores = evaluations[1].scores
+    assert row[headings.index("SR")].value == scores["success"].mean()
+    assert row[headings.index("n")].value == 120
+    bsa = row[headings.index("BSA")]
+    assert (bsa.n, bsa.total) == (int((scores["bsa"] == scores["bsa"]).sum()), 120)
+    assert [cell.value for cell in main_table(evaluations).rows[0]] == [cell.value for cell in table.rows[0]]
+
+
+def test_several_sources_get_a_row_of_all(evaluations: list[Evaluation]) -> None:
+    table = axis_table(evaluations, "category")
+    assert [row[0].value for row in table.rows[-2:]] == ["all", "all"]
+    assert table.rows[-1][-1].value == 120
+
+
+def test_original_against_oracle_text(evaluations: list[Evaluation]) -> None:
+    oracle, original = evaluations
+    main, _, _, comparison = twin_tables(original, oracle)
+    assert [row[1].value for row in main.rows] == ["always|first, oracle text", "always|first, conditional text"]
+    success = next(row for row in comparison.rows if row[2].value == "success")
+    assert success[3].value == 1 - original.scores["success"].mean()
+
+
+@pytest.mark.parametrize(
+    ("cell", "kind", "text"),
+    [
+        (Cell(0.4213, 0.4, 0.45, 90, 100), "percent", "42.1 [40.0, 45.0] (90)"),
+        (Cell(0.4213, 0.4, 0.45, 100, 100), "percent", "42.1 [40.0, 45.0]"),
+        (Cell(3.14159), "metres", "3.14"),
+        (Cell(float("nan")), "metres", "–"),
+        (Cell(None), "count", "–"),
+        (Cell(7), "count", "7"),
+        (Cell(0.00391), "p", "0.0039"),
+        (Cell("a"), "text", "a"),
+    ],
+)
+def test_cells(cell: Cell, kind: str, text: str) -> None:
+    assert written(cell, Column("k", "K", kind)) == text  # type: ignore[arg-type]
+
+
+def test_terminal_shows_every_row(tables: list[Table]) -> None:
+    for table in tables:
+        out = io.StringIO()
+        Console(file=out, width=300).print(as_rich(table))
+        text = out.getvalue()
+        assert table.title in text
+        assert sum("oracle_100%" in line for line in text.splitlines()) >= sum(
+            any(cell.value == "oracle_100%" for cell in row) for row in table.rows
+        )
+
+
+def test_markdown_is_a_table(tables: list[Table]) -> None:
+    for table in tables:
+        lines = [line for line in as_markdown(table).splitlines() if line.startswith("|")]
+        assert len(lines) == len(table.rows) + 2
+        assert {len(re.findall(r"(?<!\\)\|", line)) for line in lines} == {len(table.columns) + 1}
+
+
+def test_latex_is_booktabs_with_everything_escaped(tables: list[Table]) -> None:
+    for table in tables:
+        text = as_latex(table)
+        for rule in (r"\toprule", r"\bottomrule", r"\begin{tabular}", r"\end{table}"):
+            assert text.count(rule) == 1
+        body = text.split(r"\midrule", 1)[1].split(r"\bottomrule")[0]
+        rows = [line for line in body.splitlines() if line.endswith(r"\\")]
+        assert len(rows) == len(table.rows)
+        assert {len(re.findall(r"(?<!\\)&", row)) for row in rows} == {len(table.columns) - 1}
+        assert not re.search(r"(?<!\\)[%#_]", body.replace(r"\textbf", ""))
+        assert text.count("{") - text.count(r"\{") == text.count("}") - text.count(r"\}")
+    main = as_latex(tables[0])
+    assert r"oracle\_100\%" in main
+    assert r"\textbf{100.0}" in main
+    assert r"SR $\uparrow$" in main
+
+
+def test_json_and_csv_hold_the_same_unrounded_numbers(tables: list[Table]) -> None:
+    for table in tables:
+        document = json.loads(json.dumps(as_document(table), allow_nan=False))
+        rows = list(csv.DictReader(io.StringIO(as_csv(table))))
+        assert len(document["rows"]) == len(rows) == len(table.rows)
+        for entry, row in zip(document["rows"], rows, strict=True):
+            for key, value in entry.items():
+                mean = value["mean"] if isinstance(value, dict) else value
+                assert row[key] == ("" if mean is None else str(mean))
+                if isinstance(value, dict):
+                    assert row[f"{key}_n"] == str(value["n"])
+
+
+def test_plots_show_the_means_and_repeat(evaluations: list[Evaluation], tmp_path: Path) -> None:
+    figure = axis_figure(evaluations, "depth")
+    lines = figure.axes[0].get_lines()
+    oracle = next(line for line in lines if len(line.get_ydata()) == 3)
+    assert list(oracle.get_ydata()) == [100, 100, 100]
+    paths = save_figures(evaluations, tmp_path / "a")
+    again = save_figures(evaluations, tmp_path / "b")
+    assert [path.name for path in paths] == ["depth.png", "depth.pdf", "chain.png", "chain.pdf"]
+    assert [path.read_bytes() for path in paths] == [path.read_bytes() for path in again]
+    assert paths[0].read_bytes().startswith(b"\x89PNG")

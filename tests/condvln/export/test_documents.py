@@ -1,0 +1,184 @@
+"""The card, Croissant, the changelog and the consumers' files: valid, and saying what the report says."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pytest
+import yaml
+
+from condvln.export.changelog import CHANGELOG, Changes, PublishedEpisodes, changes_between, with_entry
+from condvln.export.consumers import LINK
+from condvln.export.snapshot import export_snapshot
+from condvln.export.splits import SPLITS
+from condvln.export.tables import MemoryTables
+from tests.made_snapshot import made_snapshot
+
+
+@pytest.fixture(scope="module")
+def index(exported: Path) -> dict[str, Any]:
+    return json.loads((exported / "export.json").read_text())
+
+
+def test_the_card_opens_with_metadata_that_names_the_files(exported: Path, index: dict[str, Any]) -> None:
+    text = (exported / "README.md").read_text()
+    _, front, body = text.split("---\n", 2)
+    fields = yaml.safe_load(front)
+    assert fields["license"] == "other"
+    assert fields["size_categories"] == ["n<1K"]
+    (config,) = fields["configs"]
+    for entry in config["data_files"]:
+        assert (exported / entry["path"]).stat().st_size > 0
+    assert [entry["split"] for entry in config["data_files"]] == list(SPLITS)
+    for count in index["episodes"].values():
+        assert f" {count:,} |" in body
+    assert "ReplicaCAD" in body
+    assert "Matterport3D terms" not in body
+    for reason in index["left_out"]:
+        assert reason in body
+    assert index["snapshot"] in body
+
+
+def test_every_table_of_the_card_is_a_table(exported: Path) -> None:
+    widths: list[int] = []
+    for line in (*(exported / "README.md").read_text().splitlines(), ""):
+        if line.startswith("|"):
+            widths.append(line.count("|"))
+        else:
+            assert len(set(widths)) <= 1
+            widths = []
+
+
+def test_croissant_lists_the_manifests_with_their_hashes(exported: Path, index: dict[str, Any]) -> None:
+    document = json.loads((exported / "croissant.json").read_text())
+    assert document["conformsTo"] == "http://mlcommons.org/croissant/1.0"
+    files = {entry["@id"]: entry for entry in document["distribution"]}
+    assert set(files) == {f"manifest/{split}.jsonl" for split in SPLITS}
+    for path, entry in files.items():
+        assert entry["sha256"] == index["files"][path]["sha256"]
+        assert entry["contentSize"] == f"{index['files'][path]['bytes']} B"
+    row = json.loads((exported / "manifest" / "train.jsonl").read_text().splitlines()[0])
+    kinds = {"sc:Text": str, "sc:Integer": int, "sc:Float": float}
+    for records in document["recordSet"]:
+        assert records["key"]["@id"] in {entry["@id"] for entry in records["field"]}
+        for entry in records["field"]:
+            assert entry["source"]["fileObject"]["@id"] in files
+            assert isinstance(row[entry["source"]["extract"]["column"]], kinds[entry["dataType"]])
+
+
+def test_consumers_files_point_at_files_that_are_there(exported: Path) -> None:
+    folder = exported / "configs"
+    files = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*.yaml"))
+    assert files == [
+        "habitat_lab/condvln.yaml",
+        "navid/condvln_experiment.yaml",
+        "navid/condvln_task.yaml",
+        "navila/condvln_experiment.yaml",
+        "navila/condvln_task.yaml",
+        "open_nav/condvln_task.yaml",
+        "vlnce/condvln_oracle_task.yaml",
+        "vlnce/condvln_rxr_task.yaml",
+        "vlnce/condvln_task.yaml",
+    ]
+    pointed = 0
+    for name in files:
+        document = yaml.safe_load((folder / name).read_text())
+        for key, value in walk(document):
+            if isinstance(value, str) and value.startswith(LINK):
+                path = value.removeprefix(LINK + "/").format(split="train", role="guide")
+                assert (exported / path).is_file(), (name, key, value)
+                pointed += 1
+            if key[-1] in ("SUCCESS_DISTANCE", "success_distance"):
+                assert value == (3.0 if {"NDTW", "SDTW"} & set(key) else 1.0), (name, key)
+    assert pointed >= 15
+
+
+def walk(value: Any, key: tuple[str, ...] = ()) -> Any:
+    if isinstance(value, dict):
+        for name, inner in value.items():
+            yield from walk(inner, (*key, name))
+    else:
+        yield key, value
+
+
+def test_success_and_oracle_success_are_set_alike(exported: Path) -> None:
+    task = yaml.safe_load((exported / "configs" / "vlnce" / "condvln_task.yaml").read_text())["TASK"]
+    assert task["SUCCESS"] == task["ORACLE_SUCCESS"] == task["SPL"] == {"SUCCESS_DISTANCE": 1.0}
+
+
+# -- changelog ---------------------------------------------------------------------------------------------------------
+
+
+def changed(tables: MemoryTables, identity: str, change: Any) -> MemoryTables:
+    named = dict(tables.tables["replicacad"])
+    for table in ("episodes", "instructions", "scenes"):
+        rows = [row for row in named[table].to_pylist() if change(table, row) is not False]
+        named[table] = pa.Table.from_pylist(rows, named[table].schema)
+    return MemoryTables(identity, {"replicacad": named})
+
+
+def test_a_second_snapshot_tells_what_moved(tmp_path: Path) -> None:
+    scenes = ["v3_sc0_staging_00", "v3_sc1_staging_00", "apt_0"]
+    first = made_snapshot({"replicacad": scenes})
+    export_snapshot(first, tmp_path)
+    assert not (tmp_path / CHANGELOG).exists()
+
+    def change(table: str, row: dict[str, Any]) -> bool | None:
+        if row["scene_id"] == "apt_0":
+            return False
+        if table == "episodes" and row["scene_id"] == "v3_sc1_staging_00":
+            row["instruction_text"] += " Please."
+        if table == "episodes" and row["scene_id"] == "v3_sc0_staging_00":
+            row["max_steps"] -= 1
+        return None
+
+    second = changed(first, "second", change)
+    export_snapshot(second, tmp_path)
+    text = (tmp_path / CHANGELOG).read_text()
+    assert text.startswith("# Changelog\n\n## second\n\nFrom made; 0 episodes are as they were.")
+    for reason in ("their scene is gone", "other wording", "other start, goals or routes"):
+        assert text.count(reason) == 1
+    export_snapshot(second, tmp_path)
+    assert (tmp_path / CHANGELOG).read_text() == text
+    export_snapshot(first, tmp_path)
+    again = (tmp_path / CHANGELOG).read_text()
+    assert again.endswith(text.removeprefix("# Changelog\n\n"))
+    assert "their scene is new" in again
+    index = json.loads((tmp_path / "export.json").read_text())
+    assert CHANGELOG not in index["files"]
+
+
+def test_every_difference_has_a_reason(exported: Path) -> None:
+    whole = PublishedEpisodes.of(exported)
+    assert len(whole.episodes) == sum(json.loads((exported / "export.json").read_text())["episodes"].values())
+    same = changes_between(whole, whole)
+    assert (same.kept, same.added, same.dropped, same.changed) == (len(whole.episodes), {}, {}, {})
+    half = PublishedEpisodes("half", dict(list(whole.episodes.items())[::2]))
+    changes = changes_between(whole, half)
+    assert sum(changes.dropped.values()) + changes.kept == len(whole.episodes)
+    assert set(changes.dropped) <= {
+        "dropped: generated or selected otherwise in a scene that stayed",
+        "dropped: their scene is gone",
+    }
+    moved = {name: e._replace(split="test", navmesh="other") for name, e in whole.episodes.items()}
+    reasons = changes_between(whole, PublishedEpisodes("moved", moved)).changed
+    assert all(reason.startswith("moved from") or reason == "other start, goals or routes" for reason in reasons)
+
+
+def test_entries_stand_newest_first_and_once() -> None:
+    one, two = Changes("a", "b"), Changes("b", "c")
+    text = with_entry(with_entry("", one), two)
+    assert text.index("## c") < text.index("## b")
+    assert with_entry(text, two) == text
+    assert text.count("# Changelog") == 1
+
+
+def test_an_export_that_can_not_be_read_is_no_former_export(tmp_path: Path) -> None:
+    assert PublishedEpisodes.of(tmp_path).snapshot == ""
+    (tmp_path / "manifest").mkdir()
+    for split in SPLITS:
+        (tmp_path / "manifest" / f"{split}.jsonl").write_text("{")
+    assert PublishedEpisodes.of(tmp_path).episodes == {}

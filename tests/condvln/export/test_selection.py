@@ -1,0 +1,161 @@
+"""``select``: disjoint, balanced, seeded, and honest about what it could not have."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+
+import numpy as np
+import pytest
+
+from condvln.export import selection
+from condvln.export.pool import INSTRUCTION_COLUMNS, POOL_COLUMNS, Pool, PoolBuilder
+from condvln.export.selection import OUT, Selection, select
+from condvln.export.splits import SPLITS
+from condvln.export.tables import MemoryTables
+from schemas.config import SplitsConfig
+from schemas.program import CATEGORIES
+from tests.made_snapshot import made_snapshot
+
+SCENES = {
+    "replicacad": [*(f"v3_sc0_staging_{i:02d}" for i in range(4)), "v3_sc1_staging_00", "apt_0"],
+    "procthor": [f"house_{i}" for i in range(6)],
+}
+
+
+def pool_of(tables: MemoryTables) -> Pool:
+    builder = PoolBuilder()
+    for source in tables.sources:
+        builder.add_instructions(source, tables.batches("instructions", source, INSTRUCTION_COLUMNS))
+        for batch in tables.batches("episodes", source, POOL_COLUMNS):
+            builder.add_episodes(source, batch)
+    return builder.build()
+
+
+@pytest.fixture(scope="module")
+def pool() -> Pool:
+    return pool_of(made_snapshot(SCENES, per_category=40))
+
+
+Chosen = tuple[SplitsConfig, Selection]
+CONFIGS = [SplitsConfig(), SplitsConfig(per_cell=10, val_seen_share=0.25), SplitsConfig(per_cell=10_000, seed=3)]
+
+
+@pytest.fixture(scope="module", params=CONFIGS, ids=["all", "ten a cell", "more than there is"])
+def chosen(request: pytest.FixtureRequest, pool: Pool) -> Chosen:
+    return request.param, select(pool, request.param)
+
+
+def test_splits_share_no_scene_program_or_group(pool: Pool, chosen: Chosen) -> None:
+    split = chosen[1].split
+    scenes, programs, units = defaultdict(set), defaultdict(set), defaultdict(set)
+    for row in np.flatnonzero(split != OUT):
+        name = SPLITS[split[row]]
+        scenes[pool.scene[row]].add("train" if name == "val_seen" else name)
+        programs[pool.instruction[row]].add(name)
+        units[pool.unit[row]].add(name)
+    for sets in (scenes, programs, units):
+        assert all(len(names) == 1 for names in sets.values())
+    assert {SPLITS[code] for code in split if code != OUT} == set(SPLITS)
+
+
+def test_gold_leaves_are_uniform_in_every_split_source_and_category(
+    pool: Pool, chosen: tuple[SplitsConfig, Selection]
+) -> None:
+    counts: dict[tuple[int, int, int], Counter[int]] = defaultdict(Counter)
+    for row in np.flatnonzero(chosen[1].split != OUT):
+        counts[chosen[1].split[row], pool.source[row], pool.category[row]][pool.leaf[row]] += 1
+    assert counts
+    for (_, source, category), leaves in counts.items():
+        n = pool.n_leaves[(pool.source == source) & (pool.category == category)][0]
+        assert len(leaves) == n
+        assert len(set(leaves.values())) == 1
+
+
+def test_counts_meet_the_configuration_or_the_shortfall_is_listed(pool: Pool, chosen: Chosen) -> None:
+    config, result = chosen
+    got = Counter(
+        (SPLITS[result.split[row]], pool.sources[pool.source[row]], CATEGORIES[pool.category[row]], pool.leaf[row])
+        for row in np.flatnonzero(result.split != OUT)
+    )
+    assert {(c.split, c.source, c.category, c.gold_leaf): c.selected for c in result.cells if c.selected} == got
+    together: Counter[tuple[str, str, int]] = Counter()
+    scarcest: dict[tuple[str, str], list[int]] = defaultdict(list)
+    for cell in result.cells:
+        together[cell.split, cell.category, cell.gold_leaf] += cell.selected
+        assert cell.selected <= cell.available
+        assert cell.shortfall == max(0, cell.wanted - cell.selected)
+        scarcest[cell.split, f"{cell.source} {cell.category}"].append(cell.available)
+    if config.per_cell is None:
+        for cell in result.cells:
+            assert cell.selected == min(scarcest[cell.split, f"{cell.source} {cell.category}"])
+    else:
+        for (split, category, leaf), count in together.items():
+            most = sum(min(v) for (s, name), v in scarcest.items() if s == split and name.split()[1] == category)
+            assert count == min(config.per_cell, most), (split, category, leaf)
+    assert (result.split != OUT).sum() + sum(result.left_out.values()) == len(pool)
+
+
+def test_truths_are_evened_where_the_pool_gives_a_choice(monkeypatch: pytest.MonkeyPatch) -> None:
+    pool = pool_of(made_snapshot({"replicacad": ["v3_sc0_staging_00"]}, per_category=400))
+    pool = Pool(**{**pool.__dict__, "grouped": np.zeros(len(pool), dtype=bool)})
+
+    def imbalance() -> float:
+        return select(pool, SplitsConfig(per_cell=20, val_seen_share=0)).truth_imbalance["replicacad"]
+
+    looking = imbalance()
+    monkeypatch.setattr(selection, "LOOKAHEAD", 1)
+    assert looking < imbalance() / 3
+
+
+def test_axes_are_as_even_as_the_pool_allows(pool: Pool) -> None:
+    singles = Pool(**{**pool.__dict__, "grouped": np.zeros(len(pool), dtype=bool)})
+    split = select(singles, SplitsConfig(per_cell=20)).split
+    group = {scene: {int(c) for c in split[pool.scene == scene] if c != OUT} for scene in np.unique(pool.scene)}
+    uneven = 0
+    for code in (0, 2, 3):
+        mine = np.array([code in group[scene] for scene in pool.scene])
+        for key in {*zip(pool.source, pool.category, pool.leaf, strict=True)}:
+            block = mine & (pool.source == key[0]) & (pool.category == key[1]) & (pool.leaf == key[2])
+            taken = np.bincount(pool.stratum[block & (split == code)], minlength=len(pool.strata))
+            if code == 0:
+                block &= split != SPLITS.index("val_seen")
+            spare = np.bincount(pool.stratum[block & (split == OUT)], minlength=len(pool.strata))
+            # One stratum behind another has nothing left (val_seen's own leftovers stay its own).
+            uneven += int((spare[taken < taken.max() - 1] > 0).sum()) if code else 0
+    assert uneven == 0
+
+
+def test_the_answer_is_a_function_of_pool_and_seed(pool: Pool) -> None:
+    first = select(pool, SplitsConfig(per_cell=8))
+    np.testing.assert_array_equal(first.split, select(pool, SplitsConfig(per_cell=8)).split)
+    assert (first.split != select(pool, SplitsConfig(per_cell=8, seed=1)).split).any()
+
+
+def test_sources_share_a_cell_evenly(pool: Pool) -> None:
+    selected = select(pool, SplitsConfig(per_cell=4))
+    for cell in selected.cells:
+        if cell.split == "train" and cell.available >= 20:
+            assert cell.selected == 2
+
+
+def test_whole_counterfactual_groups_come_first(pool: Pool) -> None:
+    selected = select(pool, SplitsConfig())
+    whole = broken = 0
+    for unit in np.unique(pool.unit[pool.grouped]):
+        members = selected.split[pool.unit == unit]
+        whole += (members != OUT).all()
+        broken += (members != OUT).any() and not (members != OUT).all()
+    assert whole > 4 * broken
+
+
+def test_a_leaf_that_is_never_gold_leaves_its_category_out() -> None:
+    tables = made_snapshot({"procthor": ["house_0"]}, per_category=6)
+    pool = pool_of(tables)
+    broken = pool.leaf.copy()
+    simple = pool.category == 0
+    broken[simple] = 1
+    selected = select(Pool(**{**pool.__dict__, "leaf": broken}), SplitsConfig())
+    assert (selected.split[simple] == OUT).all()
+    cells = [cell for cell in selected.cells if cell.category == "simple"]
+    assert {cell.selected for cell in cells} == {0}
+    assert selected.left_out["beyond the balance"] >= simple.sum()

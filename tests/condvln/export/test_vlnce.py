@@ -1,0 +1,66 @@
+"""The VLN-CE document: the real file reads and writes to equal JSON."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from condvln.export.rows import rows_of
+from condvln.export.tables import MemoryTables
+from condvln.export.tokens import Vocabulary
+from condvln.export.vlnce import ground_truth, scene_file, write_split
+from schemas.vlnce import GroundTruth, VlnCeDocument
+from tests.strict_loader import load_split, read
+
+
+def test_the_real_sample_reads_and_writes_to_equal_json(real_data: Path) -> None:
+    stock = read(real_data / "vlnce" / "val_seen_sample.json.gz")
+    again = VlnCeDocument.model_validate(stock).model_dump(mode="json", exclude_unset=True)
+    assert json.dumps(again) == json.dumps(stock)
+    truths = read(real_data / "vlnce" / "val_seen_sample_gt.json.gz")
+    for truth in truths.values():
+        again = GroundTruth.model_validate(truth).model_dump(mode="json", exclude_unset=True)
+        assert again == truth
+        assert len(truth["locations"]) == truth["forward_steps"] + 1
+
+
+def test_our_strict_loader_takes_the_real_sample(real_data: Path) -> None:
+    assert len(load_split(real_data / "vlnce" / "val_seen_sample.json.gz")) == 30
+
+
+def test_our_keys_are_those_of_the_real_sample(real_data: Path, exported: Path) -> None:
+    stock = read(real_data / "vlnce" / "val_seen_sample.json.gz")
+    ours = read(exported / "vlnce" / "train" / "train.json.gz")
+    assert list(ours) == list(stock)
+    assert list(ours["instruction_vocab"]) == list(stock["instruction_vocab"])
+    for key in ("instruction", None):
+        a, b = (d["episodes"][0][key] if key else d["episodes"][0] for d in (stock, ours))
+        assert list(a) == list(b)
+    assert list(ours["episodes"][0]["goals"][0]) == list(stock["episodes"][0]["goals"][0])
+    assert len(ours["episodes"][0]["instruction"]["instruction_tokens"]) == 200
+
+
+def test_walked_locations_come_before_the_dense_path(tables: MemoryTables) -> None:
+    row = next(row for row in rows_of(tables.tables["replicacad"]["episodes"]) if row["actions"])
+    assert ground_truth(row)["actions"] == row["actions"]
+    assert ground_truth(row)["locations"] == row["locations"]
+    bare = ground_truth({**row, "actions": None, "locations": None})
+    assert "actions" not in bare
+    assert bare["forward_steps"] == len(bare["locations"]) - 1
+
+
+def test_one_split_alone(tables: MemoryTables, tmp_path: Path) -> None:
+    rows = rows_of(tables.tables["replicacad"]["episodes"])[:9]
+    vocabulary = Vocabulary.of(row["instruction_text"] for row in rows)
+    assert write_split(tmp_path, "val", (("mp3d", row) for row in rows), vocabulary) == 9
+    loaded = load_split(tmp_path / "val" / "val.json.gz")
+    assert [episode.episode_id for episode in loaded] == [row["episode_id"] for row in rows]
+    assert loaded[0].scene_id == "data/scene_datasets/mp3d/apt_0/apt_0.glb"
+    assert set(read(tmp_path / "val" / "val_gt.json.gz")) == {row["episode_id"] for row in rows}
+
+
+def test_scene_files_by_family() -> None:
+    patterns = {"": "{family}/{scene}/{scene}.glb", "gibson": "gibson/{scene}.glb"}
+    assert scene_file("gibson", "Oyens", patterns) == "gibson/Oyens.glb"
+    assert scene_file("gibson", "Oyens") == "gibson/Oyens/Oyens.glb"
+    assert scene_file("replicacad", "apt_0", patterns) == "replicacad/apt_0/apt_0.glb"

@@ -1,0 +1,123 @@
+"""Every statement has the truth it is offered with; no part of it tells that truth."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from condvln.instructions import LabelPriors
+from condvln.instructions.conditions import ConditionPool, Question, balanced_weights, informative_weights
+from condvln.instructions.priors import PriorBits
+from condvln.instructions.referents import Referents
+from condvln.labels import vocabulary
+
+NO_BITS = PriorBits({}, {}, {})
+
+
+def holds(question: Question, referents: Referents) -> bool | None:
+    """Truth of a statement by going through the room's objects; None where the margins don't allow to tell."""
+    labels, ids = referents.arrays.labels, referents.arrays.object_ids
+    meant = [i for i, x in enumerate(labels) if x in vocabulary.overlapping(question.label)]
+    exact = [i for i in meant if labels[i] == question.label]
+    if question.predicate is None:
+        return bool(exact) if exact or not meant else None
+    status = referents.facts.status[question.predicate]
+    witnesses = [i for i in exact if status[i, question.anchor] == 1]
+    if witnesses:
+        assert not question.truth or question.witnesses == tuple(ids[i] for i in witnesses)
+        return True
+    return False if exact and all(status[i, question.anchor] == -1 for i in meant) else None
+
+
+def questions_of(pool: ConditionPool) -> list[Question]:
+    relations = [
+        relation.question(truth, k)
+        for relation in pool.relations.values()
+        for truth in (True, False)
+        for k in range(len(relation.cells[truth]))
+    ]
+    return relations + [q for side in (pool.presence.questions.values() if pool.presence else ()) for q in side]
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("rich", [False, True])
+def test_statements_hold(make_scene, facts_maker, seed: int, rich: bool) -> None:
+    scenes = [make_scene(s, objects=14) for s in range(seed, seed + (12 if rich else 1))]
+    scene, facts = scenes[0], facts_maker(scenes[0])
+    bits = LabelPriors.merged(LabelPriors.of_scene(s) for s in scenes).bits(scene)
+    kinds = set()
+    for room in scene.rooms:
+        referents = Referents.of(room, scene.arrays(room.room_id), facts[room.room_id], vocabulary, 0.3)
+        elsewhere = {o.label for o in scene.objects if o.room_id != room.room_id}
+        for question in questions_of(ConditionPool.of(referents, bits, elsewhere, vocabulary)):
+            assert holds(question, referents) is question.truth
+            assert bool(question.witnesses) == question.truth
+            kinds.add((question.truth, question.predicate is None))
+            if question.anchor is not None:
+                assert referents.unique[question.anchor]
+                assert referents.arrays.labels[question.anchor] not in vocabulary.overlapping(question.label)
+            elif not question.truth:
+                assert question.label in elsewhere
+                assert question.label in bits.plausible[room.label]
+            else:
+                assert question.label in bits.varies[room.label]
+    assert {(True, False), (False, False)} <= kinds
+
+
+def test_nothing_is_asked_of_a_room_annotated_in_part(make_scene, facts_maker) -> None:
+    scene = make_scene(0, complete=False)
+    facts = facts_maker(scene)
+    for room in scene.rooms:
+        referents = Referents.of(room, scene.arrays(room.room_id), facts[room.room_id], vocabulary, 0.3)
+        assert questions_of(ConditionPool.of(referents, NO_BITS, {"sofa"}, vocabulary)) == []
+
+
+@given(st.integers(0, 400), st.integers(0, 400))
+def test_a_statement_is_asked_as_often_true_as_false(n_true: int, n_false: int) -> None:
+    weights = informative_weights(n_true, n_false)
+    if n_true + n_false >= 8 and 0 in (n_true, n_false):
+        assert weights == {True: 0.0, False: 0.0}
+    elif min(n_true, n_false) >= 20:
+        assert n_true * weights[True] == pytest.approx(n_false * weights[False], rel=0.03)
+    assert weights[True] <= 1.0
+    assert weights[False] <= 1.0
+
+
+@given(st.integers(2, 8), st.integers(2, 8), st.integers(0, 2**32))
+def test_balanced_weights_keep_labels_and_anchors_silent(rows: int, columns: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    kind = rng.choice(3, size=(rows, columns), p=[0.4, 0.4, 0.2])
+    true, false = kind == 0, kind == 1
+    weights = balanced_weights(true, false)
+    both = [r for r in range(rows) if true[r].any() and false[r].any()]
+    if weights is None:
+        assert not both
+        return
+    assert not (weights[True][~true]).any()
+    assert not (weights[False][~false]).any()
+    # The last step of each round makes the labels' marginals equal exactly.
+    by_label = [weights[t].sum(axis=1) / weights[t].sum() for t in (True, False)]
+    np.testing.assert_allclose(*by_label, atol=1e-4)
+
+
+def test_balanced_weights_of_a_square() -> None:
+    true = np.array([[1, 0, 1], [0, 1, 0], [1, 0, 0]], dtype=bool)
+    weights = balanced_weights(true, ~true)
+    assert weights is not None
+    for axis in (0, 1):
+        np.testing.assert_allclose(weights[True].sum(axis=axis), weights[False].sum(axis=axis), rtol=1e-6)
+
+
+def test_balanced_weights_are_the_same_whatever_the_order() -> None:
+    rng = np.random.default_rng(1)
+    kind = rng.choice(3, size=(5, 4))
+    base = balanced_weights(kind == 0, kind == 1)
+    for rows in itertools.islice(itertools.permutations(range(5)), 0, 120, 17):
+        turned = balanced_weights(kind[list(rows)] == 0, kind[list(rows)] == 1)
+        assert base is not None
+        assert turned is not None
+        np.testing.assert_allclose(turned[True], base[True][list(rows)])

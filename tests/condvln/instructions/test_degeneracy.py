@@ -1,0 +1,134 @@
+"""Each rule catches its own kind of bad program and lets its sound neighbour pass."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import pytest
+
+from condvln.instructions.degeneracy import REASONS, degeneracies, idle_conditions, outcomes
+from condvln.labels import vocabulary
+from schemas.program import (
+    CATEGORIES,
+    SHAPES,
+    Category,
+    Condition,
+    Leaf,
+    ObjectRef,
+    Predicate,
+    Program,
+    Qualifier,
+    RoomRef,
+)
+
+BEDROOM = RoomRef(room_id="r0", label="bedroom")
+PIANO_ROOM = RoomRef(room_id="r0", label="bedroom", anchor_id="p", anchor_label="piano")
+KITCHEN = RoomRef(room_id="r1", label="kitchen")
+
+
+def related(predicate: Predicate, anchor: str) -> Qualifier:
+    return Qualifier(predicate=predicate, anchor_id=f"the {anchor}", anchor_label=anchor)
+
+
+def asks(label: str, anchor: str = "", room: RoomRef = BEDROOM, predicate: Predicate = "near") -> Condition:
+    return Condition(label=label, room=room, qualifier=related(predicate, anchor) if anchor else None, truth=False)
+
+
+def stop(label: str, anchor: str = "", room: RoomRef = KITCHEN, name: str = "") -> ObjectRef:
+    qualifier = related("near", anchor) if anchor else None
+    return ObjectRef(object_id=name or f"{label} {anchor}", label=label, room=room, qualifier=qualifier)
+
+
+def program(category: Category, conditions: list[Condition], leaves: list[list[ObjectRef]]) -> Program:
+    return Program(
+        category=category,
+        conditions=tuple(conditions),
+        branches=SHAPES[category].branches,
+        leaves=tuple(Leaf(moves=tuple(moves)) for moves in leaves),
+    )
+
+
+def simple(condition: Condition, one: list[ObjectRef] | None = None, other: list[ObjectRef] | None = None) -> Program:
+    return program("simple", [condition], [one or [stop("sink")], other or [stop("stove")]])
+
+
+def nested(first: Condition, second: Condition) -> Program:
+    return program("nested", [first, second], [[stop("sink")], [stop("stove")], [stop("table")]])
+
+
+CASES = [
+    ("a plain one", simple(asks("lamp", "bed")), ()),
+    ("presence", simple(asks("lamp")), ()),
+    ("its own anchor", simple(asks("bed", "bed")), ("tautology",)),
+    ("a word for its own anchor", simple(asks("chair", "armchair")), ("tautology",)),
+    ("the room's own name", simple(asks("piano", room=PIANO_ROOM)), ("tautology",)),
+    ("the room's own name in a relation", simple(asks("piano", "bed", PIANO_ROOM)), ("tautology",)),
+    ("a room named by the anchor", simple(asks("lamp", "piano", PIANO_ROOM)), ("circular",)),
+    ("a room named by a stop", simple(asks("lamp"), [stop("piano", room=PIANO_ROOM)]), ("circular",)),
+    ("a room named by a stop's anchor", simple(asks("desk"), [stop("lamp", "piano", PIANO_ROOM)]), ("circular",)),
+    ("a stop", simple(asks("lamp", "bed"), [stop("lamp", room=BEDROOM)]), ("names_stop",)),
+    ("a word for a stop", simple(asks("chair"), [stop("armchair", room=BEDROOM)]), ("names_stop",)),
+    ("a stop's label in another room", simple(asks("lamp", "bed"), [stop("lamp")]), ()),
+    ("a stop that is only its anchor", simple(asks("lamp", "bed"), [stop("bed", room=BEDROOM)]), ()),
+    ("the presence of a stop's label elsewhere", simple(asks("lamp"), [stop("lamp")]), ("names_stop",)),
+    ("what a stop's anchor gives away", simple(asks("lamp"), [stop("bed", "lamp", BEDROOM)]), ("given_away",)),
+    (
+        "what a stop's relation gives away",
+        simple(asks("desk", "lamp"), [stop("lamp", "desk", BEDROOM)]),
+        ("given_away",),
+    ),
+    ("another relation of the anchor", simple(asks("desk", "bed"), [stop("lamp", "desk", BEDROOM)]), ()),
+    ("one label twice", nested(asks("lamp", "bed"), asks("lamp", "desk")), ("implied",)),
+    ("one label in two rooms", nested(asks("lamp", "bed"), asks("lamp", "table", KITCHEN)), ()),
+    ("the presence of an anchor", nested(asks("lamp", "bed"), asks("bed")), ("implied",)),
+    ("an anchor whose presence was asked", nested(asks("bed"), asks("lamp", "bed")), ("implied",)),
+    ("the same pair turned round", nested(asks("lamp", "bed"), asks("bed", "lamp")), ("implied",)),
+    (
+        "a ring",
+        program(
+            "long_chain",
+            [asks("lamp", "bed"), asks("bed", "desk"), asks("desk", "lamp")],
+            [[stop(x)] for x in ("sink", "stove", "table", "plate")],
+        ),
+        ("implied",),
+    ),
+    (
+        "a line",
+        program(
+            "long_chain",
+            [asks("lamp", "bed"), asks("bed", "desk"), asks("desk", "wardrobe")],
+            [[stop(x)] for x in ("sink", "stove", "table", "plate")],
+        ),
+        (),
+    ),
+    ("one target", simple(asks("lamp"), [stop("sink")], [stop("sink")]), ("idle_condition", "one_target")),
+    ("a stop seen twice", simple(asks("lamp"), [stop("sink"), stop("stove"), stop("sink")]), ("repeated_stop",)),
+]
+
+
+@pytest.mark.parametrize(("name", "case", "reasons"), CASES, ids=[name for name, _, _ in CASES])
+def test_rules(name: str, case: Program, reasons: tuple[str, ...]) -> None:
+    assert degeneracies(case, vocabulary) == reasons
+
+
+def test_every_rule_is_shown_at_work() -> None:
+    assert {reason for _, _, reasons in CASES for reason in reasons} == set(REASONS)
+
+
+@pytest.mark.parametrize("category", CATEGORIES)
+def test_outcomes_are_the_programs(category: Category) -> None:
+    shape = SHAPES[category]
+    sample = program(
+        category, [asks(f"x{k}") for k in range(len(shape.branches))], [[stop(f"y{k}")] for k in range(shape.leaves)]
+    )
+    table = outcomes(category)
+    assert set(table) == set(product((True, False), repeat=len(shape.branches)))
+    assert all(leaf == sample.gold_leaf(truths) for truths, leaf in table.items())
+    assert set(table.values()) == set(range(shape.leaves)), "every leaf can be reached"
+    assert idle_conditions(category, [str(k) for k in range(shape.leaves)]) == ()
+
+
+def test_a_condition_between_equal_goals_is_idle() -> None:
+    assert idle_conditions("nested", ["a", "a", "b"]) == (1,)
+    assert idle_conditions("nested", ["a", "b", "a"]) == ()
+    assert idle_conditions("chain", ["a", "a", "a"]) == (0, 1)

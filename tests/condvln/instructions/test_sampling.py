@@ -1,0 +1,184 @@
+"""Programs drawn are true, unique in reference, silent about their answers: proven without the sampler's code."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chisquare
+
+from condvln.instructions import Cell, InstructionConfig, LabelPriors, ProgramSampler
+from condvln.instructions.composition import composition
+from condvln.instructions.rejection import REASONS
+from condvln.instructions.stops import Stops
+from condvln.scene import Scene
+from schemas.program import CATEGORIES, Condition, Program
+
+ALPHA = 1e-4
+"""False alarms that a statistical test with a fixed seed may have when it is first written."""
+
+
+def test_every_program_is_proven(sampled, prove) -> None:
+    for scene, facts, _, programs in sampled:
+        assert len(programs) > 6 * 55, "nearly every wish is met"
+        for program in programs:
+            prove(program, scene, facts)
+
+
+def test_programs_are_distinct(sampled) -> None:
+    for _, _, _, programs in sampled:
+        assert len(set(programs)) == len(programs)
+
+
+def test_stops_lie_apart(sampled) -> None:
+    for scene, _, _, programs in sampled:
+        least = 1.5 if scene.single_room else 2.5
+        where = {o.object_id: o.center[[0, 2]] for o in scene.objects}
+        for program in programs:
+            goals = [leaf.goal.object_id for leaf in program.leaves]
+            pairs = [(a, b) for k, a in enumerate(goals) for b in goals[:k]]
+            for leaf in program.leaves:
+                ids = [m.object_id for m in leaf.moves]
+                pairs += [(a, b) for k, a in enumerate(ids) for b in ids[:k]]
+                pairs += [(a, g) for a in ids[:-1] for g in goals]
+            assert all(np.linalg.norm(where[a] - where[b]) >= least for a, b in pairs)
+
+
+def test_the_gold_leaf_is_even(sampled) -> None:
+    for category in CATEGORIES:
+        golds = Counter(p.gold_leaf() for _, _, _, programs in sampled for p in programs if p.category == category)
+        n_leaves = {"simple": 2, "nested": 3, "chain": 3}.get(category, 4)
+        assert chisquare([golds[k] for k in range(n_leaves)]).pvalue > ALPHA, category
+
+
+def test_numbers_of_moves_are_the_mix_asked_for(sampled) -> None:
+    moves = Counter(len(leaf.moves) for _, _, _, programs in sampled for p in programs for leaf in p.leaves)
+    total = sum(moves.values())
+    assert [moves[k] / total for k in (1, 2, 3)] == pytest.approx([0.4, 0.4, 0.2], abs=0.03)
+
+
+def test_conditions_off_the_gold_route_are_fair_coins(sampled) -> None:
+    off = Counter(
+        condition.truth
+        for _, _, _, programs in sampled
+        for p in programs
+        for k, condition in enumerate(p.conditions)
+        if k not in p.route()[0]
+    )
+    assert chisquare([off[True], off[False]]).pvalue > ALPHA
+
+
+def test_kind_and_predicate_do_not_tell_the_truth(sampled) -> None:
+    for position in ("simple", "nested", "chain"):
+        # In these shapes the first condition is true for one leaf of n or for all but one.
+        firsts = [p.conditions[0] for _, _, _, programs in sampled for p in programs if p.category == position]
+        truth = np.mean([c.truth for c in firsts])
+        for cue in ("presence", "near", "compass"):
+            chosen = [c.truth for c in firsts if cue_of(c) == cue]
+            if len(chosen) >= 30:
+                expected = [truth * len(chosen), (1 - truth) * len(chosen)]
+                assert chisquare([sum(chosen), len(chosen) - sum(chosen)], expected).pvalue > ALPHA, (position, cue)
+
+
+def cue_of(condition: Condition) -> str:
+    if condition.qualifier is None:
+        return "presence"
+    return "compass" if condition.qualifier.predicate.endswith(" of") else condition.qualifier.predicate
+
+
+def test_no_label_is_the_target_too_often(sampled) -> None:
+    for _, _, sampler, programs in sampled:
+        for category in CATEGORIES:
+            labels = Counter(leaf.goal.label for p in programs if p.category == category for leaf in p.leaves)
+            assert max(labels.values()) <= sampler.label_cap * sum(labels.values()) + 1
+
+
+def test_few_label_only_conditions_where_a_scene_is_one_room(sampled) -> None:
+    false = [c for s, _, _, programs in sampled if s.single_room for p in programs for c in p.conditions if not c.truth]
+    assert sum(c.kind == "presence" for c in false) <= 0.2 * len(false)
+
+
+def test_compositions(sampled) -> None:
+    for scene, _, _, programs in sampled:
+        found = Counter(composition(p) for p in programs)
+        if scene.single_room:
+            assert set(found) == {"C0"}
+        else:
+            # Four leaves hardly ever fit into one small room; two do.
+            small = Counter(composition(p) for p in programs if p.category == "simple")
+            assert min(small[c] for c in ("C0", "C1", "C2")) >= 0.15 * sum(small.values())
+            assert min(found["C1"], found["C2"]) >= 0.25 * len(programs)
+
+
+@pytest.mark.parametrize("composition_", ["C0", "C1", "C2"])
+@pytest.mark.parametrize("moves", [1, 3])
+def test_a_cell_can_be_asked_for(make_scene, facts_maker, composition_: str, moves: int) -> None:
+    scene = make_scene(0, side=8.0)
+    facts, bits = facts_maker(scene), LabelPriors.of_scene(scene).bits(scene)
+    cells = (Cell("nested", composition_, moves),)
+    config = InstructionConfig(per_category={"nested": 2}, candidates_per_episode=10, cells=cells)
+    programs = list(ProgramSampler(scene, facts, bits, config, 0).candidates("nested"))
+    assert {composition(p) for p in programs} == {composition_}
+    assert {len(leaf.moves) for p in programs for leaf in p.leaves} == {moves}
+    assert len(programs) >= 15, "a small room can't fulfil every wish"
+
+
+def test_a_cell_that_cannot_be_had_says_why(make_scene, facts_maker) -> None:
+    scene = make_scene(0, ("apartment",), 20)
+    config = InstructionConfig(per_category={"nested": 1}, candidates_per_episode=5, cells=(Cell("nested", "C2"),))
+    bits = LabelPriors.of_scene(scene).bits(scene)
+    sampler = ProgramSampler(scene, facts_maker(scene), bits, config, 0)
+    assert list(sampler.candidates("nested")) == []
+    assert set(sampler.rejections) == {("nested", "no_targets")}
+
+
+def test_reasons_are_named(sampled) -> None:
+    counted = {reason for _, _, sampler, _ in sampled for _, reason in sampler.rejections}
+    assert counted <= set(REASONS)
+    assert counted
+
+
+def draw(scene: Scene, facts, seed: int = 0, stops: Stops | None = None) -> dict[str, list[Program]]:
+    bits = LabelPriors.of_scene(scene).bits(scene)
+    config = InstructionConfig(per_category=dict.fromkeys(CATEGORIES, 1), candidates_per_episode=8)
+    sampler = ProgramSampler(scene, facts, bits, config, seed, stops=stops)
+    return {c: list(sampler.candidates(c)) for c in CATEGORIES}
+
+
+def test_programs_depend_on_the_seed_and_on_nothing_else(make_scene, facts_maker) -> None:
+    scene = make_scene(3)
+    facts = facts_maker(scene)
+    first = draw(scene, facts)
+    turned = replace(scene, objects=scene.objects[::-1], rooms=scene.rooms[::-1])
+    assert draw(turned, dict(reversed(facts.items()))) == first
+    assert draw(scene, facts, seed=1) != first
+    # A category's programs don't depend on which others are drawn, or when.
+    bits = LabelPriors.of_scene(scene).bits(scene)
+    alone = InstructionConfig(per_category={"chain": 1}, candidates_per_episode=8)
+    assert list(ProgramSampler(scene, facts, bits, alone, 0).candidates("chain")) == first["chain"]
+
+
+def test_what_navigation_knows_is_kept_to(make_scene, facts_maker) -> None:
+    scene = make_scene(5)
+    names = sorted(o.object_id for o in scene.objects)[::2]
+    apart = np.random.default_rng(0).random((len(names), len(names))) < 0.7
+    apart &= apart.T
+    np.fill_diagonal(apart, False)
+    row = {name: k for k, name in enumerate(names)}
+    programs = [p for ps in draw(scene, facts_maker(scene), stops=Stops(tuple(names), apart)).values() for p in ps]
+    assert programs
+    for program in programs:
+        stops = [move.object_id for leaf in program.leaves for move in leaf.moves]
+        goals = [leaf.goal.object_id for leaf in program.leaves]
+        assert set(stops) <= set(names)
+        assert all(apart[row[a], row[b]] for k, a in enumerate(goals) for b in goals[:k])
+
+
+def test_a_scene_with_nothing_to_tell_apart_yields_nothing_and_says_so(make_scene, facts_maker) -> None:
+    scene = make_scene(0, ("apartment",), 3)
+    same = replace(scene, objects=tuple(replace(o, label="chair") for o in scene.objects))
+    sampler = ProgramSampler(same, facts_maker(same), LabelPriors.of_scene(same).bits(same), InstructionConfig(), 0)
+    assert list(sampler.candidates("simple")) == []
+    assert sampler.rejections == {("simple", "nothing_to_ask"): 1}

@@ -1,0 +1,160 @@
+"""Facts fit for text: the strict and the loose threshold of each predicate, and nothing in between."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+
+from condvln.relations import CANONICAL, COMPASS, SEMANTIC, TEXT_PREDICATES, relate_room, text_facts
+from condvln.relations.text import TextFacts
+from condvln.scene import RoomArrays, SceneObject
+from condvln.scene.meshes import WorldMesh
+from schemas.program import Predicate
+
+Maker = Callable[..., SceneObject]
+RoomOf = Callable[[Sequence[SceneObject]], RoomArrays]
+
+HALF = 0.1
+BALL = (HALF, HALF, HALF)
+
+
+def facts_of(make: Maker, room_of: RoomOf, center: Sequence[float], half: Sequence[float] | None = BALL) -> TextFacts:
+    """Facts about "a" (row 0) at `center` and "b" (row 1) at the origin."""
+    return text_facts(relate_room(room_of([make("a", center, half), make("b", (0, 0, 0), BALL)])))
+
+
+def test_predicates_are_those_of_the_program() -> None:
+    assert set(TEXT_PREDICATES) == set(Predicate.__args__)  # type: ignore[attr-defined]
+    assert len(TEXT_PREDICATES) == 14
+
+
+GAP = 2 * HALF  # of centres of touching boxes
+
+
+@pytest.mark.parametrize(
+    ("predicate", "center", "status"),
+    [
+        ("near", (0.85 + GAP, 0, 0), 1),
+        ("near", (0.851 + GAP, 0, 0), 0),
+        ("near", (1.149 + GAP, 0, 0), 0),
+        ("near", (1.150 + GAP, 0, 0), -1),
+        ("near", (9, 0, 0), -1),
+        ("far from", (3.45 + GAP, 0, 0), 1),
+        ("far from", (3.449 + GAP, 0, 0), 0),
+        ("far from", (2.551 + GAP, 0, 0), 0),
+        ("far from", (2.55 + GAP, 0, 0), -1),
+        ("far from", (0, 0, 0), -1),
+        ("higher than", (2, 0.45, 0), 1),
+        ("higher than", (2, 0.449, 0), 0),
+        ("higher than", (2, 0.151, 0), 0),
+        ("higher than", (2, 0.15, 0), -1),
+        ("higher than", (2, -5, 0), -1),
+        ("lower than", (2, -0.45, 0), 1),
+        ("lower than", (2, -0.449, 0), 0),
+        ("lower than", (2, -0.151, 0), 0),
+        ("lower than", (2, -0.15, 0), -1),
+        ("lower than", (2, 5, 0), -1),
+        ("above", (0, 0.45, 0), 1),
+        ("above", (0, 0.449, 0), 0),
+        ("above", (0, 0.15, 0), -1),
+        ("above", (0, -0.45, 0), -1),
+        ("above", (0.16, 0.45, 0), 1),  # a footprint overlap of exactly 0.2
+        ("above", (0.161, 0.45, 0), 0),
+        ("above", (0.649, 0.45, 0), 0),
+        ("above", (0.65, 0.45, 0), -1),
+        ("below", (0, -0.45, 0), 1),
+        ("below", (0, -0.449, 0), 0),
+        ("below", (0, -0.15, 0), -1),
+        ("below", (0.39, -0.45, 0.52), -1),
+        ("east of", (0.5, 0, 0), 1),
+        ("east of", (0.499, 0, 0), 0),
+        ("east of", (10, 0, 2.679), 1),  # tan 15° = 0.26795
+        ("east of", (10, 0, 2.680), 0),
+        ("east of", (10, 0, 5.773), 0),  # tan 30° = 0.57735
+        ("east of", (10, 0, 5.774), -1),
+        ("east of", (10, 4.142, 0), 1),  # tan 22.5° = 0.41421
+        ("east of", (10, 4.143, 0), 0),
+        ("east of", (-1, 3, 0), -1),
+        ("north of", (0, 0, -1), 1),
+        ("south of", (0, 0, -1), -1),
+        ("north-west of", (-1, 0, -1), 1),
+        ("south-east of", (1, 0, 1), 1),
+        ("west of", (0, 0, 0), 0),
+        ("west of", (0, 1, 0), 0),
+    ],
+)
+def test_thresholds(
+    make: Maker, room_of: RoomOf, predicate: str, center: tuple[float, float, float], status: int
+) -> None:
+    facts = facts_of(make, room_of, center)
+    assert facts.status[predicate][0, 1] == status
+    margin = facts.margin[predicate][0, 1]
+    if status != 0:
+        assert margin >= 1 - 1e-9
+
+
+def test_near_needs_the_surface_too(make: Maker, room_of: RoomOf) -> None:
+    """Boxes that touch while the surfaces are 0.5, 0.9 and 1.2 m apart."""
+    room = room_of([make("a", (0, 0, 0), (1, 1, 1)), make("b", (1.5, 0, 0), (0.5, 0.5, 0.5))])
+    for gap, status in ((0.5, 1), (0.9, 0), (1.2, 0)):
+        x = 1.0 - gap
+        plate = WorldMesh(np.array([[x, -1, -1], [x, 1, -1], [x, 0, 1]], float), np.array([[0, 1, 2]], np.int32), False)
+        relations = relate_room(room, meshes=lambda o, plate=plate: plate if o.object_id == "a" else None)
+        assert relations.surface[0, 1] == round(gap, 3)
+        assert relations.semantic["near"][0, 1]
+        assert text_facts(relations).status["near"][0, 1] == status
+
+
+def test_unknown_extent_proves_no_nearness(make: Maker, room_of: RoomOf) -> None:
+    """A centre says nothing of where a thing ends; a bounding sphere bounds its surface from below only."""
+    for distance in (0.1, 1.0, 1.2, 9.0):
+        assert facts_of(make, room_of, (distance, 0, 0), None).status["near"][0, 1] == 0
+    balls = [make("a", (0, 0, 0), None, radius=0.5), make("b", (1.0, 0, 0), None, radius=0.5)]
+    assert text_facts(relate_room(room_of(balls))).status["near"][0, 1] == 0
+    apart = [balls[0], make("b", (2.15, 0, 0), None, radius=0.5)]
+    assert text_facts(relate_room(room_of(apart))).status["near"][0, 1] == -1
+    assert facts_of(make, room_of, (0, 1, 0), None).status["above"][0, 1] == 0
+    assert facts_of(make, room_of, (0, 0.1, 0), None).status["above"][0, 1] == -1
+
+
+def test_text_is_stricter_than_the_edges(furnished: list[SceneObject], room_of: RoomOf) -> None:
+    relations = relate_room(room_of(furnished))
+    facts = text_facts(relations)
+    for predicate in TEXT_PREDICATES:
+        emitted = (
+            relations.semantic[predicate]
+            if predicate in SEMANTIC
+            else relations.canonical == CANONICAL.index(predicate)
+        )
+        status = facts.status[predicate]
+        assert not (status == 1)[~emitted].any(), predicate
+        if predicate in COMPASS:
+            sector = np.where(relations.canonical >= 0, relations.canonical % 8, -1)
+            emitted = (sector == COMPASS.index(predicate)) & ~np.isnan(relations.metrics.azimuth)
+        assert not (status == -1)[emitted].any(), predicate
+        assert (np.diag(status) == 0).all()
+        assert (facts.margin[predicate][status != 0] >= 1 - 1e-9).all()
+        assert {-1, 1} <= set(np.unique(status).tolist()), f"the room has no case of {predicate}"
+
+
+def test_opposites_are_usable_together(furnished: list[SceneObject], room_of: RoomOf) -> None:
+    facts = text_facts(relate_room(room_of(furnished)))
+    opposites = [("near", "near"), ("far from", "far from"), ("above", "below"), ("higher than", "lower than")]
+    opposites += [(COMPASS[k], COMPASS[(k + 4) % 8]) for k in range(8)]
+    for predicate, opposite in opposites:
+        np.testing.assert_array_equal(facts.status[predicate], facts.status[opposite].T, err_msg=predicate)
+        np.testing.assert_allclose(facts.margin[predicate], facts.margin[opposite].T, atol=1e-9, err_msg=predicate)
+
+
+def test_a_larger_margin_is_safer(make: Maker, room_of: RoomOf) -> None:
+    for predicate, steps in {
+        "near": [(0.85, 0, 0), (0.6, 0, 0), (0.3, 0, 0)],
+        "far from": [(3.8, 0, 0), (5, 0, 0), (9, 0, 0)],
+        "above": [(0.05, 0.45, 0), (0.05, 0.5, 0), (0, 0.6, 0)],
+        "north of": [(0.4, 0, -2), (0.2, 0, -2), (0, 0, -2)],
+    }.items():
+        margins = [facts_of(make, room_of, center).margin[predicate][0, 1] for center in steps]
+        assert margins == sorted(margins), predicate
+        assert margins[0] < margins[-1], predicate

@@ -1,0 +1,78 @@
+"""The library of meshes: placing, joining, and what it keeps."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from condvln.scene import MeshPart, SceneObject
+from condvln.scene.boxes import placement
+from condvln.scene.meshes import MeshLibrary
+from schemas.errors import FormatError, MissingFileError, PathEscapeError
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for name, size in (("a", [1, 1, 1]), ("b", [2, 2, 2])):
+        (tmp_path / f"{name}.glb").write_bytes(bytes(trimesh.creation.box(size).export(file_type="glb")))
+    return tmp_path
+
+
+def item(*parts: MeshPart) -> SceneObject:
+    return SceneObject("o", "r", "box", "box", np.zeros(3), mesh=parts)
+
+
+def test_parts_are_placed_and_joined(folder: Path) -> None:
+    parts = (MeshPart("a.glb", placement(translation=[5, 0, 0])), MeshPart("b.glb", placement(scale=[1, 1, 3])))
+    mesh = MeshLibrary(folder).world_mesh(item(*parts))
+    assert mesh is not None
+    assert (mesh.vertices.dtype, mesh.faces.dtype, mesh.watertight) == (np.float64, np.int32, True)
+    assert (mesh.vertices.shape, mesh.faces.shape) == ((16, 3), (24, 3))
+    np.testing.assert_allclose([mesh.vertices.min(0), mesh.vertices.max(0)], [[-1, -1, -3], [5.5, 1, 3]])
+    assert trimesh.Trimesh(mesh.vertices, mesh.faces).volume == pytest.approx(1 + 24)
+
+
+def test_a_mirrored_part_keeps_its_outside_outside(folder: Path) -> None:
+    mesh = MeshLibrary(folder).world_mesh(item(MeshPart("a.glb", placement(scale=[-1, 2, 1]))))
+    assert mesh is not None
+    assert trimesh.Trimesh(mesh.vertices, mesh.faces).volume == pytest.approx(2)
+
+
+def test_an_object_without_parts_has_no_mesh(folder: Path) -> None:
+    assert MeshLibrary(folder).world_mesh(item()) is None
+
+
+def test_files_are_read_once_and_a_changed_one_again(folder: Path) -> None:
+    library = MeshLibrary(folder)
+    first = library.geometry("a.glb")
+    assert library.geometry("a.glb") is first
+    data = (folder / "b.glb").read_bytes()
+    (folder / "a.glb").write_bytes(data)
+    os.utime(folder / "a.glb", ns=(1, 1))
+    assert library.geometry("a.glb").vertices.max() == 1.0
+
+
+def test_the_oldest_leaves_when_there_is_no_room(folder: Path) -> None:
+    library = MeshLibrary(folder, cache_bytes=1)
+    first = library.geometry("a.glb")
+    second = library.geometry("b.glb")
+    assert library.geometry("b.glb") is second
+    again = library.geometry("a.glb")
+    assert again is not first
+    np.testing.assert_array_equal(again.vertices, first.vertices)
+
+
+def test_faults_name_the_file(folder: Path) -> None:
+    library = MeshLibrary(folder)
+    (folder / "c.glb").write_bytes(b"glTF")
+    with pytest.raises(MissingFileError):
+        library.geometry("none.glb")
+    with pytest.raises(FormatError) as caught:
+        library.geometry("c.glb")
+    assert caught.value.where == str(folder / "c.glb")
+    with pytest.raises(PathEscapeError):
+        library.geometry("../c.glb")

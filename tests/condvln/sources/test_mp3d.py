@@ -1,0 +1,350 @@
+"""Matterport3D: a made house by hand, and every fact that the real scans can tell again."""
+
+from __future__ import annotations
+
+import json
+import tracemalloc
+from collections import Counter
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from condvln.scene import Scene
+from condvln.scene.boxes import box_corners
+from condvln.scene.tables import scene_from_tables, scene_tables
+from condvln.sources.house_file import HouseFile, read_house_file
+from condvln.sources.mp3d import Mp3dSource
+from condvln.sources.registry import open_source
+from schemas.errors import ConfigError, FormatError, InputError, MissingFileError
+
+SCAN = "made1234567"
+ZEROS = "0 0 0 0 0"
+BOX = "0 0 0 1 1 1"
+
+
+def records() -> dict[str, list[str]]:
+    """A kitchen (x 0–4, y 0–3) and, a storey up, a bedroom (x 0–4, y 0–3); a sofa turned by 90°, a lamp, a leftover."""
+    return {
+        "L": [f"L 0 1 1  0 0 0  {BOX}  {ZEROS}", f"L 1 1 2  0 0 3  {BOX}  {ZEROS}"],
+        "R": [f"R 0 0  0 0  k  2 1.5 0  {BOX}  2.5  0 0 0 0", f"R 1 1  0 0  b  2 1.5 3  {BOX}  2.4  0 0 0 0"],
+        "S": [f"S 0 0 0 F  0 0 0  0 0 1  {BOX}  {ZEROS}", f"S 1 1 0 F  0 0 3  0 0 1  {BOX}  {ZEROS}"],
+        "V": [
+            f"V {4 * s + i} {s} F  {x} {y} {3 * s}  0 0 1  0 0 0"
+            for s in (0, 1)
+            for i, (x, y) in enumerate([(0, 0), (4, 0), (4, 3), (0, 3)])
+        ],
+        "P": [f"P {'0123456789abcdef' * 2}  0 0 0  1 1 1.5  {ZEROS}"],
+        "portal": ["P 0 0 1 -  0 0 0 1 1 1  0 0 0 0"],
+        "I": ["I 0 0 " + " ".join(["x", *["0"] * 37])],
+        "C": [f"C 0 1 sofa  10 sofa  {ZEROS}", f"C 1 2 table#lamp  28 lighting  {ZEROS}"],
+        "O": [
+            "O 0 0 0  1 1 0.4  0 1 0  1 0 0  1.0 0.5 0.4  0 0 0 0 0 0 0 0",
+            "O 1 1 1  9 9 3.5  0 0 1  1 0 0  0.3 0.1 0.1  0 0 0 0 0 0 0 0",
+            "O 2 0 -1  2 2 1  1 0 0  0 1 0  1 1 1  0 0 0 0 0 0 0 0",
+            "O 3 -1 0  2 2 1  1 0 0  0 1 0  1 1 1  0 0 0 0 0 0 0 0",
+            "O 4 0 0  3 2 1  1 0 0  1 0 0  1 1 1  0 0 0 0 0 0 0 0",
+        ],
+        "E": [f"E 0 0 7 0.5  0 0 0  {BOX}  {ZEROS}"],
+    }  # fmt: skip
+
+
+def text(made: dict[str, list[str]] | None = None, *, version: str = "ASCII 1.1", header: str | None = None) -> bytes:
+    made = records() if made is None else made
+    counts = " ".join(str(len(made[kind])) for kind in ("I", "P", "V", "S", "E", "O", "C", "R", "portal", "L"))
+    first = header or f"H  -  -  {counts}  {ZEROS}  0 0 0 4 3 6  {ZEROS}"
+    return "\n".join([version, first, *(line for lines in made.values() for line in lines)]).encode() + b"\n"
+
+
+def write(root: Path, data: bytes, scan: str = SCAN, layout: str = "{scan}/{scan}.house") -> Mp3dSource:
+    file = root / layout.format(scan=scan)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_bytes(data)
+    source = open_source("mp3d", root)
+    assert isinstance(source, Mp3dSource)
+    return source
+
+
+def test_a_scan_is_turned_upright(tmp_path: Path) -> None:
+    scene = write(tmp_path, text()).read(SCAN)
+    assert [(r.room_id, r.raw_label, r.label, r.level, r.floor_y, r.ceiling_y) for r in scene.rooms] == [
+        ("region_0", "k", "kitchen", 0, 0.0, 2.5),
+        ("region_1", "b", "bedroom", 1, 3.0, 5.4),
+    ]
+    assert scene.rooms[0].polygon is not None
+    assert scene.rooms[0].polygon.tolist() == [[0, 0], [4, 0], [4, -3], [0, -3]]
+    sofa = scene.object_of["sofa_0"]
+    assert (sofa.label, sofa.room_id, sofa.center.tolist()) == ("sofa", "region_0", [1, 0.4, -1])
+    # Half lengths, along axes that are not in the order of the world's.
+    assert sofa.aabb is not None
+    assert sofa.aabb.tolist() == [[0.5, 0, -2], [1.5, 0.8, 0]]
+    assert sofa.obb is not None
+    assert sofa.obb.half_extents.tolist() == [1.0, 0.5, 0.4]
+    np.testing.assert_allclose(sofa.obb.rotation[:, 0], [0, 0, -1], atol=1e-9)
+
+
+def test_the_region_decides_and_not_the_place(tmp_path: Path) -> None:
+    lamp = write(tmp_path, text()).read(SCAN).object_of["table#lamp_1"]
+    assert (lamp.room_id, lamp.label, lamp.raw_label) == ("region_1", "table lamp", "table#lamp")
+
+
+def test_what_has_no_label_region_or_box_is_said(tmp_path: Path) -> None:
+    scene = write(tmp_path, text()).read(SCAN)
+    assert (scene.object_of["unknown_2"].label, scene.object_of["unknown_2"].geometry) == ("unknown", "obb")
+    assert scene.object_of["sofa_4"].geometry == "radius"
+    assert "sofa_3" not in scene.object_of
+    assert [(w.code, w.where) for w in scene.warnings] == [
+        ("no_box", "sofa_4"),
+        ("no_navmesh", "navmesh"),
+        ("object_outside_rooms", "sofa_3"),
+        ("unlabelled_object", "unknown_2"),
+    ]
+
+
+def test_panoramas_and_portals_share_a_letter() -> None:
+    house = read_house_file(text(), "x.house")
+    (panorama,) = house.panoramas
+    assert (panorama.name, panorama.region) == ("0123456789abcdef" * 2, 0)
+    assert panorama.position.tolist() == [1, 1, 1.5]
+    assert [(p.regions, p.label) for p in house.portals] == [((0, 1), "-")]
+    assert house.categories == {0: "sofa", 1: "table#lamp"}
+    assert house.levels == 2
+
+
+@pytest.mark.parametrize(
+    "layout",
+    [
+        "{scan}/{scan}.house",
+        "{scan}/house_segmentations/{scan}.house",
+        "scans/{scan}/house_segmentations/{scan}.house",
+        "v1/scans/{scan}/house_segmentations/{scan}.house",
+    ],
+)
+def test_every_layout_is_found_with_what_lies_beside(
+    tmp_path: Path, layout: str, made: Any, glb_of_box: Callable[..., bytes]
+) -> None:
+    source = write(tmp_path, text(), layout=layout)
+    folder = (tmp_path / layout.format(scan=SCAN)).parent
+    folder = folder.parent if folder.name == "house_segmentations" else folder
+    (folder / f"{SCAN}.glb").write_bytes(glb_of_box([1, 2, 3]))
+    (folder / f"{SCAN}.navmesh").write_bytes((made.root / "navmeshes_default/flat.navmesh").read_bytes())
+    scene = source.read(SCAN)
+    assert scene.navmesh is not None
+    assert scene.navmesh.fits
+    (part,) = scene.stage
+    np.testing.assert_array_equal(part.transform[:3, :3] @ [1, 2, 3], [1, 3, -2])
+    (handle,) = source.handles()
+    assert handle.scene_id == SCAN
+    assert sorted(Path(i.path).suffix for i in handle.inputs) == [".glb", ".house", ".navmesh"]
+    with pytest.raises(MissingFileError):
+        source.read("other")
+
+
+def test_a_floor_that_crosses_itself_is_mended(tmp_path: Path) -> None:
+    made = records()
+    made["V"][2:4] = [made["V"][2].replace("4 3 0", "0 3 0"), made["V"][3].replace("0 3 0", "4 3 0")]
+    (room, _) = write(tmp_path, text(made)).read(SCAN).rooms
+    assert shapely.Polygon(room.polygon).is_valid
+    assert shapely.Polygon(room.polygon).area == pytest.approx(3.0)
+
+
+def changed(kind: str, index: int, old: str, new: str) -> dict[str, list[str]]:
+    made = records()
+    assert old in made[kind][index]
+    made[kind][index] = made[kind][index].replace(old, new, 1)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "the first line is '', not 'ASCII 1.1'"),
+        (text(version="ASCII 1.0"), "not 'ASCII 1.1'"),
+        (text(version="ASCII 1."), "not 'ASCII 1.1'"),
+        (b"ASCII 1.1\n", "there is no record H"),
+        (b"\n".join(text().split(b"\n")[:-2]), "claims 1 records E, there are 0"),
+        (text()[:-20], "line 27: a record E has 19 words, this one 10"),
+        (text(header="H 1 2"), "line 2: a record H has 29 words, this one 3"),
+        (text(changed("O", 0, "0.5", "nan")), "word 14 is 'nan', not a number"),
+        (text(changed("O", 0, "0.5", "1e7")), "not a number up to"),
+        (text(changed("O", 0, "0.5", "-0.5")), "below zero"),
+        (text(changed("O", 0, "O 0 0 0", "O 0 7 0")), "in region 7, which is not there"),
+        (text(changed("O", 0, "O 0 0 0", "O 0 0 9")), "of category 9, which is not there"),
+        (text(changed("O", 0, "O 0 0 0", "O 1 0 0")), "two objects have the index 1"),
+        (text(changed("O", 0, "O 0 0 0", "O 0.5 0 0")), "word 1 is '0.5', not a whole number"),
+        (text(changed("O", 0, "O 0", f"O {'9' * 30}")), "too large"),
+        (text(changed("R", 0, "R 0", "R 1")), "two regions have the index 1"),
+        (text(changed("R", 0, "  2.5", "  0")), "region 0 has no height"),
+        (text(changed("S", 0, "S 0 0", "S 0 1")), "region 0 has no floor"),
+        (text(changed("L", 0, "L 0", "X 0")), "there is no record 'X'"),
+    ],
+)
+def test_what_is_refused_and_how(data: bytes, message: str) -> None:
+    with pytest.raises(FormatError, match=message) as caught:
+        read_house_file(data, "folder/x.house")
+    assert caught.value.where == "folder/x.house"
+
+
+def test_a_broken_scan_is_its_fault_alone(tmp_path: Path) -> None:
+    write(tmp_path, text())
+    source = write(tmp_path, text()[:-60], "broken")
+    assert [h.scene_id for h in source.handles()] == ["broken", SCAN]
+    with pytest.raises(FormatError):
+        source.read("broken")
+    assert len(source.read(SCAN).objects) == 4
+
+
+def test_a_folder_without_scans_is_one_clear_error(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="no scans"):
+        open_source("mp3d", tmp_path)
+
+
+def test_a_large_file_is_read_in_bounded_memory() -> None:
+    made = records()
+    made["E"] = made["E"] * 100_000
+    data = text(made)
+    tracemalloc.start()
+    try:
+        assert len(read_house_file(data, "x.house").objects) == 5
+        assert tracemalloc.get_traced_memory()[1] < len(data)
+    finally:
+        tracemalloc.stop()
+
+
+def _check(data: st.DataObject) -> None:
+    bad = bytearray(text())
+    for _ in range(data.draw(st.integers(1, 3))):
+        at = data.draw(st.integers(0, len(bad) - 1))
+        tokens = st.sampled_from([b" ", b"\n", b"-1", b"nan", b"9e9", b"P", b"O 0", b"0 0 0"]) | st.binary(max_size=3)
+        bad[at : at + data.draw(st.integers(0, 5))] = data.draw(tokens)
+    with suppress(FormatError):
+        house = read_house_file(bytes(bad), "x.house")
+        assert all(np.isfinite(o.centre).all() for o in house.objects)
+
+
+@given(st.data())
+def test_broken_bytes_give_a_house_or_our_error(data: st.DataObject) -> None:
+    _check(data)
+
+
+@pytest.mark.soak
+@settings(max_examples=5000, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@given(data=st.data())
+def test_broken_bytes_at_full_count(tmp_path: Path, data: st.DataObject) -> None:
+    _check(data)
+    bad = bytearray(text())
+    at = data.draw(st.integers(0, len(bad) - 1))
+    bad[at : at + 2] = data.draw(st.binary(max_size=3))
+    source = write(tmp_path, bytes(bad))
+    with suppress(InputError):
+        scene_tables(source.read(SCAN))
+
+
+# --- the real scans
+
+
+@pytest.fixture(scope="module")
+def real(real_data: Path) -> Mp3dSource:
+    source = open_source("mp3d", real_data / "mp3d")
+    assert isinstance(source, Mp3dSource)
+    return source
+
+
+@pytest.fixture(scope="module")
+def house(real: Mp3dSource) -> HouseFile:
+    return real.house("YmJkqBEsHnH")
+
+
+@pytest.fixture(scope="module")
+def scene(real: Mp3dSource) -> Scene:
+    return real.read("YmJkqBEsHnH")
+
+
+def test_the_defective_scan_is_the_only_fault(real: Mp3dSource) -> None:
+    assert [h.scene_id for h in real.handles()] == ["YmJkqBEsHnH", "gZ6f7yhEvPG"]
+    with pytest.raises(FormatError, match=r"the first line is 'ASCII 1\.', not 'ASCII 1\.1'"):
+        real.read("gZ6f7yhEvPG")
+
+
+def test_the_scan_is_read_whole(scene: Scene, house: HouseFile) -> None:
+    assert (len(scene.rooms), len(scene.objects), len(house.panoramas), len(house.categories)) == (4, 109, 11, 1659)
+    assert Counter(o.geometry for o in scene.objects) == {"obb": 109}
+    assert [(w.code, w.where) for w in scene.warnings] == [
+        ("no_navmesh", "navmesh"),
+        ("unlabelled_object", "unknown_64"),
+    ]
+    left = scene.object_of["unknown_64"].size
+    assert left is not None
+    np.testing.assert_allclose(left, [17.6, 3.0, 5.8], atol=0.06)
+
+
+def test_region_outlines_are_counter_clockwise_and_have_their_areas(scene: Scene, house: HouseFile) -> None:
+    assert all(shapely.LinearRing(r.corners).is_ccw for r in house.regions)
+    areas = [round(shapely.Polygon(r.polygon).area, 2) for r in scene.rooms]
+    assert areas == pytest.approx([84.97, 21.36, 15.12, 1.12], abs=0.02)
+
+
+def test_panoramas_stand_in_their_own_region(house: HouseFile, real_data: Path) -> None:
+    for panorama in house.panoramas:
+        region = house.regions[panorama.region]
+        assert shapely.Polygon(region.corners).contains(shapely.Point(panorama.position[:2]))
+    listed = real_data / "mp3d/YmJkqBEsHnH/house_segmentations/panorama_to_region.txt"
+    lines = [line.split() for line in listed.read_text().splitlines()]
+    assert [(p.name, p.region) for p in house.panoramas] == [(name, int(region)) for _, name, region, _ in lines]
+
+
+def test_panoramas_are_near_the_poses_of_the_connectivity_graph(house: HouseFile, real_data: Path) -> None:
+    graph = json.loads((real_data / "mp3d/connectivity/YmJkqBEsHnH_connectivity.json").read_text())
+    poses = {view["image_id"]: np.array(view["pose"])[[3, 7, 11]] for view in graph}
+    off = np.array([np.abs(p.position - poses[p.name]) for p in house.panoramas])
+    assert len(off) == 11
+    assert np.hypot(off[:, 0], off[:, 1]).max() < 0.017 * np.sqrt(2)
+    assert off[:, 2].max() <= 0.035
+
+
+def test_boxes_have_half_lengths_along_unit_axes_in_descending_order(house: HouseFile, real_data: Path) -> None:
+    upright = Counter(int(np.argmax(np.abs(o.axes[2]))) for o in house.objects)
+    assert upright == {0: 46, 1: 41, 2: 22}
+    for item in house.objects:
+        np.testing.assert_allclose(item.axes.T @ item.axes, np.eye(3), atol=1e-4)
+        assert (np.diff(item.half_lengths) <= 1e-6).all()
+    # The union of an object's segments against the box, in the world: as large, not half or double.
+    segments: dict[int, list[np.ndarray]] = {}
+    file = real_data / "mp3d/YmJkqBEsHnH/house_segmentations/YmJkqBEsHnH.house"
+    for line in file.read_text().splitlines():
+        if line.startswith("E "):
+            words = line.split()
+            segments.setdefault(int(words[2]), []).append(np.array(words[8:14], dtype=float).reshape(2, 3))
+    ratios = []
+    for item in house.objects:
+        union = np.array(segments[item.index])
+        extent = union[:, 1].max(axis=0) - union[:, 0].min(axis=0)
+        ratios.append(extent / (2 * np.abs(item.axes) @ item.half_lengths))
+    median = np.median(ratios, axis=0)
+    assert ((median > 0.9) & (median < 1.01)).all()
+    assert median[2] == pytest.approx(1.0, abs=0.001)
+
+
+def test_centres_lie_outside_of_their_region_now_and_then(scene: Scene) -> None:
+    inside = sum(
+        bool(shapely.Polygon(scene.room_of[o.room_id].polygon).contains(shapely.Point(o.center[[0, 2]])))
+        for o in scene.objects
+    )
+    assert (inside, len(scene.objects)) == (105, 109)
+
+
+def test_rows_agree_with_the_oriented_boxes_and_survive_their_tables(scene: Scene) -> None:
+    for item in scene.objects:
+        assert item.obb is not None
+        assert item.aabb is not None
+        corners = box_corners(item.obb)
+        np.testing.assert_allclose([corners.min(0), corners.max(0)], item.aabb, atol=0.003)
+    tables = scene_tables(scene)
+    again = scene_tables(scene_from_tables(tables, scene.root, family="mp3d"))
+    assert all(again[name].equals(tables[name]) for name in tables)

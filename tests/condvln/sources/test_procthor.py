@@ -1,0 +1,543 @@
+"""ProcTHOR houses: made ones by hand, and every measured fact that the sixty real ones can tell again."""
+
+from __future__ import annotations
+
+import gzip
+import json
+from collections import Counter
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import networkx as nx
+import numpy as np
+import pytest
+import shapely
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from condvln.scene import Scene
+from condvln.scene.boxes import box_corners
+from condvln.scene.tables import scene_from_tables, scene_tables
+from condvln.sources.json_document import parse_json
+from condvln.sources.procthor import ProcthorSource
+from condvln.sources.procthor_house import House, read_house
+from condvln.sources.registry import open_source
+from schemas.errors import ConfigError, FormatError, InputError, MissingFileError
+
+House_ = dict[str, Any]
+
+
+def xyz(x: float, y: float, z: float) -> dict[str, float]:
+    return {"x": x, "y": y, "z": z}
+
+
+def floor(x0: float, z0: float, x1: float, z1: float) -> list[dict[str, float]]:
+    """Corners clockwise in Unity's (x, z), as the generator has them."""
+    return [xyz(x0, 0, z0), xyz(x0, 0, z1), xyz(x1, 0, z1), xyz(x1, 0, z0)]
+
+
+def wall(name: str, room: str, a: tuple[float, float], b: tuple[float, float], *, top_first: bool = False) -> House_:
+    low, high = [xyz(a[0], 0, a[1]), xyz(b[0], 0, b[1])], [xyz(a[0], 3, a[1]), xyz(b[0], 3, b[1])]
+    return {"id": name, "roomId": room, "polygon": high + low if top_first else low + high}
+
+
+def house() -> House_:
+    """A kitchen (x 0–4) and a bedroom (x 4–8), z 0–3, a doorway between them at z 1–2."""
+    return {
+        "metadata": {"schema": "1.0.0", "warnings": {}},
+        "rooms": [
+            {"id": "room|2", "roomType": "Kitchen", "floorPolygon": floor(0, 0, 4, 3)},
+            {"id": "room|3", "roomType": "Bedroom", "floorPolygon": floor(4, 0, 8, 3)},
+        ],
+        "walls": [
+            wall("wall|2|4.00|0.00|4.00|3.00", "room|2", (4, 3), (4, 0)),
+            wall("wall|3|4.00|0.00|4.00|3.00", "room|3", (4, 0), (4, 3)),
+            wall("wall|exterior|0.00|0.00|4.00|0.00", "room|2", (0, 0), (4, 0), top_first=True),
+        ],
+        "doors": [
+            {
+                "id": "door|2|3", "room0": "room|2", "room1": "room|3",
+                "wall0": "wall|2|4.00|0.00|4.00|3.00", "wall1": "wall|3|4.00|0.00|4.00|3.00",
+                "assetId": "Doorway_5", "assetPosition": xyz(1.5, 1, 0),
+                "holePolygon": [xyz(0.5, 0, 0), xyz(1.5, 2, 0)], "openable": True, "openness": 1,
+            }
+        ],
+        "windows": [
+            {
+                "id": "window|2|0", "room0": "room|2", "room1": "room|2",
+                "wall0": "wall|exterior|0.00|0.00|4.00|0.00", "wall1": "wall|exterior|0.00|0.00|4.00|0.00",
+                "assetId": "Window_1", "assetPosition": xyz(2, 1.5, 0),
+                "holePolygon": [xyz(1, 1, 0), xyz(3, 2, 0)],
+            }
+        ],
+        "objects": [
+            {
+                "id": "2|0", "assetId": "Table_1", "position": xyz(2, 0.4, 1), "rotation": xyz(0, 90, 0),
+                "kinematic": True,
+                "children": [
+                    {"id": "2|0|0", "assetId": "Mug_1", "position": xyz(2, 0.85, 1), "rotation": xyz(0, 0, 0),
+                     "kinematic": False}
+                ],
+            },
+            {"id": "3|1", "assetId": "Bat_1", "position": xyz(6, 1, 2), "rotation": xyz(270, 30, 0)},
+        ],
+    }  # fmt: skip
+
+
+DATABASE = {
+    "DiningTable": [{"assetId": "Table_1", "objectType": "DiningTable", "boundingBox": xyz(1.6, 0.8, 1.0)}],
+    "Mug": [{"assetId": "Mug_1", "objectType": "Mug", "boundingBox": xyz(0.1, 0.1, 0.1)}],
+    "BaseballBat": [{"assetId": "Bat_1", "objectType": "BaseballBat", "boundingBox": xyz(0.06, 0.8, 0.04)}],
+}
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    (tmp_path / "asset-database.json").write_text(json.dumps(DATABASE))
+    return tmp_path
+
+
+def write(root: Path, *houses: House_, name: str = "train.jsonl") -> ProcthorSource:
+    data = "\n".join(map(json.dumps, houses)).encode() + b"\n"
+    (root / name).write_bytes(gzip.compress(data) if name.endswith(".gz") else data)
+    source = open_source("procthor", root)
+    assert isinstance(source, ProcthorSource)
+    return source
+
+
+def parsed(document: House_) -> House:
+    return read_house(parse_json(json.dumps(document).encode(), "h.json"))
+
+
+def test_a_house_is_mirrored_into_habitats_frame(root: Path) -> None:
+    scene = write(root, house()).read("train-0")
+    assert [(r.room_id, r.label, r.annotation, r.complete, r.floor_y, r.ceiling_y) for r in scene.rooms] == [
+        ("room|2", "kitchen", "dataset", True, 0.0, 3.0),
+        ("room|3", "bedroom", "dataset", True, 0.0, 3.0),
+    ]
+    assert scene.rooms[0].polygon is not None
+    assert scene.rooms[0].polygon.tolist() == [[0, 0], [0, -3], [4, -3], [4, 0]]
+    assert shapely.LinearRing(scene.rooms[0].polygon).is_ccw
+    table = scene.object_of["2|0"]
+    assert (table.label, table.raw_label, table.room_id, table.static) == (
+        "dining table",
+        "DiningTable",
+        "room|2",
+        True,
+    )
+    assert table.center.tolist() == [2, 0.4, -1]
+    # Turned by 90°: its sides are swapped.
+    assert table.aabb is not None
+    assert table.aabb.tolist() == [[1.5, 0.0, -1.8], [2.5, 0.8, -0.2]]
+    assert [w.code for w in scene.warnings] == ["no_navmesh"]
+
+
+def test_a_tilted_thing_is_turned_as_unity_turns_it(root: Path) -> None:
+    bat = write(root, house()).read("train-0").object_of["3|1"]
+    # Unity: pitch by 270° about x lays the bat's own y along −z (left-handed), then yaw by 30° clockwise from above.
+    along = np.array([-np.sin(np.radians(30)), 0, np.cos(np.radians(30))])
+    assert bat.obb is not None
+    assert abs(bat.obb.rotation[:, 1] @ along) == pytest.approx(1, abs=1e-8)
+    assert bat.aabb is not None
+    assert bat.aabb[:, 1].tolist() == [0.98, 1.02]
+    reach = np.abs(box_corners(bat.obb) - bat.center).max(axis=0)
+    np.testing.assert_allclose(bat.aabb[1] - bat.center, reach, atol=0.0011)
+
+
+def test_children_are_in_their_parents_room(root: Path) -> None:
+    made = house()
+    made["objects"][0]["children"][0]["position"] = xyz(4.05, 0.85, 1)
+    scene = write(root, made).read("train-0")
+    assert scene.object_of["2|0|0"].room_id == "room|2"
+
+
+def test_doors_stand_in_the_world_along_their_first_wall() -> None:
+    read = parsed(house())
+    door, window = read.openings
+    # wall0 runs from z 3 to z 0, so 0.5–1.5 along it is z 2.5–1.5; in Habitat −2.5 … −1.5.
+    assert (door.start.tolist(), door.end.tolist()) == ([4, -2.5], [4, -1.5])
+    assert (door.bottom, door.top, door.kind, door.passable, door.exterior) == (0, 2, "door", True, False)
+    # An exterior wall lists its upper corners first.
+    assert (window.start.tolist(), window.end.tolist(), window.bottom) == ([1, 0], [3, 0], 1)
+    assert (window.kind, window.passable, window.exterior) == ("window", False, True)
+    assert [w.exterior for w in read.walls] == [False, False, True]
+    assert read.passages() == {("room|2", "room|3")}
+
+
+@pytest.mark.parametrize(
+    ("change", "passages"),
+    [
+        ({"openness": 0}, set()),
+        ({"openness": 0, "assetId": "Doorframe_2"}, {("room|2", "room|3")}),
+        ({"room1": "room|2"}, set()),
+    ],
+)
+def test_a_closed_or_outer_door_is_no_passage(change: House_, passages: set[tuple[str, str]]) -> None:
+    made = house()
+    made["doors"][0] |= change
+    assert parsed(made).passages() == passages
+
+
+def test_a_wall_taken_away_is_a_passage_without_a_door() -> None:
+    made = house()
+    made["doors"] = []
+    assert parsed(made).passages() == set()
+    for face in made["walls"][:2]:
+        face["empty"] = True
+    assert parsed(made).passages() == {("room|2", "room|3")}
+
+
+def test_the_older_schema_says_the_same() -> None:
+    new, old = house(), house()
+    del old["metadata"]
+    for opening in old["doors"] + old["windows"]:
+        low, high = opening.pop("holePolygon")
+        opening.pop("assetPosition")
+        opening.pop("openness", None)
+        opening |= {"boundingBox": {"min": low, "max": high}, "assetOffset": xyz(0, 0, 0)}
+    for face in old["walls"]:
+        face["material"] = "RedDrywall"
+    for a, b in zip(parsed(new).openings, parsed(old).openings, strict=True):
+        assert (a.opening_id, a.rooms, a.bottom, a.top, a.passable) == (
+            b.opening_id,
+            b.rooms,
+            b.bottom,
+            b.top,
+            b.passable,
+        )
+        assert (a.start.tolist(), a.end.tolist()) == (b.start.tolist(), b.end.tolist())
+
+
+def test_an_asset_that_the_database_lacks_has_no_extent(root: Path) -> None:
+    made = house()
+    made["objects"][1] |= {"assetId": "0123abcd" * 4}
+    made["objects"].append({"id": "Dresser|3|7", "assetId": "ff", "position": xyz(5, 0.5, 1), "rotation": xyz(0, 0, 0)})
+    scene = write(root, made).read("train-0")
+    unknown, dresser = scene.object_of["3|1"], scene.object_of["Dresser|3|7"]
+    assert (unknown.geometry, unknown.label) == ("none", "unknown")
+    assert (dresser.geometry, dresser.label) == ("none", "dresser")
+    assert Counter(w.code for w in scene.warnings) == {"unknown_asset": 2, "no_navmesh": 1}
+    # An unnamed thing could be anything: nothing may be said to be absent beside it.
+    assert {r.room_id: r.complete for r in scene.rooms} == {"room|2": True, "room|3": False}
+    made["objects"][1]["objectType"] = "Bed"
+    assert write(root, made).read("train-0").object_of["3|1"].label == "bed"
+
+
+def test_the_generators_own_warning_is_kept(root: Path) -> None:
+    made = house()
+    made["metadata"]["warnings"] = {"RoomsNotNavigable": "Rooms [2] / 3 are not navigable."}
+    (warning, _) = sorted(write(root, made).read("train-0").warnings, key=lambda w: w.code, reverse=True)
+    assert (warning.code, warning.message) == ("rooms_not_navigable", "Rooms [2] / 3 are not navigable.")
+
+
+def test_a_shipped_navmesh_is_found(root: Path, made: Any) -> None:
+    source = write(root, house())
+    made.navmesh("n/x.navmesh", 0.1)
+    (root / "navmeshes").mkdir()
+    (root / "navmeshes" / "train-0.navmesh").write_bytes((made.root / "n/x.navmesh").read_bytes())
+    scene = source.read("train-0")
+    assert scene.navmesh is not None
+    assert (scene.navmesh.path, scene.navmesh.fits) == ("navmeshes/train-0.navmesh", True)
+    assert "navmeshes/train-0.navmesh" in {i.path for i in source.handles()[0].inputs}
+
+
+@pytest.mark.parametrize("name", ["train.jsonl", "train.jsonl.gz", "sub/train.jsonl"])
+def test_files_of_lines_are_found_and_read(root: Path, name: str) -> None:
+    (root / "sub").mkdir()
+    source = write(root, house(), house() | {"rooms": []}, house(), name=name)
+    stem = name.removesuffix(".gz").removesuffix(".jsonl")
+    handles = source.handles()
+    assert [h.scene_id for h in handles] == [f"{stem}-0", f"{stem}-1", f"{stem}-2"]
+    assert {i.path for i in handles[2].inputs} == {
+        f"{name}#2", *(f"asset-database.json#{a}" for a in ("Table_1", "Mug_1", "Bat_1"))
+    }  # fmt: skip
+    assert source.read(f"{stem}-1").objects == ()
+    assert len(source.read(f"{stem}-2").objects) == 3
+    for wrong in (f"{stem}-3", f"{stem}-02", f"{stem}", "other-0"):
+        with pytest.raises(MissingFileError):
+            source.read(wrong)
+
+
+def test_files_of_one_house_are_found_and_other_json_is_not(root: Path) -> None:
+    (root / "house_8.json").write_text(json.dumps(house()))
+    (root / "notes.json").write_text("{}")
+    source = open_source("procthor", root)
+    assert [h.scene_id for h in source.handles()] == ["house_8"]
+    assert len(source.read("house_8").objects) == 3
+
+
+def test_one_changed_line_makes_one_house_stale(root: Path) -> None:
+    before = {h.scene_id: h.inputs for h in write(root, house(), house(), house()).handles()}
+    changed = house()
+    changed["objects"][0]["position"]["x"] = 2.5
+    after = {h.scene_id: h.inputs for h in write(root, house(), changed, house()).handles()}
+    assert [s for s in before if before[s] != after[s]] == ["train-1"]
+    other = json.loads(json.dumps(DATABASE))
+    other["Mug"].append({"assetId": "Mug_2", "objectType": "Mug", "boundingBox": xyz(1, 1, 1)})
+    (root / "asset-database.json").write_text(json.dumps(other))
+    assert {h.scene_id: h.inputs for h in write(root, house(), changed, house()).handles()} == after
+
+
+# --- bad input
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"rooms": {}}, "rooms: an array is expected"),
+        ({"metadata": {"schema": "2.0.0"}}, "metadata.schema: schema '2.0.0' is not known"),
+        ({"objects": [{"id": "a"}]}, r"objects\[0\]: the key"),
+        ({"objects": [house()["objects"][1]] * 2}, "two of the objects have the id '3|1'"),
+        ({"rooms": [house()["rooms"][0]] * 2}, "two of the rooms have the id 'room|2'"),
+        ({"doors": [house()["doors"][0] | {"wall0": "wall|9"}]}, "there is no wall 'wall|9'"),
+        ({"rooms": [house()["rooms"][0] | {"floorPolygon": floor(0, 0, 0, 3)}]}, "not simple"),
+        ({"rooms": [house()["rooms"][0] | {"floorPolygon": []}]}, "at least three corners"),
+        ({"objects": [house()["objects"][1] | {"position": xyz(0, 1e9, 0)}]}, "beyond"),
+    ],
+)
+def test_a_broken_house_is_its_fault_alone(root: Path, change: House_, message: str) -> None:
+    source = write(root, house(), house() | change)
+    assert [h.scene_id for h in source.handles()] == ["train-0", "train-1"]
+    with pytest.raises(FormatError, match=message.replace("|", r"\|")) as caught:
+        source.read("train-1")
+    assert caught.value.where == f"{root / 'train.jsonl'}#1"
+    assert len(source.read("train-0").objects) == 3
+
+
+def test_a_line_that_is_no_json_is_a_fault_of_its_house(root: Path) -> None:
+    (root / "a.jsonl").write_bytes(json.dumps(house()).encode() + b"\n{\n" + json.dumps(house()).encode())
+    first, second, third = open_source("procthor", root).handles()
+    assert (first.fault, type(second.fault), third.fault) == (None, FormatError, None)
+    assert second.inputs[0].path == "a.jsonl#1"
+
+
+def test_a_file_that_breaks_off_loses_only_what_follows(root: Path) -> None:
+    rng = np.random.default_rng(0)
+    houses = [house() | {"noise": rng.bytes(30_000).hex()} for _ in range(6)]
+    write(root, *houses, name="a.jsonl.gz")
+    data = (root / "a.jsonl.gz").read_bytes()
+    (root / "a.jsonl.gz").write_bytes(data[: len(data) * 2 // 3])
+    handles = open_source("procthor", root).handles()
+    assert [h.scene_id for h in handles if h.fault is None] == ["a-0", "a-1", "a-2"]
+    assert [(h.scene_id, "cut off" in str(h.fault)) for h in handles if h.fault is not None] == [("a", True)]
+
+
+def test_a_missing_database_is_named(root: Path) -> None:
+    (root / "asset-database.json").unlink()
+    source = write(root, house())
+    (handle,) = source.handles()
+    assert isinstance(handle.fault, MissingFileError)
+    assert "asset-database.json" in handle.fault.where
+    with pytest.raises(MissingFileError, match="the asset database is not there"):
+        source.read("train-0")
+    (root / "asset-database.json").write_text(json.dumps(DATABASE))
+    assert source.handles()[0].fault is None
+    assert len(source.read("train-0").objects) == 3
+
+
+def test_a_folder_without_houses_is_one_clear_error(root: Path) -> None:
+    with pytest.raises(ConfigError, match="no houses"):
+        open_source("procthor", root)
+
+
+TOKENS = [b"-1", b"1e999", b"null", b"true", b"{}", b"[]", b'""', b"NaN", b"0", b"9" * 30, b'"\\ud800"', b"\\u0000"]
+
+
+def _check(root: Path, data: st.DataObject) -> None:
+    bad = bytearray(json.dumps(house()).encode())
+    for _ in range(data.draw(st.integers(1, 3))):
+        at = data.draw(st.integers(0, len(bad) - 1))
+        bad[at : at + data.draw(st.integers(0, 8))] = data.draw(st.sampled_from(TOKENS) | st.binary(max_size=3))
+    (root / "a.jsonl").write_bytes(bytes(bad).replace(b"\n", b" "))
+    source = open_source("procthor", root)
+    for handle in source.handles():
+        with suppress(InputError):
+            scene = source.read(handle.scene_id)
+            assert handle.fault is None
+            scene_tables(scene)
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_broken_bytes_give_a_house_or_our_error(root: Path, data: st.DataObject) -> None:
+    _check(root, data)
+
+
+@pytest.mark.soak
+@settings(max_examples=5000, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@given(data=st.data())
+def test_broken_bytes_at_full_count(root: Path, data: st.DataObject) -> None:
+    _check(root, data)
+
+
+# --- the sixty real houses
+
+
+@pytest.fixture(scope="module")
+def real(real_data: Path) -> ProcthorSource:
+    source = open_source("procthor", real_data / "procthor")
+    assert isinstance(source, ProcthorSource)
+    return source
+
+
+@pytest.fixture(scope="module")
+def scenes(real: ProcthorSource) -> dict[str, Scene]:
+    return {h.scene_id: real.read(h.scene_id) for h in real.handles()}
+
+
+@pytest.fixture(scope="module")
+def houses(real: ProcthorSource, scenes: dict[str, Scene]) -> dict[str, House]:
+    return {scene_id: real.house(scene_id) for scene_id in scenes}
+
+
+@pytest.fixture(scope="module")
+def raw(real_data: Path) -> dict[str, Any]:
+    with gzip.open(real_data / "procthor" / "houses60.jsonl.gz") as lines:
+        return {f"houses60-{i}": json.loads(line) for i, line in enumerate(lines)}
+
+
+@pytest.fixture(scope="module")
+def boxes(real_data: Path) -> dict[str, dict[str, float]]:
+    database = json.loads((real_data / "procthor" / "asset-database.json").read_text())
+    return {a["assetId"]: a["boundingBox"] for assets in database.values() for a in assets}
+
+
+def test_all_houses_are_read_whole(scenes: dict[str, Scene], raw: dict[str, Any], boxes: dict[str, Any]) -> None:
+    assert len(scenes) == 60
+    assert sum(len(s.rooms) for s in scenes.values()) == 296
+    assert sum(len(s.objects) for s in scenes.values()) == 5396
+    assert len(boxes) == 1653
+    assert Counter(o.geometry for s in scenes.values() for o in s.objects) == {"obb": 5396}
+    assert {w.code for s in scenes.values() for w in s.warnings} == {"no_navmesh"}
+    assert all(r.complete for s in scenes.values() for r in s.rooms)
+    assert {h["metadata"]["schema"] for h in raw.values()} == {"1.0.0"}
+    counted = Counter(r.label for s in scenes.values() for r in s.rooms)
+    assert counted == {"bedroom": 102, "bathroom": 75, "living room": 69, "kitchen": 50}
+
+
+def test_each_top_level_object_is_inside_exactly_the_room_that_its_id_names(
+    scenes: dict[str, Scene], houses: dict[str, House]
+) -> None:
+    inside, named = Counter(), 0
+    for scene_id, scene in scenes.items():
+        polygons = {r.room_id: shapely.Polygon(r.polygon) for r in scene.rooms}
+        for item in houses[scene_id].objects:
+            if item.parent_id is None:
+                spot = shapely.Point(item.position[[0, 2]])
+                inside[sum(p.contains(spot) for p in polygons.values())] += 1
+                named += scene.object_of[item.object_id].room_id.split("|")[1] in item.object_id.split("|")
+    assert (inside, named) == ({1: 2147}, 2147)
+
+
+def test_floors_are_clockwise_in_unity_and_counter_clockwise_here(
+    scenes: dict[str, Scene], raw: dict[str, Any]
+) -> None:
+    for scene_id, scene in scenes.items():
+        assert all(shapely.LinearRing(r.polygon).is_ccw for r in scene.rooms)
+        for room in raw[scene_id]["rooms"]:
+            assert not shapely.LinearRing([(c["x"], c["z"]) for c in room["floorPolygon"]]).is_ccw
+
+
+def test_sides_are_swapped_at_a_quarter_turn(
+    scenes: dict[str, Scene], raw: dict[str, Any], boxes: dict[str, dict[str, float]]
+) -> None:
+    fits = Counter()
+    for scene_id, scene in scenes.items():
+        for item in raw[scene_id]["objects"]:
+            box, rotation = boxes[item["assetId"]], item["rotation"]
+            if abs(rotation["y"] % 180 - 90) > 1e-3 or rotation["x"] != 0 or abs(box["x"] - box["z"]) < 0.01:
+                continue
+            own = scene.object_of[item["id"]]
+            room = shapely.Polygon(scene.room_of[own.room_id].polygon).buffer(0.01)
+            assert own.aabb is not None
+            x, z, half = own.center[0], own.center[2], (box["x"] / 2, box["z"] / 2)
+            fits["read", bool(room.contains(shapely.box(*own.aabb[0][[0, 2]], *own.aabb[1][[0, 2]])))] += 1
+            unturned = shapely.box(x - half[0], z - half[1], x + half[0], z + half[1])
+            fits["unturned", bool(room.contains(unturned))] += 1
+    assert fits == {("read", True): 772, ("unturned", True): 198, ("unturned", False): 574}
+
+
+def test_positions_are_box_centres(scenes: dict[str, Scene], houses: dict[str, House]) -> None:
+    bottoms = []
+    for scene_id, scene in scenes.items():
+        tops = [o.object_id for o in houses[scene_id].objects if o.parent_id is None]
+        bottoms += [scene.object_of[i].aabb[0, 1] for i in tops]  # type: ignore[index]
+    on_floor = np.abs(bottoms) < 1e-3
+    assert len(bottoms) == 2147
+    assert np.median(bottoms) == 0.0
+    assert on_floor.mean() > 0.8
+    # What is not on the floor hangs on a wall, a metre and more above it.
+    labels = Counter(
+        o.label for s in scenes.values() for o in s.objects if o.aabb is not None and o.aabb[0, 1] > 0.1
+        and o.object_id in {h.object_id for h in houses[s.scene_id].objects if h.parent_id is None}
+    )  # fmt: skip
+    assert set(labels) == {"painting", "television"}
+
+
+def test_interior_walls_list_the_bottom_first_and_exterior_ones_the_top(raw: dict[str, Any]) -> None:
+    seen = Counter()
+    for document in raw.values():
+        for face in document["walls"]:
+            heights = [c["y"] for c in face["polygon"]]
+            seen[face["id"].startswith("wall|exterior"), heights[0] == heights[1] == 0] += 1
+    assert seen == {(False, True): 1713, (True, False): 675}
+
+
+def test_both_walls_of_a_door_run_in_opposite_directions(houses: dict[str, House], raw: dict[str, Any]) -> None:
+    count = 0
+    for scene_id, document in raw.items():
+        walls = {w.wall_id: w for w in houses[scene_id].walls}
+        for door in document["doors"]:
+            a, b = walls[door["wall0"]], walls[door["wall1"]]
+            assert (a.end - a.start) @ (b.end - b.start) < 0
+            count += 1
+    assert count == 272
+
+
+def test_doors_are_where_nothing_stands_before_them(scenes: dict[str, Scene], houses: dict[str, House]) -> None:
+    blocked = Counter()
+    for scene_id, scene in scenes.items():
+        walls = {w.wall_id: w for w in houses[scene_id].walls}
+        low = [
+            shapely.box(*o.aabb[0][[0, 2]], *o.aabb[1][[0, 2]])
+            for o in scene.objects
+            if o.aabb is not None and o.aabb[0, 1] < 0.05 and o.aabb[1, 1] > 0.1
+        ]
+        for door in houses[scene_id].openings:
+            if door.kind == "door":
+                wall_ = walls[door.wall_id]
+                turned = [wall_.start + wall_.end - door.start, wall_.start + wall_.end - door.end]
+                for name, ends in (("read", [door.start, door.end]), ("from the other end", turned)):
+                    swept = shapely.LineString(ends).buffer(0.45, cap_style="flat")
+                    blocked[name] += any(swept.intersects(box) for box in low)
+    assert blocked == {"read": 4, "from the other end": 98}
+
+
+def test_every_house_is_one_connected_set_of_rooms_only_with_its_open_walls(houses: dict[str, House]) -> None:
+    parts = Counter()
+    for read in houses.values():
+        rooms = [r.room_id for r in read.rooms]
+        doors = [o.rooms for o in read.openings if o.kind == "door" and o.passable and not o.exterior]
+        for name, edges in (("all", read.passages()), ("doors", doors)):
+            graph = nx.Graph()
+            graph.add_nodes_from(rooms)
+            graph.add_edges_from(edges)
+            parts[name, nx.number_connected_components(graph)] += 1
+    assert parts == {("all", 1): 60, ("doors", 1): 37, ("doors", 2): 22, ("doors", 3): 1}
+    sides = Counter(w.wall_id.split("|", 2)[-1] for h in houses.values() for w in h.walls if w.empty)
+    assert sum(sides.values()) == 60
+
+
+def test_doors_are_of_the_kinds_that_are_known(houses: dict[str, House]) -> None:
+    doors = [o for h in houses.values() for o in h.openings if o.kind == "door"]
+    kinds = Counter((o.exterior, o.passable) for o in doors)
+    assert kinds == {(False, True): 192 + 20, (True, False): 60}
+    assert sum(o.kind == "window" for h in houses.values() for o in h.openings) == 196
+
+
+def test_scenes_survive_their_tables(scenes: dict[str, Scene], real_data: Path) -> None:
+    for scene in scenes.values():
+        tables = scene_tables(scene)
+        again = scene_tables(scene_from_tables(tables, scene.root, family="procthor"))
+        assert all(again[name].equals(tables[name]) for name in tables)

@@ -1,0 +1,304 @@
+"""iTHOR and RoboTHOR: controller metadata, made by hand and real."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from condvln.scene import Scene
+from condvln.scene.boxes import box_corners
+from condvln.scene.quaternions import to_matrix
+from condvln.scene.tables import scene_from_tables, scene_tables
+from condvln.sources.ithor import room_type
+from condvln.sources.json_document import parse_json
+from condvln.sources.registry import open_source
+from condvln.sources.source import Source
+from condvln.sources.thor_metadata import read_objects
+from schemas.errors import ConfigError, FormatError, InputError, MissingFileError
+
+Document = dict[str, Any]
+
+
+def xyz(x: float, y: float, z: float) -> dict[str, float]:
+    return {"x": x, "y": y, "z": z}
+
+
+def thing(
+    name: str, kind: str, centre: tuple[float, float, float], size: tuple[float, float, float], **more: Any
+) -> Any:
+    return {
+        "objectId": name,
+        "objectType": kind,
+        "assetId": "",
+        "position": xyz(99, 99, 99),
+        "rotation": xyz(0, 0, 0),
+        "pickupable": False,
+        "moveable": False,
+        "axisAlignedBoundingBox": {"center": xyz(*centre), "size": xyz(*size), "cornerPoints": []},
+        "objectOrientedBoundingBox": None,
+        **more,
+    }
+
+
+def corner_points(centre: np.ndarray, edges: np.ndarray) -> list[list[float]]:
+    """Eight corners in the simulator's order: x, then z, round the bottom, then the same on top."""
+    signs = [(-1, -1, -1), (1, -1, -1), (1, -1, 1), (-1, -1, 1), (-1, 1, -1), (1, 1, -1), (1, 1, 1), (-1, 1, 1)]
+    return [(centre + np.array(s) @ edges / 2).tolist() for s in signs]
+
+
+def plan(name: str = "FloorPlan207") -> Document:
+    return {
+        "sceneName": name,
+        "objects": [
+            thing("Floor|+00.00", "Floor", (1, -0.1, 2), (4, 0.2, 6)),
+            thing("Sofa|+01.00", "Sofa", (1, 0.4, 3), (2, 0.8, 1), moveable=True),
+            thing("Window|+01.00", "Window", (1, 1.5, 5), (1, 1, 0.1)),
+        ],
+    }
+
+
+def write(root: Path, document: Document, path: str = "FloorPlan207.json", family: str = "ithor") -> Source:
+    (root / path).write_text(json.dumps(document))
+    return open_source(family, root)
+
+
+def test_a_plan_is_one_room_of_the_type_of_its_number(tmp_path: Path) -> None:
+    scene = write(tmp_path, plan()).read("FloorPlan207")
+    (room,) = scene.rooms
+    assert (room.room_id, room.raw_label, room.label, room.annotation) == (
+        "room",
+        "LivingRoom",
+        "living room",
+        "dataset",
+    )
+    assert (room.floor_y, room.ceiling_y, room.complete) == (0.0, 2.0, True)
+    assert room.polygon is not None
+    assert room.polygon.tolist() == [[-1, -5], [-1, 1], [3, 1], [3, -5]]
+    sofa = scene.object_of["Sofa|+01.00"]
+    assert sofa.center.tolist() == [1, 0.4, -3]
+    assert sofa.aabb is not None
+    assert sofa.aabb.tolist() == [[0, 0, -3.5], [2, 0.8, -2.5]]
+    assert (sofa.label, sofa.static, sofa.geometry) == ("sofa", False, "aabb")
+    assert scene.object_of["Window|+01.00"].static
+    assert {o.room_id for o in scene.objects} == {"room"}
+    assert [w.code for w in scene.warnings] == ["no_navmesh"]
+
+
+@pytest.mark.parametrize(
+    ("name", "label"),
+    [
+        *((f"FloorPlan{n}", "Kitchen") for n in (1, 6, 30)),
+        *((f"FloorPlan{n}", "LivingRoom") for n in (201, 230)),
+        *((f"FloorPlan{n}", "Bedroom") for n in (301, 330)),
+        *((f"FloorPlan{n}", "Bathroom") for n in (401, 430)),
+        *((n, "unknown") for n in ("FloorPlan31", "FloorPlan0", "FloorPlan231", "FloorPlan_Train1_1", "x")),
+    ],
+)
+def test_room_types_by_number(name: str, label: str) -> None:
+    assert room_type(name) == label
+
+
+def test_robothor_has_no_rooms(tmp_path: Path) -> None:
+    scene = write(tmp_path, plan("FloorPlan_Val1_1_physics"), "FloorPlan_Val1_1.json", "robothor").read(
+        "FloorPlan_Val1_1"
+    )
+    assert [(r.label, r.annotation) for r in scene.rooms] == [("apartment", "scene")]
+
+
+def test_drawn_rooms_take_the_place_of_the_one(tmp_path: Path) -> None:
+    write(tmp_path, plan())
+    zones = [
+        {"name": "a", "label": "kitchen", "poly_loop": [[-1, 0, -5], [3, 0, -5], [3, 0, -4], [-1, 0, -4]]},
+        {"name": "b", "label": "living room", "poly_loop": [[-1, 0, -4], [3, 0, -4], [3, 0, 1], [-1, 0, 1]]},
+    ]
+    (tmp_path / "zones.json").write_text(json.dumps({"region_annotations": zones}))
+    source = open_source("ithor", tmp_path, regions=tmp_path / "zones.json")
+    scene = source.read("FloorPlan207")
+    assert [(r.room_id, r.annotation) for r in scene.rooms] == [("a", "user"), ("b", "user")]
+    assert scene.object_of["Sofa|+01.00"].room_id == "b"
+    assert "regions/zones.json#region_annotations" in {i.path for i in source.handles()[0].inputs}
+
+
+sides = st.floats(0, 3).map(lambda v: round(v, 3))
+turns = st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: sum(v * v for v in q) > 0.01)
+
+
+@given(st.tuples(sides, sides, sides).filter(lambda s: max(s) > 0.05), turns)
+def test_oriented_boxes_are_those_of_the_corners(size: tuple[float, float, float], turn: tuple[float, ...]) -> None:
+    edges = (to_matrix(turn) * np.array(size)).T
+    centre = np.array([1.0, 2.0, 3.0])
+    corners = corner_points(centre, edges)
+    reach = (np.max(corners, axis=0) - np.min(corners, axis=0)).tolist()
+    item = thing("a", "Box", (1, 2, 3), tuple(reach), objectOrientedBoundingBox={"cornerPoints": corners})
+    document = parse_json(json.dumps({"objects": [item]}).encode(), "x.json")
+    (read,) = read_objects(document, "ithor")
+    assert read.obb is not None
+    expected = np.array(corners) * [1, 1, -1]
+    got = box_corners(read.obb)
+    assert np.linalg.norm(expected[:, None] - got[None], axis=2).min(axis=1).max() < 0.003
+    assert np.linalg.det(read.obb.rotation) == pytest.approx(1)
+
+
+def test_eight_points_that_are_no_box_are_passed_over(tmp_path: Path) -> None:
+    sheared = corner_points(np.zeros(3), np.array([[1, 0, 0], [0.5, 1, 0], [0, 0, 1]]))
+    bent = corner_points(np.zeros(3), np.eye(3))
+    bent[6] = [5, 5, 5]
+    document = plan()
+    for item, corners in zip(document["objects"], (sheared, bent), strict=False):
+        item["objectOrientedBoundingBox"] = {"cornerPoints": corners}
+    scene = write(tmp_path, document).read("FloorPlan207")
+    assert [o.geometry for o in scene.objects] == ["aabb"] * 3
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"objects": [plan()["objects"][0]] * 2}, r"two objects have the id 'Floor|+00.00'"),
+        ({"objects": [{"objectId": "axisAlignedBoundingBox"}]}, "'objectType' is missing"),
+        ({"objects": [thing("a", "Box", (1, 1, 1), (1, -1, 1))]}, "below zero"),
+        ({"objects": [thing("a", "Box", (1, 1, 1), (1, 1, 1), moveable=3)]}, "true or false"),
+        (
+            {"objects": [thing("a", "Box", (1, 1, 1), (1, 1, 1), objectOrientedBoundingBox={"cornerPoints": []})]},
+            "eight corners are expected, not 0",
+        ),
+        ({"sceneName": 3}, "text is expected"),
+    ],
+)
+def test_a_broken_scene_is_its_fault_alone(tmp_path: Path, change: Document, message: str) -> None:
+    write(tmp_path, plan("FloorPlan1"), "FloorPlan1.json")
+    source = write(tmp_path, plan() | change)
+    with pytest.raises(FormatError, match=message.replace("|", r"\|").replace("+", r"\+")) as caught:
+        source.read("FloorPlan207")
+    assert caught.value.where == str(tmp_path / "FloorPlan207.json")
+    assert len(source.read("FloorPlan1").objects) == 3
+    assert [h.scene_id for h in source.handles()] == ["FloorPlan1", "FloorPlan207"]
+
+
+def test_other_json_is_not_listed(tmp_path: Path) -> None:
+    (tmp_path / "episodes.json").write_text("[]")
+    with pytest.raises(ConfigError, match="no controller metadata"):
+        open_source("ithor", tmp_path)
+    source = write(tmp_path, plan())
+    assert [h.scene_id for h in source.handles()] == ["FloorPlan207"]
+    with pytest.raises(MissingFileError):
+        source.read("episodes")
+
+
+def _check(root: Path, data: st.DataObject) -> None:
+    bad = bytearray(json.dumps(plan()).encode())
+    tokens = st.sampled_from([b"null", b"-1", b"9e999", b"[]", b'""', b"{}", b"NaN"]) | st.binary(max_size=3)
+    for _ in range(data.draw(st.integers(1, 3))):
+        at = data.draw(st.integers(0, len(bad) - 1))
+        bad[at : at + data.draw(st.integers(0, 6))] = data.draw(tokens)
+    (root / "FloorPlan2.json").write_bytes(bytes(bad))
+    with suppress(InputError):
+        scene_tables(open_source("ithor", root).read("FloorPlan2"))
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_broken_bytes_give_a_scene_or_our_error(tmp_path: Path, data: st.DataObject) -> None:
+    write(tmp_path, plan())
+    _check(tmp_path, data)
+
+
+@pytest.mark.soak
+@settings(max_examples=5000, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@given(data=st.data())
+def test_broken_bytes_at_full_count(tmp_path: Path, data: st.DataObject) -> None:
+    write(tmp_path, plan())
+    _check(tmp_path, data)
+
+
+# --- the seven real floor plans
+
+
+@pytest.fixture(scope="module")
+def scenes(real_data: Path) -> dict[str, Scene]:
+    source = open_source("ithor", real_data / "ithor")
+    return {h.scene_id: source.read(h.scene_id) for h in source.handles()}
+
+
+@pytest.fixture(scope="module")
+def raw(real_data: Path) -> dict[str, list[Document]]:
+    files = sorted((real_data / "ithor").glob("*.json"))
+    return {f.stem: json.loads(f.read_text())["objects"] for f in files}
+
+
+def test_all_plans_are_read_whole(scenes: dict[str, Scene], raw: dict[str, list[Document]]) -> None:
+    assert {name: (len(s.objects), s.rooms[0].label) for name, s in scenes.items()} == {
+        "FloorPlan207": (37, "living room"),
+        "FloorPlan21": (61, "kitchen"),
+        "FloorPlan306": (29, "bedroom"),
+        "FloorPlan320": (36, "bedroom"),
+        "FloorPlan404": (32, "bathroom"),
+        "FloorPlan6": (68, "kitchen"),
+        "FloorPlan9": (85, "kitchen"),
+    }
+    assert all(o.aabb is not None for s in scenes.values() for o in s.objects)
+    assert sum(o["assetId"] == "" for objects in raw.values() for o in objects) == 154
+
+
+def test_oriented_boxes_are_there_for_what_can_be_moved(
+    scenes: dict[str, Scene], raw: dict[str, list[Document]]
+) -> None:
+    count = Counter()
+    for name, objects in raw.items():
+        for entry in objects:
+            item = scenes[name].object_of[entry["objectId"]]
+            movable = entry["pickupable"] or entry["moveable"]
+            assert (
+                (item.obb is not None)
+                == (entry["objectOrientedBoundingBox"] is not None)
+                == movable
+                == (not item.static)
+            )
+            count[item.geometry] += 1
+            if item.obb is not None:
+                corners = np.array(entry["objectOrientedBoundingBox"]["cornerPoints"]) * [1, 1, -1]
+                off = np.linalg.norm(corners[:, None] - box_corners(item.obb)[None], axis=2).min(axis=1)
+                assert off.max() < 0.002
+    assert count == {"obb": 168, "aabb": 180}
+
+
+def test_positions_are_pivots_and_not_centres(raw: dict[str, list[Document]]) -> None:
+    near = sum(
+        max(abs(o["position"][c] - o["axisAlignedBoundingBox"]["center"][c]) for c in "xyz") < 0.02
+        for objects in raw.values()
+        for o in objects
+    )
+    assert near == 99
+
+
+def test_reachable_places_are_outside_of_furniture_and_on_the_floor(real_data: Path, scenes: dict[str, Scene]) -> None:
+    solid = {"Fridge", "CounterTop", "Bed", "Sofa", "Toilet", "Desk", "DiningTable", "Dresser"}
+    total, inside = 0, {}
+    for name, scene in scenes.items():
+        reachable = np.load(real_data / "ithor" / f"{name}-reachable.npy") * [1, -1]
+        total += len(reachable)
+        assert np.allclose(reachable / 0.25, np.round(reachable / 0.25))
+        outline = scene.rooms[0].polygon
+        assert outline is not None
+        assert ((outline.min(0) <= reachable) & (reachable <= outline.max(0))).all()
+        for item in scene.objects:
+            if item.raw_label in solid and item.aabb is not None:
+                low, high = item.aabb[:, [0, 2]]
+                inside[name, item.object_id] = int(((low < reachable) & (reachable < high)).all(axis=1).sum())
+    assert (total, len(inside)) == (663, 22)
+    # One counter runs round a corner: its box holds the floor before it.
+    assert {key: n for key, n in inside.items() if n} == {("FloorPlan6", "CounterTop|+00.47|+00.95|-01.63"): 7}
+
+
+def test_scenes_survive_their_tables(scenes: dict[str, Scene]) -> None:
+    for scene in scenes.values():
+        tables = scene_tables(scene)
+        again = scene_tables(scene_from_tables(tables, scene.root, family="ithor"))
+        assert all(again[name].equals(tables[name]) for name in tables)

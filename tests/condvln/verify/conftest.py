@@ -1,0 +1,60 @@
+"""A made export of every category, and the pieces it is proven from; made once a session."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from condvln.samples import make_samples
+from condvln.scene import Scene
+from condvln.sources.registry import open_source
+from condvln.verify.files import ExportFiles, Row, SceneRun
+from condvln.verify.rules import Rules
+from jobs.generate import run_generate
+from schemas.config import Config, InstructionsConfig, SourceConfig
+from schemas.program import CATEGORIES
+
+SCENES = 4
+PER_CATEGORY = 6
+
+
+@dataclass(frozen=True)
+class MadeExport:
+    """An export, what it was made with, and its rows by scene."""
+
+    config: Config
+    folder: Path
+    scenes: dict[str, Scene]
+    runs: tuple[SceneRun, ...]
+
+    @property
+    def rules(self) -> Rules:
+        return Rules.of(self.config)
+
+    @property
+    def rows(self) -> list[Row]:
+        return [row for run in self.runs for row in run.rows]
+
+
+@pytest.fixture(scope="session")
+def made_export(tmp_path_factory: pytest.TempPathFactory) -> MadeExport:
+    """Made apartments of several rooms, some episodes of each category; read only."""
+    folder = tmp_path_factory.mktemp("proven")
+    make_samples(folder / "scenes", family="replicacad", scenes=SCENES, seed=0)
+    config = Config(
+        name="made",
+        store=folder / "store",
+        export=folder / "export",
+        sources=(SourceConfig(family="replicacad", root=folder / "scenes"),),
+        instructions=InstructionsConfig(
+            per_category=dict.fromkeys(CATEGORIES, PER_CATEGORY), candidates_per_episode=PER_CATEGORY
+        ),
+    )
+    run_generate(config, inline=True, console=Console(file=io.StringIO()))
+    runs = tuple(ExportFiles(folder / "export").runs())
+    source = open_source("replicacad", folder / "scenes")
+    return MadeExport(config, folder / "export", {run.scene_id: source.read(run.scene_id) for run in runs}, runs)

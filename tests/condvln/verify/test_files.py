@@ -1,0 +1,168 @@
+"""The export's files read side by side, and what only shows over all of them."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import orjson
+import pytest
+
+from condvln.verify.certificate import Certificate
+from condvln.verify.corpus import Corpus
+from condvln.verify.files import ExportFiles
+from schemas.errors import FormatError, MissingFileError
+
+
+@pytest.fixture
+def export(made_export, tmp_path: Path) -> Path:
+    """A copy to break."""
+    return Path(shutil.copytree(made_export.folder, tmp_path / "export"))
+
+
+def split_of(export: Path) -> str:
+    return next(p.stem for p in sorted((export / "manifest").glob("*.jsonl")) if p.stat().st_size)
+
+
+def rewrite(path: Path, change) -> None:
+    """Read a gzip document, change it, write it in another formatting."""
+    document = json.loads(gzip.decompress(path.read_bytes()))
+    change(document)
+    path.write_bytes(gzip.compress(json.dumps(document, indent=1).encode()))
+
+
+def test_each_scene_comes_once_with_all_that_belongs_to_its_rows(made_export) -> None:
+    names = [(run.source, run.scene_id) for run in made_export.runs]
+    assert names == sorted(set(names))
+    lines = [p.read_bytes().splitlines() for p in (made_export.folder / "manifest").glob("*.jsonl")]
+    assert len(made_export.rows) == sum(map(len, lines))
+    for row in made_export.rows:
+        assert row.record is not None
+        assert row.truth is not None
+        assert row.record["episode_id"] == row.manifest.episode_id
+
+
+def test_records_in_another_order_are_found(export: Path, made_export) -> None:
+    split = split_of(export)
+    rewrite(export / "vlnce" / split / f"{split}.json.gz", lambda d: d["episodes"].reverse())
+    files = ExportFiles(export)
+    rows = [row for run in files.runs() for row in run.rows]
+    assert len(rows) == len(made_export.rows)
+    assert all(row.record is not None and row.record["episode_id"] == row.manifest.episode_id for row in rows)
+    assert not files.unread
+
+
+def test_a_missing_and_a_foreign_record_are_told(export: Path) -> None:
+    split = split_of(export)
+
+    def change(document) -> None:
+        document["episodes"][0]["episode_id"] = "foreign"
+
+    rewrite(export / "vlnce" / split / f"{split}.json.gz", change)
+    files = ExportFiles(export)
+    rows = [row for run in files.runs() for row in run.rows]
+    assert [row.record for row in rows].count(None) == 1
+    assert [(entry.episode_id, entry.fact) for entry in files.unread] == [("foreign", "record")]
+
+
+def test_a_line_that_is_no_row_is_told(export: Path) -> None:
+    split = split_of(export)
+    path = export / "manifest" / f"{split}.jsonl"
+    lines = path.read_bytes().splitlines()
+    row = orjson.loads(lines[0])
+    row["program"]["conditions"][0]["truth"] = "perhaps so"
+    path.write_bytes(b"\n".join([orjson.dumps(row), *lines[1:]]) + b"\n")
+    files = ExportFiles(export)
+    list(files.runs())
+    assert [(e.episode_id, e.fact) for e in files.unread if e.fact == "readable"] == [("line 1", "readable")]
+
+
+@pytest.mark.parametrize("keep", [0.0, 0.3, 0.99])
+def test_a_cut_document_is_an_error(export: Path, keep: float) -> None:
+    split = split_of(export)
+    path = export / "vlnce" / split / f"{split}.json.gz"
+    whole = gzip.decompress(path.read_bytes())
+    path.write_bytes(gzip.compress(whole[: int(keep * whole.index(b'],"instruction_vocab"'))]))
+    with pytest.raises(FormatError):
+        list(ExportFiles(export).runs())
+
+
+def test_damaged_gzip_is_an_error(export: Path) -> None:
+    split = split_of(export)
+    path = export / "vlnce" / split / f"{split}.json.gz"
+    path.write_bytes(path.read_bytes()[:-20])
+    with pytest.raises(FormatError):
+        list(ExportFiles(export).runs())
+
+
+def test_no_export_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(MissingFileError, match="no manifest"):
+        ExportFiles(tmp_path)
+
+
+# -- over all episodes -------------------------------------------------------------------------------------------------
+
+
+def disagreements(rows) -> list[list[str]]:
+    """Facts that disagree, row by row; rows as (split, manifest)."""
+    corpus, found = Corpus(), []
+    for split, row in rows:
+        certificate = Certificate(row.episode_id, row.source, row.scene_id, split)
+        corpus.check(row, split, certificate)
+        found.append(sorted(d.fact for d in certificate.disagreements))
+    return found
+
+
+def test_a_sound_corpus(made_export) -> None:
+    assert not any(disagreements((row.split, row.manifest) for row in made_export.rows))
+
+
+def test_repeats_are_found(made_export) -> None:
+    row = made_export.rows[0].manifest.model_copy(update={"split": "train", "group_id": None})
+    other = row.model_copy(update={"episode_id": "other"})
+    assert disagreements([("train", row), ("train", row)])[1] == ["unique_id"]
+    assert disagreements([("train", row), ("train", other)])[1] == ["program_once", "unique_episode"]
+
+
+def test_a_scene_in_two_groups_of_splits_is_found(made_export) -> None:
+    one, other = (row.manifest for row in made_export.runs[0].rows[:2])
+    one, other = (row.model_copy(update={"group_id": None}) for row in (one, other))
+
+    def of(split, row):
+        return split, row.model_copy(update={"split": split})
+
+    assert not disagreements([of("train", one), of("val_seen", other)])[1]
+    for split in ("val_unseen", "test"):
+        assert disagreements([of("train", one), of(split, other)])[1] == ["split_leakage"]
+
+
+def test_a_program_in_two_splits_is_found(made_export) -> None:
+    row = made_export.rows[0].manifest.model_copy(update={"split": "train", "group_id": None})
+    moved = {"episode_id": "other", "split": "val_seen", "start_position": (9.0, 0.0, 9.0)}
+    found = disagreements([("train", row), ("val_seen", row.model_copy(update=moved))])
+    assert found[1] == ["program_leakage", "program_once"]
+
+
+def test_a_group_shares_its_budget_and_split(made_export) -> None:
+    one, other = (row.manifest for row in made_export.runs[0].rows[:2])
+    one = one.model_copy(update={"group_id": "g", "split": "train"})
+    same = {"group_id": "g", "split": "train", "category": one.category, "max_steps": one.max_steps}
+    assert not disagreements([("train", one), ("train", other.model_copy(update=same))])[1]
+    changed = other.model_copy(update={**same, "max_steps": one.max_steps - 1})
+    assert disagreements([("train", one), ("train", changed)])[1] == ["group"]
+
+
+def test_the_verifier_runs_none_of_the_code_that_it_verifies() -> None:
+    """Beside the import contract: nothing of it is in the process either."""
+    code = (
+        "import sys, condvln.verify, condvln.verify.proof; from condvln.verify import read;"
+        "read('If there is a lamp, go to the sofa; otherwise, go to the desk.');"
+        "print([m for m in sys.modules if m.startswith(('condvln.relations', 'condvln.instructions',"
+        " 'condvln.episodes', 'ray'))])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,93 @@
+"""Mutation test: an episode with one fault in its published files is never proven."""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from condvln.relations import relate_scene, text_facts
+from condvln.scene.meshes import MeshLibrary
+from condvln.verify.certificate import Certificate
+from condvln.verify.files import Row
+from condvln.verify.proof import prove_scene
+from condvln.verify.surfaces import Shapes
+
+sys.path.insert(0, str(Path(__file__).parent))
+from mutants import MUTATORS, Files, World
+
+ROUNDS = 1
+"""Times that each mutator is tried on each episode; some 2,400 mutants."""
+SOAK_ROUNDS = 3
+LEAST = 0.99
+"""Share of mutants that must be caught."""
+
+
+def _mutants(made_export, seed: int, rounds: int):
+    """(scene id, mutator, row) of all mutants that are still rows; the count of those that are not, by mutator."""
+    refused: Counter[str] = Counter()
+    made: dict[str, list[tuple[str, Row]]] = {}
+    rng = np.random.default_rng(seed)
+    for run in made_export.runs:
+        scene = made_export.scenes[run.scene_id]
+        relations = relate_scene(scene, meshes=MeshLibrary(scene.root).world_mesh)
+        world = World(scene, {room_id: text_facts(found) for room_id, found in relations.items()})
+        rows = made.setdefault(run.scene_id, [])
+        for row in run.rows:
+            for name, mutate in MUTATORS.items():
+                for _ in range(rounds):
+                    files = Files.of(row)
+                    if not mutate(files, rng, world):
+                        continue
+                    try:
+                        rows.append((name, files.row(row.split)))
+                    except ValidationError:
+                        refused[name] += 1
+    return made, refused
+
+
+def _survivors(made_export, made) -> list[tuple[str, str, str]]:
+    survivors = []
+    for run in made_export.runs:
+        scene = made_export.scenes[run.scene_id]
+        # The sound row goes first, so that the scene's navmesh is found; it must be proven beside all its mutants.
+        rows = [run.rows[0], *(row for _, row in made[run.scene_id])]
+        certificates = [
+            Certificate(row.manifest.episode_id, row.manifest.source, row.manifest.scene_id, row.split) for row in rows
+        ]
+        prove_scene(rows, certificates, scene, made_export.folder, made_export.rules, Shapes(scene.root))
+        assert certificates[0].proven
+        for (name, row), certificate in zip(made[run.scene_id], certificates[1:], strict=True):
+            if certificate.proven:
+                survivors.append((name, row.manifest.episode_id, row.manifest.instruction_text))
+    return survivors
+
+
+def _check(made_export, seed: int, rounds: int) -> None:
+    made, refused = _mutants(made_export, seed, rounds)
+    tried = Counter(name for rows in made.values() for name, _ in rows) + refused
+    survivors = _survivors(made_export, made)
+    total = tried.total()
+    print(
+        f"\n{total} mutants of {len(tried)} kinds, {total - len(survivors)} caught ({refused.total()} no rows at all)"
+    )
+    for survivor in survivors:
+        print(*survivor)
+    assert set(tried) == set(MUTATORS), "every kind of fault was tried"
+    assert total >= 2000
+    assert total - len(survivors) >= LEAST * total
+    assert not survivors, "a survivor is a hole in the verifier, or a mutator that makes no fault"
+
+
+def test_mutants_are_caught(made_export) -> None:
+    _check(made_export, seed=0, rounds=ROUNDS)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", [1])
+def test_many_mutants_are_caught(made_export, seed: int) -> None:
+    _check(made_export, seed, SOAK_ROUNDS)

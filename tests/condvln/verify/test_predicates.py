@@ -1,0 +1,140 @@
+"""The verifier's predicates against the generator's facts: two implementations of one page of definitions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from condvln.relations import TEXT_PREDICATES, RelationThresholds, relate_room, text_facts
+from condvln.scene import OrientedBox, RoomArrays, SceneObject, round_mm
+from condvln.scene.quaternions import rotation_y
+from condvln.verify.predicates import FALSE, TRUE, UNDECIDED, Judge, Thing
+from condvln.verify.surfaces import Shapes, SurfaceGauge
+from schemas.config import Thresholds
+
+
+def made(name: str, centre: list[float], half: list[float] | None = None, radius: float | None = None) -> SceneObject:
+    middle = round_mm(centre)
+    box = None if half is None else round_mm([middle - half, middle + half])
+    return SceneObject(name, "room", name, name, middle, aabb=box, radius=radius)
+
+
+def judge() -> Judge:
+    return Judge(Thresholds(), SurfaceGauge(Shapes(Path())))
+
+
+def verdict(predicate: str, one: SceneObject, other: SceneObject) -> int:
+    return judge()(predicate, Thing.of(one, one.label), Thing.of(other, other.label)).verdict
+
+
+def compare(objects: list[SceneObject]) -> int:
+    """Every predicate of every pair, by both; the number of them that are not undecided."""
+    arrays = RoomArrays.of("room", objects)
+    facts = text_facts(relate_room(arrays))
+    decide, things = judge(), [Thing.of(item, item.label) for item in arrays.objects]
+    decided = 0
+    for predicate in TEXT_PREDICATES:
+        for i, one in enumerate(things):
+            for j, other in enumerate(things):
+                if i != j:
+                    found = decide(predicate, one, other)
+                    assert found.verdict == facts.status[predicate][i, j], (predicate, one, other, found.numbers)
+                    decided += found.verdict != UNDECIDED
+    return decided
+
+
+COORDINATE = st.integers(-4000, 4000).map(lambda mm: mm / 1000)
+HALF = st.integers(0, 800).map(lambda mm: mm / 1000)
+POINT = st.tuples(COORDINATE, COORDINATE.map(lambda y: y / 2), COORDINATE).map(list)
+
+
+@settings(max_examples=60)
+@given(
+    st.lists(
+        st.tuples(POINT, st.none() | st.tuples(HALF, HALF, HALF).map(list), st.none() | HALF), min_size=2, max_size=6
+    )
+)
+def test_equal_to_the_generators_facts(parts: list[tuple[list[float], list[float] | None, float | None]]) -> None:
+    compare([made(f"o{k}", centre, half, radius) for k, (centre, half, radius) in enumerate(parts)])
+
+
+def test_equal_to_the_generators_facts_in_a_furnished_room() -> None:
+    rng = np.random.default_rng(2)
+    objects = [
+        made(f"o{k}", rng.uniform([-3, 0, -3], [3, 2, 3]).tolist(), rng.uniform(0.02, 0.6, 3).tolist())
+        for k in range(25)
+    ]
+    assert compare(objects) > 4000
+
+
+def test_equal_on_turned_boxes() -> None:
+    rng = np.random.default_rng(3)
+    objects = []
+    for k in range(14):
+        centre, half = round_mm(rng.uniform([-2, 0, -2], [2, 1, 2])), round_mm(rng.uniform(0.05, 0.6, 3))
+        turn = rotation_y(float(rng.uniform(0, np.pi)))
+        reach = np.abs(turn) @ half
+        objects.append(
+            SceneObject(
+                f"o{k}",
+                "room",
+                "x",
+                "x",
+                centre,
+                round_mm([centre - reach, centre + reach]),
+                OrientedBox(centre, half, turn),
+            )
+        )
+    compare(objects)
+
+
+@pytest.mark.parametrize("millimetres", [0, 849, 850, 851, 1000, 1149, 1150, 1151])
+def test_near_at_its_margins(millimetres: int) -> None:
+    one, other = made("a", [0, 0.5, 0], [0.5, 0.5, 0.5]), made("b", [1 + millimetres / 1000, 0.5, 0], [0.5, 0.5, 0.5])
+    expected = TRUE if millimetres <= 850 else FALSE if millimetres >= 1150 else UNDECIDED
+    assert verdict("near", one, other) == verdict("near", other, one) == expected
+
+
+@pytest.mark.parametrize(
+    ("up", "expected"), [(449, UNDECIDED), (450, TRUE), (150, FALSE), (151, UNDECIDED), (-900, FALSE)]
+)
+def test_higher_at_its_margins(up: int, expected: int) -> None:
+    one, other = made("a", [3, 1 + up / 1000, 0]), made("b", [0, 1, 0])
+    assert verdict("higher than", one, other) == verdict("lower than", other, one) == expected
+
+
+@pytest.mark.parametrize(
+    ("degrees", "expected"),
+    [(0, TRUE), (14.9, TRUE), (15.1, UNDECIDED), (29.9, UNDECIDED), (30.1, FALSE), (180, FALSE)],
+)
+def test_north_at_its_margins(degrees: float, expected: int) -> None:
+    """North is −z: a thing with the smaller z lies north of the other."""
+    angle = np.radians(degrees)
+    one = made("a", [4 * np.sin(angle), 0, -4 * np.cos(angle)])
+    assert verdict("north of", one, made("b", [0, 0, 0])) == expected
+
+
+def test_a_direction_needs_distance_and_level() -> None:
+    anchor = made("b", [0, 0, 0])
+    assert verdict("east of", made("a", [0.5, 0, 0]), anchor) == TRUE
+    assert verdict("east of", made("a", [0.499, 0, 0]), anchor) == UNDECIDED
+    assert verdict("east of", made("a", [1, 0.42, 0]), anchor) == UNDECIDED
+    assert verdict("east of", made("a", [0, 1, 0]), anchor) == UNDECIDED
+
+
+def test_thresholds_are_those_of_the_configuration() -> None:
+    wide = Judge(Thresholds(near_true=0.5, near=2.0, near_false=3.0, surface_within=3.0), SurfaceGauge(Shapes(Path())))
+    one, other = (Thing.of(made(n, [x, 0, 0], [0.1, 0.1, 0.1]), n) for n, x in (("a", 0.0), ("b", 1.0)))
+    assert wide("near", one, other).verdict == UNDECIDED
+    facts = text_facts(
+        relate_room(
+            RoomArrays.of("room", [one.item, other.item]),
+            RelationThresholds(near_true=0.5, near=2.0, near_false=3.0, surface_within=3.0),
+        ),
+        RelationThresholds(near_true=0.5, near=2.0, near_false=3.0, surface_within=3.0),
+    )
+    assert facts.status["near"][0, 1] == UNDECIDED

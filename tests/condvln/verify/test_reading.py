@@ -1,0 +1,223 @@
+"""Texts read by hand and by machine: what they say, and that nothing doubtful is let through."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from condvln.instructions import parse, reading_of, render
+from condvln.verify.phrasebook import phrasebook
+from condvln.verify.reading import Named, Phrase, Reading, Unreadable, read
+from condvln.verify.words import words
+from schemas.program import (
+    CATEGORIES,
+    SHAPES,
+    Condition,
+    Leaf,
+    ObjectRef,
+    Program,
+    Qualifier,
+    RoomRef,
+)
+
+KITCHEN, BEDROOM = Named("kitchen", None), Named("bedroom", "piano")
+LAMP = Phrase("lamp", ("near", "bed"), None)
+SOFA = Phrase("sofa", None, KITCHEN)
+DESK = Phrase("desk", ("north of", "sink"), BEDROOM)
+
+
+def goes(reading: Reading) -> dict[tuple[bool, ...], list[str]]:
+    """Labels of the stops by the truths of the conditions."""
+    return {
+        tuple(bool(case >> k & 1) for k in range(len(reading.conditions))): [stop.label for stop in moves]
+        for case, moves in enumerate(reading.moves)
+    }
+
+
+def test_a_simple_text() -> None:
+    reading = read(
+        "You are facing north-east. If there is a lamp near the bed, first go to the sofa in the kitchen, and stop at "
+        "the desk to the north of the sink in the bedroom with the piano; otherwise, walk to the sofa in the kitchen."
+    )
+    assert reading == Reading((LAMP,), ((SOFA,), (SOFA, DESK)), "north-east")
+
+
+def test_the_same_room_is_that_of_the_stop_before() -> None:
+    reading = read(
+        "If there is a lamp in the kitchen, go to the bed in the bedroom with the piano, then to the desk in the same "
+        "room, and stop at the lamp in that same room. Otherwise, go to the sofa in the kitchen."
+    )
+    assert {stop.room for stop in reading.moves[1]} == {BEDROOM}
+
+
+def test_a_scope_is_the_room_of_all_that_names_none() -> None:
+    reading = read("All of this is in the kitchen. If there is a lamp, go to the sofa; otherwise, go to the desk.")
+    assert reading.conditions == (Phrase("lamp", None, KITCHEN),)
+    assert reading.moves[1] == (SOFA,)
+
+
+TREES = {
+    # Text with A, B, C for claims and x, y, z, w for moves; where it goes by truths.
+    "If A, x; otherwise, y.": lambda a: "x" if a else "y",
+    "If not A, y. If A, x.": lambda a: "x" if a else "y",
+    "Check whether A. If not, y. If so, x.": lambda a: "x" if a else "y",
+    "If A, check one more thing: if B, x; otherwise, y. If not A, z.": lambda a, b: ("x" if b else "y") if a else "z",
+    "If A and if B, x. If A but not B, y. If not A, z.": lambda a, b: ("x" if b else "y") if a else "z",
+    "Check whether A. If not, z. If so, check whether B: if so, x; if not, y.": lambda a, b: (
+        ("x" if b else "y") if a else "z"
+    ),
+    "If A, x. Otherwise, if B, y. Otherwise, z.": lambda a, b: "x" if a else "y" if b else "z",
+    "If A, x; otherwise, if B, y; otherwise, if C, z; otherwise, w.": lambda a, b, c: (
+        "x" if a else "y" if b else "z" if c else "w"
+    ),
+    "If A, do the following: if B, x; otherwise, y. If not A but C, z. If not A and not C, w.": lambda a, b, c: (
+        ("x" if b else "y") if a else "z" if c else "w"
+    ),
+}
+CLAIMS = {"A": "a lamp", "B": "a bed", "C": "a desk"}
+STOPS = {"x": "sofa", "y": "sink", "z": "stool", "w": "oven"}
+
+
+def worded(pattern: str) -> str:
+    for letter, thing in CLAIMS.items():
+        pattern = pattern.replace(f"not {letter}", f"there isn't {thing}")
+        pattern = pattern.replace(f" {letter}", f" there is {thing}")
+    for letter, noun in STOPS.items():
+        pattern = pattern.replace(f" {letter}.", f" go to the {noun}.").replace(f" {letter};", f" go to the {noun};")
+    return pattern
+
+
+@pytest.mark.parametrize("pattern", TREES)
+def test_trees(pattern: str) -> None:
+    reading = read(worded(pattern))
+    order = [("lamp", "bed", "desk").index(phrase.label) for phrase in reading.conditions]
+    for truths, stops in goes(reading).items():
+        meant = [truths[order.index(k)] for k in range(len(order))]
+        assert stops == [STOPS[TREES[pattern](*meant)]]
+
+
+@pytest.mark.parametrize(
+    ("pattern", "why"),
+    [
+        # Either "otherwise" may be that of the inner "if".
+        ("If A, check one more thing: if B, x; otherwise, y. Otherwise, z.", "2 readings"),
+        ("If A, x. If B, y. Otherwise, z.", "no reading"),  # both may hold
+        ("If A, check one more thing: if B, x; otherwise, y.", "no reading"),  # nothing is said for want of A
+        ("If A, x.", "no reading"),
+        ("Check whether A. If so, x. If so, y.", "no reading"),
+        ("If A, x; otherwise, y. Otherwise, z.", "no reading"),
+        ("Otherwise, x. If A, y.", "no reading"),
+    ],
+)
+def test_what_is_doubtful_or_incomplete_is_no_text(pattern: str, why: str) -> None:
+    with pytest.raises(Unreadable, match=why):
+        read(worded(pattern))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        ".",
+        "Go to the sofa.",
+        "If there is a lamp, go to the lamp near the bed near the sofa; otherwise, go to the desk.",
+        "If there is an lamp, go to the sofa; otherwise, go to the desk.",
+        "If there is a lamp, go to the sofa in the same room; otherwise, go to the desk.",
+        "If there is such a lamp, go to the sofa; otherwise, go to the desk.",
+        "If there is a blorb, go to the sofa; otherwise, go to the desk.",
+        "If there is a lamp, go to the sofa; otherwise, go to the desk",
+        "If there is a lamp go to the sofa; otherwise, go to the desk.",
+    ],
+)
+def test_no_text_of_the_language(text: str) -> None:
+    with pytest.raises(Unreadable, match="breaks off before"):
+        read(text)
+
+
+def test_such_a_thing_points_back_at_the_one_claim_about_it() -> None:
+    one = "If there is a lamp near the bed, go to the sofa. If there is no such lamp, go to the desk."
+    assert goes(read(one)) == {(True,): ["sofa"], (False,): ["desk"]}
+    two = (
+        "If there is a lamp near the bed, go to the sofa. If there isn't a lamp near the bed but there is a lamp near "
+        "the sink, go to the desk. If there isn't a lamp near the bed and there is no such lamp, go to the stool."
+    )
+    with pytest.raises(Unreadable):
+        read(two)
+
+
+# -- against the generator's own renderer and parser, which this reader knows nothing of -------------------------------
+
+NOUNS = sorted(words().nouns)
+ROOMS = sorted(words().rooms)
+PREDICATES = ("near", "above", "south-east of", "higher than", "far from")
+
+
+@st.composite
+def programs(draw: st.DrawFn) -> Program:
+    category = draw(st.sampled_from(CATEGORIES))
+    shape = SHAPES[category]
+    labels = draw(st.permutations(NOUNS))
+    named = iter(labels)
+    rooms = [
+        RoomRef(
+            room_id=f"r{k}", label=label, anchor_id="p" if anchored else None, anchor_label="piano" * anchored or None
+        )
+        for k, (label, anchored) in enumerate(
+            zip(draw(st.permutations(ROOMS))[:3], draw(st.tuples(*[st.booleans()] * 3)), strict=True)
+        )
+    ]
+    some_room = st.sampled_from(rooms)
+
+    def qualifier() -> Qualifier | None:
+        if not draw(st.booleans()):
+            return None
+        return Qualifier(predicate=draw(st.sampled_from(PREDICATES)), anchor_id="a", anchor_label=next(named))
+
+    def stop(k: int) -> ObjectRef:
+        return ObjectRef(object_id=f"o{k}", label=next(named), room=draw(some_room), qualifier=qualifier())
+
+    truths = draw(st.tuples(*[st.booleans()] * len(shape.branches)))
+    return Program(
+        category=category,
+        conditions=tuple(
+            Condition(
+                label=next(named), room=draw(some_room), qualifier=qualifier(), truth=truth, witnesses=("w",) * truth
+            )
+            for truth in truths
+        ),
+        branches=shape.branches,
+        leaves=tuple(
+            Leaf(moves=tuple(stop(10 * k + j) for j in range(draw(st.integers(1, 3))))) for k in range(shape.leaves)
+        ),
+    )
+
+
+@settings(max_examples=150)
+@given(programs(), st.integers(0, 2**32))
+def test_every_rendered_text_reads_as_its_program(program: Program, seed: int) -> None:
+    text = render(program, seed, "some-id")
+    reading = read(text)
+    assert parse(text) == reading_of(program)
+
+    def phrase(named: Condition | ObjectRef) -> Phrase:
+        qualifier = named.qualifier and (named.qualifier.predicate, named.qualifier.anchor_label)
+        return Phrase(named.label, qualifier, Named(named.room.label, named.room.anchor_label))
+
+    said = [phrase(condition) for condition in program.conditions]
+    assert sorted(map(str, reading.conditions)) == sorted(map(str, said))
+    for truths in product((True, False), repeat=len(said)):
+        case = sum(1 << reading.conditions.index(p) for p, truth in zip(said, truths, strict=True) if truth)
+        assert reading.moves[case] == tuple(map(phrase, program.leaves[program.gold_leaf(truths)].moves))
+
+
+def test_every_noun_of_the_phrasebook_is_one_label() -> None:
+    """A noun that stood for two labels would give every text that has it two readings."""
+    book = phrasebook()
+    for label in NOUNS:
+        node = book.tree
+        for token in book.tokens(words().nouns[label][0]):
+            node = node[token]
+        assert [value for kind, value, _ in node[""] if kind == "noun"] == [label]

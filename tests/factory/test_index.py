@@ -1,0 +1,160 @@
+"""The unit index, the spool, the queue, the memory of hashes: the parts a run is made of."""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import toys
+from hypothesis import given
+from hypothesis import strategies as st
+
+from factory import FileHashes, LocalStore, Snapshot, hash_file, run
+from factory.commits import Commits
+from factory.index import Index, IndexWriter, index_schema
+from factory.planner import Planner
+from factory.queue import TASK_UNITS, Queue
+from factory.receipt import Failure, Receipt, StageReceipt, TableReceipt
+from factory.spool import Spool
+from factory.unit import Work
+from schemas.errors import CorruptShardError, MissingFileError
+
+ids = st.text(st.characters(codec="utf-8"), min_size=1, max_size=6)
+
+
+def receipt(unit_id: str, tail: int) -> Receipt:
+    stages = tuple(
+        StageReceipt(
+            stage=stage.name,
+            key=bytes([tail]) * 16,
+            code=b"c" * 16,
+            inputs=b"i" * 16,
+            parameters=b"p" * 16,
+            dependencies=b"d" * 16,
+            seconds=0.5,
+            peak_rss=10,
+            made=False,
+            skipped=False,
+            tables=tuple(TableReceipt(name, b"h" * 16, 3, 30) for name in stage.tables),
+        )
+        for stage in toys.pipeline().stages[: tail % 4]
+    )
+    failure = Failure("word", b"k" * 16, "error", "ValueError", "no", known=True) if tail % 5 == 0 else None
+    return Receipt(unit_id, "ab"[tail % 2], "quarantined" if failure else "ok", "", bytes([tail]) * 16, stages, failure)
+
+
+@given(
+    st.lists(st.tuples(ids, st.integers(0, 200)), max_size=30, unique_by=lambda pair: pair[0]),
+    st.lists(ids, max_size=5),
+)
+def test_an_index_gives_back_what_was_put_in(pairs: list[tuple[str, int]], others: list[str]) -> None:
+    pipeline = toys.pipeline()
+    writer = IndexWriter(pipeline)
+    receipts = [receipt(unit_id, tail) for unit_id, tail in pairs]
+    for item in receipts:
+        writer.add(item)
+    index = Index(writer.finish(None))
+    assert index.table.column("unit_id").to_pylist() == sorted((r.unit_id for r in receipts), key=str.encode)
+    rows = index.rows_of([r.unit_id for r in receipts])
+    assert [index.receipt(int(row), pipeline) for row in rows] == receipts
+    known = {r.unit_id for r in receipts}
+    assert [row >= 0 for row in index.rows_of(others)] == [other in known for other in others]
+
+
+def test_an_index_survives_a_stage_that_is_new(store: LocalStore) -> None:
+    run(toys.pipeline(), toys.units(4), store)
+    old = Snapshot.open(store).index()
+    longer = replace(toys.pipeline(), stages=(toys.Count(), toys.Square(), toys.Word(name="sentence")), tables={})
+    merged = IndexWriter(longer).finish(old.table)
+    assert merged.schema == index_schema(longer)
+    assert merged.num_rows == 4
+    assert [s.stage for s in Index(merged).receipt(0, longer).stages] == ["count", "square"]
+
+
+def test_a_damaged_index_is_told_from_a_sound_one(store: LocalStore) -> None:
+    run(toys.pipeline(), toys.units(4), store)
+    snapshot = Snapshot.open(store)
+    path = store.root / Index.path(snapshot.index_hash)
+    path.write_bytes(path.read_bytes()[:-5])
+    with pytest.raises(CorruptShardError, match="differs"):
+        snapshot.index()
+    # A run does without: everything is committed, and the index is written anew.
+    report = run(toys.pipeline(), toys.units(4), store)
+    assert (report.counts["made"], report.counts["reused"], report.snapshot_id) == (0, 4, snapshot.snapshot_id)
+
+
+def test_a_spool_gives_items_back_in_any_order() -> None:
+    items = [f"item {n}" * (n % 50) for n in range(500)]
+    with Spool(items) as spool:
+        assert [*spool] == items
+        assert [spool[at] for at in (499, 0, 250)] == [items[499], items[0], items[250]]
+        spool.append("more")
+        assert (spool[500], len(spool)) == ("more", 501)
+
+
+@given(st.lists(st.floats(0.001, 10), min_size=1, max_size=300), st.integers(1, 8))
+def test_tasks_hold_every_unit_once_and_the_biggest_first(costs: list[float], workers: int) -> None:
+    work = [Work(toys.unit(f"a/{n}"), b"", cost, 10 * n) for n, cost in enumerate(costs)]
+    with Spool(work) as spool:
+        tasks = [*Queue(spool, 3, workers)]
+    assert sorted(item.unit.unit_id for task in tasks for item in task.work) == sorted(w.unit.unit_id for w in work)
+    order = [item.seconds for task in tasks for item in task.work]
+    assert order == sorted(order, reverse=True)
+    share = sum(costs) / workers
+    for task in tasks:
+        assert task.memory == max(item.memory for item in task.work)
+        assert len(task.work) <= TASK_UNITS
+        # Without its last unit a task is below its share, so none outweighs what balance allows by more than one unit.
+        assert task.seconds - task.work[-1].seconds <= min(2.0, share / 4) + 1e-9
+
+
+def test_costs_are_learned_from_what_was_published(store: LocalStore) -> None:
+    units = toys.units(6, seconds=0.02)
+    run(toys.pipeline(), units, store)
+    index = Snapshot.open(store).index()
+    planner = Planner(toys.pipeline(), Commits(store), index, {})
+    known, new = [*planner.work([units[0], toys.unit("a/new", cost=10.0)])]
+    stages = index.receipt(int(index.rows_of([units[0].unit_id])[0]), toys.pipeline()).stages
+    assert known.seconds == pytest.approx(sum(stage.seconds for stage in stages), rel=1e-3)
+    assert known.memory == int(1.25 * max(stage.peak_rss for stage in stages))
+    table = index.table.filter(np.array([p == "a" for p in index.table.column("partition").to_pylist()]))
+    spent = sum(sum(np.nan_to_num(table.column(f"{s}.seconds").to_numpy())) for s in ("count", "square", "word"))
+    assert new.seconds == pytest.approx(10.0 * spent / sum(table.column("estimate").to_pylist()), rel=1e-3)
+
+
+def test_hashes_are_remembered_until_a_file_changes(tmp_path: Path) -> None:
+    (tmp_path / "data").mkdir()
+    path = tmp_path / "data" / "x.bin"
+    path.write_bytes(b"one")
+    old = time.time() - 100
+    os.utime(path, (old, old))
+    memory = FileHashes(tmp_path / "hashes.sqlite")
+    first = memory.file(tmp_path / "data", "x.bin")
+    assert (first.path, first.size, first.sha256) == ("x.bin", 3, hash_file(path))
+    memory.save()
+    # The same stat is believed without reading: to prove it, the content is changed behind its back.
+    path.write_bytes(b"two")
+    os.utime(path, (old, old))
+    assert FileHashes(tmp_path / "hashes.sqlite").file(tmp_path / "data", "x.bin") == first
+    os.utime(path, (old + 1, old + 1))
+    assert FileHashes(tmp_path / "hashes.sqlite").file(tmp_path / "data", "x.bin").sha256 == hash_file(path)
+
+
+def test_fresh_files_and_damaged_memories_are_not_trusted(tmp_path: Path) -> None:
+    path = tmp_path / "x"
+    path.write_bytes(b"one")
+    memory = FileHashes(tmp_path / "hashes.sqlite")
+    stat = path.stat()
+    memory.file(tmp_path, "x")
+    memory.save()
+    path.write_bytes(b"two")
+    os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns))
+    assert memory.file(tmp_path, "x").sha256 == hash_file(path), "written within the clock's tick"
+    (tmp_path / "hashes.sqlite").write_bytes(b"not a database, but long enough to look at" * 100)
+    assert FileHashes(tmp_path / "hashes.sqlite").file(tmp_path, "x").sha256 == hash_file(path)
+    with pytest.raises(MissingFileError, match="gone"):
+        memory.file(tmp_path, "gone")

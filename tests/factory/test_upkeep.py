@@ -1,0 +1,231 @@
+"""What keeps a store in order over time: history, sweeping, status, logs, drift, repairs, rebuilds at once."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from pathlib import Path
+
+import pytest
+import toys
+
+from factory import LocalStore, Snapshot, plan, run
+from factory.report import Silence
+from factory.run_log import RunLog
+from factory.snapshot import read_ref
+from factory.status import drift, store_status
+from factory.sweep import sweep
+from schemas.errors import CorruptShardError
+
+LATER = time.time() + 10 * 24 * 3600
+
+
+def grow(store: LocalStore, *sizes: int) -> list[str]:
+    """Publish one snapshot for each size; returns their ids."""
+    found = []
+    for size in sizes:
+        report = run(toys.pipeline(), [*toys.units(4), toys.unit("a/grows", size)], store)
+        assert report.snapshot_id is not None
+        found.append(report.snapshot_id)
+    return found
+
+
+def everything(store: LocalStore) -> dict[str, bytes]:
+    return {entry.path: store.read(entry.path) for entry in store.list("")}
+
+
+def test_a_ref_remembers_what_it_was(store: LocalStore) -> None:
+    ids = grow(store, 1, 2, 3)
+    ref, _ = read_ref(store, "main")
+    assert ref is not None
+    assert (ref.snapshot_id, [state.snapshot_id for state in ref.history]) == (ids[2], [ids[1], ids[0]])
+    assert (ref.generation, ref.previous) == (3, ids[1])
+    # Back to an older state: it moves to the front and stands there once.
+    assert grow(store, 1) == [ids[0]]
+    ref, _ = read_ref(store, "main")
+    assert ref is not None
+    assert [ref.snapshot_id, *(state.snapshot_id for state in ref.history)] == [ids[0], ids[2], ids[1]]
+
+
+def test_a_sweep_keeps_what_refs_need_and_all_that_is_young(store: LocalStore) -> None:
+    ids = grow(store, 1, 2, 3, 4)
+    before = everything(store)
+    assert sweep(store, keep=2).removed == ()
+    assert everything(store) == before, "all is younger than the grace period"
+    told = sweep(store, keep=2, now=LATER, dry_run=True)
+    assert everything(store) == before
+    done = sweep(store, keep=2, now=LATER)
+    assert (done.files, done.bytes, done.removed, done.kept) == (told.files, told.bytes, told.removed, told.kept)
+    assert set(done.kept) == set(ids[2:])
+    assert set(done.removed) == set(ids[:2])
+    after = everything(store)
+    assert after.items() <= before.items()
+    assert sum(done.files.values()) == len(before) - len(after)
+    # Both kept states can be published again without making anything.
+    assert Snapshot.open(store).snapshot_id == ids[3]
+    assert plan(toys.pipeline(), [*toys.units(4), toys.unit("a/grows", 4)], store).empty
+    report = run(toys.pipeline(), [*toys.units(4), toys.unit("a/grows", 3)], store)
+    assert (report.snapshot_id, report.stages) == (ids[2], {})
+    # An older one can be made again: only its one unit is gone.
+    report = run(toys.pipeline(), [*toys.units(4), toys.unit("a/grows", 1)], store)
+    assert (report.snapshot_id, report.counts["made"]) == (ids[0], 1)
+    assert sweep(store, keep=9, now=LATER).removed == ()
+
+
+def test_a_sweep_spares_every_ref_and_other_pins(store: LocalStore) -> None:
+    run(toys.pipeline(), toys.units(4), store, "nightly")
+    first = Snapshot.open(store, "nightly").snapshot_id
+    last = grow(store, 5, 6)[-1]
+    done = sweep(store, keep=1, now=LATER)
+    assert set(done.kept) == {first, last}
+    assert Snapshot.open(store, "nightly").table("squares").num_rows
+    assert run(toys.pipeline(), toys.units(4), store, "nightly").stages == {}
+
+
+def test_a_sweep_takes_what_killed_writers_left(store: LocalStore) -> None:
+    grow(store, 1)
+    left = store.root / "units" / "count" / ".tmp-0123"
+    left.write_bytes(b"half")
+    folder = store.root / "units" / "count" / "ff" / ("f" * 32)
+    folder.mkdir(parents=True)
+    (folder / "numbers.parquet").write_bytes(b"without a commit")
+    done = sweep(store, now=LATER)
+    assert (done.files["unfinished"], done.files["units"]) == (1, 1)
+    assert not left.exists()
+    assert not folder.exists()
+
+
+def test_quarantine_stays_while_it_is_listed(store: LocalStore) -> None:
+    bad = [*toys.units(3), toys.unit("a/bad", trouble="error")]
+    run(toys.pipeline(), bad, store)
+    sweep(store, keep=1, now=LATER)
+    status = store_status(store)
+    assert [(r.unit_id, r.cause, r.exception) for r in status.quarantine] == [("a/bad", "error", "ZeroDivisionError")]
+    # One that was never published (the run was stopped) goes with the grace period.
+    run(toys.pipeline(), [toys.unit("a/other", trouble="error")], store, "other", budget=0)
+    assert len(store_status(store).quarantine) == 2
+    sweep(store, keep=1, now=LATER)
+    assert [record.unit_id for record in store_status(store).quarantine] == ["a/bad"]
+
+
+def test_status_tells_refs_runs_and_sizes(store: LocalStore) -> None:
+    assert store_status(store).refs == ()
+    ids = grow(store, 2, 3)
+    grow(store, 3)  # nothing to do, and so no record
+    report = run(toys.pipeline(), [toys.unit("a/x", trouble="error")], store, "other", budget=0)
+    status = store_status(store, sizes=True)
+    assert [(item.ref.name, item.ref.snapshot_id) for item in status.refs] == [("main", ids[1])]
+    assert status.refs[0].manifest is not None
+    assert status.refs[0].manifest.units == {"ok": 5}
+    assert [(r.ref, r.exit_code, r.published) for r in status.runs if r.ref == "other"] == [("other", 4, False)]
+    assert len(status.runs) == 3
+    assert "budget" in next(r for r in status.runs if r.exit_code == 4).message
+    assert status.runs[0].failures == [] or status.runs[0].failures[0].unit_id == "a/x"
+    assert store.exists(report.record)
+    assert sum(status.files.values()) == len(everything(store))
+    assert sum(status.bytes.values()) == sum(map(len, everything(store).values()))
+
+
+def test_the_manifest_tells_what_each_stage_cost(store: LocalStore) -> None:
+    units = toys.units(9, seconds=0.01)
+    run(toys.pipeline(), units, store)
+    stages = Snapshot.open(store).manifest.stages
+    rows = sum(unit.inputs[0].size for unit in units)
+    assert (stages["count"].units, stages["count"].skipped, stages["square"].units) == (9, 1, 8)
+    # 'numbers' and 'states'; 'squares' and one row of 'scratch' for each unit that is not skipped.
+    assert (stages["count"].rows, stages["square"].rows) == (rows + 9, rows + 8)
+    assert stages["count"].seconds >= 0.01 * 8
+    assert stages["count"].peak_rss > 10_000_000
+
+
+def test_drift_of_a_pinned_table_is_told(store: LocalStore) -> None:
+    run(toys.pipeline(), toys.units(5), store)
+    (same,) = drift(toys.pipeline(), store)
+    assert (same.differing, same.units, same.units_now) == (0, 5, 5)
+    run(toys.pipeline(), [*toys.units(5), toys.unit("a/more", 4)], store)
+    (other,) = drift(toys.pipeline(), store)
+    assert (other.rows, other.rows_now, other.differing, other.units, other.units_now) == (1, 1, 2, 5, 6)
+
+
+def test_the_log_has_a_line_for_each_unit(store: LocalStore, tmp_path: Path) -> None:
+    units = [*toys.units(8), toys.unit("a/bad", trouble="format")]
+    with RunLog(tmp_path / "logs" / "run.jsonl") as log:
+        run(toys.pipeline(), units, store, progress=log)
+    lines = [json.loads(line) for line in (tmp_path / "logs" / "run.jsonl").read_text().splitlines()]
+    last = {line["unit"]: line for line in lines if line["event"] == "unit"}
+    assert set(last) == {unit.unit_id for unit in units}
+    assert last["a/bad"]["status"] == "quarantined"
+    assert last["a/bad"]["failure"]["exception"] == "FormatError"
+    assert "$.rooms" in last["a/bad"]["failure"]["message"]
+    assert last["b/u00007"]["reason"] == "empty"
+    made = [stage["stage"] for line in lines if line["event"] == "unit" for stage in line["stages"] if stage["made"]]
+    assert {name: made.count(name) for name in made} == {"count": 8, "square": 7, "word": 7}
+    assert [line["name"].split(",")[0] for line in lines if line["event"] == "phase"] == [
+        "first pass",
+        "units",
+        "files",
+    ]
+
+
+def test_a_damaged_published_file_is_found_and_made_again(store: LocalStore) -> None:
+    run(toys.pipeline(), toys.units(9), store, part_bytes=200)
+    snapshot = Snapshot.open(store)
+    whole = snapshot.table("squares")
+    path = snapshot.local_paths("squares")[1]
+    good = path.read_bytes()
+    path.write_bytes(good[:100] + b"?" + good[101:])
+    with pytest.raises(CorruptShardError, match="differs from the manifest"):
+        snapshot.table("squares")
+    untouched = snapshot.local_paths("squares")[0].stat().st_ino
+    report = run(toys.pipeline(), toys.units(9), store, part_bytes=200, verify=True)
+    assert report.stages == {}
+    assert path.read_bytes() == good
+    assert snapshot.local_paths("squares")[0].stat().st_ino == untouched
+    assert Snapshot.open(store).table("squares") == whole
+
+
+class Rival(Silence):
+    """Lets another run publish in the middle of this one."""
+
+    def __init__(self, store: LocalStore, size: int) -> None:
+        self.store, self.size, self.notes = store, size, list[str]()
+
+    def phase(self, name: str, total: int, seconds: float) -> None:
+        if name == "files":
+            run(toys.pipeline(), [*toys.units(4), toys.unit("a/grows", self.size)], self.store)
+
+    def note(self, message: str) -> None:
+        self.notes.append(message)
+
+
+def test_of_two_rebuilds_at_once_one_publishes_and_the_other_says_so(store: LocalStore) -> None:
+    grow(store, 1)
+    rival = Rival(store, 5)
+    report = run(toys.pipeline(), [*toys.units(4), toys.unit("a/grows", 6)], store, progress=rival)
+    winner = Snapshot.open(store).snapshot_id
+    assert (report.published, report.exit_code, report.snapshot_id) == (False, 0, winner)
+    assert rival.notes == [report.message]
+    assert winner in report.message
+    assert Snapshot.open(store).table("numbers").num_rows == sum(u.inputs[0].size for u in toys.units(4)) + 5
+    # Run again, and only publishing is left to do.
+    again = run(toys.pipeline(), [*toys.units(4), toys.unit("a/grows", 6)], store)
+    assert (again.published, again.stages) == (True, {})
+
+
+def test_two_equal_rebuilds_at_once_are_no_conflict(store: LocalStore) -> None:
+    reports = []
+    start = threading.Barrier(2)
+
+    def rebuild() -> None:
+        start.wait()
+        reports.append(run(toys.pipeline(), toys.units(10), store))
+
+    threads = [threading.Thread(target=rebuild) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert [report.message for report in reports] == ["", ""]
+    assert {report.snapshot_id for report in reports} == {Snapshot.open(store).snapshot_id}
+    assert sorted(report.published for report in reports) == [False, True]

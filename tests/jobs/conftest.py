@@ -1,0 +1,57 @@
+"""A small made dataset, generated once a session; tests copy what they change."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from condvln.samples import make_samples
+from jobs.generate import run_generate
+from jobs.report import Report
+from schemas.config import Config, InstructionsConfig, SourceConfig
+
+SCENES = 2
+
+
+def configuration(folder: Path, root: Path, **changes: object) -> Config:
+    """Two episodes of two categories a scene over the dataset `root`, everything else below `folder`."""
+    return Config(
+        name="made",
+        store=folder / "store",
+        sources=(SourceConfig(family="replicacad", root=root),),
+        instructions=InstructionsConfig(per_category={"simple": 2, "nested": 2}),
+    ).model_copy(update=changes)
+
+
+@pytest.fixture(scope="session")
+def made_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two made apartments in ReplicaCAD's format; read only."""
+    folder = tmp_path_factory.mktemp("made")
+    make_samples(folder, family="replicacad", scenes=SCENES, seed=3)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def made_run(made_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Config, Report]:
+    """The configuration and report of a clean run over the made dataset; read only."""
+    config = configuration(tmp_path_factory.mktemp("clean"), made_dataset)
+    return config, run_generate(config, inline=True)
+
+
+@pytest.fixture
+def dataset(made_dataset: Path, tmp_path: Path) -> Path:
+    """A copy of the made dataset to break."""
+    return Path(shutil.copytree(made_dataset, tmp_path / "dataset"))
+
+
+@pytest.fixture
+def configured(tmp_path: Path) -> Callable[..., Config]:
+    """A configuration over a dataset with a store of the test's own."""
+
+    def make(root: Path, **changes: object) -> Config:
+        return configuration(tmp_path, root, **changes)
+
+    return make

@@ -1,0 +1,188 @@
+"""Bad input costs its own scene only: one clear error, and a rerun after the mend repairs just that scene."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from jobs.generate import run_generate
+from jobs.report import Report
+from jobs.workspace import published
+from schemas.config import Config
+
+BROKEN = "made_001"
+SOUND = ("made_000",)
+
+
+def scene_file(root: Path) -> Path:
+    return root / "configs" / "scenes" / f"{BROKEN}.scene_instance.json"
+
+
+def change_scene(root: Path, change: Callable[[dict[str, Any]], object]) -> Path:
+    path = scene_file(root)
+    document = json.loads(path.read_text())
+    change(document)
+    path.write_text(json.dumps(document))
+    return path
+
+
+def own_object(root: Path) -> str:
+    """An object model that only the broken scene uses."""
+    uses = {
+        path.name.split(".")[0]: {
+            o["template_name"].split("/")[-1] for o in json.loads(path.read_text())["object_instances"]
+        }
+        for path in sorted((root / "configs" / "scenes").glob("*.json"))
+    }
+    own = sorted(uses[BROKEN] - uses[SOUND[0]])
+    return next(name for name in own if (root / "objects" / f"{name}.glb").is_file())
+
+
+def truncated_glb(root: Path) -> Path:
+    path = root / "objects" / f"{own_object(root)}.glb"
+    path.write_bytes(path.read_bytes()[:-200])
+    return path
+
+
+def climbing_asset(root: Path, target: str) -> Path:
+    path = root / "configs" / "objects" / f"{own_object(root)}.object_config.json"
+    document = json.loads(path.read_text())
+    document["render_asset"] = target
+    path.write_text(json.dumps(document))
+    return path
+
+
+def navmesh(root: Path) -> Path:
+    return root / "navmeshes_default" / f"{BROKEN}.navmesh"
+
+
+def patch(path: Path, offset: int, data: bytes) -> Path:
+    whole = bytearray(path.read_bytes())
+    whole[offset : offset + len(data)] = data
+    path.write_bytes(bytes(whole))
+    return path
+
+
+def cut(path: Path, keep: float) -> Path:
+    data = path.read_bytes()
+    path.write_bytes(data[: int(len(data) * keep)])
+    return path
+
+
+def first(document: dict[str, Any]) -> dict[str, Any]:
+    found: dict[str, Any] = document["object_instances"][0]
+    return found
+
+
+CASES: dict[str, tuple[Callable[[Path], Path], str]] = {
+    "truncated GLB": (truncated_glb, ""),
+    "wrong type": (lambda r: change_scene(r, lambda d: first(d).update(translation="here")), "translation"),
+    "not JSON": (lambda r: cut(scene_file(r), 0.7), ""),
+    "nested ten thousand deep": (lambda r: (scene_file(r).write_text("[" * 10_000), scene_file(r))[1], ""),
+    "NaN coordinate": (lambda r: change_scene(r, lambda d: first(d)["translation"].__setitem__(1, float("nan"))), ""),
+    "infinite coordinate": (lambda r: change_scene(r, lambda d: first(d)["translation"].__setitem__(1, 1e999)), ""),
+    "two objects with one id": (
+        lambda r: change_scene(r, lambda d: [o.update(id="twin") for o in d["object_instances"][:2]]),
+        "twin",
+    ),
+    "path that climbs out of the root": (lambda r: climbing_asset(r, "../../../../../../etc/passwd"), "passwd"),
+    "absolute path": (lambda r: climbing_asset(r, "/etc/passwd"), "passwd"),
+    "navmesh with a false magic": (lambda r: patch(navmesh(r), 0, b"XXXX"), ""),
+    "navmesh cut in its tile": (lambda r: cut(navmesh(r), 0.6), ""),
+    "navmesh claiming 2^31 - 1 polygons": (lambda r: patch(navmesh(r), 96 + 8 + 24, struct.pack("<i", 2**31 - 1)), ""),
+    "navmesh claiming -5 vertices": (lambda r: patch(navmesh(r), 96 + 8 + 28, struct.pack("<i", -5)), ""),
+}
+
+
+def quarantined(report: Report) -> dict[str, str]:
+    return {entry["unit"]: entry["message"] for entry in report.document["quarantined"]}
+
+
+@pytest.mark.parametrize("case", sorted(CASES))
+def test_only_the_broken_scene_is_lost_and_only_it_is_repaired(
+    case: str,
+    dataset: Path,
+    made_dataset: Path,
+    configured: Callable[..., Config],
+    made_run: tuple[Config, Report],
+) -> None:
+    spoil, named = CASES[case]
+    spoiled = spoil(dataset)
+    config = configured(dataset)
+    report = run_generate(config, inline=True)
+    assert report.exit_code == 3
+    found = quarantined(report)
+    assert set(found) == {f"replicacad/{BROKEN}"}
+    message = found[f"replicacad/{BROKEN}"]
+    assert spoiled.name in message
+    assert named in message
+    assert ". " in message, "a remedy follows the fault"
+    assert {row["scene_id"] for row in published(config).table("scenes").to_pylist()} == set(SOUND)
+    # Mended, just that scene is made, and the snapshot is that of a run that was never broken.
+    shutil.copy(made_dataset / spoiled.relative_to(dataset), spoiled)
+    again = run_generate(config, inline=True)
+    assert again.exit_code == 0
+    assert again.document["counts"]["fresh"] == len(SOUND)
+    assert again.document["counts"]["ok"] == len(SOUND) + 1
+
+
+def test_a_sound_scene_with_no_or_one_object_is_skipped(dataset: Path, configured: Callable[..., Config]) -> None:
+    for keep, words in ((1, "only one object"), (0, "no object")):
+
+        def thin(document: dict[str, Any], keep: int = keep) -> None:
+            document["object_instances"] = document["object_instances"][:keep]
+            document["articulated_object_instances"] = []
+
+        change_scene(dataset, thin)
+        config = configured(dataset)
+        report = run_generate(config, inline=True)
+        assert report.exit_code == 0
+        assert report.document["counts"]["skipped"] == 1
+        (row,) = [r for r in published(config).table("scenes").to_pylist() if r["scene_id"] == BROKEN]
+        assert (row["status"], words in row["reason"]) == ("skipped", True), row
+
+
+def test_a_missing_object_file_costs_that_object_its_extent(dataset: Path, configured: Callable[..., Config]) -> None:
+    spoiled = truncated_glb(dataset)
+    spoiled.unlink()
+    config = configured(dataset)
+    report = run_generate(config, inline=True)
+    assert report.exit_code == 0
+    (row,) = [r for r in published(config).table("scenes").to_pylist() if r["scene_id"] == BROKEN]
+    assert any(spoiled.stem in w["where"] + w["message"] for w in row["warnings"])
+
+
+def test_a_missing_lexicon_names_the_file(dataset: Path, configured: Callable[..., Config]) -> None:
+    (lexicon,) = (dataset / "configs" / "ssd").glob("*.json")
+    lexicon.unlink()
+    config = configured(dataset).model_copy(update={"export": None})
+    config = config.model_copy(update={"ray": config.ray.model_copy(update={"max_failures": 1.0})})
+    report = run_generate(config, inline=True)
+    assert report.exit_code == 3
+    assert len(quarantined(report)) == len(SOUND) + 1
+    assert all(lexicon.name in message for message in quarantined(report).values())
+
+
+def test_scenes_that_yield_nothing_export_nothing_and_say_so(
+    dataset: Path, tmp_path: Path, configured: Callable[..., Config]
+) -> None:
+    for path in sorted((dataset / "configs" / "scenes").glob("*.json")):
+        document = json.loads(path.read_text())
+        document.update(object_instances=[], articulated_object_instances=[])
+        path.write_text(json.dumps(document))
+    report = run_generate(configured(dataset, export=tmp_path / "export"), inline=True)
+    assert report.exit_code == 0
+    assert any("nothing is exported" in line for line in report.lines)
+    assert not (tmp_path / "export").exists()
+
+
+def test_over_the_failure_budget_the_run_stops(dataset: Path, configured: Callable[..., Config]) -> None:
+    for path in (dataset / "configs" / "scenes").glob("*.json"):
+        path.write_text("{")
+    assert run_generate(configured(dataset), inline=True).exit_code == 4

@@ -1,0 +1,118 @@
+"""The command: every verb helps, the reference is up to date, faults become one message and their exit code."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from jobs.command import app
+from jobs.configuration import load_config
+from jobs.reference import FILE, command_paths, reference
+from jobs.report import Report
+from schemas.config import Config
+
+runner = CliRunner()
+
+
+def run(*words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", "from jobs.command import main; main()", *words],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize("path", command_paths(), ids=" ".join)
+def test_every_command_and_option_has_help(path: tuple[str, ...]) -> None:
+    result = runner.invoke(app, [*path, "--help"])
+    assert result.exit_code == 0
+    assert "Usage" in result.output
+
+
+def test_reference_is_up_to_date() -> None:
+    assert FILE.read_text(encoding="utf-8") == reference(), "run: python -m jobs.reference"
+
+
+def test_readme_names_only_commands_that_exist(repository: Path) -> None:
+    words = (repository / "README.md").read_text(encoding="utf-8").split("condvln ")
+    known = {path[0] for path in command_paths() if path}
+    named = {rest.split()[0].strip("`") for rest in words[1:] if rest.split()}
+    assert {word for word in named if word.islower() and word.isalpha()} & known
+    block = [line for line in (repository / "README.md").read_text().splitlines() if "bin/condvln" in line]
+    assert block
+    assert all(line.split("bin/condvln")[1].split()[0] in known for line in block)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("generate", "nowhere.yaml"), "no such configuration file"),
+        (("navmesh", "info", "nowhere.navmesh"), "nowhere.navmesh"),
+        (("navmesh", "build", "x.glb", "y.navmesh", "--set", "colour=1"), "no navmesh setting"),
+    ],
+)
+def test_faults_are_one_message_and_an_exit_code(words: tuple[str, ...], said: str) -> None:
+    result = run(*words)
+    assert result.returncode in (1, 3)
+    # A first start on a machine may announce that it compiles; the fault itself is the one last line.
+    assert said in result.stderr.strip().splitlines()[-1]
+    assert "Traceback" not in result.stderr
+
+
+def test_unknown_verb_is_usage() -> None:
+    assert run("fly").returncode == 1
+
+
+def written(config: Config, folder: Path) -> Path:
+    path = folder / "run.yaml"
+    path.write_text(config.model_dump_json())
+    return path
+
+
+def test_published_snapshot_is_seen_by_every_verb(made_run: tuple[Config, Report], tmp_path: Path) -> None:
+    config, report = made_run
+    path = str(written(config, tmp_path))
+    assert load_config(Path(path), environment={}) == config
+
+    def verb(*words: str) -> dict[str, object]:
+        result = runner.invoke(app, [*words, "--json"])
+        assert result.exit_code == 0, result.output
+        document: dict[str, object] = json.loads(result.stdout)
+        return document
+
+    scenes = report.document["counts"]["ok"]
+    assert verb("plan", path)["counts"] == {"FRESH": scenes}
+    assert verb("query", path, "SELECT count(*) FROM scenes WHERE status = 'ok'")["rows"] == [[scenes]]
+    (count,) = verb("query", path, "SELECT count(*) FROM episodes")["rows"]
+    shown = verb("show", path, "--sample", "3")["episodes"]
+    assert len(shown) == min(3, count[0])
+    again = verb("show", path, shown[0]["episode_id"])["episodes"]
+    assert again == shown[:1]
+    status = verb("status", path)
+    assert status["ref"]["snapshot_id"] == report.document["snapshot_id"]
+
+
+def test_a_wrong_query_names_the_tables(made_run: tuple[Config, Report], tmp_path: Path) -> None:
+    config, _ = made_run
+    result = run("query", str(written(config, tmp_path)), "SELECT * FROM nothing")
+    assert result.returncode == 1
+    assert "Tables: scenes, rooms" in result.stderr
+
+
+def test_export_loads_and_names_every_episode_once(
+    made_run: tuple[Config, Report], tmp_path: Path, configured: Callable[..., Config]
+) -> None:
+    config, _ = made_run
+    path = str(written(config.model_copy(update={"export": tmp_path / "out"}), tmp_path))
+    result = runner.invoke(app, ["export", path, "--json"])
+    assert result.exit_code == 0, result.output
+    lines = [json.loads(x) for p in (tmp_path / "out" / "manifest").glob("*.jsonl") for x in p.read_text().splitlines()]
+    ids = [line["episode_id"] for line in lines]
+    assert len(ids) == len(set(ids)) == sum(json.loads(result.stdout)["episodes"].values())

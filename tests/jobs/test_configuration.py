@@ -1,0 +1,85 @@
+"""The configuration file: overrides in their order, faults named by key, folders resolved from the file's own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from jobs.configuration import load_config
+from schemas.config import Config
+from schemas.errors import ConfigError
+
+MINIMAL = {"name": "toy", "store": "store", "sources": [{"family": "replicacad", "root": "data"}]}
+
+
+@pytest.fixture
+def written(tmp_path: Path):
+    (tmp_path / "data").mkdir()
+
+    def write(**changes: object) -> Path:
+        path = tmp_path / "run.yaml"
+        path.write_text(yaml.safe_dump({**MINIMAL, **changes}))
+        return path
+
+    return write
+
+
+def test_folders_count_from_the_file(written, tmp_path: Path) -> None:
+    config = load_config(written(export="out"), environment={})
+    assert (config.store, config.export) == (tmp_path / "store", tmp_path / "out")
+    assert config.sources[0].root == tmp_path / "data"
+
+
+def test_set_wins_over_environment_wins_over_file(written) -> None:
+    path = written(seed=1, ray={"workers": 1})
+    environment = {"CONDVLN_SEED": "2", "CONDVLN_RAY__WORKERS": "3", "CONDVLN_REAL_DATA": "/elsewhere"}
+    assert load_config(path, environment={}).seed == 1
+    assert load_config(path, environment=environment).seed == 2
+    config = load_config(path, ["seed=4"], environment)
+    assert (config.seed, config.ray.workers) == (4, 3)
+
+
+def test_set_reaches_into_lists(written, tmp_path: Path) -> None:
+    (tmp_path / "other").mkdir()
+    assert load_config(written(), ["sources.0.root=other"], {}).sources[0].root == tmp_path / "other"
+
+
+@pytest.mark.parametrize(
+    ("changes", "overrides", "named", "remedy"),
+    [
+        ({"colour": 1}, [], "colour: unknown key", "Allowed here: name, seed, store"),
+        ({"ray": {"cores": 2}}, [], "ray.cores: unknown key", "Allowed here: workers, address"),
+        ({"sources": [{"family": "x", "root": "data"}]}, [], "sources.0.family", ""),
+        ({"seed": "many"}, [], "seed", ""),
+        ({"sources": []}, [], "sources", ""),
+        ({"instructions": {"moves": [0.5, 0.5, 0.5]}}, [], "sum to 1", ""),
+        ({"thresholds": {"near_true": 2.0}}, [], "near", ""),
+        ({"agent": {"radius": float("nan")}}, [], "agent.radius", ""),
+        ({}, ["seed"], "not of the form", ""),
+        ({}, ["sources.7.root=x"], "not one of the 1 entries", ""),
+        ({"sources": [{"family": "replicacad", "root": "nowhere"}]}, [], "no such folder", "sources.0.root=FOLDER"),
+    ],
+)
+def test_faults_name_the_key_and_what_is_allowed(written, changes, overrides, named, remedy) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load_config(written(**changes), overrides, {})
+    assert named in str(caught.value)
+    assert remedy in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["", "- 1", "a: [", "name: x\nname: y", "\x00"])
+def test_what_is_no_mapping_is_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "run.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        load_config(path, environment={})
+    assert "run.yaml" in str(caught.value)
+
+
+def test_shipped_configurations_are_valid(repository: Path) -> None:
+    paths = sorted((repository / "configs").glob("*.yaml"))
+    assert paths
+    for path in paths:
+        assert isinstance(load_config(path, environment={}, check_roots=False), Config)

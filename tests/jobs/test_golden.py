@@ -1,0 +1,37 @@
+"""A stage whose rows change for equal inputs must raise its version: a small made corpus against its golden hashes.
+
+``CONDVLN_UPDATE_GOLDEN=1 make test`` (or this test alone) writes the file anew, once versions are raised.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from condvln.sources.source import hash_file
+from factory.fingerprint import compare, fingerprints
+from jobs.pipeline import build_pipeline, list_units
+from jobs.report import Report
+from schemas.config import Config
+
+GOLDEN = Path(__file__).parent / "golden_stages.json"
+MACHINE = {"machine": platform.machine(), "numpy": np.__version__}
+"""Rows hold distances in full doubles; another instruction set or library may round their last bit differently."""
+
+
+def test_versions_are_raised_when_rows_change(made_run: tuple[Config, Report]) -> None:
+    config, _ = made_run
+    found = fingerprints(build_pipeline(config), list_units(config, hash_file))
+    if os.environ.get("CONDVLN_UPDATE_GOLDEN"):
+        GOLDEN.write_text(json.dumps({"made_on": MACHINE, "units": found}, indent=1, sort_keys=True) + "\n")
+    golden = json.loads(GOLDEN.read_text())
+    if golden["made_on"] != MACHINE:
+        pytest.skip(f"the golden hashes were made on {golden['made_on']}, this is {MACHINE}")
+    drift = compare(golden["units"], found)
+    assert not drift.unbumped, "rows changed under an equal key: raise the stage's version in jobs/stages.py"
+    assert not drift.outdated, "keys changed: write the golden file anew with CONDVLN_UPDATE_GOLDEN=1"

@@ -1,0 +1,64 @@
+"""A driver killed mid-run: what was committed stays, the rest is redone, and the snapshot is the same one."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import yaml
+
+from condvln.samples import make_samples
+from jobs.configuration import load_config
+from jobs.generate import run_generate
+
+SCENES = 8
+
+
+def written(folder: Path, root: Path, name: str) -> Path:
+    path = folder / f"{name}.yaml"
+    document = {
+        "name": "made",
+        "store": f"{name}-store",
+        "sources": [{"family": "replicacad", "root": str(root)}],
+        "instructions": {"per_category": {"simple": 2, "chain": 2}},
+        "ray": {"workers": 2},
+    }
+    path.write_text(yaml.safe_dump(document))
+    return path
+
+
+def committed(folder: Path, name: str) -> int:
+    return len(list((folder / f"{name}-store" / "units" / "text").glob("*/*/unit.json")))
+
+
+@pytest.mark.parametrize(
+    "way", [pytest.param("inline"), pytest.param("ray", marks=[pytest.mark.ray, pytest.mark.soak])]
+)
+def test_killed_driver(way: str, tmp_path: Path) -> None:
+    make_samples(tmp_path / "data", family="replicacad", scenes=SCENES, seed=11)
+    clean = run_generate(load_config(written(tmp_path, tmp_path / "data", "clean"), environment={}), inline=True)
+    assert clean.exit_code == 0
+    path = written(tmp_path, tmp_path / "data", "killed")
+    command = [sys.executable, "-c", "from jobs.command import main; main()", "generate", str(path)]
+    with subprocess.Popen(
+        command + (["--inline"] if way == "inline" else []), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    ) as driver:
+        deadline = time.monotonic() + 120
+        while committed(tmp_path, "killed") < 1 and time.monotonic() < deadline:
+            time.sleep(0.005)
+        os.kill(driver.pid, signal.SIGKILL)
+        driver.wait()
+    time.sleep(2 if way == "ray" else 0)  # workers notice that their driver is gone
+    before = committed(tmp_path, "killed")
+    assert 1 <= before < SCENES, "the kill came in time"
+    assert not (tmp_path / "killed-store" / "refs").exists() or not list((tmp_path / "killed-store" / "refs").iterdir())
+    again = run_generate(load_config(path, environment={}), inline=True)
+    assert again.exit_code == 0
+    assert again.document["snapshot_id"] == clean.document["snapshot_id"]
+    assert again.document["stages"]["text"] == SCENES - before, "only what was not committed is redone"
+    assert again.document["counts"]["reused"] >= before
