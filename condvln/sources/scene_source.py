@@ -10,6 +10,7 @@ from typing import ClassVar, Final
 
 from condvln.navigation.agent import Agent
 from condvln.scene import Scene
+from condvln.scene.geometry import SceneGeometry
 from condvln.sources.dataset_root import DatasetRoot
 from condvln.sources.input_ledger import InputLedger
 from condvln.sources.scene_choice import SceneChoice
@@ -58,6 +59,10 @@ class SceneSource(ABC):
     @abstractmethod
     def read(self, scene_id: str) -> Scene:
         """One scene; see `Source.read`."""
+
+    def geometry(self, scene: Scene) -> SceneGeometry | None:
+        """Surfaces of a scene; see `Source.geometry`. A family whose files hold none keeps this answer."""
+        return None
 
     def handles(self) -> list[SceneHandle]:
         """The scenes asked for; see `Source.handles`."""

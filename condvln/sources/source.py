@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Final, Protocol, TypeAlias
 
 from condvln.scene import Scene
+from condvln.scene.geometry import SceneGeometry
 from schemas.errors import InputError
 
 __all__ = ["UNKNOWN_LABEL", "HashFile", "SceneHandle", "SceneInput", "Source", "hash_file"]
@@ -75,6 +76,15 @@ class Source(Protocol):
         Raises
         ------
         InputError : the scene can't be read; says which file, where in it, and what to do
+        """
+        ...
+
+    def geometry(self, scene: Scene) -> SceneGeometry | None:
+        """The surfaces of a scene that `read` gave; None where the dataset on disk tells neither mesh nor walls.
+
+        Raises
+        ------
+        InputError : as `read`
         """
         ...
 
