@@ -75,6 +75,11 @@ class ObjectStore:
         """``s3://bucket/prefix[?endpoint=http://host:port][&region=name]``. Raises ``UsageError`` on anything else."""
         parts = urlsplit(url)
         query = parse_qs(parts.query)
+        if "@" in parts.netloc or "@" in urlsplit(query.get("endpoint", [""])[-1]).netloc:
+            raise UsageError(
+                "an object store's address holds no secrets",
+                remedy="Leave them to the environment: AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or a profile.",
+            )
         if parts.scheme != "s3" or not parts.netloc or set(query) - {"endpoint", "region"}:
             raise UsageError(
                 f"{url!r} is not an object store's address", remedy="Write s3://bucket/prefix?endpoint=…&region=…"

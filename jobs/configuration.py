@@ -10,8 +10,9 @@ from typing import Any, Final
 import yaml
 from pydantic import ValidationError
 
+from factory.store import open_store
 from schemas.config import Config
-from schemas.errors import ConfigError
+from schemas.errors import ConfigError, UsageError
 
 __all__ = ["ENVIRONMENT_PREFIX", "load_config"]
 
@@ -144,6 +145,17 @@ def _inner_model(annotation: Any) -> Any:
     return None
 
 
+def _store(address: Path | str, base: Path, path: Path) -> Path | str:
+    """A folder, counted from the file's own; or an object store's address, checked but not contacted."""
+    if "://" not in str(address):
+        return (base / address).resolve()
+    try:
+        open_store(str(address))
+    except UsageError as error:
+        raise ConfigError(error.what, where=path, place="store", remedy=error.remedy) from None
+    return str(address)
+
+
 def _resolve(config: Config, base: Path, path: Path, check_roots: bool) -> Config:
     sources = []
     for k, source in enumerate(config.sources):
@@ -162,7 +174,7 @@ def _resolve(config: Config, base: Path, path: Path, check_roots: bool) -> Confi
     return config.model_copy(
         update={
             "sources": tuple(sources),
-            "store": (base / config.store).resolve(),
+            "store": _store(config.store, base, path),
             "export": None if config.export is None else (base / config.export).resolve(),
         }
     )

@@ -50,7 +50,7 @@ def run_demo(out: Path, *, scenes: int, seed: int, workers: int | None, console:
         {},
         [
             "",
-            f"tables    {config.store / 'snapshots' / snapshot.snapshot_id}",
+            f"tables    {out / 'store' / 'snapshots' / snapshot.snapshot_id}",
             f"episodes  {config.export}",
             f"pictures  {out / 'pictures'}",
             f"done in {time.monotonic() - began:.0f} s",

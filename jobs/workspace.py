@@ -1,26 +1,51 @@
-"""The store and the hash memory of one configuration."""
+"""The store of one configuration, what is published in it, and what this machine remembers of it."""
 
 from __future__ import annotations
 
+import hashlib
+import os
 import subprocess
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
 from condvln.sources.source import HashFile
 from factory.files import FileHashes
+from factory.local_copy import local_copy
 from factory.snapshot import Snapshot
-from factory.store import LocalStore, Store
+from factory.store import Store
+from factory.store import open_store as open_address
 from schemas.config import Config
 
-__all__ = ["file_hashes", "git_revision", "hasher", "open_store", "published"]
+__all__ = [
+    "CACHE_VARIABLE",
+    "file_hashes",
+    "git_revision",
+    "hasher",
+    "local_state",
+    "open_store",
+    "published",
+    "snapshot_folder",
+]
 
 HASHES: Final = ".hashes.sqlite"
-"""Memory of input hashes, in the store's folder; losing it costs time only."""
+"""Memory of input hashes, in the local state of a store; losing it costs time only."""
+
+CACHE_VARIABLE: Final = "CONDVLN_CACHE"
+"""Folder for what this machine keeps of stores that are elsewhere; ``~/.cache/condvln`` without it."""
 
 
 def open_store(config: Config) -> Store:
-    """The store that `config` names."""
-    return LocalStore(config.store)
+    """The store that `config` names: a folder or an object store."""
+    return open_address(config.store)
+
+
+def local_state(address: Path | str) -> Path:
+    """Folder on this machine for hashes, copies and locks of the store at `address`: for a folder, itself."""
+    if "://" not in str(address):
+        return Path(address)
+    base = os.environ.get(CACHE_VARIABLE) or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "condvln")
+    return Path(base).expanduser() / "stores" / hashlib.sha256(str(address).encode()).hexdigest()[:16]
 
 
 def published(config: Config) -> Snapshot:
@@ -28,9 +53,14 @@ def published(config: Config) -> Snapshot:
     return Snapshot.open(open_store(config), config.name)
 
 
+def snapshot_folder(address: Path | str, snapshot: Snapshot, tables: Iterable[str] | None = None) -> Path:
+    """The snapshot as a folder on this disk, fetched (only `tables`, if named) where the store is elsewhere."""
+    return local_copy(snapshot, local_state(address), tables)
+
+
 def file_hashes(config: Config) -> FileHashes:
     """The memory of input hashes; call ``save`` when done."""
-    return FileHashes(config.store / HASHES)
+    return FileHashes(local_state(config.store) / HASHES)
 
 
 def hasher(hashes: FileHashes) -> HashFile:

@@ -20,6 +20,7 @@ __all__ = [
     "EpisodeConfig",
     "Family",
     "InstructionsConfig",
+    "KeepConfig",
     "RayConfig",
     "SourceConfig",
     "SplitsConfig",
@@ -151,12 +152,22 @@ class RayConfig(Document):
     deadline_seconds: Positive = Field(1800.0, description="wall time one scene may take")
 
 
+class KeepConfig(Document):
+    """What the sweep after a rebuild leaves in the store: nothing that a ref names ever goes."""
+
+    sweep: bool = Field(True, description="whether a rebuild that published removes what no ref needs")
+    snapshots: int = Field(3, ge=1, description="snapshots kept for each ref, the published one included")
+    grace_hours: float = Field(24.0, ge=0, allow_inf_nan=False, description="nothing younger is removed, needed or not")
+
+
 class Config(Document):
     """One run: sources in, tables and splits out."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", description="name of the published ref")]
     seed: int = 0
-    store: Path = Field(description="folder of units, snapshots and refs")
+    store: Path | str = Field(
+        description="units, snapshots and refs: a folder, or s3://bucket/prefix[?endpoint=…&region=…]"
+    )
     export: Path | None = Field(None, description="folder of the VLN-CE splits")
     sources: tuple[SourceConfig, ...] = Field(min_length=1)
     agent: AgentConfig = Field(default_factory=AgentConfig)
@@ -165,3 +176,4 @@ class Config(Document):
     episodes: EpisodeConfig = Field(default_factory=EpisodeConfig)
     splits: SplitsConfig = Field(default_factory=SplitsConfig)
     ray: RayConfig = Field(default_factory=RayConfig)
+    keep: KeepConfig = Field(default_factory=KeepConfig)

@@ -1,0 +1,96 @@
+"""A published snapshot on this machine's disk: the store's own folder, or a checked copy of one that is elsewhere.
+
+Readers that want files (DuckDB, an export) get them here whatever the store is. A copy is laid out as the original,
+each file appears whole after its hash was compared, and a file that is there already is not fetched again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import time
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+from factory.snapshot import Snapshot
+from factory.store import LocalStore
+from schemas.errors import CorruptShardError, StoreError
+from schemas.snapshot import PartRecord
+
+__all__ = ["COPIES_KEPT", "local_copy"]
+
+FETCHERS: Final = 4
+"""Files fetched at once: each may take some tens of megabytes of memory."""
+
+COPIES_KEPT: Final = 3
+"""Copies of snapshots that stay, the one asked for included; others go when nobody used them for a day."""
+
+IDLE_SECONDS: Final = 24 * 3600.0
+
+
+def local_copy(snapshot: Snapshot, cache: Path, tables: Iterable[str] | None = None) -> Path:
+    """The folder of ``snapshot`` on this disk, ``<table>/source=<partition>/part-*.parquet`` below it.
+
+    cache : where copies of snapshots stand, in ``snapshots/<id>``; not touched when the store itself is on this disk
+    tables : those that are needed; all by default
+
+    Raises ``StoreError`` when a file is missing, ``CorruptShardError`` when one differs from the manifest.
+    """
+    manifest = snapshot.manifest
+    wanted = manifest.tables if tables is None else [name for name in manifest.tables if name in set(tables)]
+    parts = [
+        part for name in wanted for partition in manifest.tables[name].partitions.values() for part in partition.parts
+    ]
+    folder = f"snapshots/{snapshot.snapshot_id}"
+    own = snapshot.store.local_path(folder)
+    if own is not None:
+        for part in parts:
+            if not snapshot.store.exists(f"{folder}/{part.path}"):
+                raise StoreError(
+                    "a published file is missing", where=own / part.path, remedy="Rebuild with --verify to mend it."
+                )
+        return own
+    copies = LocalStore(cache, durable=False)
+
+    def fetch(part: PartRecord) -> None:
+        path = f"{folder}/{part.path}"
+        copies.local_path(path)  # a manifest's path that leads out of the folder ends here
+        # What stands there was compared when it was written, and is never written in place.
+        with suppress(OSError):
+            if (cache / path).stat().st_size == part.bytes:
+                return
+        try:
+            data = snapshot.store.read(path)
+        except FileNotFoundError as error:
+            raise StoreError(
+                "a published file is missing", where=f"{snapshot.store.url}/{path}", remedy="Open the snapshot anew."
+            ) from error
+        if hashlib.sha256(data).hexdigest() != part.sha256:
+            raise CorruptShardError("the file differs from the manifest", where=f"{snapshot.store.url}/{path}")
+        copies.write(path, data)
+
+    with ThreadPoolExecutor(FETCHERS) as pool:
+        for _ in pool.map(fetch, parts):
+            pass
+    copies.write(f"{folder}/manifest.json", manifest.model_dump_json(indent=1).encode())
+    _forget(cache / "snapshots", snapshot.snapshot_id)
+    return cache / folder
+
+
+def _forget(folder: Path, used: str) -> None:
+    """Remove copies that were not used lately."""
+
+    def last_use(copy: Path) -> float:
+        try:
+            return (copy / "manifest.json").stat().st_mtime
+        except OSError:
+            return 0.0
+
+    others = sorted((copy for copy in folder.iterdir() if copy.name != used), key=last_use, reverse=True)
+    for copy in others[COPIES_KEPT - 1 :]:
+        if time.time() - max(last_use(copy), os.stat(copy).st_mtime) > IDLE_SECONDS:
+            shutil.rmtree(copy, ignore_errors=True)
