@@ -115,9 +115,43 @@ def status(config: ConfigPath, overrides: Overrides = None, as_json: AsJson = Fa
     _show(report_status(load_config(config, overrides or (), check_roots=False)), as_json)
 
 
-@app.command()
-def export(config: ConfigPath, overrides: Overrides = None, as_json: AsJson = False) -> None:
-    """Published snapshot → splits, ground truth and manifests."""
+NavmeshRoots = Annotated[
+    list[Path] | None,
+    typer.Option("--navmesh-root", help="dataset folder with the navmeshes that the export does not ship"),
+]
+Graphs = Annotated[
+    list[Path] | None,
+    typer.Option("--connectivity", help="folder of <scan>_connectivity.json, for discrete R2R"),
+]
+
+
+@app.command(epilog=EXIT_CODES)
+def export(
+    config: Annotated[Path | None, typer.Argument(metavar="CONFIG", help="YAML configuration of the run")] = None,
+    validate: Annotated[
+        Path | None,
+        typer.Option(
+            "--validate", metavar="PATH", help="lint VLN-CE, ANSR-v1, RxR and R2R files instead, ours or a stranger's"
+        ),
+    ] = None,
+    navmesh_root: NavmeshRoots = None,
+    connectivity: Graphs = None,
+    overrides: Overrides = None,
+    as_json: AsJson = False,
+) -> None:
+    """Published snapshot → splits, ground truth and manifests; or a linter of such files (exit code 3 on errors)."""
+    if validate is not None:
+        from jobs.validate import validate_files
+
+        found = validate_files(validate, navmesh_root or (), connectivity or ())
+        if as_json:
+            _show(found, as_json)
+        else:
+            sys.stdout.write(found.as_text())
+        _exit(found.exit_code)
+        return
+    if config is None:
+        raise UsageError("neither a configuration nor --validate", remedy="Say condvln export CONFIG.")
     from jobs.configuration import load_config
     from jobs.export import run_export
 
@@ -157,10 +191,6 @@ def show(
 
 ExportPath = Annotated[Path, typer.Argument(metavar="EXPORT", help="folder of an export")]
 SplitName = Annotated[str, typer.Argument(metavar="SPLIT", help="train, val_seen, val_unseen or test")]
-NavmeshRoots = Annotated[
-    list[Path] | None,
-    typer.Option("--navmesh-root", help="dataset folder with the navmeshes that the export does not ship"),
-]
 
 
 @app.command(epilog=EXIT_CODES)

@@ -38,39 +38,48 @@ class NavmeshFolder:
         MissingFileError : the navmesh is in none of the folders
         FormatError : what is there is another file than the episodes were made on
         """
-        found = self._pathfinders.get(task.navmesh_sha256)
+        return self.load(task.navmesh, task.navmesh_sha256, f"episode {task.episode_id}")
+
+    def load(self, navmesh: str, sha256: str, place: str) -> Pathfinder:
+        """The pathfinder of a navmesh by its path below a root and its hash; ``place`` is who asks, for messages.
+
+        Raises
+        ------
+        PathEscapeError : the path lies outside of every root
+        MissingFileError, FormatError : as for a task
+        """
+        found = self._pathfinders.get(sha256)
         if found is None:
-            path = self._find(task)
-            found = self._pathfinders[task.navmesh_sha256] = Pathfinder.load(path)
+            found = self._pathfinders[sha256] = Pathfinder.load(self._find(navmesh, sha256, place))
             if len(self._pathfinders) > _KEPT:
                 self._pathfinders.popitem(last=False)
-        self._pathfinders.move_to_end(task.navmesh_sha256)
+        self._pathfinders.move_to_end(sha256)
         return found
 
-    def _find(self, task: Task) -> Path:
-        relative = PurePosixPath(task.navmesh)
+    def _find(self, navmesh: str, sha256: str, place: str) -> Path:
+        relative = PurePosixPath(navmesh)
         if relative.is_absolute() or ".." in relative.parts:
             raise PathEscapeError(
-                f"the navmesh {task.navmesh!r} lies outside of every root",
-                place=f"episode {task.episode_id}",
+                f"the navmesh {navmesh!r} lies outside of every root",
+                place=place,
                 remedy="Export the split again",
             )
         others = []
         for root in self._roots:
             path = root / relative
             if path.is_file():
-                if hashlib.sha256(path.read_bytes()).hexdigest() == task.navmesh_sha256:
+                if hashlib.sha256(path.read_bytes()).hexdigest() == sha256:
                     return path
                 others.append(path)
         if others:
             raise FormatError(
                 "not the navmesh that the episodes were made on: its hash differs",
                 where=others[0],
-                place=f"episode {task.episode_id}",
+                place=place,
                 remedy="Use the file of the dataset's version that the manifest names, or export again",
             )
         raise MissingFileError(
-            f"no navmesh {task.navmesh} below {', '.join(map(str, self._roots)) or 'any folder'}",
-            place=f"episode {task.episode_id}",
+            f"no navmesh {navmesh} below {', '.join(map(str, self._roots)) or 'any folder'}",
+            place=place,
             remedy="Name the dataset's folder with --navmesh-root",
         )

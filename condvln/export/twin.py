@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +11,7 @@ import orjson
 from pydantic import ValidationError
 
 from condvln.export.oracle import oracle_episode
+from condvln.export.streams import read_unpacked
 from condvln.export.tokens import PAD_INDEX, UNK_INDEX, Vocabulary
 from condvln.export.vlnce import document_writer, encode
 from schemas.errors import FormatError, MissingFileError
@@ -68,15 +67,13 @@ def _tokens(vocabulary: Vocabulary, text: str, former: list[int] | None) -> list
 
 
 def _document(path: Path) -> dict[str, Any]:
+    data = read_unpacked(path)
     try:
-        data = path.read_bytes()
-        content = orjson.loads(gzip.decompress(data) if data[:2] == b"\x1f\x8b" else data)
+        content = orjson.loads(data)
         if not all(isinstance(e["instruction"], dict) and "episode_id" in e for e in content["episodes"]):
             raise KeyError("instruction")
         Vocabulary.from_document(content["instruction_vocab"])
-    except (FileNotFoundError, IsADirectoryError) as error:
-        raise MissingFileError("no such file", where=path, remedy="Check the path") from error
-    except (OSError, EOFError, zlib.error, ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError) as error:
         raise FormatError(
             f"not a VLN-CE split ({type(error).__name__}: {error})", where=path, remedy="See condvln export --validate"
         ) from error

@@ -77,6 +77,7 @@ class EpisodeChecks:
         name = episode.get("episode_id")
         if isinstance(name, str | int) and not isinstance(name, bool):
             place = f"episode {name}"
+            self._report.episode = str(name)
         check_keys(self._report, place, episode, self._required, self._allowed)
         self._check_ids(place, episode)
         self._check_scene(place, episode)
@@ -254,7 +255,7 @@ class EpisodeChecks:
     ) -> None:
         if self._pathfinder_of is None or start is None or not goals:
             return
-        pathfinder = self._pathfinder_of(str(episode.get("scene_id")))
+        pathfinder = self._pathfinder_of(episode)
         if pathfinder is None:
             return
         if not pathfinder.is_navigable(np.array(start), _ON_MESH):

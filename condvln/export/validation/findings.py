@@ -93,6 +93,8 @@ class Finding:
     place: str
     code: str
     message: str
+    episode: str = ""
+    """Its id, or a path's; empty where the defect is of the whole file."""
 
     @property
     def severity(self) -> Severity:
@@ -115,12 +117,14 @@ class Report:
 
     def __init__(self, file: str) -> None:
         self.file = file
+        self.episode = ""
+        """Id of the episode that is looked at."""
         self._findings: list[Finding] = []
 
     def add(self, place: str, code: str, message: str) -> None:
         """Note a defect."""
         assert code in CODES, code
-        self._findings.append(Finding(self.file, place, code, message))
+        self._findings.append(Finding(self.file, place, code, message, self.episode))
 
     def __iter__(self) -> Iterator[Finding]:
         return iter(self._findings)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import gzip
-import zlib
+import copy
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,17 +11,20 @@ from typing import Any, Final
 import orjson
 
 from condvln.evaluation.json_entries import nonstandard_number
+from condvln.export.streams import read_unpacked
 from condvln.export.validation.document import Document, PathfinderOf
 from condvln.export.validation.documents import check_document
 from condvln.export.validation.findings import Finding, Report
 from condvln.export.validation.r2r import check_r2r
 from condvln.export.validation.truths import check_truths
 from condvln.navigation.graph_pathfinder import GraphPathfinder
+from schemas.errors import InputError, UsageError
 
 __all__ = ["Options", "validate"]
 
 _SUFFIXES: Final = (".json", ".json.gz")
 _TRUTH: Final = "_gt"
+_SHARDS: Final = "content"
 # Files of an export, and of the tools around one, that hold no episodes.
 _OTHERS: Final = ("export.json", "croissant.json", "embeddings.json.gz")
 
@@ -42,10 +44,20 @@ def validate(path: Path, options: Options | None = None) -> list[Finding]:
     """All findings of a file, or of the files of these formats below a folder; sorted by file.
 
     Files that belong together are checked together: ``x.json.gz`` with ``x_gt.json.gz`` beside it, and the splits of
-    one folder for leakage.
+    one folder for leakage, with their shards below ``content/``.
+
+    Raises
+    ------
+    UsageError : there is no such file
     """
     options = options or Options()
     files = [path] if path.is_file() else _files_below(path)
+    if not files:
+        raise UsageError(
+            "no VLN-CE, ANSR-v1, RxR or R2R file is there",
+            where=path,
+            remedy="Name a .json or .json.gz file, or a folder",
+        )
     findings: list[Finding] = []
     variants: dict[Path, dict[str, tuple[str, Document]]] = {}
     documents: dict[Path, Document] = {}
@@ -53,23 +65,48 @@ def validate(path: Path, options: Options | None = None) -> list[Finding]:
         if _is_truth(file):
             continue
         report = Report(_shown(file, path))
-        content = _content(report, file)
-        if isinstance(content, dict) and "episodes" in content:
-            document = check_document(report, content, options.pathfinder_of)
+        document = _check_file(report, file, options)
+        findings += _without_shards(report, file)
+        if document is not None:
             documents[file] = document
             folder, split = _place(file)
-            variants.setdefault(folder, {}).setdefault(split, (report.file, document))
-        elif isinstance(content, list):
-            check_r2r(report, content, options.graphs)
-        elif content is not None:
-            report.add("", "unknown-shape", "neither episodes, nor ground truth, nor R2R items")
-        findings += report
+            known = variants.setdefault(folder, {})
+            if split in known:
+                findings += _joined(known[split][1], document, report.file)
+            else:
+                known[split] = (report.file, copy.deepcopy(document))
     for file in files:
         if _is_truth(file):
             findings += _check_truth_file(file, path, documents)
     for splits in variants.values():
         findings += _check_leaks(splits)
     return sorted(findings, key=lambda finding: finding.file)
+
+
+def _check_file(report: Report, file: Path, options: Options) -> Document | None:
+    content = _content(report, file)
+    if isinstance(content, dict) and "episodes" in content:
+        return check_document(report, content, options.pathfinder_of)
+    if isinstance(content, list):
+        return Document("r2r", scenes=check_r2r(report, content, options.graphs))
+    if content is not None:
+        report.add("", "unknown-shape", "neither episodes, nor ground truth, nor R2R items")
+    return None
+
+
+def _without_shards(report: Report, file: Path) -> Iterator[Finding]:
+    """The findings, but that a split whose episodes stand in shards holds none itself."""
+    has_shards = any((file.parent / _SHARDS).glob("*.json.gz"))
+    return (finding for finding in report if not (has_shards and finding.code == "no-episodes"))
+
+
+def _joined(split: Document, shard: Document, file: str) -> Iterator[Finding]:
+    """Take a shard into its split, and tell what they may not share or must."""
+    for name in sorted(split.starts.keys() & shard.starts.keys()):
+        yield Finding(file, f"episode {name}", "duplicate-id", f"id {name} stands in another shard too", name)
+    if None not in (split.vocabulary, shard.vocabulary) and split.vocabulary != shard.vocabulary:
+        yield Finding(file, "instruction_vocab", "vocabulary-differs", "is not that of the other shards")
+    split.merge(shard)
 
 
 def _files_below(path: Path) -> list[Path]:
@@ -93,19 +130,17 @@ def _place(file: Path) -> tuple[Path, str]:
     """Folder of the variant, and split: of ``<variant>/<split>/<split>.json.gz`` or
     ``…/<split>/content/<scene>.json.gz``."""
     folder = file.parent
-    if folder.name == "content":
+    if folder.name == _SHARDS:
         return folder.parent.parent, folder.parent.name
-    split = _stem(file).removesuffix("_guide").removesuffix("_follower")
+    split = _stem(file).removeprefix("R2R_").removesuffix("_guide").removesuffix("_follower")
     return (folder.parent, split) if folder.name == split else (folder, split)
 
 
 def _content(report: Report, file: Path) -> Any:
     try:
-        data = file.read_bytes()
-        if file.name.endswith(".gz"):
-            data = gzip.decompress(data)
-    except (OSError, EOFError, zlib.error) as error:
-        report.add("", "unreadable", str(error))
+        data = read_unpacked(file)
+    except InputError as error:
+        report.add("", "unreadable", error.what)
         return None
     try:
         return orjson.loads(data)
@@ -136,9 +171,8 @@ def _of_shards(truth: Path, documents: Mapping[Path, Document]) -> Document | No
     """The episodes of all shards together."""
     together = Document("vlnce")
     for file, document in documents.items():
-        if file.parent == truth.parent / "content":
-            together.starts |= document.starts
-            together.goals |= document.goals
+        if file.parent == truth.parent / _SHARDS:
+            together.merge(document)
     return together if together.starts else None
 
 
@@ -154,6 +188,7 @@ def _check_leaks(splits: Mapping[str, tuple[str, Document]]) -> Iterator[Finding
                 yield Finding(file, "", "scene-leak", f"{len(shared)} scenes are in {other} too, such as {shared[0]}")
             for key in sorted(document.told.keys() & earlier.told.keys()):
                 place = f"episode {document.told[key]}"
-                yield Finding(file, place, "episode-leak", f"is episode {earlier.told[key]} of {other}")
+                message = f"is episode {earlier.told[key]} of {other}"
+                yield Finding(file, place, "episode-leak", message, document.told[key])
             if None not in (document.vocabulary, earlier.vocabulary) and document.vocabulary != earlier.vocabulary:
                 yield Finding(file, "instruction_vocab", "vocabulary-differs", f"is not that of {other}")

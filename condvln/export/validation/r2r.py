@@ -28,11 +28,13 @@ def check_r2r(report: Report, items: list[Any], graphs: Mapping[str, GraphPathfi
     scans: set[str] = set()
     for number, item in enumerate(items):
         place = f"[{number}]"
+        report.episode = ""
         # R2R's readers take plain dictionaries: a key more does no harm.
         keys = _ALLOWED | set(item) if isinstance(item, dict) else _ALLOWED
         if not check_keys(report, place, item, _REQUIRED, frozenset(keys)):
             continue
-        place = f"path {item['path_id']}"
+        report.episode = str(item["path_id"])
+        place = f"path {report.episode}"
         if str(item["path_id"]) in seen:
             report.add(place, "duplicate-id", "stands twice")
         seen.add(str(item["path_id"]))

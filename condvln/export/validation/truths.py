@@ -26,12 +26,14 @@ def check_truths(report: Report, content: dict[str, Any], document: Document | N
     """Check one ground-truth document, against its episodes where they are given."""
     for name, truth in content.items():
         place = f"episode {name}"
+        report.episode = name
         if document is not None and name not in document.starts:
             report.add(place, "truth-unused", "is not in the split")
         if check_keys(report, place, truth, _REQUIRED, _ALLOWED):
             _check(report, place, truth, name, document)
     for name in document.starts if document is not None else ():
         if name not in content:
+            report.episode = name
             report.add(f"episode {name}", "truth-missing", "has no entry")
 
 

@@ -13,10 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from condvln.export import streams
 from condvln.export.validation import CODES, Finding, Options, validate
 from condvln.navigation.graph_pathfinder import GraphPathfinder
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.polygon_tile import tile_of_polygons
+from schemas.errors import UsageError
 from tests.strict_loader import read
 
 Rng = np.random.Generator
@@ -296,6 +298,69 @@ def test_leaks_between_splits_are_named(exported: Path, tmp_path: Path) -> None:
     assert "vocabulary-differs" in codes(validate(tmp_path))
 
 
+def sharded(exported: Path, folder: Path, copies: int = 1) -> list[Path]:
+    """The train split cut in two shards under ``train/content``, its base file empty."""
+    document = read(exported / "vlnce" / "train" / "train.json.gz")
+    episodes, vocabulary = document["episodes"], document["instruction_vocab"]
+    write(folder / "train" / "train.json.gz", {"episodes": [], "instruction_vocab": vocabulary})
+    halves = episodes[: len(episodes) // 2], episodes[len(episodes) // 2 :]
+    paths = []
+    for name, half in zip("ab", halves, strict=True):
+        path = folder / "train" / "content" / f"{name}.json.gz"
+        paths.append(write(path, {"episodes": half, "instruction_vocab": vocabulary}))
+    return paths
+
+
+def test_shards_are_one_split(exported: Path, tmp_path: Path) -> None:
+    paths = sharded(exported, tmp_path)
+    assert validate(tmp_path) == []
+    # what one shard holds leaks into another split as if it stood in the split's own file
+    second = read(paths[1])
+    stolen = {**second["episodes"][0], "episode_id": "stolen"}
+    write(tmp_path / "test" / "test.json.gz", {**second, "episodes": [stolen]})
+    assert codes(validate(tmp_path)) == {"scene-leak", "episode-leak"}
+    (tmp_path / "test" / "test.json.gz").unlink()
+    first = read(paths[0])
+    first["episodes"].append(second["episodes"][0])
+    write(paths[0], first)
+    (finding,) = validate(tmp_path)
+    assert (finding.code, finding.episode) == ("duplicate-id", second["episodes"][0]["episode_id"])
+    second["instruction_vocab"]["word_list"] = second["instruction_vocab"]["word_list"][:-1]
+    write(paths[1], second)
+    assert "vocabulary-differs" in codes(validate(tmp_path))
+
+
+def test_an_empty_guide_is_a_guide(exported: Path, tmp_path: Path) -> None:
+    write(tmp_path / "val_unseen_guide.json.gz", {"episodes": []})
+    assert codes(validate(tmp_path)) == {"no-episodes"}
+    write(tmp_path / "val_unseen_guide.json.gz", {"episodes": [3]})
+    assert "wrong-type" in codes(validate(tmp_path))
+
+
+def test_scans_of_two_r2r_splits_must_differ(tmp_path: Path) -> None:
+    item = {"scan": "s", "path_id": 1, "path": ["0", "1"], "heading": 1.0, "instructions": ["Go."], "distance": 4.0}
+    for name in ("R2R_train.json", "R2R_val_seen.json"):
+        (tmp_path / name).write_text(json.dumps([item]))
+    assert validate(tmp_path) == []
+    (tmp_path / "R2R_val_unseen.json").write_text(json.dumps([item]))
+    found = validate(tmp_path)
+    assert codes(found) == {"scene-leak"}
+    assert {finding.file for finding in found} == {"R2R_val_unseen.json"}
+
+
+def test_a_bomb_is_not_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(streams.read_unpacked, "__defaults__", (1 << 20,))
+    (tmp_path / "x.json.gz").write_bytes(gzip.compress(b" " * (2 << 20)))
+    (finding,) = validate(tmp_path)
+    assert finding.code == "unreadable"
+    assert "holds more than" in finding.message
+
+
+def test_no_file_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="no VLN-CE"):
+        validate(tmp_path)
+
+
 # -- against navmeshes and graphs --------------------------------------------------------------------------------------
 
 
@@ -326,9 +391,9 @@ def test_against_the_navmesh(tmp_path: Path, change: dict[str, Any], code: str |
     }
     words = ["<pad>", "<unk>", "go", "."]
     path = write(tmp_path / "x.json.gz", {"episodes": [episode], "instruction_vocab": {"word_list": words}})
-    found = codes(validate(path, Options(pathfinder_of=lambda scene: pathfinder)))
+    found = codes(validate(path, Options(pathfinder_of=lambda episode: pathfinder)))
     assert found == set() if code is None else code in found
-    assert not codes(validate(path, Options(pathfinder_of=lambda scene: None))) & {code}
+    assert not codes(validate(path, Options(pathfinder_of=lambda episode: None))) & {code}
 
 
 @pytest.mark.parametrize(

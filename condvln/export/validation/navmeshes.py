@@ -1,0 +1,96 @@
+"""The navmesh that an episode is checked against, where one can be found.
+
+An export of ours names it in its manifest, by path and hash. A stranger's file names a scene only: its navmesh stands
+beside the mesh, as Habitat's own datasets have it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path, PurePosixPath
+from typing import Any, Final
+
+import orjson
+
+from condvln.evaluation.navmeshes import NavmeshFolder
+from condvln.navigation.pathfinder import Pathfinder
+from schemas.errors import CondVLNError, MissingFileError
+
+__all__ = ["EpisodeNavmeshes"]
+
+_SCENES: Final = ("data", "scene_datasets")
+_LEVELS: Final = 3
+"""Folders from a split's file up to its export: variant, split, content."""
+
+
+class EpisodeNavmeshes:
+    """Finds navmeshes below some folders.
+
+    Parameters
+    ----------
+    path : what is checked; where it is of an export, the export is looked in first
+    roots : folders of datasets, or the folder of scene datasets
+
+    Attributes
+    ----------
+    checked : scenes whose navmesh was found
+    lacking : why a scene has none, by scene_id
+    """
+
+    def __init__(self, path: Path, roots: Sequence[Path]) -> None:
+        export = next((p for p in (path, *path.parents[: _LEVELS + 1]) if (p / "manifest").is_dir()), None)
+        self._roots = tuple(roots)
+        self._recorded = {} if export is None else _recorded(export)
+        self._proven = NavmeshFolder((*([export] if export is not None else []), *roots))
+        self._found: dict[tuple[str, str], Pathfinder | None] = {}
+        self.checked: set[str] = set()
+        self.lacking: dict[str, str] = {}
+
+    def __call__(self, episode: Mapping[str, Any]) -> Pathfinder | None:
+        """The pathfinder of an episode's scene; None where there is none."""
+        info, scene = episode.get("info"), str(episode.get("scene_id"))
+        digest = str(info.get("navmesh_sha256")) if isinstance(info, dict) else ""
+        key = scene, digest
+        if key not in self._found:
+            self._found[key] = self._load(scene, digest)
+        return self._found[key]
+
+    def _load(self, scene: str, digest: str) -> Pathfinder | None:
+        try:
+            if digest in self._recorded:
+                found = self._proven.load(self._recorded[digest], digest, scene)
+            else:
+                found = Pathfinder.load(self._beside(scene))
+        except CondVLNError as error:
+            self.lacking[scene] = error.what
+            return None
+        self.checked.add(scene)
+        return found
+
+    def _beside(self, scene: str) -> Path:
+        parts = PurePosixPath(scene).parts
+        if parts[:2] == _SCENES:
+            parts = parts[2:]
+        if not parts or ".." in parts or PurePosixPath(scene).is_absolute():
+            raise MissingFileError(f"no navmesh of {scene!r}")
+        name = PurePosixPath(*parts).with_suffix(".navmesh")
+        for root in self._roots:
+            # A root is the folder of all scene datasets, or that of one.
+            for relative in (name, PurePosixPath(*name.parts[1:])):
+                if relative.name and (root / relative).is_file():
+                    return root / relative
+        raise MissingFileError(f"no {name} below {', '.join(map(str, self._roots)) or 'any folder'}")
+
+
+def _recorded(export: Path) -> dict[str, str]:
+    """Path of the navmesh by its hash, as the manifests have it; damaged lines are passed over."""
+    found: dict[str, str] = {}
+    for path in sorted((export / "manifest").glob("*.jsonl")):
+        with path.open("rb") as lines:
+            for line in lines:
+                try:
+                    row = orjson.loads(line)
+                    found.setdefault(str(row["navmesh_sha256"]), str(row["navmesh"]))
+                except (ValueError, KeyError, TypeError):
+                    continue
+    return found
