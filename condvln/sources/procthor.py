@@ -16,14 +16,17 @@ import orjson
 from condvln.labels import vocabulary
 from condvln.scene import OrientedBox, Room, Scene, SceneObject, SceneWarning, round_mm
 from condvln.scene.boxes import aabb_of, box_corners, rounded_box
+from condvln.scene.geometry import SceneGeometry
 from condvln.sources.asset_database import FILE_NAMES, Asset, AssetDatabase
 from condvln.sources.input_ledger import InputLedger
 from condvln.sources.json_document import parse_json
 from condvln.sources.json_lines import MAX_LINE_BYTES, JsonLines
 from condvln.sources.navmesh_choice import choose_navmesh, shipped_navmeshes
 from condvln.sources.procthor_house import House, HouseObject, read_house
+from condvln.sources.procthor_solids import house_structure
 from condvln.sources.regions import check_polygon, in_rooms, side_regions
 from condvln.sources.scene_source import Note, SceneSource, SourceOptions
+from condvln.sources.solids import joined, object_boxes
 from condvln.sources.source import UNKNOWN_LABEL
 from schemas.errors import ConfigError, InputError
 
@@ -95,6 +98,14 @@ class ProcthorSource(SceneSource):
             navmesh=navmesh.file,
             warnings=tuple(sorted(warnings, key=lambda w: (w.code, w.where, w.message))),
         )
+
+    def geometry(self, scene: Scene) -> SceneGeometry:
+        """Floors, walls cut where doors stand open and windows are, and objects as boxes; see `Source.geometry`.
+
+        No ceilings: a navmesh would be built on them too.
+        """
+        structure = house_structure(self.house(scene.scene_id), f"{self.root}: {scene.scene_id}")
+        return joined([*structure, object_boxes(enumerate(scene.objects))], approximate=True)
 
     def house(self, scene_id: str) -> House:
         """The raw record of a house in Habitat's frame: its walls, doors and windows too.

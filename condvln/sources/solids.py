@@ -1,0 +1,97 @@
+"""Drawn surfaces of scenes that come without a mesh: floors, walls with their openings, and objects as boxes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import shapely
+from numpy.typing import ArrayLike, NDArray
+
+from condvln.scene import SceneObject
+from condvln.scene.boxes import box_corners, corners
+from condvln.scene.geometry import STRUCTURE, SceneGeometry
+
+__all__ = ["Piece", "boxes", "floor", "joined", "object_boxes", "upright_slabs"]
+
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+BOX_FACES: Final = np.array(
+    [
+        [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5],
+        [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6],
+        [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3],
+    ]
+)  # fmt: skip
+"""(12, 3) triangles over eight corners (bit 2 is x, bit 1 y, bit 0 z), counter-clockwise seen from outside."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Piece:
+    """Some triangles of a scene; fields as in `SceneGeometry`."""
+
+    vertices: F64
+    faces: I64
+    owner: I64
+
+
+def joined(pieces: Iterable[Piece], approximate: bool) -> SceneGeometry:
+    """All pieces as one, in their order."""
+    parts = [Piece(np.zeros((0, 3)), np.zeros((0, 3), np.int64), np.zeros(0, np.int64)), *pieces]
+    starts = np.cumsum([0, *(len(p.vertices) for p in parts[:-1])])
+    return SceneGeometry(
+        vertices=np.concatenate([p.vertices for p in parts]),
+        faces=np.concatenate([p.faces + start for p, start in zip(parts, starts, strict=True)]),
+        owner=np.concatenate([p.owner for p in parts]),
+        approximate=approximate,
+    )
+
+
+def boxes(eights: ArrayLike, owners: Sequence[int] | I64) -> Piece:
+    """Boxes of 12 triangles each, by their corners (n, 8, 3) in the order of `corners`, and their owners (n,)."""
+    points = np.asarray(eights, dtype=np.float64).reshape(-1, 8, 3)
+    faces = BOX_FACES[None] + 8 * np.arange(len(points))[:, None, None]
+    return Piece(points.reshape(-1, 3), faces.reshape(-1, 3), np.repeat(np.asarray(owners, dtype=np.int64), 12))
+
+
+def object_boxes(objects: Iterable[tuple[int, SceneObject]]) -> Piece:
+    """The box of each numbered object, oriented where that is known; what has no known extent has none."""
+    drawn = [
+        (number, box_corners(item.obb) if item.obb is not None else corners(item.box))
+        for number, item in objects
+        if item.obb is not None or item.box is not None
+    ]
+    return boxes([eight for _, eight in drawn], [number for number, _ in drawn])
+
+
+def floor(polygon: F64, y: float) -> Piece:
+    """A level floor inside a simple polygon (n, 2) of (x, z), at height `y`, seen from above."""
+    cut = shapely.constrained_delaunay_triangles(shapely.normalize(shapely.Polygon(polygon)))
+    rings = np.array([shapely.get_coordinates(part)[:3] for part in shapely.get_parts(cut)]).reshape(-1, 3, 2)
+    # The order of the triangles, too, must follow from the polygon alone.
+    rings = rings[np.lexsort(rings.reshape(len(rings), -1).T[::-1])]
+    first, second = rings[:, 1] - rings[:, 0], rings[:, 2] - rings[:, 0]
+    downwards = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0] > 0
+    rings[downwards] = rings[downwards][:, ::-1]
+    corner = rings.reshape(-1, 2)
+    points = np.column_stack([corner[:, 0], np.full(len(corner), y), corner[:, 1]])
+    return Piece(points, np.arange(len(points)).reshape(-1, 3), np.full(len(rings), STRUCTURE))
+
+
+def upright_slabs(starts: ArrayLike, ends: ArrayLike, bottoms: ArrayLike, tops: ArrayLike, thickness: float) -> Piece:
+    """Upright boxes about the lines from `starts` to `ends`, (n, 2) each as (x, z), between heights (n,)."""
+    start, end = (np.asarray(p, dtype=np.float64).reshape(-1, 2) for p in (starts, ends))
+    low, high = (np.asarray(y, dtype=np.float64).reshape(-1) for y in (bottoms, tops))
+    along = end - start
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    across = np.column_stack([-along[:, 1], along[:, 0]]) / length * (thickness / 2)
+    eight = np.empty((len(start), 8, 3))
+    for number in range(8):
+        far, up, side = number >> 2 & 1, number >> 1 & 1, number & 1
+        ground = (end if far else start) + (across if side else -across)
+        eight[:, number, 0], eight[:, number, 2] = ground.T
+        eight[:, number, 1] = high if up else low
+    return boxes(eight, np.full(len(start), STRUCTURE))
