@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -261,15 +262,33 @@ class Snapshot:
         return Index.read(self.store, self.index_hash)
 
     def unit_files(self, unit_id: str, pipeline: Pipeline) -> dict[str, bytes]:
-        """Further files (a built navmesh) that the stages of a unit kept, by name."""
-        index = self.index()
-        row = int(index.rows_of([unit_id])[0])
-        if row < 0:
-            raise UsageError(f"no unit {unit_id!r} is published")
+        """Further files that the stages of a unit kept, by name. Raises ``UsageError`` on an unknown unit."""
         commits = Commits(self.store)
         found = {}
-        for stage in index.receipt(row, pipeline).stages:
-            commit = commits.find(stage.stage, stage.key.hex())
+        for stage, key in self._keys(unit_id, pipeline):
+            commit = commits.find(stage, key)
             if commit is not None:
                 found.update({name: commits.file(commit, name) for name in commit.files})
         return found
+
+    def unit_table(self, unit_id: str, pipeline: Pipeline, name: str) -> pa.Table:
+        """A table that a stage of a unit keeps but the snapshot doesn't publish; no rows where it was not made.
+
+        Raises ``UsageError`` on an unknown unit, ``CorruptShardError`` where the table is damaged or was swept away.
+        """
+        commits = Commits(self.store)
+        stage_of = {table: stage.name for stage in pipeline.stages for table in stage.tables}
+        for stage, key in self._keys(unit_id, pipeline):
+            if stage == stage_of[name]:
+                return commits.table(stage, key, name)
+        return pa.table({})
+
+    def _keys(self, unit_id: str, pipeline: Pipeline) -> list[tuple[str, str]]:
+        row = int(self._index.rows_of([unit_id])[0])
+        if row < 0:
+            raise UsageError(f"no unit {unit_id!r} is published")
+        return [(stage.stage, stage.key.hex()) for stage in self._index.receipt(row, pipeline).stages]
+
+    @cached_property
+    def _index(self) -> Index:
+        return self.index()

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 from condvln.export.rows import Row
+from condvln.export.scene_table import NavmeshBytes
 from condvln.export.snapshot import ExportConfig, export_snapshot
 from condvln.export.tables import FolderTables
 from condvln.instructions import oracle_linear, render_moves, with_preamble
 from condvln.instructions.config import COMPASS
+from factory.snapshot import Snapshot
+from jobs.pipeline import build_pipeline
 from jobs.report import Report, Section
-from jobs.workspace import published
+from jobs.workspace import published, snapshot_folder
 from schemas.config import Config
-from schemas.errors import ConfigError, StoreError
+from schemas.errors import ConfigError, CorruptShardError
 from schemas.program import Program
 
-__all__ = ["export_snapshot_of", "run_export"]
+__all__ = ["built_navmeshes", "export_snapshot_of", "run_export"]
 
 
 def run_export(config: Config) -> Report:
@@ -33,10 +35,11 @@ def export_snapshot_of(config: Config) -> Report:
     assert config.export is not None
     snapshot = published(config)
     done = export_snapshot(
-        FolderTables(_folder(config, snapshot.snapshot_id)),
+        FolderTables(snapshot_folder(config.store, snapshot)),
         config.export,
         ExportConfig(splits=config.splits, path_spacing=config.episodes.path_spacing),
         oracle_texts=_linear_text(config.seed, config.instructions.preamble),
+        navmeshes=built_navmeshes(config, snapshot),
     )
     rows = [(split, len(done.scenes[split]), count) for split, count in done.episodes.items()]
     lines = [f"export of snapshot {snapshot.snapshot_id} in {config.export}"]
@@ -58,8 +61,17 @@ def _linear_text(seed: int, opens: bool) -> Callable[[Row, Row], str]:
     return text
 
 
-def _folder(config: Config, snapshot_id: str) -> Path:
-    folder = config.store / "snapshots" / snapshot_id
-    if not folder.is_dir():
-        raise StoreError("the published snapshot is not on this machine's disk", where=folder)
-    return folder
+def built_navmeshes(config: Config, snapshot: Snapshot) -> NavmeshBytes:
+    """The navmeshes that the units of a snapshot were built with, by source and row of the scenes table."""
+    pipeline = build_pipeline(config)
+
+    def navmesh(source: str, row: Row) -> bytes | None:
+        if not row["navmesh_built"]:
+            return None
+        try:
+            kept = snapshot.unit_table(f"{source}/{row['scene_id']}", pipeline, "navmeshes")
+        except CorruptShardError:
+            return None  # the export bars the scene and says why
+        return kept["data"][0].as_py() if kept.num_rows else None
+
+    return navmesh

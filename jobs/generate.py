@@ -41,7 +41,10 @@ def run_generate(
     units = list_units(config, hasher(hashes))
     hashes.save()
     # Compiled once here, so that workers find the kernels in the cache instead of compiling them side by side.
-    warm_up(lambda message: console.print(message, highlight=False, markup=False), only=("paths", "follower"))
+    kernels = {"paths", "follower"}
+    if any(not any(i.path.endswith(".navmesh") for i in unit.inputs) for unit in units):
+        kernels.add("navmesh builder")
+    warm_up(lambda message: console.print(message, highlight=False, markup=False), only=kernels)
     with RunProgress(console) as progress, _executor(config, inline, progress.note) as executor:
         done = run(
             pipeline,

@@ -9,9 +9,11 @@ import pyarrow.compute as pc
 
 from condvln.episodes.picture import draw_episode
 from condvln.instructions.tables import programs_from_table
-from condvln.navigation.pathfinder import Pathfinder
+from condvln.navigation.navmesh_file import NavMeshFile, parse_navmesh, read_navmesh
+from condvln.scene import Scene
 from condvln.scene.tables import scene_from_tables
 from factory.snapshot import Snapshot
+from jobs.pipeline import build_pipeline
 from jobs.report import Report
 from jobs.tree import program_tree
 from jobs.workspace import published
@@ -109,19 +111,22 @@ def _draw(config: Config, snapshot: Snapshot, row: dict[str, Any], tree: str, fo
         table = snapshot.table(name, partition=row["source"])
         tables[name] = table.filter(pc.equal(table["scene_id"], row["scene_id"])).drop_columns(["source"])
     roots = [source.root for source in config.sources if source.family == row["source"]]
-    scene = next(
-        (
-            s
-            for s in (scene_from_tables(tables, root, family=row["source"]) for root in roots)
-            if s.navmesh and (s.root / s.navmesh.path).is_file()
-        ),
-        None,
-    )
-    if scene is None or scene.navmesh is None:
-        raise UsageError(f"the navmesh of {row['scene_id']} is not there", remedy="Pictures need the source's files.")
-    tile = Pathfinder.load(scene.root / scene.navmesh.path).navmesh.tile
+    scenes = [scene_from_tables(tables, root, family=row["source"]) for root in roots]
+    tile = _navmesh(config, snapshot, scenes).tile
+    scene = scenes[0]
     floor = [tile.verts[poly["verts"][: poly["vert_count"]]] for poly in tile.polys]
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{row['episode_id']}.png"
     draw_episode(path, scene, floor, row, tree)
     return path
+
+
+def _navmesh(config: Config, snapshot: Snapshot, scenes: list[Scene]) -> NavMeshFile:
+    """The navmesh of a scene that may lie in any of its family's folders, or was built and kept."""
+    for scene in scenes:
+        if scene.navmesh is not None and scene.navmesh.built:
+            kept = snapshot.unit_table(f"{scene.family}/{scene.scene_id}", build_pipeline(config), "navmeshes")
+            return parse_navmesh(kept["data"][0].as_py(), scene.navmesh.path)
+        if scene.navmesh is not None and (scene.root / scene.navmesh.path).is_file():
+            return read_navmesh(scene.root / scene.navmesh.path)
+    raise UsageError("the navmesh of this scene is not there", remedy="Pictures need the source's files.")

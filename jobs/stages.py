@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Final
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -32,11 +33,13 @@ from condvln.instructions import (
     with_preamble,
 )
 from condvln.navigation.agent import Agent
+from condvln.navigation.navmesh_file import parse_navmesh
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.relations import RelationThresholds, RoomRelations, relate_scene, relation_table, text_facts
 from condvln.scene import Scene
 from condvln.scene.meshes import MeshLibrary
 from condvln.scene.tables import scene_from_tables, scene_tables
+from condvln.sources.navmesh_build import with_built_navmesh
 from condvln.sources.registry import open_source
 from condvln.sources.source import Source
 from factory.stage import Aggregate, Stage, StageOutput
@@ -47,6 +50,14 @@ from schemas.program import CATEGORIES, Category
 __all__ = ["EpisodeStage", "PriorsAggregate", "ProgramStage", "RelationStage", "SceneStage", "TextStage"]
 
 Tables = Mapping[str, pa.Table]
+
+NAVMESHES: Final = pa.schema([("scene_id", pa.string()), ("data", pa.large_binary())])
+"""Built navmeshes, kept in the unit for later stages and for the export; not a published table."""
+
+
+def _navmeshes_table(scene_id: str, data: bytes | None) -> pa.Table:
+    rows = [] if data is None else [{"scene_id": scene_id, "data": data}]
+    return pa.Table.from_pylist(rows, schema=NAVMESHES)
 
 
 @lru_cache(maxsize=8)
@@ -59,20 +70,29 @@ def _scene(unit: Unit, tables: Tables) -> Scene:
     return scene_from_tables(tables, Path(str(unit.payload["root"])), family=str(unit.payload["family"]))
 
 
-def _placer(scene: Scene, rules: EpisodeRules, agent: Agent, seed: int) -> Placer:
+def _pathfinder(scene: Scene, tables: Tables) -> Pathfinder:
+    """Over the navmesh that the first stage chose or built."""
     assert scene.navmesh is not None  # the first stage skips scenes without
-    pathfinder = Pathfinder.load(scene.root / scene.navmesh.path)
-    return Placer(scene, pathfinder, rules, seed, max_climb=agent.max_climb)
+    if scene.navmesh.built:
+        return Pathfinder(parse_navmesh(tables["navmeshes"]["data"][0].as_py(), scene.navmesh.path))
+    return Pathfinder.load(scene.root / scene.navmesh.path)
+
+
+def _placer(scene: Scene, tables: Tables, rules: EpisodeRules, agent: Agent, seed: int) -> Placer:
+    return Placer(scene, _pathfinder(scene, tables), rules, seed, max_climb=agent.max_climb)
 
 
 @dataclass
 class SceneStage(Stage):
-    """Native files → scenes, rooms, objects. A sound scene that can't yield is skipped, with its reason."""
+    """Native files → scenes, rooms, objects, and a navmesh where the source ships none.
+
+    A sound scene that can't yield is skipped, with its reason.
+    """
 
     agent: Agent
     name: str = "scene"
-    version: int = 1
-    tables: tuple[str, ...] = ("scenes", "rooms", "objects")
+    version: int = 2
+    tables: tuple[str, ...] = ("scenes", "rooms", "objects", "navmeshes")
     reads_inputs: bool = True
 
     def parameters(self, unit: Unit) -> JSON:
@@ -85,12 +105,18 @@ class SceneStage(Stage):
             str(payload["family"]), str(payload["root"]), None if regions is None else str(regions), self.agent
         )
         scene = source.read(str(payload["scene_id"]))
+        built: bytes | None = None
         reason = ""
         if len(scene.objects) < 2:
             reason = f"{'no' if not scene.objects else 'only one'} object: nothing to relate or to choose between"
         elif scene.navmesh is None:
-            reason = "no navmesh: nowhere to place episodes"
+            geometry = source.geometry(scene)
+            if geometry is not None:
+                scene, built = with_built_navmesh(scene, geometry, self.agent)
+            if scene.navmesh is None:
+                reason = "no navmesh, and neither mesh nor walls to build one from: nowhere to place episodes"
         tables = scene_tables(scene, status="skipped" if reason else "ok", reason=reason or None)
+        tables["navmeshes"] = _navmeshes_table(scene.scene_id, built)
         return StageOutput(tables=tables, outcome="skipped" if reason else "ok", reason=reason)
 
 
@@ -141,7 +167,7 @@ class ProgramStage(Stage):
     name: str = "programs"
     version: int = 1
     tables: tuple[str, ...] = ("candidates", "rejections")
-    reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "relations")
+    reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "relations")
     needs: tuple[str, ...] = ("priors",)
 
     def parameters(self, unit: Unit) -> JSON:
@@ -167,7 +193,7 @@ class ProgramStage(Stage):
             relations = RoomRelations.from_table(upstream["relations"], arrays, self.thresholds)
             facts[room.room_id] = text_facts(relations, self.thresholds)
         # Leaves are checked before the gold one is drawn among them, so that the check can't favour a truth.
-        stops = _placer(scene, self.rules, self.agent, self.seed).stops
+        stops = _placer(scene, upstream, self.rules, self.agent, self.seed).stops
         sampler = ProgramSampler(scene, facts, self._bits(scene, shared), self.config, self.seed, stops=stops)
         programs = [
             (instruction_id(scene.family, scene.scene_id, program), program)
@@ -196,7 +222,7 @@ class EpisodeStage(Stage):
     name: str = "episodes"
     version: int = 1
     tables: tuple[str, ...] = ("placements", "rejections")
-    reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "candidates")
+    reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "candidates")
 
     def parameters(self, unit: Unit) -> JSON:
         return {
@@ -212,7 +238,7 @@ class EpisodeStage(Stage):
         scene = _scene(unit, upstream)
         assert scene.navmesh is not None
         candidates = programs_from_table(upstream["candidates"])
-        placer = _placer(scene, self.rules, self.agent, self.seed)
+        placer = _placer(scene, upstream, self.rules, self.agent, self.seed)
         pool = fill_pool(
             candidates,
             placer,

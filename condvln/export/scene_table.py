@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from urllib.parse import quote
 
 from condvln.export.rows import Row, rows_of
 from condvln.export.tables import SnapshotTables
@@ -55,9 +54,7 @@ class SceneTable:
     def navmesh_path(self, source: str, scene: str) -> tuple[str, bool]:
         """Path of the navmesh for the manifest, and whether it is a file of the export."""
         row = self._rows[source][scene]
-        if self._is_shipped(row):
-            return f"navmeshes/{source}/{quote(scene, safe='')}.navmesh", True
-        return str(row["navmesh_path"]), False
+        return str(row["navmesh_path"]), self._is_shipped(row)
 
     def _is_shipped(self, row: Row) -> bool:
         return self._navmeshes is not None and bool(row["navmesh_built"])
