@@ -115,7 +115,7 @@ class Chain:
             if (table, position) not in self._in_memory:
                 done = self.done[position]
                 try:
-                    found = self._commits.table(done.stage, done.key.hex(), table)
+                    found = self._commits.table(done.stage, done.key.hex(), table, self._hash(table, position))
                 except CorruptShardError:
                     self._commits.discard(done.stage, done.key.hex())
                     raise

@@ -82,7 +82,7 @@ def _row(receipt: Receipt) -> dict[str, Any]:
         "status": receipt.status,
         "reason": receipt.reason,
         "fingerprint": receipt.fingerprint,
-        "attempts": receipt.attempts,
+        "attempts": max(receipt.attempts, receipt.failure.attempts if receipt.failure else 1),
         "estimate": receipt.estimate,
         "content": receipt.content or None,
     }
@@ -250,7 +250,7 @@ class Index:
         failure = None
         if values["failure.stage"] is not None:
             fields = {name: values[f"failure.{name}"] for name in ("stage", "key", "cause", "exception", "message")}
-            failure = Failure(**fields, known=True)
+            failure = Failure(**fields, known=True, attempts=values["attempts"] or 1)
         return Receipt(
             unit_id=values["unit_id"],
             partition=values["partition"],

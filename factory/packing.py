@@ -21,7 +21,7 @@ import pyarrow.compute as pc
 from factory.commits import Commits
 from factory.faults import FaultPlan
 from factory.pipeline import Pipeline, TableSpec
-from factory.rows import ROW_GROUP_ROWS, ZSTD_LEVEL, concatenated, logical_hash, parquet_bytes, schema_hash
+from factory.rows import ROW_GROUP_ROWS, ZSTD_LEVEL, concatenated, parquet_bytes, schema_hash
 from factory.store import Store
 from schemas.canonical import digest
 from schemas.errors import CorruptShardError
@@ -133,9 +133,7 @@ def pack(store: Store, pipeline: Pipeline, job: PackJob, faults: str = "") -> Pa
     def load(member: tuple[Any, ...]) -> pa.Table | str:
         unit_id, stage, key, hash_ = member
         try:
-            table = commits.table(stage, key.hex(), job.table)
-            if logical_hash(table)[0] != hash_.hex():
-                raise CorruptShardError("the rows differ from the hash of their commit", where=job.table)
+            table = commits.table(stage, key.hex(), job.table, hash_.hex())
         except CorruptShardError:
             commits.discard(stage, key.hex())
             return str(unit_id)

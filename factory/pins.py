@@ -22,7 +22,7 @@ from factory.stage import Aggregate
 from schemas.errors import CorruptShardError
 from schemas.snapshot import Pin, PinnedTable
 
-__all__ = ["Pins", "build_aggregate"]
+__all__ = ["Pins", "build_aggregate", "discard_damaged"]
 
 
 class Pins:
@@ -73,27 +73,45 @@ def build_aggregate(aggregate: Aggregate, commits: Commits, receipts: Iterable[R
     """
     count = 0
 
-    def tables() -> Iterator[tuple[str, Mapping[str, pa.Table]]]:
+    def counted() -> Iterator[tuple[str, Mapping[str, pa.Table]]]:
         nonlocal count
-        for receipt in receipts:
-            stage = next((s for s in receipt.stages if s.stage == aggregate.after and not s.skipped), None)
-            if stage is None:
-                continue
-            count += 1
-            key = stage.key.hex()
-            yield (
-                receipt.unit_id,
-                Upstream({name: _loader(commits, stage.stage, key, name) for name in aggregate.tables}),
-            )
+        for count, found in enumerate(_tables(aggregate, commits, receipts), start=1):
+            yield found
 
-    table = aggregate.build(tables())
+    table = aggregate.build(counted())
     return table.replace_schema_metadata(None).combine_chunks(), count
 
 
-def _loader(commits: Commits, stage: str, key: str, name: str):  # type: ignore[no-untyped-def]
+def discard_damaged(aggregate: Aggregate, commits: Commits, receipts: Iterable[Receipt]) -> int:
+    """Remove every commit that ``aggregate`` could not read, so that one more pass makes all of them; how many."""
+    damaged = 0
+    for _, tables in _tables(aggregate, commits, receipts):
+        try:
+            for name in aggregate.tables:
+                tables[name]
+        except CorruptShardError:
+            damaged += 1
+    return damaged
+
+
+def _tables(
+    aggregate: Aggregate, commits: Commits, receipts: Iterable[Receipt]
+) -> Iterator[tuple[str, Mapping[str, pa.Table]]]:
+    """(unit id, the tables that ``aggregate`` reads, each read when asked for) of all units that count."""
+    for receipt in receipts:
+        stage = next((s for s in receipt.stages if s.stage == aggregate.after and not s.skipped), None)
+        if stage is None:
+            continue
+        key = stage.key.hex()
+        hashes = {table.table: table.hash.hex() for table in stage.tables}
+        loaders = {name: _loader(commits, stage.stage, key, name, hashes[name]) for name in aggregate.tables}
+        yield receipt.unit_id, Upstream(loaders)
+
+
+def _loader(commits: Commits, stage: str, key: str, name: str, rows_hash: str):  # type: ignore[no-untyped-def]
     def load() -> pa.Table:
         try:
-            return commits.table(stage, key, name)
+            return commits.table(stage, key, name, rows_hash)
         except CorruptShardError:
             commits.discard(stage, key)
             raise

@@ -8,6 +8,7 @@ with twice the memory.
 from __future__ import annotations
 
 import contextlib
+import re
 import secrets
 import time
 from collections import deque
@@ -236,7 +237,13 @@ class Dispatch:
             if task.last_try:
                 message = f"out of memory with {task.memory / 2**20:.0f} MiB asked for. {error}"
                 yield self._driver.blame(
-                    item, task.until, "memory", type(error).__name__, message, attempts=task.attempt
+                    item,
+                    task.until,
+                    "memory",
+                    type(error).__name__,
+                    message,
+                    attempts=task.attempt,
+                    peak_rss=_killed_rss(error),
                 )
             else:
                 self._more_memory(flight, replace(task, work=(item,), memory=item.memory))
@@ -270,6 +277,16 @@ def _unwrapped(error: BaseException) -> tuple[BaseException, str]:
     if isinstance(error, ray.exceptions.WorkerCrashedError):
         return error, "worker"
     return error, "raised"
+
+
+_KILLED: Final = re.compile(r"memory used[=:] ?([0-9.]+) ?Gi?B", re.IGNORECASE)
+"""How Ray tells what a worker held that it killed; its GB are 2^30 bytes."""
+
+
+def _killed_rss(error: BaseException) -> int:
+    """Bytes that a worker held when Ray killed it for its memory; 0 where the message does not tell."""
+    found = _KILLED.search(str(error))
+    return int(float(found[1]) * 2**30) if found else 0
 
 
 def _is_system(ray: Any, error: BaseException) -> bool:

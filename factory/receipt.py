@@ -47,6 +47,7 @@ class Failure:
     """Why and where a unit was quarantined; the whole record is in the store.
 
     known : it stood in quarantine already and was not tried again
+    attempts : how often it was tried
     """
 
     stage: str
@@ -55,6 +56,7 @@ class Failure:
     exception: str
     message: str
     known: bool = False
+    attempts: int = 1
 
 
 @dataclass(frozen=True, slots=True)

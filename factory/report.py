@@ -126,6 +126,7 @@ class RunReport:
                 cause=failure.cause,
                 exception=failure.exception,
                 message=failure.message,
+                attempts=failure.attempts,
             )
             for unit_id, failure in self.failures[:RECORDED_FAILURES]
         ]

@@ -35,7 +35,7 @@ from factory.executor import Executor, InlineExecutor
 from factory.faults import FaultPlan
 from factory.index import IndexWriter, failed_keys
 from factory.packing import PART_BYTES
-from factory.pins import Pins, build_aggregate
+from factory.pins import Pins, build_aggregate, discard_damaged
 from factory.pipeline import Pipeline
 from factory.plan import Plan
 from factory.planner import Planner
@@ -247,7 +247,9 @@ class _Run:
                         self.shared[aggregate.name] = pins.set(aggregate, table, count)
                     return
                 except CorruptShardError as error:
-                    self.progress.note(f"{error}: made again")
+                    for aggregate in due:
+                        discard_damaged(aggregate, self.commits, (receipts[at] for at in order))
+                    self.progress.note(f"{error}: made again, and others like it")
         raise StoreError("committed files keep getting damaged", where=self.store.url, remedy="Check the disk.")
 
     def _pass(self, units: Iterable[Unit], again: frozenset[str]) -> pa.Table | None:

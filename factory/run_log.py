@@ -63,6 +63,7 @@ class RunLog:
                 "exception": failure.exception,
                 "message": failure.message,
                 "known": failure.known,
+                "attempts": failure.attempts,
             }
         self._line("unit", **fields)
         self._inner.unit(receipt)

@@ -152,7 +152,7 @@ class Worker:
         record = self.commits.quarantine_record(stage.name, key.hex)
         if record is None or not (listed or record.run == self.context.token):
             return None
-        return Failure(stage.name, key.key, record.cause, record.exception, record.message[:300], known=True)
+        return Failure(stage.name, key.key, record.cause, record.exception, record.message[:300], True, record.attempts)
 
     def _make(self, unit: Unit, chain: Chain, stage: Stage, key: StageKey) -> tuple[UnitCommit, Mapping[str, pa.Table]]:
         self.faults.reach("unit-before-run")
@@ -271,8 +271,12 @@ class Worker:
         failure = self.refuse(record)
         return Receipt(unit.unit_id, unit.partition, "quarantined", "", fingerprint, (), failure)
 
-    def blame(self, work: Work, until: int, cause: Cause, exception: str, message: str, attempts: int) -> Receipt:
+    def blame(
+        self, work: Work, until: int, cause: Cause, exception: str, message: str, attempts: int, peak_rss: int = 0
+    ) -> Receipt:
         """Quarantine a unit that took its workers down with it, at the stage that it can't have got past.
+
+        peak_rss : bytes that its worker held when it was ended, where that is known
 
         Called by the driver, which runs no stage: it walks over what is committed.
         """
@@ -300,6 +304,7 @@ class Worker:
             exception=exception,
             message=message,
             attempts=attempts,
+            peak_rss=peak_rss,
         )
         failure = self.refuse(record)
         return Receipt(
@@ -326,7 +331,14 @@ class Worker:
             }
         )
         self.commits.quarantine(complete)
-        return Failure(record.stage, bytes.fromhex(record.key), record.cause, record.exception, record.message[:300])
+        return Failure(
+            stage=record.stage,
+            key=bytes.fromhex(record.key),
+            cause=record.cause,
+            exception=record.exception,
+            message=record.message[:300],
+            attempts=record.attempts,
+        )
 
 
 def _cause(error: BaseException) -> Cause:
