@@ -1,0 +1,180 @@
+"""The gate: all guessers on all episodes of an export, and what they get right beyond chance.
+
+Of a counterfactual group one episode is guessed at, drawn by the hash of its id: its members mirror each other, so
+that they would hide a lean of the others, and their guesses are not independent. The evenness of gold leaves is
+counted over all episodes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import heapq
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.bias.glimpse import Glimpse
+from condvln.bias.guessers import FIXED
+from condvln.bias.learners import LEARNED, NO_GUESS
+from condvln.bias.report import ALL, BiasReport, Finding, Uniformity
+from condvln.bias.significance import binomial_tail, holm, interval, p_by_scenes, p_uniform
+from condvln.evaluation.json_entries import json_lines, parsed
+from schemas.errors import FormatError, MissingFileError
+from schemas.program import CATEGORIES
+
+__all__ = ["CELL_CAP", "LEAST_EPISODES", "UNIFORM_FROM", "judge", "judge_export"]
+
+CELL_CAP: Final = 5_000
+"""Episodes of a source and category that are guessed at, those of the least hashes of ids: a lean of 3 % shows with
+as many, and an export of any size fits in memory."""
+LEAST_EPISODES: Final = 30
+"""Guesses below which a source and category has no tests of its own; they count in those over all."""
+UNIFORM_FROM: Final = 200
+"""Episodes from which the gold leaves of a source and category must be even."""
+
+
+def judge_export(folder: Path) -> BiasReport:
+    """Judge the splits of an export folder together.
+
+    Raises
+    ------
+    InputError : there is no manifest, or it can't be read
+    """
+    return judge(_manifest_rows(folder))
+
+
+def judge(rows: Iterable[Mapping[str, Any]]) -> BiasReport:
+    """Judge rows of manifests, in any order.
+
+    Raises
+    ------
+    FormatError : one is no manifest row
+    """
+    sample = _Sample()
+    for row in rows:
+        sample.add(Glimpse.of(row))
+    glimpses = sample.glimpses()
+    findings = list(_findings(glimpses)) if len(glimpses) >= LEAST_EPISODES else []
+    cells = [
+        Uniformity(source, category, tuple(counts), p_uniform(counts))
+        for (source, category), counts in sorted(sample.gold.items())
+        if sum(counts) >= UNIFORM_FROM
+    ]
+    corrected = holm([*(f.p for f in findings), *(cell.p for cell in cells)])
+    tested = {(f.source, f.category) for f in findings}
+    return BiasReport(
+        episodes=len(glimpses),
+        groups=len(sample.groups),
+        findings=tuple(replace(f, p_holm=p) for f, p in zip(findings, corrected, strict=False)),
+        uniformity=tuple(replace(cell, p_holm=p) for cell, p in zip(cells, corrected[len(findings) :], strict=True)),
+        untested=tuple((*cell, sum(n)) for cell, n in sorted(sample.gold.items()) if cell not in tested),
+    )
+
+
+class _Sample:
+    """The episodes to guess at, and how often each leaf is gold among all."""
+
+    def __init__(self) -> None:
+        self.gold: dict[tuple[str, str], list[int]] = {}
+        self.groups: dict[tuple[str, str], tuple[int, Glimpse]] = {}
+        self._cells: dict[tuple[str, str], list[tuple[int, str, Glimpse]]] = {}
+
+    def add(self, glimpse: Glimpse) -> None:
+        """One more episode."""
+        counts = self.gold.setdefault((glimpse.source, glimpse.category), [0] * len(glimpse.leaves))
+        counts[glimpse.gold] += 1
+        rank = _rank(glimpse.episode_id)
+        if glimpse.group is None:
+            self._keep(rank, glimpse)
+            return
+        key = (glimpse.scene, glimpse.group)
+        known = self.groups.get(key)
+        if known is None or rank < known[0]:
+            self.groups[key] = (rank, glimpse)
+
+    def _keep(self, rank: int, glimpse: Glimpse) -> None:
+        cell = self._cells.setdefault((glimpse.source, glimpse.category), [])
+        entry = (-rank, glimpse.episode_id, glimpse)
+        if len(cell) < CELL_CAP:
+            heapq.heappush(cell, entry)
+        else:
+            heapq.heappushpop(cell, entry)
+
+    def glimpses(self) -> list[Glimpse]:
+        """The episodes to guess at, in an order of their own."""
+        for rank, glimpse in self.groups.values():
+            self._keep(rank, glimpse)
+        found = [glimpse for cell in self._cells.values() for _, _, glimpse in cell]
+        return sorted(found, key=lambda g: (g.source, g.category, g.scene, g.episode_id))
+
+
+def _rank(episode_id: str) -> int:
+    return int.from_bytes(hashlib.blake2b(episode_id.encode(), digest_size=8).digest(), "big")
+
+
+def _findings(glimpses: Sequence[Glimpse]) -> Iterator[Finding]:
+    gold = np.array([glimpse.gold for glimpse in glimpses])
+    chance = np.array([1.0 / len(glimpse.leaves) for glimpse in glimpses])
+    scene = np.unique([glimpse.scene for glimpse in glimpses], return_inverse=True)[1]
+    source = np.array([glimpse.source for glimpse in glimpses])
+    category = np.array([CATEGORIES.index(glimpse.category) for glimpse in glimpses])
+    for name, guess in _guesses(glimpses, source).items():
+        for where, what, inside in _parts(source, category, guess != NO_GUESS):
+            right = guess[inside] == gold[inside]
+            own, scenes = chance[inside], scene[inside]
+            low, high = interval(right, scenes)
+            yield Finding(
+                guesser=name,
+                source=where,
+                category=what,
+                episodes=len(right),
+                scenes=len(np.unique(scenes)),
+                accuracy=float(right.mean()),
+                chance=float(own.mean()),
+                low=low,
+                high=high,
+                p=max(binomial_tail(int(right.sum()), Counter(own.tolist())), p_by_scenes(right - own, scenes)),
+            )
+
+
+def _guesses(glimpses: Sequence[Glimpse], source: NDArray[np.str_]) -> dict[str, NDArray[np.int64]]:
+    """By guesser the leaf guessed for each episode; who learns, learns from one source."""
+    found = {name: np.array([guesser(g) for g in glimpses], dtype=np.int64) for name, guesser in FIXED.items()}
+    for name, learner in LEARNED.items():
+        found[name] = np.full(len(glimpses), NO_GUESS, dtype=np.int64)
+        for family in np.unique(source):
+            mine = np.flatnonzero(source == family)
+            found[name][mine] = learner([glimpses[k] for k in mine.tolist()])
+    return found
+
+
+def _parts(
+    source: NDArray[np.str_], category: NDArray[np.int64], guessed: NDArray[np.bool_]
+) -> Iterator[tuple[str, str, NDArray[np.int64]]]:
+    """(source, category, indices of its guesses): everything, each source, each category of a source."""
+    families = np.unique(source).tolist()
+    parts = [(ALL, ALL, guessed)] if len(families) > 1 else []
+    for family in families:
+        inside = guessed & (source == family)
+        parts.append((family, ALL, inside))
+        parts += [(family, name, inside & (category == k)) for k, name in enumerate(CATEGORIES)]
+    for where, what, chosen in parts:
+        if chosen.sum() >= LEAST_EPISODES:
+            yield where, what, np.flatnonzero(chosen)
+
+
+def _manifest_rows(folder: Path) -> Iterator[Mapping[str, Any]]:
+    paths = sorted((folder / "manifest").glob("*.jsonl"))
+    if not paths:
+        raise MissingFileError("no manifest/<split>.jsonl", where=folder, remedy="Name the folder of an export")
+    for path in paths:
+        for number, line in json_lines(path):
+            row = parsed(line, path, f"line {number}")
+            if not isinstance(row, dict):
+                raise FormatError("no object", where=path, place=f"line {number}", remedy="Export again")
+            yield row

@@ -1,0 +1,105 @@
+"""What a guesser sees of an episode: its words and how far its leaves lie, and nothing of the scene."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from schemas.errors import FormatError
+from schemas.program import SHAPES, Category
+
+__all__ = ["Asked", "Glimpse", "GlimpsedLeaf"]
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """A condition as asked, and its truth: known of episodes to learn from, hidden of one to guess."""
+
+    label: str
+    room: str
+    predicate: str
+    anchor: str
+    truth: bool
+
+
+@dataclass(frozen=True, slots=True)
+class GlimpsedLeaf:
+    """A leaf by its words and lengths.
+
+    labels : of its stops in their order, the goal last; room : type of the goal's room
+    distance : geodesic metres from the start to the goal; route : metres by the subgoals
+    """
+
+    labels: tuple[str, ...]
+    room: str
+    distance: float
+    route: float
+
+
+@dataclass(frozen=True, slots=True)
+class Glimpse:
+    """An episode without its scene; ``scene`` is but the name that episodes of one scene share."""
+
+    episode_id: str
+    source: str
+    scene: str
+    category: Category
+    group: str | None
+    text: str
+    asked: tuple[Asked, ...]
+    leaves: tuple[GlimpsedLeaf, ...]
+    gold: int
+
+    @classmethod
+    def of(cls, row: Mapping[str, Any]) -> Glimpse:
+        """From a row of a manifest.
+
+        Raises
+        ------
+        FormatError : the row is no manifest row
+        """
+        try:
+            program = row["program"]
+            glimpse = cls(
+                episode_id=row["episode_id"],
+                source=row["source"],
+                scene=f"{row['source']}/{row['scene_id']}",
+                category=row["category"],
+                group=row["group_id"],
+                text=row["instruction_text"],
+                asked=tuple([_asked(condition) for condition in program["conditions"]]),
+                leaves=tuple([_leaf(*pair) for pair in zip(program["leaves"], row["leaves"], strict=True)]),
+                gold=int(row["gold_leaf"]),
+            )
+            shape = SHAPES[glimpse.category]
+            if len(glimpse.leaves) != shape.leaves or len(glimpse.asked) != len(shape.branches):
+                raise ValueError(f"not the tree of {glimpse.category}")
+            if not 0 <= glimpse.gold < shape.leaves:
+                raise ValueError(f"gold leaf {glimpse.gold} of {shape.leaves}")
+            return glimpse
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            raise FormatError(
+                f"no manifest row of an episode ({type(error).__name__}: {error})", remedy="Export again"
+            ) from error
+
+
+def _asked(condition: Mapping[str, Any]) -> Asked:
+    qualifier = condition["qualifier"] or {"predicate": "", "anchor_label": ""}
+    return Asked(
+        label=condition["label"],
+        room=condition["room"]["label"],
+        predicate=qualifier["predicate"],
+        anchor=qualifier["anchor_label"],
+        truth=bool(condition["truth"]),
+    )
+
+
+def _leaf(words: Mapping[str, Any], placed: Mapping[str, Any]) -> GlimpsedLeaf:
+    moves = words["moves"]
+    return GlimpsedLeaf(
+        labels=tuple([move["label"] for move in moves]),
+        room=moves[-1]["room"]["label"],
+        distance=float(placed["geodesic_distance"]),
+        route=float(placed["route_length"]),
+    )

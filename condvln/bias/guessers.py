@@ -1,0 +1,73 @@
+"""Guessers that need no learning: each points at a leaf by its place in the tree, in the text, or by its distance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Final
+
+from condvln.bias.glimpse import Glimpse
+from condvln.labels import vocabulary
+from schemas.program import SHAPES
+
+__all__ = ["FIXED", "Guesser"]
+
+Guesser = Callable[[Glimpse], int]
+
+
+def _constant(glimpse: Glimpse, truth: bool) -> int:
+    branches = SHAPES[glimpse.category].branches
+    at = 0
+    while at >= 0:
+        at = branches[at].then if truth else branches[at].otherwise
+    return -1 - at
+
+
+def always_then(glimpse: Glimpse) -> int:
+    """The leaf to which nothing but yes leads."""
+    return _constant(glimpse, True)
+
+
+def always_else(glimpse: Glimpse) -> int:
+    """The leaf to which nothing but no leads."""
+    return _constant(glimpse, False)
+
+
+def last_named(glimpse: Glimpse) -> int:
+    """The leaf whose goal the text names last; texts may tell the else part first."""
+    text = glimpse.text.lower()
+    places = [text.rfind(_noun(leaf.labels[-1])) for leaf in glimpse.leaves]
+    return places.index(max(places))
+
+
+def _noun(label: str) -> str:
+    return vocabulary.entry(label).noun if vocabulary.fit_for_text(label) else label
+
+
+def nearest(glimpse: Glimpse) -> int:
+    """The leaf whose goal is nearest."""
+    return _least([leaf.distance for leaf in glimpse.leaves])
+
+
+def farthest(glimpse: Glimpse) -> int:
+    """The leaf whose goal is farthest."""
+    return _least([-leaf.distance for leaf in glimpse.leaves])
+
+
+def longest_route(glimpse: Glimpse) -> int:
+    """The leaf with the longest way by its subgoals."""
+    return _least([-leaf.route for leaf in glimpse.leaves])
+
+
+def _least(values: list[float]) -> int:
+    return values.index(min(values))
+
+
+FIXED: Final[Mapping[str, Guesser]] = {
+    "always then": always_then,
+    "always else": always_else,
+    "last leaf": last_named,
+    "nearest target": nearest,
+    "farthest target": farthest,
+    "longest route": longest_route,
+}
+"""By the name in reports."""

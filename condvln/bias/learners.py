@@ -1,0 +1,207 @@
+"""Guessers that learn from other scenes: which leaf is usual, what is usually so, and what words go with which leaf."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import cache
+from itertools import pairwise, product
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+
+from condvln.bias.blocks import progressive
+from condvln.bias.glimpse import Asked, Glimpse
+from schemas.program import SHAPES, Category
+
+__all__ = ["LEARNED", "NO_GUESS", "Learner", "leaf_truths"]
+
+Guesses = NDArray[np.int64]
+Learner = Callable[[Sequence[Glimpse]], Guesses]
+"""Guesses for the episodes of one source, each learned from scenes that come before; `NO_GUESS` in the first block."""
+
+NO_GUESS: Final = -1
+PRIOR_WEIGHT: Final = 2.0
+"""Imagined statements, as often true as chance has them, beside those seen: one seen says little."""
+PENALTY: Final = 0.1
+"""scikit-learn's C of the regressions; smaller is more cautious."""
+LEAST_EPISODES: Final = 30
+"""Episodes of a category from which a regression is tried."""
+LEAST_TEXTS: Final = 2
+"""Episodes that a word must stand in to be learned about."""
+MOST_TEXTS: Final = 0.95
+"""Share of the episodes up to which a word may stand in them: what is in all tells nothing."""
+ITERATIONS: Final = 50
+TOLERANCE: Final = 1e-3
+"""Gradient at which a regression ends; the guesses no longer change long before."""
+
+Words = Callable[[Glimpse], Iterable[str]]
+
+
+@cache
+def leaf_truths(category: Category) -> tuple[tuple[tuple[int, bool], ...], ...]:
+    """By leaf, the (condition, truth) pairs on the way to it."""
+    shape = SHAPES[category]
+    found: dict[int, tuple[tuple[int, bool], ...]] = {}
+    ahead: list[tuple[int, tuple[tuple[int, bool], ...]]] = [(0, ())]
+    while ahead:
+        at, way = ahead.pop()
+        if at < 0:
+            found[-1 - at] = way
+            continue
+        branch = shape.branches[at]
+        ahead.append((branch.then, (*way, (branch.condition, True))))
+        ahead.append((branch.otherwise, (*way, (branch.condition, False))))
+    return tuple(found[leaf] for leaf in range(shape.leaves))
+
+
+@cache
+def _usual_truth(category: Category) -> tuple[float, ...]:
+    """How often each condition is true where every leaf is gold as often and what does not matter is a fair coin."""
+    shape = SHAPES[category]
+    n = len(shape.branches)
+    share = np.zeros(n)
+    for leaf in range(shape.leaves):
+        fitting = [
+            truths
+            for truths in product((True, False), repeat=n)
+            if all(truths[k] == truth for k, truth in leaf_truths(category)[leaf])
+        ]
+        share += np.mean(fitting, axis=0) / shape.leaves
+    return tuple(share.tolist())
+
+
+def majority_leaf(glimpses: Sequence[Glimpse]) -> Guesses:
+    """The leaf that was gold most often in its category."""
+    guesses = np.full(len(glimpses), NO_GUESS, dtype=np.int64)
+    for learned, guessed in progressive([glimpse.scene for glimpse in glimpses]):
+        seen: defaultdict[str, Counter[int]] = defaultdict(Counter)
+        for k in learned:
+            seen[glimpses[k].category][glimpses[k].gold] += 1
+        for k in guessed:
+            counts = seen[glimpses[k].category]
+            guesses[k] = max(range(len(glimpses[k].leaves)), key=lambda leaf: (counts[leaf], -leaf))
+    return guesses
+
+
+def _prior(key: Callable[[Asked], tuple[str, ...]]) -> Learner:
+    """Guesses by what is usually so: the leaf whose truths the conditions' words make likeliest.
+
+    The truth of a condition leans with its place in the tree, whatever it asks. So what counts is how much oftener
+    than its place has it a statement was true.
+    """
+
+    def learner(glimpses: Sequence[Glimpse]) -> Guesses:
+        guesses = np.full(len(glimpses), NO_GUESS, dtype=np.int64)
+        for learned, guessed in progressive([glimpse.scene for glimpse in glimpses]):
+            seen: defaultdict[tuple[str, ...], list[float]] = defaultdict(lambda: [0.0, 0.0, 0.0, 0.0])
+            for k in learned:
+                usual = _usual_truth(glimpses[k].category)
+                for asked, share in zip(glimpses[k].asked, usual, strict=True):
+                    counts = seen[key(asked)]
+                    counts[asked.truth] += 1.0
+                    counts[2] += 1.0 - share
+                    counts[3] += share
+            for k in guessed:
+                guesses[k] = _likeliest(glimpses[k], seen, key)
+        return guesses
+
+    return learner
+
+
+def _likeliest(
+    glimpse: Glimpse, seen: Mapping[tuple[str, ...], Sequence[float]], key: Callable[[Asked], tuple[str, ...]]
+) -> int:
+    usual = _usual_truth(glimpse.category)
+    odds = []
+    for asked, share in zip(glimpse.asked, usual, strict=True):
+        false, true, usual_false, usual_true = seen.get(key(asked), (0.0, 0.0, 0.0, 0.0))
+        odds.append(
+            (
+                np.log((false + PRIOR_WEIGHT * (1.0 - share)) / (usual_false + PRIOR_WEIGHT * (1.0 - share))),
+                np.log((true + PRIOR_WEIGHT * share) / (usual_true + PRIOR_WEIGHT * share)),
+            )
+        )
+    scores = [sum(odds[k][truth] for k, truth in way) for way in leaf_truths(glimpse.category)]
+    return int(np.argmax(scores))
+
+
+def _regression(words: Words) -> Learner:
+    """Multinomial logistic regression, one a category."""
+
+    def learner(glimpses: Sequence[Glimpse]) -> Guesses:
+        guesses = np.full(len(glimpses), NO_GUESS, dtype=np.int64)
+        for category in sorted({glimpse.category for glimpse in glimpses}):
+            mine = np.array([k for k, glimpse in enumerate(glimpses) if glimpse.category == category])
+            if len(mine) >= LEAST_EPISODES:
+                guesses[mine] = _regressed([glimpses[k] for k in mine], words)
+        return guesses
+
+    return learner
+
+
+def _regressed(glimpses: Sequence[Glimpse], words: Words) -> Guesses:
+    # Imported here: it takes a second, and most exports of tests are too small for it.
+    from sklearn.linear_model import LogisticRegression
+
+    guesses = np.full(len(glimpses), NO_GUESS, dtype=np.int64)
+    gold = np.array([glimpse.gold for glimpse in glimpses], dtype=np.int64)
+    features = _features(glimpses, words)
+    for learned, guessed in progressive([glimpse.scene for glimpse in glimpses]):
+        if len(np.unique(gold[learned])) < 2 or features.shape[1] == 0:
+            guesses[guessed] = gold[learned[0]]
+            continue
+        # Newton's method: on binary features it takes a tenth of L-BFGS's time.
+        model = LogisticRegression(C=PENALTY, solver="newton-cg", tol=TOLERANCE, max_iter=ITERATIONS)
+        model.fit(features[learned], gold[learned])
+        guesses[guessed] = model.predict(features[guessed])
+    return guesses
+
+
+def _features(glimpses: Sequence[Glimpse], words: Words) -> csr_matrix:
+    """(episodes, words) 1 where a word stands in an episode, of words that are neither too rare nor everywhere."""
+    index: dict[str, int] = {}
+    rows = [np.unique([index.setdefault(word, len(index)) for word in words(glimpse)]) for glimpse in glimpses]
+    columns = np.concatenate(rows).astype(np.int64)
+    offsets = np.concatenate([[0], np.cumsum([len(row) for row in rows])])
+    counts = np.bincount(columns, minlength=len(index))
+    kept = np.flatnonzero((counts >= LEAST_TEXTS) & (counts <= MOST_TEXTS * len(glimpses)))
+    table = csr_matrix((np.ones(len(columns)), columns, offsets), shape=(len(glimpses), len(index)))
+    return table[:, kept]
+
+
+def _text_words(glimpse: Glimpse) -> Iterator[str]:
+    """Words and pairs of neighbouring words, punctuation as words: "; if so" is not "if so"."""
+    words = glimpse.text.lower()
+    for mark in ",.;:":
+        words = words.replace(mark, f" {mark}")
+    found = words.split()
+    yield from found
+    yield from (f"{one} {other}" for one, other in pairwise(found))
+
+
+def _cues(glimpse: Glimpse) -> Iterator[str]:
+    """What each condition asks and each leaf names, with its place in the tree."""
+    for k, asked in enumerate(glimpse.asked):
+        yield f"{k} {asked.label}"
+        yield f"{k} {asked.label} in {asked.room}"
+        yield f"{k} is {asked.predicate}"
+        yield f"{k} by {asked.anchor}"
+        yield f"{k} {asked.label} {asked.predicate} {asked.anchor}"
+    for k, leaf in enumerate(glimpse.leaves):
+        yield f"leaf {k} {leaf.labels[-1]}"
+        yield f"leaf {k} in {leaf.room}"
+        yield f"leaf {k} of {len(leaf.labels)} moves"
+        yield from (f"leaf {k} by {label}" for label in leaf.labels[:-1])
+
+
+LEARNED: Final[Mapping[str, Learner]] = {
+    "majority leaf": majority_leaf,
+    "label and room": _prior(lambda asked: (asked.label, asked.room)),
+    "whole statement": _prior(lambda asked: (asked.label, asked.room, asked.predicate, asked.anchor)),
+    "bag of words": _regression(_text_words),
+    "words in place": _regression(_cues),
+}
+"""By the name in reports."""

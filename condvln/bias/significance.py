@@ -1,0 +1,86 @@
+"""When a share of right guesses is more than chance.
+
+Two things can make it look so: luck of single episodes, and a few scenes in which one lucky guess is repeated. Both are
+asked, and the larger p-value counts: the exact binomial tail, which takes episodes as independent, and a one-sided
+t-test over scenes (cluster-robust; Cameron and Miller 2015, section II), which takes only scenes so. The interval is
+likewise the wider of Clopper and Pearson's and the scenes'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal, stats
+
+__all__ = ["CONFIDENCE", "binomial_tail", "holm", "interval", "p_by_scenes", "p_uniform"]
+
+CONFIDENCE: Final = 0.95
+
+F64 = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+def binomial_tail(hits: int, trials: Mapping[float, int]) -> float:
+    """P(at least `hits` right) where `trials[p]` guesses are right with chance p each.
+
+    With several chances the distributions are convolved; good to 1e-12.
+    """
+    if hits <= 0:
+        return 1.0
+    if len(trials) == 1:
+        ((chance, n),) = trials.items()
+        return float(stats.binom.sf(hits - 1, n, chance))
+    total = np.ones(1)
+    for chance, n in sorted(trials.items()):
+        total = signal.fftconvolve(total, stats.binom.pmf(np.arange(n + 1), n, chance))
+    return float(np.clip(total[hits:].sum(), 0.0, 1.0))
+
+
+def p_by_scenes(excess: F64, scenes: NDArray[np.int64]) -> float:
+    """One-sided p-value of the scenes' sums of `excess` (right − chance, an entry an episode) being above 0.
+
+    0 where every scene has the same positive sum, and with fewer than two scenes, which say nothing about others.
+    """
+    sums = np.bincount(scenes, weights=excess)
+    sums = sums[np.bincount(scenes) > 0]
+    if len(sums) < 2:
+        return 0.0
+    mean, error = float(sums.mean()), float(sums.std(ddof=1)) / len(sums) ** 0.5
+    if error < 1e-12:
+        return 0.0 if mean > 1e-12 else 1.0
+    return float(stats.t.sf(mean / error, len(sums) - 1))
+
+
+def interval(right: Bools, scenes: NDArray[np.int64], confidence: float = CONFIDENCE) -> tuple[float, float]:
+    """Bounds of the share of right guesses."""
+    n, hits = len(right), int(right.sum())
+    tail = (1.0 - confidence) / 2.0
+    low = float(stats.beta.ppf(tail, hits, n - hits + 1)) if hits else 0.0
+    high = float(stats.beta.isf(tail, hits + 1, n - hits)) if hits < n else 1.0
+    share = hits / n
+    counts = np.bincount(scenes)
+    residuals = (np.bincount(scenes, weights=right) - share * counts)[counts > 0]
+    if len(residuals) < 2:
+        return low, high
+    k = len(residuals)
+    error = float(np.sqrt((residuals**2).sum() * k / (k - 1))) / n
+    reach = float(stats.t.isf(tail, k - 1)) * error
+    return max(0.0, min(low, share - reach)), min(1.0, max(high, share + reach))
+
+
+def p_uniform(counts: Sequence[int]) -> float:
+    """P-value of counts as uneven as these (Pearson's χ²)."""
+    return float(stats.chisquare(counts).pvalue)
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """P-values corrected for their number (Holm 1979): all below α hold together with an error of at most α."""
+    order = np.argsort(p_values, kind="stable")
+    corrected = np.empty(len(order))
+    factors = np.arange(len(order), 0, -1)
+    corrected[order] = np.minimum(1.0, np.maximum.accumulate(np.asarray(p_values, dtype=np.float64)[order] * factors))
+    found: list[float] = corrected.tolist()
+    return found

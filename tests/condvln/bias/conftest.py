@@ -1,0 +1,74 @@
+"""Manifest rows whose gold leaf is drawn fairly, or leaks as a test wants it to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from condvln.bias.learners import leaf_truths
+from schemas.program import SHAPES, Category
+
+LABELS = ("lamp", "sofa", "bed", "stool", "sink", "desk", "plant", "towel", "mirror", "clock", "rug", "oven")
+ROOMS = ("kitchen", "bedroom", "bathroom")
+
+Leak = Callable[[dict[str, Any], np.random.Generator], None]
+
+
+def fair_row(rng: np.random.Generator, category: Category, scene: str, number: int, gold: int) -> dict[str, Any]:
+    """A row in which nothing tells the gold leaf."""
+    shape = SHAPES[category]
+    truths = rng.integers(2, size=len(shape.branches)).astype(bool)
+    for k, truth in leaf_truths(category)[gold]:
+        truths[k] = truth
+
+    def named() -> dict[str, Any]:
+        room = {"label": ROOMS[rng.integers(len(ROOMS))]}
+        return {"label": LABELS[rng.integers(len(LABELS))], "room": room, "qualifier": None}
+
+    conditions = [{**named(), "truth": bool(truth)} for truth in truths]
+    leaves = [{"moves": [named() for _ in range(rng.integers(1, 4))]} for _ in range(shape.leaves)]
+    asked = " and ".join(f"a {c['label']} in the {c['room']['label']}" for c in conditions)
+    goals = ", ".join(leaf["moves"][-1]["label"] for leaf in leaves)
+    return {
+        "episode_id": f"{scene}-{category}-{number}",
+        "source": "made",
+        "scene_id": scene,
+        "category": category,
+        "group_id": None,
+        "instruction_text": f"If there is {asked}, go to the {goals}.",
+        "program": {"conditions": conditions, "leaves": leaves},
+        "leaves": [
+            {"geodesic_distance": float(rng.uniform(2, 20)), "route_length": float(rng.uniform(20, 30))}
+            for _ in range(shape.leaves)
+        ],
+        "gold_leaf": gold,
+    }
+
+
+@pytest.fixture(scope="session")
+def made_rows() -> Callable[..., list[dict[str, Any]]]:
+    """``made_rows(seed, scenes, each, categories, leak)``: rows of all scenes, `each` of every gold leaf."""
+
+    def make(
+        seed: int,
+        scenes: int = 20,
+        each: int = 4,
+        categories: tuple[Category, ...] = ("simple", "chain"),
+        leak: Leak | None = None,
+    ) -> list[dict[str, Any]]:
+        rng = np.random.default_rng(seed)
+        rows = []
+        for scene in range(scenes):
+            for category in categories:
+                for number in range(each * SHAPES[category].leaves):
+                    gold = number % SHAPES[category].leaves
+                    row = fair_row(rng, category, f"s{scene}", number, gold)
+                    if leak is not None:
+                        leak(row, rng)
+                    rows.append(row)
+        return rows
+
+    return make
