@@ -106,6 +106,40 @@ def generate(
     _exit(report.exit_code)
 
 
+@app.command(epilog=EXIT_CODES)
+def rebuild(
+    config: ConfigPath,
+    overrides: Overrides = None,
+    if_changed: Annotated[
+        bool, typer.Option("--if-changed", help="end at once when no file changed, by names, sizes and times")
+    ] = False,
+    priors: Annotated[bool, typer.Option("--priors", help="renew the label priors")] = False,
+    retry_quarantined: Annotated[
+        bool, typer.Option("--retry-quarantined", help="try quarantined scenes again")
+    ] = False,
+    verify: Annotated[
+        bool, typer.Option("--verify", help="read every published file again and mend those that are damaged")
+    ] = False,
+    inline: Annotated[bool, typer.Option("--inline", help="run in this process, without Ray")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """The scheduled form of generate: plan, run what changed, publish, export, sweep. Nothing to do exits 0."""
+    from jobs.configuration import load_config
+    from jobs.rebuild import run_rebuild
+
+    report = run_rebuild(
+        load_config(config, overrides or ()),
+        if_changed=if_changed,
+        renew_priors=priors,
+        retry_quarantined=retry_quarantined,
+        verify=verify,
+        inline=inline,
+        console=_console(quiet=as_json),
+    )
+    _show(report, as_json)
+    _exit(report.exit_code)
+
+
 @app.command()
 def status(config: ConfigPath, overrides: Overrides = None, as_json: AsJson = False) -> None:
     """Snapshots, refs, and what is quarantined and why."""
@@ -156,6 +190,26 @@ def export(
     from jobs.export import run_export
 
     _show(run_export(load_config(config, overrides or (), check_roots=False)), as_json)
+
+
+@app.command()
+def oracle(
+    export: Annotated[Path, typer.Argument(metavar="EXPORT", help="folder of an export")],
+    split: Annotated[str, typer.Argument(metavar="SPLIT", help="train, val_seen, val_unseen or test")],
+    file: Annotated[
+        Path | None,
+        typer.Option("--file", help="VLN-CE, ANSR-v1 or RxR file of these episodes; by default the stock one"),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="by default oracle/SPLIT/SPLIT.json.gz of the export")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="seed of the words; by default the export's own")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """The oracle-linear twin of a split: the right branch alone, all else as it is."""
+    from jobs.oracle import oracle_split
+
+    _show(oracle_split(export, split, file=file, out=out, seed=seed), as_json)
 
 
 @app.command()

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Final, TypedDict
 
+from condvln.export.graphs import GraphFolder
 from condvln.export.rows import Row
 from condvln.export.scene_table import NavmeshBytes
 from condvln.export.snapshot import ExportConfig, export_snapshot
 from condvln.export.tables import FolderTables
-from condvln.instructions import oracle_linear, render_moves, with_preamble
-from condvln.instructions.config import COMPASS
 from factory.snapshot import Snapshot
+from jobs.bias import add_bias
+from jobs.oracle import linear_text
 from jobs.pipeline import build_pipeline
 from jobs.report import Report, Section
 from jobs.workspace import published, snapshot_folder
@@ -19,6 +21,17 @@ from schemas.errors import ConfigError, CorruptShardError
 from schemas.program import Program
 
 __all__ = ["built_navmeshes", "export_snapshot_of", "run_export"]
+
+
+_CONNECTIVITY: Final = "connectivity"
+_PROGRAM: Final = ("category", "conditions", "branches", "leaves")
+
+
+class _Texts(TypedDict):
+    """What decides the words of an instruction besides its program."""
+
+    seed: int
+    preamble: bool
 
 
 def run_export(config: Config) -> Report:
@@ -34,31 +47,36 @@ def export_snapshot_of(config: Config) -> Report:
     """Export what is published under the configuration's name."""
     assert config.export is not None
     snapshot = published(config)
+    texts = _Texts(seed=config.seed, preamble=config.instructions.preamble)
     done = export_snapshot(
         FolderTables(snapshot_folder(config.store, snapshot)),
         config.export,
-        ExportConfig(splits=config.splits, path_spacing=config.episodes.path_spacing),
-        oracle_texts=_linear_text(config.seed, config.instructions.preamble),
+        ExportConfig(splits=config.splits, path_spacing=config.episodes.path_spacing, texts=texts),
+        oracle_texts=_linear_text(**texts),
         navmeshes=built_navmeshes(config, snapshot),
+        graphs=_graphs(config),
     )
     rows = [(split, len(done.scenes[split]), count) for split, count in done.episodes.items()]
     lines = [f"export of snapshot {snapshot.snapshot_id} in {config.export}"]
     if done.left_out:
         lines.append("left out: " + ", ".join(f"{n} {reason}" for reason, n in done.left_out.items()))
-    return Report(done.document(), lines, [Section("Splits", ("split", "scenes", "episodes"), [*rows])])
+    report = Report(done.document(), lines, [Section("Splits", ("split", "scenes", "episodes"), [*rows])])
+    add_bias(report, done.bias, config.splits.bias)
+    return report
 
 
-def _linear_text(seed: int, opens: bool) -> Callable[[Row, Row], str]:
-    """The gold branch of an instruction as a plain one, told with the same choices of words."""
-
+def _linear_text(seed: int, preamble: bool) -> Callable[[Row, Row], str]:
     def text(episode: Row, instruction: Row) -> str:
-        columns = {name: instruction[name] for name in ("category", "conditions", "branches", "leaves")}
-        moves = oracle_linear(Program.model_validate(columns))
-        told = render_moves(moves, seed, episode["instruction_id"])
-        compass = any(move.qualifier is not None and move.qualifier.predicate in COMPASS for move in moves)
-        return with_preamble(told, episode["start_heading_degrees"]) if opens and compass else told
+        program = Program.model_validate({name: instruction[name] for name in _PROGRAM})
+        heading = episode["start_heading_degrees"]
+        return linear_text(program, episode["instruction_id"], heading, seed=seed, preamble=preamble)
 
     return text
+
+
+def _graphs(config: Config) -> GraphFolder:
+    """Connectivity of Matterport3D scans, where the dataset's folder holds it."""
+    return GraphFolder(*(source.root / _CONNECTIVITY for source in config.sources if source.family == "mp3d"))
 
 
 def built_navmeshes(config: Config, snapshot: Snapshot) -> NavmeshBytes:

@@ -30,6 +30,8 @@ def dataset_card(report: ExportReport, name: str) -> str:
         _counts(report),
         "## Balance",
         _balance(report),
+        "## Bias",
+        _bias(report),
         "## Licences",
         _licences(report),
         "## Datasheet",
@@ -124,6 +126,25 @@ def _balance(report: ExportReport) -> str:
         ]
         lines.append("|---|---|---|---:|---:|")
         lines += [_row([c.split, c.source, c.category, str(c.gold_leaf), str(c.shortfall)]) for c in short]
+    return "\n".join(lines)
+
+
+def _bias(report: ExportReport) -> str:
+    if report.bias is None:
+        return "Not tested."
+    lines = [
+        "Guessers that do not see the scene, against chance (1 ÷ leaves). Those that learn are given other scenes only. "
+        "Of a counterfactual group one episode is guessed at. Intervals are of 95 % and clustered by scene; p-values "
+        "are one-sided and corrected for the number of tests.",
+        "",
+        f"Verdict: {report.bias.verdict()}.",
+    ]
+    if report.bias.findings:
+        lines += ["", "| guesser | source | category | episodes | right | 95 % | chance | p |"]
+        lines.append("|---|---|---|---:|---:|---:|---:|---:|")
+        for guesser, source, category, episodes, right, low, high, chance, p in report.bias.overview():
+            shares = (f"{right:.3f}", f"{low:.3f}–{high:.3f}", f"{chance:.3f}", f"{p:.3g}")
+            lines.append(_row([str(guesser), str(source), str(category), f"{episodes:,}", *shares]))
     return "\n".join(lines)
 
 

@@ -36,4 +36,4 @@ def oracle_text_of(texts: OracleText, episode: Row, instruction: Row) -> str:
 
 def oracle_episode(stock: dict[str, Any], text: str, tokens: list[int]) -> dict[str, Any]:
     """The twin of a stock episode."""
-    return {**stock, "instruction": {"instruction_text": text, "instruction_tokens": tokens}}
+    return {**stock, "instruction": {**stock["instruction"], "instruction_text": text, "instruction_tokens": tokens}}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from condvln.bias import BiasReport
 from condvln.export.selection import Cell
 from schemas.version import SCHEMA_VERSION
 
@@ -24,6 +25,8 @@ class ExportReport:
     """Counts of one export."""
 
     snapshot: str
+    texts: dict[str, Any] = field(default_factory=dict)
+    """What the texts were rendered with, so that ``condvln oracle`` finds the same words again."""
     episodes: dict[str, int] = field(default_factory=dict)
     scenes: dict[str, list[str]] = field(default_factory=dict)
     """By split, ``<source>/<scene>``."""
@@ -42,6 +45,8 @@ class ExportReport:
     vocabulary: int = 0
     texts_cut: int = 0
     """Texts with more tokens than are kept; ``instruction_text`` is whole."""
+    bias: BiasReport | None = None
+    """Whether a guess beats chance; None where nobody asked."""
     files: dict[str, WrittenFile] = field(default_factory=dict)
     """By path below the export's folder."""
 
@@ -55,7 +60,8 @@ class ExportReport:
         cells = [{**asdict(cell), "shortfall": cell.shortfall} for cell in self.cells]
         return {
             "schema_version": SCHEMA_VERSION,
-            **{key: value for key, value in asdict(self).items() if key not in ("cells", "files")},
+            **{key: value for key, value in asdict(self).items() if key not in ("cells", "files", "bias")},
+            "bias": None if self.bias is None else self.bias.document(),
             "cells": cells,
             "files": {path: asdict(self.files[path]) for path in sorted(self.files)},
         }

@@ -6,12 +6,13 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 import orjson
 
+from condvln.bias import judge_export
 from condvln.export.card import dataset_card
 from condvln.export.changelog import CHANGELOG, PublishedEpisodes, changes_between, with_entry
 from condvln.export.consumers import consumer_files
@@ -56,6 +57,8 @@ class ExportConfig:
     """Episodes in one file a scene, ``<split>/content/<scene>.json.gz``, as Habitat's own datasets have them."""
     name: str = "CondVLN"
     """Title of the dataset card."""
+    texts: Mapping[str, Any] = field(default_factory=dict)
+    """What the texts were rendered with: ``seed``, ``preamble``."""
 
 
 def export_snapshot(
@@ -84,7 +87,7 @@ def export_snapshot(
     StoreError : the snapshot has no episodes, is damaged, or the disk refused
     """
     config = config or ExportConfig()
-    report = ExportReport(tables.id)
+    report = ExportReport(tables.id, dict(config.texts))
     scenes = SceneTable(tables, navmeshes)
     selection, splits_of = _choose(tables, config, scenes)
     report.cells = selection.cells
@@ -100,6 +103,8 @@ def export_snapshot(
     writer = ExportWriter(out, layout, vocabulary, scenes, report, oracle_texts=oracle_texts, graphs=graphs)
     with writer.open():
         _write_rows(tables, splits_of, writer, report, progress)
+    if config.splits.bias != "off":
+        report.bias = judge_export(out)
     _write_documents(out, config.name, report)
     with atomic_stream(out / INDEX) as stream:
         stream.write(orjson.dumps(report.document(), option=orjson.OPT_INDENT_2) + b"\n")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +11,13 @@ import orjson
 from pydantic import ValidationError
 
 from condvln.export.oracle import oracle_episode
-from condvln.export.streams import read_unpacked
-from condvln.export.tokens import PAD_INDEX, UNK_INDEX, Vocabulary
-from condvln.export.vlnce import document_writer, encode
+from condvln.export.streams import JsonArrayStream, atomic_stream, read_unpacked
+from condvln.export.tokens import PAD_INDEX, UNK_INDEX, Vocabulary, tokenize
+from condvln.export.vlnce import encode
 from schemas.errors import FormatError, MissingFileError
 from schemas.evaluation import ManifestEpisode
 
-__all__ = ["TwinReport", "rewrite_split"]
+__all__ = ["TwinReport", "read_manifest", "rewrite_split"]
 
 LinearText = Callable[[ManifestEpisode], str]
 """The gold branch told as a plain instruction."""
@@ -25,42 +25,75 @@ LinearText = Callable[[ManifestEpisode], str]
 
 @dataclass(frozen=True)
 class TwinReport:
-    """What a rewriting did: episodes, and words that the split's own vocabulary does not know."""
+    """What a rewriting did: episodes, words of their texts before and after, and words that the split's own vocabulary
+    does not know."""
 
     episodes: int
+    words_before: int
+    words: int
     unknown_words: int
 
+    def __add__(self, other: TwinReport) -> TwinReport:
+        return TwinReport(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
-def rewrite_split(document: Path, manifest: Path, out: Path, text_of: LinearText) -> TwinReport:
+
+def rewrite_split(
+    document: Path, manifest: Mapping[str, ManifestEpisode], out: Path, text_of: LinearText
+) -> TwinReport:
     """Write the twin of ``document`` as ``out``: the same vocabulary, ids, places and paths, only the instructions
     differ.
+
+    Parameters
+    ----------
+    document : a stock VLN-CE, ANSR-v1 or RxR file
+    manifest : rows by episode id, from :func:`read_manifest`
 
     Raises
     ------
     MissingFileError, FormatError : one of the files is missing or damaged, or an episode is not in the manifest
+    StoreError : the disk refused
     """
     content = _document(document)
-    rows = _manifest(manifest)
-    vocabulary = Vocabulary.from_document(content["instruction_vocab"])
-    unknown = 0
-    with document_writer(out, vocabulary) as writer:
+    found = content.get("instruction_vocab")
+    vocabulary = None if found is None else Vocabulary.from_document(found)
+    rest = b"".join(b"," + encode(key) + b":" + encode(value) for key, value in content.items() if key != "episodes")
+    counts = [0, 0, 0]
+    with atomic_stream(out, closing=b"]" + rest + b"}") as stream:
+        stream.write(b'{"episodes":[')
+        entries = JsonArrayStream(stream)
         for episode in content["episodes"]:
-            row = rows.get(str(episode["episode_id"]))
+            row = manifest.get(str(episode["episode_id"]))
             if row is None:
                 raise FormatError(
-                    f"episode {episode['episode_id']} is not in {manifest.name}",
+                    f"episode {episode['episode_id']} is not in the manifest",
                     where=document,
                     remedy="Give the manifest of the same split",
                 )
             text = text_of(row)
-            tokens = _tokens(vocabulary, text, episode["instruction"].get("instruction_tokens"))
-            unknown += tokens.count(UNK_INDEX)
-            writer.add(encode(oracle_episode(episode, text, tokens)))
-    return TwinReport(writer.entries.count, unknown)
+            twin = _twin(episode, text, vocabulary)
+            entries.entry(encode(twin))
+            words = tokenize(text)
+            counts[0] += len(tokenize(episode["instruction"]["instruction_text"]))
+            counts[1] += len(words)
+            counts[2] += 0 if vocabulary is None else sum(token == UNK_INDEX for token in vocabulary.encode(text))
+    return TwinReport(entries.count, *counts)
 
 
-def _tokens(vocabulary: Vocabulary, text: str, former: list[int] | None) -> list[int]:
-    """Padded as the split's own instructions are, or bare where they are bare."""
+def _twin(episode: dict[str, Any], text: str, vocabulary: Vocabulary | None) -> dict[str, Any]:
+    former = episode["instruction"]
+    twin = oracle_episode(episode, text, _tokens(vocabulary, text, former.get("instruction_tokens")))
+    told = twin["instruction"]
+    if "instruction_tokens" not in former:
+        del told["instruction_tokens"]
+    if former.get("timed_instruction"):  # RxR's timing of the words that were there before
+        told["timed_instruction"] = []
+    return twin
+
+
+def _tokens(vocabulary: Vocabulary | None, text: str, former: list[int] | None) -> list[int]:
+    """Padded as the split's own instructions are, or bare where they are bare; none without a vocabulary."""
+    if vocabulary is None:
+        return []
     if former and former[-1] == PAD_INDEX:
         return vocabulary.padded(text, len(former))
     return vocabulary.encode(text)
@@ -70,9 +103,11 @@ def _document(path: Path) -> dict[str, Any]:
     data = read_unpacked(path)
     try:
         content = orjson.loads(data)
-        if not all(isinstance(e["instruction"], dict) and "episode_id" in e for e in content["episodes"]):
-            raise KeyError("instruction")
-        Vocabulary.from_document(content["instruction_vocab"])
+        for episode in content["episodes"]:
+            if not isinstance(episode["instruction"]["instruction_text"], str) or "episode_id" not in episode:
+                raise KeyError("instruction_text")
+        if "instruction_vocab" in content:
+            Vocabulary.from_document(content["instruction_vocab"])
     except (ValueError, KeyError, TypeError) as error:
         raise FormatError(
             f"not a VLN-CE split ({type(error).__name__}: {error})", where=path, remedy="See condvln export --validate"
@@ -81,7 +116,13 @@ def _document(path: Path) -> dict[str, Any]:
     return found
 
 
-def _manifest(path: Path) -> dict[str, ManifestEpisode]:
+def read_manifest(path: Path) -> dict[str, ManifestEpisode]:
+    """Rows of ``manifest/<split>.jsonl`` by episode id.
+
+    Raises
+    ------
+    MissingFileError, FormatError : it is not there, or damaged
+    """
     try:
         rows = [ManifestEpisode.model_validate_json(line) for line in path.read_bytes().splitlines() if line.strip()]
     except (FileNotFoundError, IsADirectoryError) as error:

@@ -90,6 +90,8 @@ def _info(row: Row, leaf: Row) -> dict[str, Any]:
         "chain": shape.chain,
         "composition": row["composition"],
         "observability": row["observability"],
+        "evidence_in_view": row["evidence_in_view"],
+        "observability_approximate": row["observability_approximate"],
         "moves": row["moves"],
         "words": row["words"],
         "instruction_id": row["instruction_id"],

@@ -1,0 +1,102 @@
+"""``condvln oracle``: a split's oracle-linear twin, the gold branch told as a plain instruction."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any, Final
+
+import orjson
+
+from condvln.evaluation.walker import heading_of
+from condvln.export.snapshot import INDEX
+from condvln.export.streams import atomic_copy
+from condvln.export.twin import TwinReport, read_manifest, rewrite_split
+from condvln.instructions import oracle_linear, render_moves, with_preamble
+from condvln.instructions.config import COMPASS
+from jobs.report import Report
+from schemas.errors import UsageError
+from schemas.evaluation import ManifestEpisode
+from schemas.program import Program
+
+__all__ = ["linear_text", "oracle_split"]
+
+_SHARDS: Final = "content"
+_TRUTH: Final = "_gt.json.gz"
+
+
+def linear_text(program: Program, instruction_id: str, heading_degrees: float, *, seed: int, preamble: bool) -> str:
+    """The gold branch of an instruction as a plain one, told with the same choices of words.
+
+    Parameters
+    ----------
+    heading_degrees : start heading, clockwise from north
+    preamble : open with the start heading where compass words are used
+    """
+    moves = oracle_linear(program)
+    told = render_moves(moves, seed, instruction_id)
+    compass = any(move.qualifier is not None and move.qualifier.predicate in COMPASS for move in moves)
+    return with_preamble(told, heading_degrees) if preamble and compass else told
+
+
+def oracle_split(
+    export: Path, split: str, *, file: Path | None = None, out: Path | None = None, seed: int | None = None
+) -> Report:
+    """Rewrite a split, its shards and its ground truth.
+
+    Parameters
+    ----------
+    file : a VLN-CE, ANSR-v1 or RxR file of the split's episodes; by default the export's own stock file
+    out : by default ``oracle/<split>/<split>.json.gz`` of the export
+    seed : of the words; by default the export's own
+
+    Raises
+    ------
+    MissingFileError, FormatError : a file is missing or damaged, or an episode is not in the manifest
+    UsageError : the twin would take its original's place
+    """
+    document = file or export / "vlnce" / split / f"{split}.json.gz"
+    target = out or export / "oracle" / split / f"{split}.json.gz"
+    if target.resolve() == document.resolve():
+        raise UsageError("the twin would take its original's place", where=target, remedy="Name another file: --out")
+    manifest = read_manifest(export / "manifest" / f"{split}.jsonl")
+    rendering = _rendering(export)
+    seed = int(rendering.get("seed", 0)) if seed is None else seed
+    preamble = bool(rendering.get("preamble", True))
+
+    def text_of(row: ManifestEpisode) -> str:
+        heading = -math.degrees(heading_of(row.start_rotation)) % 360.0
+        return linear_text(row.program, row.instruction_id, heading, seed=seed, preamble=preamble)
+
+    done = rewrite_split(document, manifest, target, text_of)
+    files = [target]
+    for shard in sorted((document.parent / _SHARDS).glob("*.json.gz")):
+        files.append(target.parent / _SHARDS / shard.name)
+        done += rewrite_split(shard, manifest, files[-1], text_of)
+    truth = document.with_name(document.name.removesuffix(".json.gz") + _TRUTH)
+    if truth.is_file():
+        files.append(target.with_name(target.name.removesuffix(".json.gz") + _TRUTH))
+        if files[-1].resolve() != truth.resolve():
+            atomic_copy(truth, files[-1])
+    return _report(done, files)
+
+
+def _report(done: TwinReport, files: list[Path]) -> Report:
+    mean = max(done.episodes, 1)
+    lines = [
+        f"{done.episodes} episodes in {files[0]}",
+        f"{done.words_before / mean:.1f} words an instruction became {done.words / mean:.1f}",
+    ]
+    if done.unknown_words:
+        lines.append(f"{done.unknown_words} words are not in the split's vocabulary and read as UNK")
+    counts = {"words_before": done.words_before, "words": done.words, "unknown_words": done.unknown_words}
+    return Report({"episodes": done.episodes, **counts, "files": [str(path) for path in files]}, lines)
+
+
+def _rendering(export: Path) -> dict[str, Any]:
+    """What the export's texts were rendered with, as its own record says; nothing where there is none."""
+    try:
+        found = orjson.loads((export / INDEX).read_bytes())["texts"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}
+    return found if isinstance(found, dict) else {}
