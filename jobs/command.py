@@ -189,7 +189,9 @@ def export(
     from jobs.configuration import load_config
     from jobs.export import run_export
 
-    _show(run_export(load_config(config, overrides or (), check_roots=False)), as_json)
+    report = run_export(load_config(config, overrides or (), check_roots=False))
+    _show(report, as_json)
+    _exit(report.exit_code)
 
 
 @app.command()

@@ -68,6 +68,7 @@ def run_generate(
         report.document["export"] = exported.document
         report.lines += exported.lines
         report.sections += exported.sections
+        report.exit_code = max(report.exit_code, exported.exit_code)
     return report
 
 

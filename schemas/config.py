@@ -141,6 +141,9 @@ class SplitsConfig(Document):
     )
     val_seen_share: Share = Field(0.1, description="share of the train scenes' episodes set aside as val_seen")
     fractions: tuple[Share, Share, Share] = Field((0.8, 0.1, 0.1), description="train, val_unseen, test by id hash")
+    bias: Literal["off", "warn", "fail"] = Field(
+        "warn", description="what an export does when a guess that sees nothing beats chance; fail = exit code 3"
+    )
 
 
 class RayConfig(Document):

@@ -133,9 +133,9 @@ def _bias(report: ExportReport) -> str:
     if report.bias is None:
         return "Not tested."
     lines = [
-        "Guessers that do not see the scene, against chance (1 ÷ leaves). Those that learn are given other scenes only. "
-        "Of a counterfactual group one episode is guessed at. Intervals are of 95 % and clustered by scene; p-values "
-        "are one-sided and corrected for the number of tests.",
+        "Guessers that do not see the scene, against chance (1 ÷ leaves). Those that learn are given other scenes "
+        "only. Of a counterfactual group one episode is guessed at. Intervals are of 95 % and clustered by scene; "
+        "p-values are one-sided and corrected for the number of tests.",
         "",
         f"Verdict: {report.bias.verdict()}.",
     ]

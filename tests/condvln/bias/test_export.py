@@ -1,0 +1,63 @@
+"""An export judges itself, says so in its documents, and fails only where it is asked to."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from condvln.bias import judge_export
+from condvln.export.snapshot import ExportConfig, export_snapshot
+from jobs.bias import add_bias
+from jobs.report import Report
+from schemas.config import SplitsConfig
+from tests.made_snapshot import made_snapshot
+
+SCENES = {"replicacad": [f"v3_sc0_staging_{k:02}" for k in range(8)]}
+
+
+@pytest.fixture(scope="module")
+def leaking(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An export of made rows, whose nearest leaf is then made the gold one in all of its manifests."""
+    folder = tmp_path_factory.mktemp("leaking")
+    export_snapshot(made_snapshot(SCENES), folder, ExportConfig())
+    for path in (folder / "manifest").glob("*.jsonl"):
+        rows = [json.loads(line) for line in path.read_text().splitlines()]
+        for row in rows:
+            row["leaves"][row["gold_leaf"]]["geodesic_distance"] = 0.0
+        path.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    return folder
+
+
+def test_the_verdict_stands_in_the_summary_and_on_the_card(tmp_path: Path) -> None:
+    done = export_snapshot(made_snapshot(SCENES), tmp_path, ExportConfig())
+    assert done.bias is not None
+    assert done.bias.tests > 0
+    assert json.loads((tmp_path / "export.json").read_bytes())["bias"] == json.loads(json.dumps(done.bias.document()))
+    assert f"Verdict: {done.bias.verdict()}." in (tmp_path / "README.md").read_text()
+    assert done.bias.document() == judge_export(tmp_path).document()
+
+
+def test_nobody_is_judged_who_does_not_ask(tmp_path: Path) -> None:
+    done = export_snapshot(made_snapshot(), tmp_path, ExportConfig(splits=SplitsConfig(bias="off")))
+    assert done.bias is None
+    assert json.loads((tmp_path / "export.json").read_bytes())["bias"] is None
+    assert "Not tested." in (tmp_path / "README.md").read_text()
+
+
+@pytest.mark.parametrize(("action", "code"), [("warn", 0), ("fail", 3)])
+def test_a_failed_gate_warns_or_fails(leaking: Path, action, code: int) -> None:
+    report = Report({})
+    add_bias(report, judge_export(leaking), action)
+    assert report.exit_code == code
+    assert report.lines[0].startswith("WARNING: bias gate: guesses beat chance: nearest target 1.000")
+    assert any(row[0] == "nearest target" for row in report.sections[0].rows)
+
+
+def test_a_passed_gate_never_fails(tmp_path: Path) -> None:
+    export_snapshot(made_snapshot(), tmp_path, ExportConfig())
+    report = Report({})
+    add_bias(report, judge_export(tmp_path), "fail")
+    assert report.exit_code == 0
+    assert report.lines[0].startswith("bias gate: ")
