@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, NoReturn
+from typing import NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -21,13 +21,11 @@ from scipy.sparse.csgraph import shortest_path
 from condvln.evaluation.kernels.alignment import dtw_of_costs
 from condvln.evaluation.measures import FIDELITY_DISTANCE, length_weighted, spl
 from condvln.evaluation.predictions import GraphPrediction
+from condvln.export.r2r import ERROR_MARGIN
 from condvln.navigation.connectivity import ViewpointGraph, read_connectivity
 from schemas.errors import FormatError, MissingFileError
 
 __all__ = ["ERROR_MARGIN", "GraphDistances", "GraphEpisode", "GraphScore", "evaluate_graph", "read_graph_episodes"]
-
-ERROR_MARGIN: Final = 3.0
-"""Metres; R2R's success distance."""
 
 Table = npt.NDArray[np.float64]
 

@@ -8,14 +8,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from itertools import combinations
+from typing import Any, Final
 
 from condvln.export.rows import Row
 from condvln.export.rxr import numeric_id
 from condvln.export.vlnce import gold
 from condvln.navigation.graph_pathfinder import GraphPathfinder
 
-__all__ = ["Graphs", "r2r_episode", "reason_against"]
+__all__ = ["ERROR_MARGIN", "Graphs", "r2r_episode", "reason_against"]
+
+ERROR_MARGIN: Final = 3.0
+"""Metres; R2R's success distance."""
 
 Graphs = Mapping[str, GraphPathfinder]
 """Connectivity graph by scan."""
@@ -27,7 +31,7 @@ def r2r_episode(row: Row, graph: GraphPathfinder) -> dict[str, Any] | str:
     start = graph.viewpoint(row["start_position"])
     stops = [graph.viewpoint(subgoal["position"]) for subgoal in leaf["subgoals"]] + [graph.viewpoint(leaf["goals"][0])]
     ends = [graph.viewpoint(other["goals"][0]) for other in row["leaves"]]
-    reason = reason_against(start, stops, ends)
+    reason = reason_against(start, stops, ends) or _too_near(graph, str(start), [str(end) for end in ends])
     if reason is not None:
         return reason
     path = [str(start)]
@@ -44,6 +48,20 @@ def r2r_episode(row: Row, graph: GraphPathfinder) -> dict[str, Any] | str:
         "heading": math.radians(row["start_heading_degrees"]) % (2 * math.pi),
         "instructions": [row["instruction_text"]],
     }
+
+
+def _too_near(graph: GraphPathfinder, start: str, ends: list[str]) -> str | None:
+    """R2R's evaluator judges by 3 m for all: nearer leaves would both count as reached."""
+
+    def between(one: str, other: str) -> float:
+        path = graph.viewpoint_path(one, other)
+        return graph.path_length(path) if path else math.inf
+
+    if any(between(one, other) < ERROR_MARGIN for one, other in combinations(ends, 2)):
+        return f"two leaves within {ERROR_MARGIN:g} m on the graph"
+    if any(between(start, end) < ERROR_MARGIN for end in ends):
+        return f"a leaf within {ERROR_MARGIN:g} m of the start on the graph"
+    return None
 
 
 def reason_against(start: str | None, stops: list[str | None], ends: list[str | None]) -> str | None:

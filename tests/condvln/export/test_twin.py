@@ -47,7 +47,7 @@ def test_a_file_of_bare_tokens_stays_bare(exported: Path, tmp_path: Path) -> Non
 
 
 def test_what_is_amiss_is_said(exported: Path, tmp_path: Path) -> None:
-    document, manifest = paths(exported)
+    document, _ = paths(exported)
     out = tmp_path / "twin.json.gz"
     other = exported / "manifest" / "train.jsonl"
     with pytest.raises(FormatError, match=r"is not in the manifest"):

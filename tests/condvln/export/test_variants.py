@@ -142,11 +142,33 @@ def test_r2r_path_runs_through_the_subgoals_along_edges() -> None:
 )
 def test_what_means_nothing_on_the_graph_is_told(case: dict[str, Any], reason: str) -> None:
     assert reason in str(r2r_episode(case, ring()))
-    islands = GraphPathfinder.from_edges([[0, 0, 0], [2, 0, 0], [20, 0, 0], [22, 0, 0]], [(0, 1), (2, 3)])
+    islands = GraphPathfinder.from_edges([[0, 0, 0], [4, 0, 0], [20, 0, 0], [24, 0, 0]], [(0, 1), (2, 3)])
     lost = row(0, [1], 2)
     lost["start_position"] = [0, 0, 0]
-    lost["leaves"][0]["goals"], lost["leaves"][1]["goals"] = [[22, 0, 0]], [[2, 0, 0]]
+    lost["leaves"][0]["goals"], lost["leaves"][1]["goals"] = [[24, 0, 0]], [[4, 0, 0]]
     assert r2r_episode(lost, islands) == "its viewpoints are not connected"
+
+
+@pytest.mark.parametrize(
+    ("start", "leaves", "reason"),
+    [
+        (0, (2, 3), "two leaves within 3 m on the graph"),
+        (0, (1, 4), "a leaf within 3 m of the start on the graph"),
+        (0, (2, 4), None),
+        (2, (0, 4), None),
+    ],
+)
+def test_leaves_that_r2r_would_not_tell_apart_are_left_out(
+    start: int, leaves: tuple[int, int], reason: str | None
+) -> None:
+    # 2 m from each viewpoint to the next: two steps are 4 m, one is inside of R2R's 3 m
+    line = GraphPathfinder.from_edges([[2.0 * i, 0, 0] for i in range(5)], [(i, i + 1) for i in range(4)])
+    case = row(0, [1], 2)
+    case["start_position"] = [2.0 * start, 0, 0]
+    for leaf, place in zip(case["leaves"], leaves, strict=True):
+        leaf["goals"] = [[2.0 * place, 0, 0]]
+    found = r2r_episode(case, line)
+    assert found == reason if reason else isinstance(found, dict)
 
 
 @pytest.fixture(scope="module")
@@ -159,7 +181,7 @@ def test_r2r_export_on_a_real_graph(scan: tuple[str, Path], tmp_path: Path) -> N
     name, path = scan
     graph = GraphPathfinder.load(path)
     rng = np.random.default_rng(0)
-    made = made_snapshot({"mp3d": [name]}, per_category=30)
+    made = made_snapshot({"mp3d": [name]}, per_category=100)
     episodes = made.tables["mp3d"]["episodes"].to_pylist()
 
     def place() -> dict[str, float]:
