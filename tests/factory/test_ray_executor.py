@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
@@ -92,7 +93,7 @@ def test_a_unit_that_kills_its_worker_is_found_and_the_others_go_on(
 
 def test_a_deadline_holds_in_a_worker(executor: RayExecutor, store: LocalStore) -> None:
     units = [*toys.units(4), toys.unit("a/hang", trouble="hang")]
-    report = run(toys.pipeline(), units, store, executor=executor, deadline=1.0)
+    report = run(toys.pipeline(), units, store, executor=executor, deadline=8.0)
     assert [(name, failure.cause) for name, failure in report.failures] == [("a/hang", "deadline")]
 
 
@@ -124,7 +125,7 @@ def test_a_big_run_goes_to_ray(executor: RayExecutor, store: LocalStore, monkeyp
 @pytest.mark.soak
 def test_compiled_code_that_hangs_is_ended_with_its_worker(executor: RayExecutor, store: LocalStore) -> None:
     units = [*toys.units(6), toys.unit("a/lock", trouble="lock")]
-    report = run(toys.pipeline(), units, store, executor=executor, deadline=1.0)
+    report = run(toys.pipeline(), units, store, executor=executor, deadline=8.0)
     assert [(name, failure.cause) for name, failure in report.failures] == [("a/lock", "deadline")]
     assert "compiled code" in report.failures[0][1].message
     assert report.counts["ok"] == 6
@@ -176,7 +177,9 @@ def test_a_stopped_driver_takes_its_ray_along(tmp_path: Path, how: signal.Signal
     log = tmp_path / "log"
     log.mkdir()
     command = [sys.executable, "-m", "drivers", str(tmp_path / "store"), f"--log={log}", "--seconds=0.2", "--workers=2"]
-    driver = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    # A shell's background job is born deaf to SIGINT, and so are its children; this driver listens.
+    listen = partial(signal.signal, signal.SIGINT, signal.default_int_handler)
+    driver = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=listen)
     while len([*log.iterdir()]) < 6:
         assert driver.poll() is None
         time.sleep(0.05)
