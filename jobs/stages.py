@@ -16,10 +16,12 @@ from typing import Final
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from condvln.episodes.observability import Observer
 from condvln.episodes.placing import Placer
 from condvln.episodes.pool import fill_pool
 from condvln.episodes.rules import EpisodeRules
 from condvln.episodes.table import placements_table, rejections_table, with_text
+from condvln.episodes.view import SceneView
 from condvln.instructions import (
     InstructionConfig,
     LabelPriors,
@@ -66,6 +68,13 @@ def _source(family: str, root: str, regions: str | None, agent: Agent) -> Source
     return open_source(family, Path(root), agent=agent, regions=None if regions is None else Path(regions))
 
 
+def _source_of(unit: Unit, agent: Agent) -> Source:
+    regions = unit.payload.get("regions")
+    return _source(
+        str(unit.payload["family"]), str(unit.payload["root"]), None if regions is None else str(regions), agent
+    )
+
+
 def _scene(unit: Unit, tables: Tables) -> Scene:
     return scene_from_tables(tables, Path(str(unit.payload["root"])), family=str(unit.payload["family"]))
 
@@ -99,12 +108,8 @@ class SceneStage(Stage):
         return {"agent": asdict(self.agent)}
 
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
-        payload = unit.payload
-        regions = payload.get("regions")
-        source = _source(
-            str(payload["family"]), str(payload["root"]), None if regions is None else str(regions), self.agent
-        )
-        scene = source.read(str(payload["scene_id"]))
+        source = _source_of(unit, self.agent)
+        scene = source.read(str(unit.payload["scene_id"]))
         built: bytes | None = None
         reason = ""
         if len(scene.objects) < 2:
@@ -211,7 +216,7 @@ class ProgramStage(Stage):
 
 @dataclass
 class EpisodeStage(Stage):
-    """Candidate programs + navmesh → placed episodes, without their words."""
+    """Candidate programs + navmesh + surfaces → placed episodes and what is seen on them, without their words."""
 
     wanted: Mapping[Category, int]
     label_cap: float
@@ -220,9 +225,10 @@ class EpisodeStage(Stage):
     agent: Agent
     seed: int
     name: str = "episodes"
-    version: int = 1
+    version: int = 2
     tables: tuple[str, ...] = ("placements", "rejections")
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "candidates")
+    reads_inputs: bool = True
 
     def parameters(self, unit: Unit) -> JSON:
         return {
@@ -230,7 +236,7 @@ class EpisodeStage(Stage):
             "wanted": {str(category): count for category, count in self.wanted.items()},
             "label_cap": self.label_cap,
             "preamble": self.preamble,
-            "max_climb": self.agent.max_climb,
+            "agent": asdict(self.agent),
             "seed": self.seed,
         }
 
@@ -239,12 +245,15 @@ class EpisodeStage(Stage):
         assert scene.navmesh is not None
         candidates = programs_from_table(upstream["candidates"])
         placer = _placer(scene, upstream, self.rules, self.agent, self.seed)
+        view = SceneView(scene, _source_of(unit, self.agent).geometry(scene))
+        observer = Observer(scene, view, placer.pathfinder, self.rules, placer.obstacles)
         pool = fill_pool(
             candidates,
             placer,
             self.wanted,
             self.label_cap,
             lambda program: self.preamble and names_compass(program),
+            observer,
         )
         compositions = dict(
             zip(*(upstream["candidates"][c].to_pylist() for c in ("instruction_id", "composition")), strict=True)

@@ -130,6 +130,10 @@ class EpisodeConfig(Document):
     path_spacing: Positive = Field(0.25, description="spacing of the dense reference path")
     max_steps: int = Field(500, ge=1, description="step budget's ceiling (VLN-CE's)")
     steps_per_word: int = Field(10, ge=1)
+    sight_range: Positive = Field(5.0, description="how far an agent sees; decides the observability axis")
+    eye_height: Positive = Field(1.25, description="height of the camera above the agent's feet (habitat-lab's)")
+    floor_seen: Share = Field(0.8, description="share of a room's floor that must be seen to know what is not there")
+    object_seen: Share = Field(0.05, description="share of an object's surface that must be seen to know it is there")
 
 
 class SplitsConfig(Document):

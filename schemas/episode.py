@@ -9,13 +9,21 @@ from pydantic import Field
 from schemas.base import Document, Finite, Vec3
 from schemas.program import Category
 
-__all__ = ["Composition", "EpisodeLeaf", "EpisodeRecord", "Observability", "Subgoal"]
+__all__ = ["Composition", "EpisodeLeaf", "EpisodeRecord", "Evidence", "Observability", "Subgoal"]
 
 Composition = Literal["C0", "C1", "C2"]
 """C0 all in one room; C2 some branch whose condition, then- and else-leaf rooms pairwise differ; else C1."""
 
 Observability = Literal["O0", "O1", "O2"]
 """Where the evidence is visible: from the start, on the common prefix of all paths, or only after a detour."""
+
+
+class Evidence(Document):
+    """From where the evidence for one condition is visible; only conditions that the gold route asks have an entry."""
+
+    condition: int = Field(ge=0)
+    observability: Observability
+    in_view: bool = Field(description="visible from the start without turning, in a view 90° wide (O0f)")
 
 
 class Subgoal(Document):
@@ -46,7 +54,10 @@ class EpisodeRecord(Document):
     group_id: str | None = None
     category: Category
     composition: Composition
-    observability: Observability | None = None
+    observability: Observability | None = Field(None, description="the worst over `evidence`")
+    evidence_in_view: bool | None = Field(None, description="all evidence is in the first view, 90° wide (O0f)")
+    observability_approximate: bool | None = Field(None, description="decided among boxes, for want of surfaces")
+    evidence: tuple[Evidence, ...] | None = None
     gold_leaf: int = Field(ge=0)
     n_leaves: int = Field(ge=2)
     gold_label: str

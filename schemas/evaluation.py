@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from schemas.base import Finite, Vec3, VersionedDocument
-from schemas.episode import Composition, EpisodeLeaf, Observability
+from schemas.episode import Composition, EpisodeLeaf, Evidence, Observability
 from schemas.program import Category, Program
 
 __all__ = ["ManifestEpisode"]
@@ -25,6 +25,9 @@ class ManifestEpisode(VersionedDocument):
     chain: int
     composition: Composition
     observability: Observability | None = None
+    evidence_in_view: bool | None = None
+    observability_approximate: bool | None = None
+    evidence: tuple[Evidence, ...] | None = None
     moves: int = Field(description="moves on the gold branch")
     words: int
     instruction_text: str

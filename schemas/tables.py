@@ -170,6 +170,8 @@ _EPISODE_LEAF: Final = pa.struct(
     ]
 )
 
+_EVIDENCE: Final = pa.struct([pa.field("condition", _I), pa.field("observability", _S), pa.field("in_view", _B)])
+
 EPISODES: Final = pa.schema(
     [
         _required("scene_id", _S),
@@ -178,7 +180,10 @@ EPISODES: Final = pa.schema(
         pa.field("group_id", _S),
         _required("category", _S),
         _required("composition", _S),
-        pa.field("observability", _S),
+        pa.field("observability", _S),  # O0 | O1 | O2
+        pa.field("evidence_in_view", _B),
+        pa.field("observability_approximate", _B),
+        pa.field("evidence", pa.list_(_EVIDENCE)),
         _required("gold_leaf", _I),
         _required("n_leaves", _I),
         _required("gold_label", _S),

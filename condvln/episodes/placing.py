@@ -103,7 +103,7 @@ class Placer:
         self.seed = seed
         self.tau = rules.success(scene.single_room)
         self.obstacles = blocked_footprints(scene, pathfinder, max_climb)
-        self._follower = Follower(pathfinder, max_actions=rules.max_steps // 2)
+        self._follower = Follower(pathfinder, max_actions=max(1, rules.max_steps // 2 - 1))  # and STOP
         self._solid = Footprints([footprint for _, footprint in self.obstacles])
         wanted = sorted(scene.object_of if objects is None else objects)
         goals = {}

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
+from condvln.episodes.observability import Observation, Observer
 from condvln.episodes.placing import Placement, Placer, Rejected
 from schemas.program import Category, Program
 
@@ -19,11 +20,12 @@ FEW_LABELS_SLACK: Final = 1.25
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PooledEpisode:
-    """A program that found its place."""
+    """A program that found its place, and from where what it asks can be seen."""
 
     instruction_id: str
     program: Program
     placement: Placement
+    observation: Observation | None = None
 
 
 @dataclass
@@ -47,11 +49,12 @@ def fill_pool(
     wanted: Mapping[Category, int],
     label_cap: float,
     names_compass: Callable[[Program], bool],
+    observer: Observer | None = None,
 ) -> Pool:
     """Place candidates in their order until every category has what is wanted.
 
     Within a category no gold index gets more than its equal share, so that position says nothing. `label_cap` bounds
-    the share of leaves that any label is the target of.
+    the share of leaves that any label is the target of. Without an `observer` observability is not told.
     """
     pool = Pool()
     queue = list(candidates)
@@ -85,6 +88,9 @@ def fill_pool(
         labels += targets
         pool.episodes.append(PooledEpisode(instruction_id, program, placement))
     _trim(pool, label_cap)
+    if observer is not None:
+        found = observer.observe([(e.program, e.placement) for e in pool.episodes])
+        pool.episodes = [replace(e, observation=o) for e, o in zip(pool.episodes, found, strict=True)]
     return pool
 
 

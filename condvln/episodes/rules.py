@@ -10,7 +10,11 @@ __all__ = ["REASONS", "EpisodeRules"]
 
 @dataclass(frozen=True, slots=True)
 class EpisodeRules:
-    """Rules on starts, goals and paths; the same for every leaf. Metres unless said otherwise."""
+    """Rules on starts, goals and paths; the same for every leaf. Metres unless said otherwise.
+
+    sight_range, eye_height : how far an agent sees, and from how far above its feet
+    floor_seen, object_seen : shares of a room's floor and of an object's surface that count as having seen it
+    """
 
     success_distance_single_room: float = 0.5
     success_distance: float = 1.0
@@ -26,6 +30,10 @@ class EpisodeRules:
     path_spacing: float = 0.25
     max_steps: int = 500
     steps_per_word: int = 10
+    sight_range: float = 5.0
+    eye_height: float = 1.25
+    floor_seen: float = 0.8
+    object_seen: float = 0.05
 
     def success(self, single_room: bool) -> float:
         """Success distance τ of a scene."""

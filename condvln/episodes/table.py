@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from condvln.episodes.observability import Observation
 from condvln.episodes.placing import PlacedLeaf, heading_degrees, yaw_quaternion
 from condvln.episodes.pool import Pool, PooledEpisode
 from condvln.scene import round_mm
@@ -49,7 +51,7 @@ def _row(scene_id: str, pooled: PooledEpisode, composition: str, navmesh_sha256:
         "group_id": None,
         "category": program.category,
         "composition": composition,
-        "observability": None,
+        **_seen(pooled.observation),
         "gold_leaf": gold,
         "n_leaves": len(program.leaves),
         "gold_label": program.leaves[gold].goal.label,
@@ -65,6 +67,17 @@ def _row(scene_id: str, pooled: PooledEpisode, composition: str, navmesh_sha256:
         "actions": [int(action) for action in leaf.walk.actions],
         "locations": [_point(point) for point in round_mm(leaf.walk.locations)],
         "navmesh_sha256": navmesh_sha256,
+    }
+
+
+def _seen(observation: Observation | None) -> dict[str, Any]:
+    if observation is None:
+        return dict.fromkeys(("observability", "evidence_in_view", "observability_approximate", "evidence"))
+    return {
+        "observability": observation.observability,
+        "evidence_in_view": observation.in_view,
+        "observability_approximate": observation.approximate,
+        "evidence": [asdict(evidence) for evidence in observation.evidence],
     }
 
 

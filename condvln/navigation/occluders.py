@@ -11,7 +11,7 @@ from condvln.navigation.compiled import register_warm_up
 from condvln.navigation.kernels.slabs import blocked_looks
 from schemas.errors import FormatError, UsageError
 
-__all__ = ["WALL_THICKNESS", "BoxOccluders", "MeshOccluders", "Occluders", "wall_boxes"]
+__all__ = ["WALL_THICKNESS", "BoxOccluders", "JoinedOccluders", "MeshOccluders", "Occluders", "wall_boxes"]
 
 Points = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -155,6 +155,25 @@ class BoxOccluders:
         mine = np.full(len(eyes), -1, np.int64) if own is None else np.require(own, np.int64, ["C", "W"])
         begin, end = (np.require(values, np.float64, ["C", "W"]) for values in (eyes, points))
         return blocked_looks(begin, end, mine, self._centers, self._half, self._axes, TOUCH)
+
+
+class JoinedOccluders:
+    """Triangles and boxes together: walls that are known as surfaces, things that are known as boxes.
+
+    ``own`` of a look counts the boxes.
+    """
+
+    approximate = True
+
+    def __init__(self, mesh: MeshOccluders, boxes: BoxOccluders) -> None:
+        self._mesh, self._boxes = mesh, boxes
+
+    def hidden(self, eyes: Points, points: Points, own: npt.NDArray[np.int64] | None = None) -> Flags:
+        """See :class:`Occluders`."""
+        out = self._mesh.hidden(eyes, points)
+        left = np.flatnonzero(~out)
+        out[left] = self._boxes.hidden(eyes[left], points[left], None if own is None else own[left])
+        return out
 
 
 def wall_boxes(

@@ -16,10 +16,19 @@ import numpy.typing as npt
 from condvln.navigation.occluders import Flags, Occluders, Points
 from schemas.errors import UsageError
 
-__all__ = ["EYE_HEIGHT", "SightTarget", "View", "eyes_at", "first_sights", "visible_points", "visible_shares"]
+__all__ = [
+    "EYE_HEIGHT",
+    "SightTarget",
+    "View",
+    "eyes_at",
+    "first_sights",
+    "in_view",
+    "visible_points",
+    "visible_shares",
+]
 
 EYE_HEIGHT = 1.25
-"""Metres of the camera above the floor (VLN-CE)."""
+"""Metres of the camera above the agent's feet: habitat-lab's default sensor position, which VLN-CE's R2R task keeps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,14 +101,19 @@ def visible_points(
     belongs = np.full(len(seen), -1, np.int64) if own is None else np.asarray(own, np.int64)
     if belongs.shape != (len(seen),):
         raise UsageError(f"{len(seen)} points and owners of shape {belongs.shape}")
-    visible = _in_view(looking, seen, view, headings)
+    visible = in_view(looking, seen, view, headings)
     eye, point = np.nonzero(visible)
     visible[eye, point] = ~occluders.hidden(looking[eye], seen[point], belongs[point])
     return visible
 
 
-def _in_view(eyes: Points, points: Points, view: View, headings: npt.ArrayLike | None) -> Flags:
-    """Which points lie within the view of each eye, were there nothing between, (n, m)."""
+def in_view(eyes: Points, points: Points, view: View, headings: npt.ArrayLike | None = None) -> Flags:
+    """Which points (m, 3) lie within the view of each eye (n, 3), were there nothing between, (n, m).
+
+    Raises
+    ------
+    UsageError : the view needs headings, and there is not one an eye
+    """
     away = points[None] - eyes[:, None]
     with np.errstate(invalid="ignore", over="ignore"):
         inside: Flags = np.square(away).sum(axis=2) <= view.range**2

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,48 +13,11 @@ from condvln.episodes.placing import Placement, Placer, Rejected
 from condvln.episodes.pool import fill_pool
 from condvln.episodes.rules import REASONS, EpisodeRules
 from condvln.navigation.pathfinder import Pathfinder
-from condvln.navigation.polygon_tile import tile_of_polygons
-from condvln.scene import Room, Scene, SceneObject
-from schemas.program import SHAPES, Condition, Leaf, ObjectRef, Program, RoomRef
+from condvln.scene import Scene
+from schemas.program import Program
+from tests.condvln.episodes.floors import apartment, box, grid_floor, inside, program
 
 RULES = EpisodeRules()
-CELL = 0.25
-
-
-def grid_floor(width: float, depth: float, solid) -> Pathfinder:
-    """A floor of 0.25 m squares at y = 0 without the squares whose middle is `solid`."""
-    columns, rows = round(width / CELL), round(depth / CELL)
-    corner = {}
-    verts: list[tuple[float, float, float]] = []
-
-    def index(i: int, j: int) -> int:
-        if (i, j) not in corner:
-            corner[i, j] = len(verts)
-            verts.append((i * CELL, 0.0, j * CELL))
-        return corner[i, j]
-
-    polys = [
-        [index(i, j), index(i + 1, j), index(i + 1, j + 1), index(i, j + 1)]
-        for j in range(rows)
-        for i in range(columns)
-        if not solid((i + 0.5) * CELL, (j + 0.5) * CELL)
-    ]
-    return Pathfinder.from_tile(tile_of_polygons(np.array(verts, np.float32), polys))
-
-
-def box(name: str, x: float, z: float, half: float = 0.3, bottom: float = 0.0, top: float = 1.0) -> SceneObject:
-    aabb = np.array([[x - half, bottom, z - half], [x + half, top, z + half]])
-    return SceneObject(name, "zone", name, name, aabb.mean(axis=0), aabb=aabb, size=aabb[1] - aabb[0])
-
-
-def apartment(*objects: SceneObject) -> Scene:
-    room = Room("zone", "apartment", "apartment", 0, 0.0, 2.5, None, "scene", True)
-    return Scene("made", "flat", Path("."), (room,), objects)
-
-
-def inside(item: SceneObject, x: float, z: float, grow: float = 0.0) -> bool:
-    low, high = item.aabb[0] - grow, item.aabb[1] + grow
-    return bool(low[0] < x < high[0] and low[2] < z < high[2])
 
 
 OBJECTS = (box("sofa", 1, 1), box("sink", 7, 1), box("lamp", 7, 5), box("bed", 1, 5), box("table", 4, 3))
@@ -65,19 +27,6 @@ OBJECTS = (box("sofa", 1, 1), box("sink", 7, 1), box("lamp", 7, 5), box("bed", 1
 def flat() -> tuple[Scene, Pathfinder]:
     scene = apartment(*OBJECTS)
     return scene, grid_floor(8, 6, lambda x, z: any(inside(o, x, z) for o in OBJECTS))
-
-
-def program(*leaves: tuple[str, ...]) -> Program:
-    room = RoomRef(room_id="zone", label="apartment")
-    category = {2: "simple", 3: "nested", 4: "deep_nested"}[len(leaves)]
-    return Program(
-        category=category,
-        conditions=tuple(
-            Condition(label=f"c{k}", room=room, truth=True, witnesses=("w",)) for k in range(len(leaves) - 1)
-        ),
-        branches=SHAPES[category].branches,
-        leaves=tuple(Leaf(moves=tuple(ObjectRef(object_id=m, label=m, room=room) for m in moves)) for moves in leaves),
-    )
 
 
 def test_goal_points_stand_around_the_box(flat) -> None:
@@ -203,6 +152,25 @@ def test_every_rule_holds_for_every_leaf(flat) -> None:
                 assert (np.degrees(placement.yaw) / 45) == pytest.approx(round(np.degrees(placement.yaw) / 45))
     assert placed >= 12
     assert reasons <= set(REASONS)
+
+
+def test_stop_counts_against_the_step_ceiling(flat) -> None:
+    scene, pathfinder = flat
+    made = program(("sofa",), ("sink",))
+    steps = max(
+        leaf.steps for leaf in Placer(scene, pathfinder, RULES, 5, max_climb=0.2).place(made, "i", compass=False).leaves
+    )
+    just = dataclasses.replace(RULES, max_steps=2 * steps)
+    placement = Placer(scene, pathfinder, just, 5, max_climb=0.2).place(made, "i", compass=False)
+    assert max(leaf.steps for leaf in placement.leaves) == steps
+    for ceiling in range(2 * steps - 2, 10, -2):
+        tight = dataclasses.replace(RULES, max_steps=ceiling)
+        try:
+            placement = Placer(scene, pathfinder, tight, 5, max_climb=0.2).place(made, "i", compass=False)
+        except Rejected as rejected:
+            assert rejected.reason == "over_step_budget"
+            break
+        assert max(2 * leaf.steps for leaf in placement.leaves) <= ceiling
 
 
 @pytest.mark.parametrize(

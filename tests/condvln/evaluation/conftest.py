@@ -95,6 +95,9 @@ def task_with(
         "chain": SHAPES[category].chain,  # type: ignore[index]
         "composition": "C0",
         "observability": None,
+        "evidence_in_view": None,
+        "observability_approximate": None,
+        "evidence": None,
         "moves": 1 + len(leaves[gold].get("subgoals", [])),
     }
     values = {

@@ -1,0 +1,92 @@
+"""The free floor of a room as points: what must be seen before absence can be told."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from condvln.episodes.footprint import Footprint
+from condvln.episodes.goals import SINK, SNAP_TOLERANCE
+from condvln.navigation.protocol import PathfinderProtocol
+from condvln.scene import Room, Scene, SceneObject
+from condvln.seeding import generator
+
+__all__ = ["FLOOR_POINTS", "floor_points"]
+
+F64 = NDArray[np.float64]
+
+FLOOR_POINTS: Final = 256
+"""Points a room, about: a share of 0.8 is known to within 0.025."""
+LEAST_SPACING: Final = 0.2
+"""Metres; a closet needs no finer grid."""
+LIFT: Final = 0.05
+"""Metres above the navmesh at which the floor is looked for, so that no rug hides it."""
+
+
+def floor_points(
+    scene: Scene,
+    room: Room,
+    pathfinder: PathfinderProtocol,
+    islands: Sequence[int],
+    obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
+) -> F64:
+    """Points (n, 3) spread evenly over the floor of `room` that can be stood on; over all of it where none can.
+
+    A room without a polygon is the whole scene.
+
+    Parameters
+    ----------
+    islands : those of the navmesh that count as floor
+    obstacles : furniture that the navmesh ignores; there is no free floor within
+    """
+    if room.polygon is None:
+        points = _whole_floor(scene, pathfinder, islands)
+    else:
+        points = _room_floor(room, room.polygon, pathfinder, islands)
+    free = np.ones(len(points), dtype=bool)
+    for _, footprint in obstacles:
+        free &= footprint.distance(points) > 0.0
+    points = points[free] if free.any() else points
+    return np.asarray(points + np.array([0.0, LIFT, 0.0]), dtype=np.float64)
+
+
+def _whole_floor(scene: Scene, pathfinder: PathfinderProtocol, islands: Sequence[int]) -> F64:
+    areas = np.array([pathfinder.island_area(k) for k in islands])
+    if not areas.sum() > 0:
+        return np.empty((0, 3))
+    rng = generator(0, scene.scene_id, "floor")
+    counts = np.ceil(2 * FLOOR_POINTS * areas / areas.sum()).astype(int)
+    drawn = [
+        pathfinder.get_random_navigable_points(int(n), rng, island) for n, island in zip(counts, islands, strict=True)
+    ]
+    points = np.concatenate(drawn).astype(np.float64)
+    return np.asarray(points[np.isfinite(points).all(axis=1)], dtype=np.float64)
+
+
+def _room_floor(room: Room, polygon: F64, pathfinder: PathfinderProtocol, islands: Sequence[int]) -> F64:
+    outline = shapely.Polygon(polygon)
+    if not outline.is_valid:
+        outline = shapely.make_valid(outline)
+    spacing = max(LEAST_SPACING, math.sqrt(outline.area / FLOOR_POINTS))
+    low, high = np.array(outline.bounds[:2]), np.array(outline.bounds[2:])
+    # The grid is centred, so that a narrow room has points along its middle.
+    axes = []
+    for a, b in zip(low, high, strict=True):
+        count = max(1, int((b - a) / spacing))
+        axes.append((a + b) / 2 + (np.arange(count) - (count - 1) / 2) * spacing)
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    grid = grid[shapely.contains_xy(outline, grid[:, 0], grid[:, 1])]
+    asked = np.column_stack([grid[:, 0], np.full(len(grid), room.floor_y), grid[:, 1]])
+    if not len(asked):
+        return asked
+    snapped = pathfinder.snap_points(asked).astype(np.float64)
+    with np.errstate(invalid="ignore"):
+        good = np.hypot(*(snapped - asked)[:, [0, 2]].T) <= SNAP_TOLERANCE
+        good &= np.abs(snapped[:, 1] - room.floor_y) <= SINK
+    good &= np.isin(pathfinder.get_islands(asked), islands)
+    return np.asarray(snapped[good] if good.any() else asked, dtype=np.float64)

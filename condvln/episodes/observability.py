@@ -1,0 +1,225 @@
+"""The observability axis: from where the evidence for an instruction's conditions can be seen.
+
+Evidence for a condition that is true is a witness, and its anchor where there is one; for one that is false, that next
+to all of the room's floor was seen, or, where things of the label are there but not in that relation, all of these and
+the anchor. Only conditions that the gold route evaluates count; an agent never meets the others.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.episodes.floor import floor_points
+from condvln.episodes.footprint import Footprint
+from condvln.episodes.goals import wide_islands
+from condvln.episodes.placing import Placement
+from condvln.episodes.rules import EpisodeRules
+from condvln.episodes.view import SceneView
+from condvln.labels import Vocabulary, vocabulary
+from condvln.navigation.protocol import PathfinderProtocol
+from condvln.navigation.sight import SightTarget, View, eyes_at, in_view
+from condvln.scene import Scene, SceneObject
+from schemas.episode import Observability
+from schemas.program import Condition, Program
+
+__all__ = ["ConditionEvidence", "Observation", "Observer", "common_prefix"]
+
+F64 = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+EYE_SPACING: Final = 0.5
+"""Metres between the places of a path from which is looked: two steps."""
+STRAY: Final = 0.25
+"""Metres, one step: paths are still the same while they are no farther apart."""
+PREFIX_SAMPLES: Final = 0.05
+"""Metres between the places at which paths are compared."""
+FRONT_FOV: Final = 90.0
+"""Degrees, both ways, of the camera of VLN-CE's R2R task."""
+LEVELS: Final[tuple[Observability, ...]] = ("O0", "O1", "O2")
+"""From what is seen at once to what needs a detour."""
+
+_Target = tuple[str, str]
+"""("object", its id) or ("floor", a room's id)."""
+_Needs = tuple[frozenset[_Target], ...]
+"""Ways to know a condition's truth: all targets of one of them must be seen."""
+
+
+@dataclass(frozen=True, slots=True)
+class ConditionEvidence:
+    """Where the evidence for one condition of the gold route is visible; `in_view`: at once, in the first view."""
+
+    condition: int
+    observability: Observability
+    in_view: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """The observability of an episode: the worst over the conditions that its gold route evaluates.
+
+    in_view : all evidence lies in the first view, 90° wide (O0f); approximate : boxes stood in for surfaces
+    """
+
+    evidence: tuple[ConditionEvidence, ...]
+    approximate: bool
+
+    @property
+    def observability(self) -> Observability:
+        """The worst level."""
+        return max((e.observability for e in self.evidence), key=LEVELS.index)
+
+    @property
+    def in_view(self) -> bool:
+        """Whether an agent sees all evidence without turning."""
+        return all(e.in_view for e in self.evidence)
+
+
+class Observer:
+    """Judges placed programs of one scene. What a place sees of a thing is asked once."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        view: SceneView,
+        pathfinder: PathfinderProtocol,
+        rules: EpisodeRules,
+        obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
+        words: Vocabulary = vocabulary,
+    ) -> None:
+        self._scene, self._view, self._pathfinder, self._rules, self._words = scene, view, pathfinder, rules, words
+        self._obstacles, self._islands = obstacles, wide_islands(pathfinder, rules)
+        self._around = View(range=rules.sight_range)
+        self._front = View(range=rules.sight_range, horizontal_fov=FRONT_FOV, vertical_fov=FRONT_FOV)
+        self._targets: dict[_Target, SightTarget | None] = {}
+        self._seen: dict[tuple[_Target, bytes], Bools] = {}
+
+    def observe(self, placed: Sequence[tuple[Program, Placement]]) -> list[Observation]:
+        """The observation of each placed program, in their order."""
+        asked = [
+            {k: self._needs(program.conditions[k]) for k in sorted(set(program.route()[0]))} for program, _ in placed
+        ]
+        starts = [eyes_at(placement.start, self._rules.eye_height) for _, placement in placed]
+        self._look(
+            (target, eye)
+            for needs, eye in zip(asked, starts, strict=True)
+            for ways in needs.values()
+            for target in _all(ways)
+        )
+        at_start = [
+            {k: self._known(ways, eye) for k, ways in needs.items()} for needs, eye in zip(asked, starts, strict=True)
+        ]
+        paths = [
+            np.concatenate([eye, self._eyes_on_the_way(placement)])
+            for (_, placement), eye in zip(placed, starts, strict=True)
+        ]
+        self._look(
+            (target, path)
+            for needs, known, path in zip(asked, at_start, paths, strict=True)
+            for k, ways in needs.items()
+            if not known[k]
+            for target in _all(ways)
+        )
+        found = []
+        for (_, placement), needs, known, eye, path in zip(placed, asked, at_start, starts, paths, strict=True):
+            evidence = []
+            for k, ways in needs.items():
+                level: Observability = "O0" if known[k] else "O1" if self._known(ways, path) else "O2"
+                evidence.append(ConditionEvidence(k, level, known[k] and self._known(ways, eye, placement.yaw)))
+            found.append(Observation(tuple(evidence), self._view.approximate))
+        return found
+
+    def _eyes_on_the_way(self, placement: Placement) -> F64:
+        prefix = common_prefix([leaf.route.path for leaf in placement.leaves])
+        return eyes_at(_spaced(prefix, EYE_SPACING)[1:], self._rules.eye_height)
+
+    def _needs(self, condition: Condition) -> _Needs:
+        room = condition.room.room_id
+        anchor = () if condition.qualifier is None else (("object", condition.qualifier.anchor_id),)
+        if condition.truth:
+            return tuple(frozenset({("object", witness), *anchor}) for witness in condition.witnesses)
+        whole: _Needs = (frozenset({("floor", room)}),)
+        if condition.qualifier is None:
+            return whole
+        meant = self._words.overlapping(condition.label)
+        there = [("object", o.object_id) for o in self._scene.objects if o.room_id == room and o.label in meant]
+        return (frozenset({*there, *anchor}), *whole) if there else whole
+
+    def _target(self, name: _Target) -> SightTarget | None:
+        """What is looked for; None for a room without a floor to see."""
+        if name not in self._targets:
+            kind, key = name
+            if kind == "object":
+                self._targets[name] = self._view.target(key)
+            else:
+                room = self._scene.room_of[key]
+                points = floor_points(self._scene, room, self._pathfinder, self._islands, self._obstacles)
+                self._targets[name] = SightTarget(points) if len(points) else None
+        return self._targets[name]
+
+    def _look(self, wanted: Iterable[tuple[_Target, F64]]) -> None:
+        """Cast all looks that were not cast before, each target's from all eyes at once."""
+        eyes: dict[_Target, dict[bytes, F64]] = {}
+        for name, places in wanted:
+            for eye in places:
+                key = eye.tobytes()
+                if (name, key) not in self._seen:
+                    eyes.setdefault(name, {})[key] = eye
+        for name, places_of in eyes.items():
+            target = self._target(name)
+            if target is None:
+                continue
+            seen = self._view.seen(np.array(list(places_of.values())), target, self._around)
+            self._seen.update({(name, key): row for key, row in zip(places_of, seen, strict=True)})
+
+    def _known(self, ways: _Needs, eyes: F64, yaw: float | None = None) -> bool:
+        """Whether what is seen from all `eyes` together tells the truth; with a yaw, of what lies ahead."""
+        return any(all(self._is_seen(name, eyes, yaw) for name in way) for way in ways)
+
+    def _is_seen(self, name: _Target, eyes: F64, yaw: float | None) -> bool:
+        target = self._target(name)
+        if target is None:
+            return False
+        seen = np.any([self._seen[name, eye.tobytes()] for eye in eyes], axis=0)
+        if yaw is not None:
+            seen &= in_view(eyes, target.samples, self._front, [yaw])[0]
+        least = self._rules.floor_seen if name[0] == "floor" else self._rules.object_seen
+        return bool(seen.mean() >= least)
+
+
+def _all(ways: _Needs) -> list[_Target]:
+    return sorted(frozenset().union(*ways))
+
+
+def common_prefix(paths: Sequence[F64]) -> F64:
+    """What several ways from one start have in common: the beginning of the first (n, 3) up to where any two of them
+    are a step apart at equal length walked; at least the start."""
+    lengths = [np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))]) for path in paths]
+    shortest = min(float(length[-1]) for length in lengths)
+    at = np.append(np.arange(0.0, shortest, PREFIX_SAMPLES), shortest)
+    walked = np.array(
+        [
+            np.column_stack([np.interp(at, length, path[:, axis]) for axis in range(3)])
+            for path, length in zip(paths, lengths, strict=True)
+        ]
+    )
+    apart = np.linalg.norm(walked[:, None] - walked[None], axis=-1).max(axis=(0, 1)) > STRAY
+    shared = int(np.argmax(apart)) if apart.any() else len(at)
+    end = at[max(shared - 1, 0)]
+    inner = (lengths[0] > 0.0) & (lengths[0] < end)
+    return np.asarray(
+        np.concatenate([paths[0][:1], paths[0][inner], walked[0][[max(shared - 1, 0)]]]), dtype=np.float64
+    )
+
+
+def _spaced(path: F64, spacing: float) -> F64:
+    """Points along a polyline, its ends included, at most `spacing` metres apart."""
+    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    count = max(1, math.ceil(length[-1] / spacing))
+    at = np.linspace(0.0, length[-1], count + 1)
+    return np.column_stack([np.interp(at, length, path[:, axis]) for axis in range(3)])

@@ -1,0 +1,106 @@
+"""What an agent can see of a scene: what stands in the way of a look, and where its objects are looked for."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.labels import Vocabulary, vocabulary
+from condvln.navigation.occluders import BoxOccluders, JoinedOccluders, MeshOccluders, Occluders
+from condvln.navigation.sight import SightTarget, View, visible_points
+from condvln.navigation.surface_samples import box_samples, mesh_samples
+from condvln.scene import Scene, SceneObject
+from condvln.scene.geometry import STRUCTURE, SceneGeometry
+
+__all__ = ["SceneView"]
+
+F64 = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+_STRUCTURE_KIND: Final = "structure"
+
+
+class SceneView:
+    """Sight in one scene.
+
+    Surfaces that are exact hide by themselves. Where they are boxes, structure (walls, floors) hides as triangles and
+    every object as a solid box, since boxes of neighbouring things overlap and a shelf's holds what stands on it.
+    Where no surface is known, boxes alone hide: walls don't.
+
+    Parameters
+    ----------
+    geometry : the scene's surfaces, None where the dataset tells none
+
+    Attributes
+    ----------
+    approximate : boxes stand in for surfaces; recorded beside what is derived from them
+    """
+
+    def __init__(self, scene: Scene, geometry: SceneGeometry | None = None, words: Vocabulary = vocabulary) -> None:
+        self._scene = scene
+        self._box_number: dict[str, int] = {}
+        self._triangles: dict[str, F64] = {}
+        self._targets: dict[str, SightTarget] = {}
+        self._sound = geometry is not None and len(geometry.faces) > 0
+        self.approximate = not (geometry is not None and self._sound and not geometry.approximate)
+        self._occluders = self._made(geometry if self._sound else None, words)
+
+    def _made(self, geometry: SceneGeometry | None, words: Vocabulary) -> Occluders:
+        if geometry is not None and not geometry.approximate:
+            corners = geometry.vertices[geometry.faces]
+            for k, item in enumerate(self._scene.objects):
+                own = corners[geometry.owner == k]
+                if len(own):
+                    self._triangles[item.object_id] = own
+            return MeshOccluders(geometry.vertices, geometry.faces)
+        boxes = self._boxes(words)
+        if geometry is None:
+            return boxes
+        structure = geometry.faces[geometry.owner == STRUCTURE]
+        return JoinedOccluders(MeshOccluders(geometry.vertices, structure), boxes) if len(structure) else boxes
+
+    def _boxes(self, words: Vocabulary) -> BoxOccluders:
+        """A solid box of every object that is a body; the box around a room's walls is none."""
+        found: list[tuple[F64, F64, F64]] = []
+        for item in self._scene.objects:
+            box = _box_of(item)
+            if box is not None and not _is_structure(item.label, words):
+                self._box_number[item.object_id] = len(found)
+                found.append(box)
+        centers, halves, rotations = zip(*found, strict=True) if found else ((), (), np.zeros((0, 3, 3)))
+        return BoxOccluders(np.reshape(centers, (-1, 3)), np.reshape(halves, (-1, 3)), np.array(rotations))
+
+    def target(self, object_id: str) -> SightTarget:
+        """Where one object is looked for: points of its surface, of its box, or its centre, the first that is known."""
+        if object_id not in self._targets:
+            item = self._scene.object_of[object_id]
+            self._targets[object_id] = SightTarget(self._samples(item), self._box_number.get(object_id, -1))
+        return self._targets[object_id]
+
+    def _samples(self, item: SceneObject) -> F64:
+        own = self._triangles.get(item.object_id)
+        if own is not None:
+            return mesh_samples(own.reshape(-1, 3), np.arange(3 * len(own)).reshape(-1, 3))
+        box = _box_of(item)
+        return item.center[None] if box is None else box_samples(*box)
+
+    def seen(self, eyes: F64, target: SightTarget, view: View) -> Bools:
+        """(n, k): which samples of a target each of n eyes (n, 3) sees, looking all around."""
+        own = np.full(len(target.samples), target.own)
+        return visible_points(self._occluders, eyes, target.samples, view, own=own)
+
+
+def _box_of(item: SceneObject) -> tuple[F64, F64, F64] | None:
+    """Centre, half extents and axes of the tightest box that is known of an object."""
+    if item.obb is not None:
+        return item.obb.center, item.obb.half_extents, item.obb.rotation
+    if item.box is None:
+        return None
+    low, high = item.box
+    return (low + high) / 2, np.maximum(high - low, 0.0) / 2, np.eye(3)
+
+
+def _is_structure(label: str, words: Vocabulary) -> bool:
+    return label in words.labels and words.entry(label).kind == _STRUCTURE_KIND
