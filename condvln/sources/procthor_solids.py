@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from condvln.scene.scene import round_mm
 from condvln.sources.procthor_house import House, HouseWall, Opening
-from condvln.sources.solids import Piece, floor, upright_slabs
+from condvln.sources.solids import SMALLEST, Hole, Piece, floor, pierced_wall
 from schemas.errors import FormatError
 
 __all__ = ["WALL_THICKNESS", "house_structure"]
@@ -26,20 +26,8 @@ PARAPET: Final = 0.5
 SAME_LINE: Final = 0.02
 """Metres by which an opening may miss the line of a wall that it is cut into."""
 
-SMALLEST: Final = 1e-3
-"""Metres; pieces of wall narrower or lower than this are none."""
-
 MAX_OPENINGS: Final = 2000
 """Openings of one house. Real ones have some dozens; each is looked for in each wall."""
-
-
-class Hole(NamedTuple):
-    """A hole in a wall: from and to along it, and between two heights, metres."""
-
-    near: float
-    far: float
-    low: float
-    high: float
 
 
 def house_structure(house: House, where: str) -> list[Piece]:
@@ -78,10 +66,8 @@ def _standing(walls: Sequence[HouseWall]) -> Iterator[HouseWall]:
 def _slabs(wall: HouseWall, openings: Sequence[Opening]) -> Piece:
     """What is left of a wall around its holes, as upright boxes."""
     length = float(np.linalg.norm(wall.end - wall.start))
-    along = (wall.end - wall.start) / length
-    rest = np.array(_around(wall, length, list(_holes(wall, along, length, openings)))).reshape(-1, 4)
-    starts, ends = (wall.start + rest[:, [k]] * along for k in (0, 1))
-    return upright_slabs(starts, ends, rest[:, 2], rest[:, 3], WALL_THICKNESS)
+    holes = list(_holes(wall, (wall.end - wall.start) / length, length, openings))
+    return pierced_wall(wall.start, wall.end, wall.bottom, wall.top, WALL_THICKNESS, holes)
 
 
 def _holes(wall: HouseWall, along: F64, length: float, openings: Sequence[Opening]) -> Iterator[Hole]:
@@ -95,24 +81,3 @@ def _holes(wall: HouseWall, along: F64, length: float, openings: Sequence[Openin
         opening = openings[int(number)]
         low = opening.bottom if opening.kind == "door" else max(opening.bottom, wall.bottom + PARAPET)
         yield Hole(float(reach[number, 0]), float(reach[number, 1]), low, opening.top)
-
-
-def _around(wall: HouseWall, length: float, holes: list[Hole]) -> list[Hole]:
-    """The rectangles of a wall that no hole takes: full strips between the holes, and what is above and below them."""
-    ends = sorted({0.0, length, *(min(max(x, 0.0), length) for hole in holes for x in hole[:2])})
-    rest: list[Hole] = []
-    begun = 0.0
-    for far in ends[1:]:
-        if far - begun < SMALLEST:
-            continue  # two ends that ought to be one
-        middle = (begun + far) / 2
-        floor_y = wall.bottom
-        for hole in sorted((h for h in holes if h.near < middle < h.far), key=lambda h: h.low):
-            under_y = min(hole.low, wall.top)
-            if under_y - floor_y >= SMALLEST:
-                rest.append(Hole(begun, far, floor_y, under_y))
-            floor_y = max(floor_y, hole.high)
-        if wall.top - floor_y >= SMALLEST:
-            rest.append(Hole(begun, far, floor_y, wall.top))
-        begun = far
-    return rest

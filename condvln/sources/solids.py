@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
 
 import numpy as np
 import shapely
@@ -14,7 +14,18 @@ from condvln.scene import SceneObject
 from condvln.scene.boxes import box_corners, corners
 from condvln.scene.geometry import STRUCTURE, SceneGeometry
 
-__all__ = ["Piece", "boxes", "floor", "joined", "object_boxes", "upright_slabs"]
+__all__ = [
+    "SMALLEST",
+    "Hole",
+    "Piece",
+    "boxes",
+    "floor",
+    "joined",
+    "object_boxes",
+    "pierced_wall",
+    "upright_slabs",
+    "without_holes",
+]
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -27,6 +38,19 @@ BOX_FACES: Final = np.array(
     ]
 )  # fmt: skip
 """(12, 3) triangles over eight corners (bit 2 is x, bit 1 y, bit 0 z), counter-clockwise seen from outside."""
+
+
+SMALLEST: Final = 1e-3
+"""Metres; pieces of wall narrower or lower than this are none."""
+
+
+class Hole(NamedTuple):
+    """A hole in a wall: from and to along it, and between two heights, metres."""
+
+    near: float
+    far: float
+    low: float
+    high: float
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -59,12 +83,18 @@ def boxes(eights: ArrayLike, owners: Sequence[int] | I64) -> Piece:
 
 def object_boxes(objects: Iterable[tuple[int, SceneObject]]) -> Piece:
     """The box of each numbered object, oriented where that is known; what has no known extent has none."""
-    drawn = [
-        (number, box_corners(item.obb) if item.obb is not None else corners(item.box))
-        for number, item in objects
-        if item.obb is not None or item.box is not None
-    ]
-    return boxes([eight for _, eight in drawn], [number for number, _ in drawn])
+    eights: list[F64] = []
+    owners: list[int] = []
+    for number, item in objects:
+        box = item.box
+        if item.obb is not None:
+            eights.append(box_corners(item.obb))
+        elif box is not None:
+            eights.append(corners(box))
+        else:
+            continue
+        owners.append(number)
+    return boxes(eights, owners)
 
 
 def floor(polygon: F64, y: float) -> Piece:
@@ -95,3 +125,36 @@ def upright_slabs(starts: ArrayLike, ends: ArrayLike, bottoms: ArrayLike, tops: 
         eight[:, number, 0], eight[:, number, 2] = ground.T
         eight[:, number, 1] = high if up else low
     return boxes(eight, np.full(len(start), STRUCTURE))
+
+
+def pierced_wall(
+    start: F64, end: F64, bottom: float, top: float, thickness: float, holes: Sequence[Hole], owner: int = STRUCTURE
+) -> Piece:
+    """What is left of a wall about the line from `start` to `end`, (2,) each as (x, z), around its holes."""
+    length = float(np.linalg.norm(end - start))
+    rest = np.array(without_holes(Hole(0.0, length, bottom, top), holes)).reshape(-1, 4)
+    along = (end - start) / length
+    starts, ends = (start + rest[:, [k]] * along for k in (0, 1))
+    slabs = upright_slabs(starts, ends, rest[:, 2], rest[:, 3], thickness)
+    return replace(slabs, owner=np.full(len(slabs.faces), owner))
+
+
+def without_holes(wall: Hole, holes: Sequence[Hole]) -> list[Hole]:
+    """The rectangles of a wall that no hole takes: full strips between the holes, and what is above and below them."""
+    ends = sorted({wall.near, wall.far, *(min(max(x, wall.near), wall.far) for hole in holes for x in hole[:2])})
+    rest: list[Hole] = []
+    begun = wall.near
+    for far in ends[1:]:
+        if far - begun < SMALLEST:
+            continue  # two ends that ought to be one
+        middle = (begun + far) / 2
+        solid_y = wall.low
+        for hole in sorted((h for h in holes if h.near < middle < h.far), key=lambda h: h.low):
+            under_y = min(hole.low, wall.high)
+            if under_y - solid_y >= SMALLEST:
+                rest.append(Hole(begun, far, solid_y, under_y))
+            solid_y = max(solid_y, hole.high)
+        if wall.high - solid_y >= SMALLEST:
+            rest.append(Hole(begun, far, solid_y, wall.high))
+        begun = far
+    return rest

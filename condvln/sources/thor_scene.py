@@ -12,12 +12,14 @@ from typing import ClassVar, Final, Literal
 
 from condvln.labels import vocabulary
 from condvln.scene import Room, Scene
+from condvln.scene.geometry import SceneGeometry
 from condvln.sources.input_ledger import InputLedger
 from condvln.sources.json_document import JsonNode, parse_json
 from condvln.sources.navmesh_choice import NavmeshChoice, choose_navmesh, shipped_navmeshes
 from condvln.sources.regions import in_rooms, side_regions
 from condvln.sources.scene_source import Note, SceneSource, SourceOptions
 from condvln.sources.thor_metadata import MAX_METADATA_BYTES, floor_outline, read_objects
+from condvln.sources.thor_solids import thor_geometry
 from schemas.errors import ConfigError
 
 __all__ = ["ThorSceneSource"]
@@ -57,11 +59,8 @@ class ThorSceneSource(SceneSource):
 
     def read(self, scene_id: str) -> Scene:
         """One scene; see `Source.read`."""
-        path = self._scenes().get(scene_id)
-        if path is None:
-            raise self.not_there(scene_id)
         ledger = InputLedger()
-        document = parse_json(self.files.read(path, MAX_METADATA_BYTES), str(self.root / path)).object()
+        document = self._document(scene_id)
         label = self.room_label(document)
         items = read_objects(document, self.family)
         rooms = self._drawn(scene_id, ledger)
@@ -88,6 +87,18 @@ class ThorSceneSource(SceneSource):
             navmesh=navmesh.file,
             warnings=tuple(sorted({*lost, *navmesh.warnings}, key=lambda w: (w.code, w.where, w.message))),
         )
+
+    def geometry(self, scene: Scene) -> SceneGeometry | None:
+        """Floor, walls and objects as boxes; see `Source.geometry`. None where the metadata has no floor."""
+        document = self._document(scene.scene_id)
+        number = {item.object_id: n for n, item in enumerate(scene.objects)}
+        return thor_geometry(document, read_objects(document, self.family), number, self.annotation == "dataset")
+
+    def _document(self, scene_id: str) -> JsonNode:
+        path = self._scenes().get(scene_id)
+        if path is None:
+            raise self.not_there(scene_id)
+        return parse_json(self.files.read(path, MAX_METADATA_BYTES), str(self.root / path)).object()
 
     def _note(self, scene_id: str, path: str, ledger: InputLedger) -> None:
         ledger.file(path)

@@ -356,6 +356,7 @@ def _check(root: Path, data: st.DataObject) -> None:
             scene = source.read(handle.scene_id)
             assert handle.fault is None
             scene_tables(scene)
+            source.geometry(scene)
 
 
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])

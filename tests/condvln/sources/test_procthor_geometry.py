@@ -23,9 +23,9 @@ from condvln.scene import Room, Scene
 from condvln.scene.boxes import box_corners
 from condvln.scene.geometry import STRUCTURE, SceneGeometry
 from condvln.sources.procthor import ProcthorSource
-from condvln.sources.procthor_house import HouseWall
-from condvln.sources.procthor_solids import WALL_THICKNESS, Hole, _around, house_structure
+from condvln.sources.procthor_solids import WALL_THICKNESS, house_structure
 from condvln.sources.registry import open_source
+from condvln.sources.solids import Hole, without_holes
 from schemas.errors import FormatError
 
 from .test_procthor import DATABASE, House_, house, parsed, wall, write, xyz
@@ -187,8 +187,7 @@ def test_side_zones_change_no_walls(root: Path, tmp_path: Path) -> None:
 )
 def test_what_is_left_of_a_wall_is_all_but_its_holes(holes: list[tuple[float, float, float, float]]) -> None:
     cut = [Hole(round(x, 2), round(x + w, 2), round(y, 2), round(y + h, 2)) for x, w, y, h in holes]
-    side = HouseWall("w", "r", np.zeros(2), np.array([4.0, 0.0]), 0.0, 3.0, False, False)
-    rest = _around(side, 4.0, cut)
+    rest = without_holes(Hole(0.0, 4.0, 0.0, 3.0), cut)
     expected = shapely.box(0, 0, 4, 3) - shapely.union_all([shapely.box(h.near, h.low, h.far, h.high) for h in cut])
     pieces = [shapely.box(r.near, r.low, r.far, r.high) for r in rest]
     assert sum(p.area for p in pieces) == pytest.approx(expected.area, abs=1e-9)

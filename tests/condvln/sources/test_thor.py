@@ -59,7 +59,7 @@ def plan(name: str = "FloorPlan207") -> Document:
         "sceneName": name,
         "objects": [
             thing("Floor|+00.00", "Floor", (1, -0.1, 2), (4, 0.2, 6)),
-            thing("Sofa|+01.00", "Sofa", (1, 0.4, 3), (2, 0.8, 1), moveable=True),
+            thing("Sofa|+01.00", "Sofa", (1, 0.4, 3), (2, 0.8, 1), moveable=True, assetId="Sofa_1"),
             thing("Window|+01.00", "Window", (1, 1.5, 5), (1, 1, 0.1)),
         ],
     }
@@ -200,7 +200,10 @@ def _check(root: Path, data: st.DataObject) -> None:
         bad[at : at + data.draw(st.integers(0, 6))] = data.draw(tokens)
     (root / "FloorPlan2.json").write_bytes(bytes(bad))
     with suppress(InputError):
-        scene_tables(open_source("ithor", root).read("FloorPlan2"))
+        source = open_source("ithor", root)
+        scene = source.read("FloorPlan2")
+        scene_tables(scene)
+        source.geometry(scene)
 
 
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
