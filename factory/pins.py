@@ -75,7 +75,8 @@ def build_aggregate(aggregate: Aggregate, commits: Commits, receipts: Iterable[R
 
     def counted() -> Iterator[tuple[str, Mapping[str, pa.Table]]]:
         nonlocal count
-        for count, found in enumerate(_tables(aggregate, commits, receipts), start=1):
+        for found in _tables(aggregate, commits, receipts):
+            count += 1
             yield found
 
     table = aggregate.build(counted())

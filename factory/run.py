@@ -195,7 +195,8 @@ class _Run:
             self.report.exit_code = ABORTED
             self.report.message = str(error)
         self.report.seconds = time.perf_counter() - started
-        if self.report.published or self.report.exit_code == ABORTED or self.report.stages:
+        tried = any(not failure.known for _, failure in self.report.failures)
+        if self.report.published or self.report.exit_code == ABORTED or self.report.stages or tried:
             self.report.write(
                 self.store,
                 token=self.token,

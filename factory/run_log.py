@@ -77,6 +77,10 @@ class RunLog:
         self._line("note", message=message)
         self._inner.note(message)
 
+    def event(self, event: str, **fields: Any) -> None:
+        """Anything else worth a line."""
+        self._line(event, **fields)
+
     def _line(self, event: str, **fields: Any) -> None:
         at = datetime.now(timezone.utc).isoformat(timespec="milliseconds")
         self._file.write(json.dumps({"at": at, "event": event, **fields}) + "\n")

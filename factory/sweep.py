@@ -30,9 +30,9 @@ GRACE_SECONDS: Final = 24 * 3600.0
 """A run that is killed is commonly started again within a day; until then its commits are safe from sweeping."""
 
 RUNS_KEPT: Final = 200
-"""Records of runs that are kept, some kilobytes each."""
+"""Records of runs that are kept, some kilobytes each, and their logs."""
 
-_KINDS: Final = ("snapshots", "indexes", "units", "aggregates", "quarantine", "runs")
+_KINDS: Final = ("snapshots", "indexes", "units", "aggregates", "quarantine", "runs", "logs")
 
 
 @dataclass
@@ -53,6 +53,7 @@ class _Live:
     aggregates: frozenset[tuple[str, str]]
     quarantine: frozenset[tuple[str, str]]
     runs: frozenset[str]
+    logs: frozenset[str]
 
 
 def sweep(
@@ -133,9 +134,14 @@ def _live(store: Store, keep: int) -> _Live:
         units=frozenset(units),
         aggregates=frozenset(aggregates),
         quarantine=frozenset(quarantine),
-        # Their names begin with the time they began.
-        runs=frozenset(sorted(entry.path.split("/")[1] for entry in store.list("runs"))[-RUNS_KEPT:]),
+        runs=_latest(store, "runs"),
+        logs=_latest(store, "logs"),
     )
+
+
+def _latest(store: Store, kind: str) -> frozenset[str]:
+    """Names of the latest runs' files: they begin with the time at which the run began."""
+    return frozenset(sorted(entry.path.split("/")[1] for entry in store.list(kind))[-RUNS_KEPT:])
 
 
 def _keys(index: pa.Table) -> Iterator[tuple[str, str]]:
@@ -151,7 +157,7 @@ def _whole(store: Store, kind: str, before: float) -> Iterator[tuple[str, list[E
     groups: dict[str, list[Entry]] = {}
     for entry in store.list(kind):
         parts = entry.path.split("/")
-        name = {"snapshots": parts[1], "units": "/".join(parts[1:4]), "runs": parts[1]}.get(kind, "/".join(parts[1:]))
+        name = {"snapshots": parts[1], "units": "/".join(parts[1:4])}.get(kind, "/".join(parts[1:]))
         groups.setdefault(name, []).append(entry)
     for name, entries in groups.items():
         if max(entry.modified for entry in entries) < before:
@@ -170,4 +176,4 @@ def _is_live(kind: str, name: str, live: _Live) -> bool:
     if kind in ("aggregates", "quarantine"):
         stem = parts[-1].rsplit(".", 1)[0]
         return (parts[0], stem) in (live.aggregates if kind == "aggregates" else live.quarantine)
-    return name in live.runs
+    return name in (live.runs if kind == "runs" else live.logs)

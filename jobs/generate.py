@@ -13,14 +13,15 @@ from factory.auto_executor import AutoExecutor
 from factory.executor import Executor, InlineExecutor
 from factory.report import ABORTED, RunReport
 from factory.run import run
+from factory.unit import Unit
 from jobs.export import export_snapshot_of
 from jobs.pipeline import build_pipeline, list_units
-from jobs.progress import RunProgress
+from jobs.progress import LoggedRun, RunProgress
 from jobs.report import Report, Section
-from jobs.workspace import file_hashes, git_revision, hasher, open_store, published
+from jobs.workspace import file_hashes, git_revision, hasher, local_state, open_store, published
 from schemas.config import Config
 
-__all__ = ["run_generate"]
+__all__ = ["add_export", "bring_up_to_date", "run_generate", "run_report"]
 
 SHOWN_FAILURES: Final = 20
 """Quarantined scenes listed on a terminal; ``condvln status`` has all of them."""
@@ -37,39 +38,78 @@ def run_generate(
     """Bring the published snapshot up to date with the sources, and the export with the snapshot."""
     console = console or Console(stderr=True)
     hashes = file_hashes(config)
-    pipeline = build_pipeline(config)
     units = list_units(config, hasher(hashes))
     hashes.save()
+    done = bring_up_to_date(
+        config,
+        units,
+        inline=inline,
+        retry_quarantined=retry_quarantined,
+        renew_priors=renew_priors,
+        console=console,
+    )
+    report = run_report(done)
+    if config.export is not None and done.exit_code != ABORTED and done.snapshot_id is not None:
+        add_export(report, config)
+    return report
+
+
+def bring_up_to_date(
+    config: Config,
+    units: list[Unit],
+    *,
+    inline: bool = False,
+    retry_quarantined: bool = False,
+    renew_priors: bool = False,
+    verify: bool = False,
+    warm: bool = True,
+    console: Console,
+) -> RunReport:
+    """Run what changed and publish; leaves the run's record and its log in the store.
+
+    verify : read every published file again, and make those anew that differ from their hash
+    warm : compile what scenes need before any is read; not worth it where none is expected to be made
+    """
     # Compiled once here, so that workers find the kernels in the cache instead of compiling them side by side.
     kernels = {"paths", "follower"}
     if any(not any(i.path.endswith(".navmesh") for i in unit.inputs) for unit in units):
         kernels.add("navmesh builder")
-    warm_up(lambda message: console.print(message, highlight=False, markup=False), only=kernels)
-    with RunProgress(console) as progress, _executor(config, inline, progress.note) as executor:
+    if warm:
+        warm_up(lambda message: console.print(message, highlight=False, markup=False), only=kernels)
+    store = open_store(config)
+    with (
+        RunProgress(console) as bar,
+        LoggedRun(store, local_state(config.store), bar) as log,
+        _executor(config, inline, bar.note) as executor,
+    ):
         done = run(
-            pipeline,
+            build_pipeline(config),
             units,
-            open_store(config),
+            store,
             config.name,
             executor,
             budget=config.ray.max_failures,
-            progress=progress,
+            progress=log.progress,
             retry_quarantined=retry_quarantined,
             renew=("priors",) if renew_priors else (),
             deadline=config.ray.deadline_seconds,
+            verify=verify,
             revision=git_revision(),
         )
-    report = _report(done)
-    if config.export is not None and done.exit_code != ABORTED and done.snapshot_id is not None:
-        if not published(config).manifest.tables["episodes"].rows:
-            report.lines.append("no episodes, so nothing is exported; the tables scenes and rejections say why")
-            return report
-        exported = export_snapshot_of(config)
-        report.document["export"] = exported.document
-        report.lines += exported.lines
-        report.sections += exported.sections
-        report.exit_code = max(report.exit_code, exported.exit_code)
-    return report
+        log.keep(done)
+    return done
+
+
+def add_export(report: Report, config: Config) -> None:
+    """Export what is published, and say so in `report`."""
+    if not published(config).manifest.tables["episodes"].rows:
+        report.lines.append("no episodes, so nothing is exported; the tables scenes and rejections say why")
+        return
+    exported = export_snapshot_of(config)
+    report.document["export"] = exported.document
+    report.lines += exported.lines
+    report.sections += exported.sections
+    report.exit_code = max(report.exit_code, exported.exit_code)
 
 
 @contextmanager
@@ -84,7 +124,8 @@ def _executor(config: Config, inline: bool, say: Callable[[str], None]) -> Itera
         yield ray if config.ray.address else AutoExecutor(ray, say=say)
 
 
-def _report(done: RunReport) -> Report:
+def run_report(done: RunReport) -> Report:
+    """What a run did, for people and scripts."""
     counts = {name: done.counts[name] for name in ("total", "fresh", "reused", "made", "ok", "skipped", "quarantined")}
     document: dict[str, Any] = {
         "snapshot_id": done.snapshot_id,

@@ -1,8 +1,11 @@
-"""Progress of a run on a terminal (a bar) or in a log (a line now and then)."""
+"""Progress of a run on a terminal (a bar) or in a log (a line now and then), and the log that stays in the store."""
 
 from __future__ import annotations
 
+import os
+import time
 from collections import Counter
+from pathlib import Path
 from types import TracebackType
 from typing import Final
 
@@ -10,8 +13,16 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from factory.receipt import Receipt
+from factory.report import Progress as RunListener
+from factory.report import RunReport
+from factory.run_log import RunLog
+from factory.store import Store
+from schemas.errors import CondVLNError
 
-__all__ = ["RunProgress"]
+__all__ = ["LOGS", "LoggedRun", "RunProgress"]
+
+LOGS: Final = "logs"
+"""Folder of the runs' logs in a store, each named as the run's record."""
 
 LOG_STEPS: Final = 20
 """Lines that a phase of a run leaves in a log, about."""
@@ -74,3 +85,55 @@ class RunProgress:
             self._bar.update(self._task, advance=1, last=last)
         if not self._console.is_terminal and self._done % max(1, self._total // LOG_STEPS) == 0:
             self._console.print(f"{self._phase}: {self._done}/{self._total} {last}", highlight=False, markup=False)
+
+
+class LoggedRun:
+    """The structured log of one run, a JSON line an event and a scene: written on this machine, kept in the store.
+
+    While the run goes, and if it is killed, the log stands in ``logs/`` of the machine's local state under the time it
+    began; when it ends, in ``logs/`` of the store under the name of the run's record.
+
+    inner : progress that is told too
+    """
+
+    def __init__(self, store: Store, state: Path, inner: RunListener) -> None:
+        self._store = store
+        began = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
+        self._path = state / LOGS / f"{began}-{os.getpid()}.jsonl"
+        self._log = RunLog(self._path, inner)
+        self._inner = inner
+        self._kept = ""
+
+    @property
+    def progress(self) -> RunLog:
+        """What a run tells its progress to."""
+        return self._log
+
+    def keep(self, done: RunReport) -> None:
+        """The run is over: keep its log beside its record. One that found nothing to do leaves neither."""
+        self._kept = f"{LOGS}/{Path(done.record).stem}.jsonl" if done.record else "-"
+        self._log.event(
+            "end",
+            exit_code=done.exit_code,
+            published=done.published,
+            snapshot_id=done.snapshot_id,
+            counts=dict(done.counts),
+            seconds=round(done.seconds, 3),
+            message=done.message,
+        )
+
+    def __enter__(self) -> LoggedRun:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._log.__exit__(kind, error, trace)
+        if not self._kept:
+            return  # it was stopped: its log stays where it is
+        try:
+            if self._kept != "-":
+                self._store.write(self._kept, self._path.read_bytes())
+            self._path.unlink()
+        except (CondVLNError, OSError) as refused:
+            self._inner.note(f"the log of this run stays in {self._path}: {refused}")

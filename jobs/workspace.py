@@ -7,15 +7,17 @@ import os
 import subprocess
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from condvln.sources.source import HashFile
 from factory.files import FileHashes
 from factory.local_copy import local_copy
 from factory.snapshot import Snapshot
 from factory.store import Store
 from factory.store import open_store as open_address
 from schemas.config import Config
+
+if TYPE_CHECKING:  # a rebuild that finds nothing to do loads no science
+    from condvln.sources.source import HashFile
 
 __all__ = [
     "CACHE_VARIABLE",

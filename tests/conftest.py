@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import secrets
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -13,6 +16,10 @@ settings.register_profile("condvln", deadline=None, suppress_health_check=[Healt
 # CI draws the same examples every time, so that it judges the change and not the day; people draw new ones.
 settings.register_profile("ci", settings.get_profile("condvln"), derandomize=True)
 settings.load_profile("ci" if os.environ.get("CI") else "condvln")
+
+# For the object store on loopback; before any other process is started that should know them.
+for name, value in {"ACCESS_KEY_ID": "test", "SECRET_ACCESS_KEY": "test", "DEFAULT_REGION": "us-east-1"}.items():
+    os.environ.setdefault(f"AWS_{name}", value)
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -32,3 +39,37 @@ def real_data() -> Path:
             "no real datasets here: set CONDVLN_REAL_DATA to the folder that holds replicacad/, navmesh_golden/ …"
         )
     return folder
+
+
+@pytest.fixture(scope="session")
+def s3_server() -> Iterator[str]:
+    """Address of a server on loopback that speaks the S3 protocol, with a bucket ``bucket``.
+
+    It takes one request at a time: moto checks a condition and writes in two steps, which a real server does in one.
+    """
+    pytest.importorskip("moto")
+    pytest.importorskip("boto3")
+    from moto.server import DomainDispatcherApplication, create_backend_app
+    from werkzeug.serving import WSGIRequestHandler, make_server
+
+    class Quiet(WSGIRequestHandler):
+        def log(self, *arguments: object) -> None:
+            return
+
+    application = DomainDispatcherApplication(create_backend_app)
+    server = make_server("127.0.0.1", 0, application, threaded=False, request_handler=Quiet)
+    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread.start()
+    address = f"http://127.0.0.1:{server.server_port}"
+    import boto3
+
+    boto3.client("s3", endpoint_url=address).create_bucket(Bucket="bucket")
+    yield address
+    server.shutdown()
+    thread.join()
+
+
+@pytest.fixture
+def s3_bucket(s3_server: str) -> str:
+    """Address of an empty store in the bucket, as a configuration names it."""
+    return f"s3://bucket/{secrets.token_hex(6)}?endpoint={s3_server}"

@@ -1,0 +1,167 @@
+"""What a rebuild looked at last time, by names, sizes and times alone: whether anything changed costs no reading.
+
+Two digests are kept in the machine's local state. ``inputs`` covers the configuration, this code and every file below
+the sources' folders; ``outputs`` the published ref, its snapshot's manifest, the quarantine, and the files of the
+export. When both are as remembered there is nothing to do; else the rebuild plans by content, as ever. Losing the
+memory costs one such plan.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import time
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, Final
+
+from factory.commits import Commits
+from factory.snapshot import read_manifest, read_ref
+from factory.store import Store
+from schemas.base import Document
+from schemas.canonical import digest
+from schemas.config import Config
+from schemas.unit import Hash64
+
+__all__ = ["Memory", "Watch"]
+
+SETTLED_SECONDS: Final = 2.0
+"""A file younger than this may change again within the same tick of a coarse clock."""
+
+UNSETTLED: Final = "0" * 64
+"""Stands for inputs that are not remembered."""
+
+EXPORT_INDEX: Final = "export.json"
+"""The export's own record of its snapshot and files."""
+
+_CODE: Final = {".py", ".lark", ".csv", ".yaml", ".json"}
+_PACKAGES: Final = ("schemas", "condvln", "factory", "jobs")
+
+
+class Memory(Document):
+    """``.rebuild-<name>.json`` in the local state of a store."""
+
+    inputs: Hash64
+    outputs: Hash64
+    exported: Hash64 | None = None
+    """What the export was made of."""
+    quarantined: int = 0
+    looked_at: str = ""
+
+
+class Watch:
+    """Looks at the inputs when it is made, so that what changes during a run is seen by the next one."""
+
+    def __init__(self, config: Config, store: Store, state: Path) -> None:
+        self._config = config
+        self._store = store
+        self._path = state / f".rebuild-{config.name}.json"
+        self._youngest = 0
+        self._code = _code()
+        document = config.model_dump(mode="json")
+        roots = [path for source in config.sources for path in (source.root, source.regions) if path is not None]
+        self._inputs = digest([document, self._code, [*self._stats(roots)]])
+        self._exported = digest([self._code, {k: v for k, v in document.items() if k not in ("ray", "keep", "store")}])
+        self.memory = self._remembered()
+
+    def _remembered(self) -> Memory | None:
+        try:
+            return Memory.model_validate_json(self._path.read_bytes())
+        except (OSError, ValueError):
+            return None
+
+    @property
+    def unchanged(self) -> bool:
+        """Whether all is as the last complete rebuild left it."""
+        memory = self.memory
+        return memory is not None and memory.inputs == self._inputs and memory.outputs == self._outputs()
+
+    def export_stands(self, snapshot_id: str) -> bool:
+        """Whether the export is there, whole by its files' sizes, and made of this snapshot in this way."""
+        if self.memory is None or self.memory.exported != digest([snapshot_id, self._exported]):
+            return False
+        return self._export_stats() is not None
+
+    def remember(self, snapshot_id: str | None, quarantined: int) -> None:
+        """A rebuild is complete."""
+        # A file touched just now may change once more without showing it: then the next rebuild looks at contents.
+        settled = time.time() - self._youngest / 1e9 >= SETTLED_SECONDS
+        exported = None if self._config.export is None else digest([snapshot_id, self._exported])
+        memory = Memory(
+            inputs=self._inputs if settled else UNSETTLED,
+            outputs=self._outputs(),
+            exported=exported,
+            quarantined=quarantined,
+            looked_at=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+        )
+        temporary = self._path.with_suffix(".tmp")
+        temporary.write_text(memory.model_dump_json(), encoding="utf-8")
+        os.replace(temporary, self._path)
+
+    def _outputs(self) -> str:
+        ref, token = read_ref(self._store, self._config.name)
+        whole = ref is not None and read_manifest(self._store, ref.snapshot_id) is not None
+        quarantined = sorted([*key] for key in Commits(self._store).quarantined())
+        document: list[Any] = [token, whole, quarantined]
+        if self._config.export is not None:
+            document.append(self._export_stats())
+        return digest(document)
+
+    def _export_stats(self) -> list[Any] | None:
+        """(path, size, time) of every file that the export lists; None when one is missing or of another size."""
+        assert self._config.export is not None
+        found: list[Any] = []
+        try:
+            index = json.loads((self._config.export / EXPORT_INDEX).read_bytes())
+            for path, listed in sorted(index["files"].items()):
+                stat = (self._config.export / path).stat()
+                if stat.st_size != listed["bytes"]:
+                    return None
+                found.append([path, stat.st_size, stat.st_mtime_ns])
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            return None
+        return [index.get("snapshot"), found]
+
+    def _stats(self, roots: Iterable[Path]) -> Iterator[list[Any]]:
+        """[path, size, mtime_ns] of every file at or below `roots`, sorted; links are followed, each folder once."""
+        seen: set[tuple[int, int]] = set()
+        for root in roots:
+            found: list[list[Any]] = []
+            stack = [str(root)]
+            if root.is_file():
+                stat = root.stat()
+                found.append([str(root), stat.st_size, stat.st_mtime_ns])
+                stack = []
+            while stack:
+                try:
+                    folder = stack.pop()
+                    stat = os.stat(folder)
+                    if (stat.st_dev, stat.st_ino) in seen:
+                        continue
+                    seen.add((stat.st_dev, stat.st_ino))
+                    entries = [*os.scandir(folder)]
+                except OSError:
+                    found.append([folder, -1, 0])
+                    continue
+                for entry in entries:
+                    try:
+                        if entry.is_dir():
+                            stack.append(entry.path)
+                        else:
+                            stat = entry.stat()
+                            self._youngest = max(self._youngest, stat.st_mtime_ns)
+                            found.append([entry.path, stat.st_size, stat.st_mtime_ns])
+                    except OSError:
+                        found.append([entry.path, -1, 0])
+            yield from sorted(found)
+
+
+def _code() -> str:
+    """Digest of this program's own files: their times say nothing, since every image is built anew."""
+    state = hashlib.sha256()
+    for package in _PACKAGES:
+        root = Path(__file__).parents[1] / package
+        for path in sorted(path for path in root.rglob("*") if path.suffix in _CODE):
+            state.update(str(path.relative_to(root)).encode() + b"\0" + path.read_bytes())
+    return state.hexdigest()

@@ -1,0 +1,287 @@
+"""The scheduled rebuild: what changed is redone and exported, nothing to do ends at once, two at once do no harm."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from factory.snapshot import Snapshot
+from jobs.generate import run_generate
+from jobs.progress import RunProgress
+from jobs.rebuild import run_rebuild
+from jobs.report import Report
+from jobs.status import report_status
+from jobs.workspace import CACHE_VARIABLE, open_store
+from schemas.config import Config, InstructionsConfig, KeepConfig, SourceConfig, SplitsConfig
+
+
+def configuration(folder: Path, **changes: object) -> Config:
+    return Config(
+        name="made",
+        store=folder / "store",
+        sources=(SourceConfig(family="replicacad", root=folder / "dataset"),),
+        instructions=InstructionsConfig(per_category={"simple": 2}),
+    ).model_copy(update=changes)
+
+
+def settle(folder: Path) -> None:
+    """Let every file look as if it was written a minute ago."""
+    then = time.time() - 60
+    for path in folder.rglob("*"):
+        os.utime(path, (then, then))
+
+
+@pytest.fixture(scope="module")
+def first(made_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Config, Report]:
+    """Two scenes, published and exported by a first rebuild; read only."""
+    folder = tmp_path_factory.mktemp("first")
+    shutil.copytree(made_dataset, folder / "dataset")
+    settle(folder / "dataset")
+    config = configuration(folder, export=folder / "export")
+    return config, run_rebuild(config, inline=True, if_changed=True)
+
+
+@pytest.fixture
+def corpus(first: tuple[Config, Report], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Config:
+    """A copy of it to change, without an export."""
+    # These scenes are too small for compiling ahead.
+    monkeypatch.setattr("jobs.generate.warm_up", lambda *arguments, **settings: None)
+    config, _ = first
+    for name in ("dataset", "store"):
+        shutil.copytree(folder_of(config).parent / name, tmp_path / name)
+    return configuration(tmp_path)
+
+
+def folder_of(config: Config) -> Path:
+    assert isinstance(config.store, Path)
+    return config.store
+
+
+def scene_file(config: Config, scene: str) -> Path:
+    (path,) = config.sources[0].root.rglob(f"{scene}.scene_instance.json")
+    return path
+
+
+def change(config: Config, scene: str = "made_001") -> None:
+    """Take one object out of a scene."""
+    path = scene_file(config, scene)
+    document = json.loads(path.read_text())
+    document["object_instances"].pop()
+    path.write_text(json.dumps(document))
+    settle(config.sources[0].root)
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def rebuild(config: Config, **how: Any) -> Report:
+    return run_rebuild(config, inline=True, if_changed=True, **how)
+
+
+def test_the_first_rebuild_publishes_exports_and_leaves_a_log(first: tuple[Config, Report]) -> None:
+    config, report = first
+    assert (report.exit_code, report.document["published"]) == (0, True)
+    assert report.document["plan"]["counts"] == {"MISSING": 2}
+    assert report.document["export"]["snapshot"] == report.document["snapshot_id"]
+    (record,) = (folder_of(config) / "runs").iterdir()
+    (log,) = (folder_of(config) / "logs").iterdir()
+    assert log.stem == record.stem
+    lines = [json.loads(line) for line in log.read_text().splitlines()]
+    made = {line["unit"] for line in lines if line["event"] == "unit" and line["status"] == "ok"}
+    assert made == {"replicacad/made_000", "replicacad/made_001"}
+    assert (lines[-1]["event"], lines[-1]["snapshot_id"]) == ("end", report.document["snapshot_id"])
+
+
+def test_nothing_to_do_ends_at_once_and_says_so(corpus: Config, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = {path: data for path, data in files(folder_of(corpus)).items() if not path.startswith(".")}
+    # By contents, and then by times alone, when nothing is even listed.
+    for said in ("2 scenes are as published", "no file changed since"):
+        report = rebuild(corpus)
+        assert (report.exit_code, report.document["changed"]) == (0, False)
+        assert said in report.lines[0]
+        monkeypatch.setattr("jobs.pipeline.list_units", None)
+    after = {path: data for path, data in files(folder_of(corpus)).items() if not path.startswith(".")}
+    assert after == before, "neither record nor log"
+
+
+def test_looking_whether_anything_changed_loads_no_science(corpus: Config, tmp_path: Path) -> None:
+    rebuild(corpus)
+    (tmp_path / "run.yaml").write_text(corpus.model_dump_json())
+    script = (
+        "import sys; from pathlib import Path; from jobs.configuration import load_config;"
+        "from jobs.rebuild import run_rebuild; config = load_config(Path('run.yaml'));"
+        "print(run_rebuild(config, if_changed=True).lines[0]);"
+        "print([name for name in ('ray', 'numba', 'scipy', 'trimesh', 'shapely') if name in sys.modules])"
+    )
+    command = [sys.executable, "-c", script]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    said, loaded = done.stdout.strip().splitlines()
+    assert ("no file changed" in said, loaded) == (True, "[]")
+
+
+def test_one_changed_scene_is_redone_alone(corpus: Config) -> None:
+    rebuild(corpus)
+    # Touched, yet the same bytes: read once more, and then trusted again.
+    os.utime(scene_file(corpus, "made_000"), (time.time() - 30, time.time() - 30))
+    assert "as published" in rebuild(corpus).lines[0]
+    assert "no file changed" in rebuild(corpus).lines[0]
+    change(corpus)
+    report = rebuild(corpus)
+    assert report.document["plan"] == {"counts": {"FRESH": 1, "STALE": 1}, "reasons": {"data": 1}}
+    assert (report.document["counts"]["made"], report.document["counts"]["fresh"]) == (1, 1)
+    assert "changed: data of 1" in report.lines[0]
+
+
+def test_scenes_go_and_come_back(corpus: Config) -> None:
+    before = Snapshot.open(open_store(corpus), "made").snapshot_id
+    path = scene_file(corpus, "made_001")
+    path.rename(path.with_suffix(".away"))
+    gone = rebuild(corpus)
+    assert (gone.document["counts"]["made"], gone.document["counts"]["fresh"]) == (0, 1)
+    assert "1 removed" in gone.lines[0]
+    path.with_suffix(".away").rename(path)
+    back = rebuild(corpus)
+    assert back.document["snapshot_id"] == before
+    assert (back.document["counts"]["made"], back.document["counts"]["reused"]) == (0, 1)
+
+
+def test_an_export_is_written_again_when_it_is_lost_cut_or_asked_for_otherwise(
+    corpus: Config, first: tuple[Config, Report], tmp_path: Path
+) -> None:
+    wanted = corpus.model_copy(update={"export": tmp_path / "export"})
+    assert first[0].export is not None
+    whole = files(first[0].export)
+    assert rebuild(wanted).document["export"]
+    assert files(tmp_path / "export") == whole
+    assert "no file changed" in rebuild(wanted).lines[0]
+    (tmp_path / "export" / "README.md").write_text("cut")
+    report = rebuild(wanted)
+    assert (report.exit_code, report.document["published"]) == (0, False)
+    assert files(tmp_path / "export") == whole
+    other = rebuild(wanted.model_copy(update={"splits": SplitsConfig(per_cell=1)}))
+    assert other.document["counts"]["made"] == 0
+    assert other.document["export"]["episodes"] != report.document["export"]["episodes"]
+
+
+def test_a_quarantined_scene_is_told_once_and_then_waited_for(corpus: Config) -> None:
+    path = scene_file(corpus, "made_001")
+    sound = path.read_bytes()
+    path.write_bytes(sound[: len(sound) // 2])
+    settle(corpus.sources[0].root)
+    assert rebuild(corpus).exit_code == 3
+    again = rebuild(corpus)
+    assert (again.exit_code, again.document["changed"], again.document["quarantined"]) == (0, False, 1)
+    assert "quarantine" in again.lines[1]
+    (record,) = report_status(corpus).document["quarantine"]
+    assert (record["unit_id"], record["attempts"], record["cause"]) == ("replicacad/made_001", 1, "input")
+    # Tried again when someone asks, and when it is mended.
+    assert rebuild(corpus, retry_quarantined=True).exit_code == 3
+    path.write_bytes(sound)
+    settle(corpus.sources[0].root)
+    mended = rebuild(corpus)
+    assert (mended.exit_code, mended.document["counts"]["ok"]) == (0, 2)
+    assert report_status(corpus).document["quarantine"] == []
+
+
+@pytest.mark.soak
+def test_old_snapshots_are_swept_and_what_the_ref_names_stays(corpus: Config) -> None:
+    keep = corpus.model_copy(update={"keep": KeepConfig(snapshots=2, grace_hours=0)})
+    ids = [Snapshot.open(open_store(corpus), "made").snapshot_id]
+    for _ in range(2):
+        change(corpus)
+        report = rebuild(keep)
+        ids.append(report.document["snapshot_id"])
+    assert {path.name for path in (folder_of(corpus) / "snapshots").iterdir()} == set(ids[1:])
+    assert report.document["swept"]["snapshots"] == ids[:1]
+    assert Snapshot.open(open_store(corpus), "made").table("episodes").num_rows
+    assert "as published" in run_rebuild(keep, inline=True).lines[0], "no unit that is needed went"
+    # Within the grace period, and when it is not wanted, nothing goes.
+    change(corpus)
+    assert rebuild(corpus).document["swept"]["files"] == 0
+    change(corpus)
+    assert "swept" not in rebuild(corpus.model_copy(update={"keep": KeepConfig(sweep=False)})).document
+
+
+def test_priors_are_renewed_when_asked(corpus: Config) -> None:
+    (pin,) = (folder_of(corpus) / "pins").rglob("made.json")
+    before = pin.read_text()
+    path = scene_file(corpus, "made_001")
+    path.rename(path.with_suffix(".away"))
+    rebuild(corpus)
+    assert pin.read_text() == before, "one scene less does not make others stale"
+    rebuild(corpus, renew_priors=True)
+    assert json.loads(pin.read_text())["tables"]["priors"]["units"] == 1
+
+
+def test_a_damaged_published_file_is_mended_when_asked(corpus: Config) -> None:
+    path = Snapshot.open(open_store(corpus), "made").local_paths("objects")[0]
+    good = path.read_bytes()
+    path.write_bytes(good[:50] + b"?" + good[51:])
+    assert rebuild(corpus, verify=True).exit_code == 0
+    assert path.read_bytes() == good
+
+
+def test_of_two_on_one_machine_the_second_leaves_it_to_the_first(corpus: Config) -> None:
+    change(corpus)
+    ref = (folder_of(corpus) / "refs" / "made.json").read_bytes()
+    with open(folder_of(corpus) / ".rebuild-made.lock", "w") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        report = rebuild(corpus)
+        assert (report.exit_code, report.document["changed"]) == (0, False)
+        assert "under way" in report.lines[0]
+        assert (folder_of(corpus) / "refs" / "made.json").read_bytes() == ref
+    assert rebuild(corpus).document["published"]
+
+
+def test_of_two_on_two_machines_one_publishes_and_the_other_says_so(
+    corpus: Config, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The other machine publishes after this one's last scene and before its ref."""
+    rival = corpus.model_copy(update={"sources": (SourceConfig(family="replicacad", root=tmp_path / "other"),)})
+    shutil.copytree(corpus.sources[0].root, tmp_path / "other")
+    scene_file(rival, "made_001").unlink()
+    change(corpus)
+    met: list[str] = []
+    phase = RunProgress.phase
+
+    def interrupted(self: RunProgress, name: str, total: int, seconds: float) -> None:
+        phase(self, name, total, seconds)
+        if name == "files" and not met:
+            met.append("")
+            met[0] = run_generate(rival, inline=True).document["snapshot_id"]
+
+    monkeypatch.setattr(RunProgress, "phase", interrupted)
+    wanted = corpus.model_copy(update={"export": tmp_path / "export"})
+    report = rebuild(wanted)
+    assert (report.exit_code, report.document["published"]) == (0, False)
+    assert "another run published" in report.lines[1]
+    assert Snapshot.open(open_store(corpus), "made").snapshot_id == met[0]
+    assert not (tmp_path / "export").exists(), "who publishes exports"
+    # And the next time everything is there already; only publishing is left.
+    again = rebuild(corpus)
+    assert (again.document["published"], again.document["counts"]["made"]) == (True, 0)
+
+
+def test_an_object_store_holds_and_exports_the_same(
+    first: tuple[Config, Report], s3_bucket: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
+    config, report = first
+    away = config.model_copy(update={"store": s3_bucket, "export": tmp_path / "export"})
+    done = rebuild(away)
+    assert (done.exit_code, done.document["snapshot_id"]) == (0, report.document["snapshot_id"])
+    assert config.export is not None
+    assert files(tmp_path / "export") == files(config.export)
+    assert "no file changed" in rebuild(away).lines[0]
+    assert len([*open_store(away).list("logs")]) == len([*open_store(away).list("runs")]) == 1
+    assert not [*(tmp_path / "cache").rglob("*.jsonl")], "the log moved to the store"
