@@ -295,26 +295,40 @@ def evaluate(
     distance: Annotated[str, typer.Option(help="geodesic, or euclidean as the paper's authors measure")] = "geodesic",
     radius: Annotated[list[float] | None, typer.Option(help="success distance of a sweep; may be repeated")] = None,
     assume_stop: Annotated[bool, typer.Option("--assume-stop", help="take the last pose as STOP")] = False,
+    oracle: Annotated[
+        list[Path] | None,
+        typer.Option("--oracle", help="predictions of the same agent on the oracle twin; once for each P, in order"),
+    ] = None,
+    connectivity: Graphs = None,
     scores: Annotated[Path | None, typer.Option(help="file for one JSON line an episode")] = None,
+    csv: Annotated[Path | None, typer.Option("--csv", metavar="DIR", help="folder for one CSV file a table")] = None,
+    plots: Annotated[
+        Path | None, typer.Option("--plots", metavar="DIR", help="folder for SR, BSA and CSR against depth and chain")
+    ] = None,
     latex: Annotated[bool, typer.Option("--latex", help="print LaTeX tables (booktabs)")] = False,
     markdown: Annotated[bool, typer.Option("--markdown", help="print Markdown tables")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Metrics of agents' predictions: SR, SPL, nDTW, BSA, CSR, which branch was taken, and how sure it all is."""
-    from jobs.evaluate import evaluate_predictions
+    from jobs.evaluate import Question, evaluate_predictions
 
     if distance not in ("geodesic", "euclidean"):
         raise UsageError(f"--distance {distance!r}", remedy="Say geodesic or euclidean.")
-    report = evaluate_predictions(
+    asked = Question(
         export,
         split,
-        predictions,
-        navmesh_root or (),
+        tuple(predictions),
+        tuple(oracle or ()),
+        roots=tuple(navmesh_root or ()),
+        connectivity=tuple(connectivity or ()),
         euclidean=distance == "euclidean",
-        radii=radius or (),
+        radii=tuple(radius or ()),
         assume_stop=assume_stop,
-        scores=scores,
     )
+    report = evaluate_predictions(asked)
+    for target, write in ((scores, report.write_scores), (csv, report.write_csv), (plots, report.write_plots)):
+        if target is not None:
+            write(target)
     if latex or markdown:
         sys.stdout.write(report.as_latex() if latex else report.as_markdown())
     else:

@@ -3,28 +3,60 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from rich.console import Console, ConsoleOptions, RenderResult
 
 from condvln.evaluation.agents import agent_named, predict_all
+from condvln.evaluation.evaluate import Evaluation
 from condvln.evaluation.navmeshes import NavmeshFolder
+from condvln.evaluation.plots import save_figures
 from condvln.evaluation.predictions import write_predictions
-from condvln.evaluation.render import as_document, as_latex, as_markdown, as_rich
+from condvln.evaluation.render import as_csv, as_document, as_latex, as_markdown, as_rich
 from condvln.evaluation.score import Rules
 from condvln.evaluation.split import SplitOptions, evaluate_split, split_tasks
-from condvln.evaluation.tables import Table, all_tables
+from condvln.evaluation.tables import Table, all_tables, twin_tables
+from condvln.export.streams import atomic_stream
 from jobs.report import Report
+from schemas.errors import UsageError
 
-__all__ = ["EvaluationReport", "evaluate_predictions", "walk_split"]
+__all__ = ["EvaluationReport", "Question", "evaluate_predictions", "walk_split"]
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is asked about one split.
+
+    Attributes
+    ----------
+    predictions : a file an agent: VLN-CE's, RxR's or R2R's predictions, or others' results by episode
+    oracle : the same agents on the split's oracle-linear twin, in the same order; none where that is not asked
+    roots : folders of datasets with the navmeshes that the export does not ship
+    connectivity : folders of ``<scan>_connectivity.json``, for paths over viewpoints
+    radii : success distances of a sweep, metres
+    """
+
+    export: Path
+    split: str
+    predictions: tuple[Path, ...]
+    oracle: tuple[Path, ...] = ()
+    roots: tuple[Path, ...] = ()
+    connectivity: tuple[Path, ...] = ()
+    euclidean: bool = False
+    radii: tuple[float, ...] = ()
+    assume_stop: bool = False
 
 
 class EvaluationReport:
     """The tables of one evaluation; rich draws the terminal form."""
 
-    def __init__(self, tables: Sequence[Table]) -> None:
+    def __init__(self, evaluations: Sequence[Evaluation], tables: Sequence[Table]) -> None:
+        self.evaluations = evaluations
         self.tables = tables
 
     def as_json(self) -> dict[str, Any]:
@@ -39,6 +71,36 @@ class EvaluationReport:
         """All tables as LaTeX (booktabs)."""
         return "\n".join(as_latex(table) for table in self.tables)
 
+    def write_csv(self, folder: Path) -> list[Path]:
+        """One file a table; unrounded.
+
+        Raises
+        ------
+        StoreError : the disk refused
+        """
+        written = []
+        for table in self.tables:
+            written.append(folder / f"{quote(table.name, safe=' ')}.csv")
+            with atomic_stream(written[-1]) as stream:
+                stream.write(as_csv(table).encode())
+        return written
+
+    def write_plots(self, folder: Path) -> list[Path]:
+        """SR, BSA and CSR against depth and chain."""
+        return save_figures(self.evaluations, folder)
+
+    def write_scores(self, path: Path) -> None:
+        """One JSON line an episode and agent.
+
+        Raises
+        ------
+        StoreError : the disk refused
+        """
+        with atomic_stream(path) as stream:
+            for evaluation in self.evaluations:
+                for row in evaluation.rows():
+                    stream.write(json.dumps({"agent": evaluation.agent, **row}).encode() + b"\n")
+
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         yield from (as_rich(table) for table in self.tables)
 
@@ -51,27 +113,28 @@ def walk_split(export: Path, split: str, agent: str, out: Path, roots: Sequence[
     return Report({"predictions": count, "file": str(out)}, [f"{count} predictions of {agent} in {out}"])
 
 
-def evaluate_predictions(
-    export: Path,
-    split: str,
-    predictions: Sequence[Path],
-    roots: Sequence[Path],
-    *,
-    euclidean: bool,
-    radii: Sequence[float],
-    assume_stop: bool,
-    scores: Path | None,
-) -> EvaluationReport:
+def evaluate_predictions(asked: Question) -> EvaluationReport:
     """Metrics and tables of one or several agents on one split.
 
-    scores : file for one JSON line an episode and agent
+    Raises
+    ------
+    UsageError : not one file of the twin for each agent
+    InputError : from the readers
     """
-    rules = Rules(distance="euclidean" if euclidean else "geodesic")
-    options = SplitOptions(rules, tuple(radii), tuple(roots), assume_stop)
-    evaluations, tasks = evaluate_split(export, split, predictions, options)
-    if scores is not None:
-        with scores.open("w", encoding="utf-8") as stream:
-            for evaluation in evaluations:
-                for row in evaluation.rows():
-                    stream.write(json.dumps({"agent": evaluation.agent, **row}) + "\n")
-    return EvaluationReport(all_tables(evaluations, tasks))
+    if asked.oracle and len(asked.oracle) != len(asked.predictions):
+        raise UsageError(
+            f"{len(asked.oracle)} files of predictions on the oracle twin for {len(asked.predictions)} agents",
+            remedy="Say --oracle once for each agent, in the same order.",
+        )
+    wrong = [radius for radius in asked.radii if not (math.isfinite(radius) and radius > 0)]
+    if wrong:
+        raise UsageError(f"--radius {wrong[0]:g}", remedy="Success distances are positive numbers of metres.")
+    rules = Rules(distance="euclidean" if asked.euclidean else "geodesic")
+    options = SplitOptions(rules, asked.radii, asked.roots, asked.assume_stop, asked.connectivity)
+    evaluations, tasks = evaluate_split(asked.export, asked.split, asked.predictions, options)
+    tables = all_tables(evaluations, tasks)
+    if asked.oracle:
+        # The twin has the same episodes, goals and budgets: one manifest serves both.
+        twins = [evaluate_split(asked.export, asked.split, (path,), options)[0][0] for path in asked.oracle]
+        tables += twin_tables(list(zip(evaluations, twins, strict=True)))
+    return EvaluationReport(evaluations, tables)

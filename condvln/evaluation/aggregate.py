@@ -141,19 +141,25 @@ def group_accuracy(evaluation: Evaluation) -> GroupAccuracy:
     if not rows:
         return GroupAccuracy(0, 0, float("nan"), float("nan"), float("nan"))
     success, leaf = evaluation.scores["success"], evaluation.scores["leaf_correct"]
+    all_leaves = [float(leaf[group].all()) if not np.isnan(leaf[group]).any() else np.nan for group in rows]
     flat = [row for group in rows for row in group]
     return GroupAccuracy(
         len(rows),
         len(flat),
         float(np.mean([success[group].all() for group in rows])),
-        float(np.mean([leaf[group].all() for group in rows])),
+        float(np.mean(all_leaves)),
         float(success[flat].mean()),
     )
 
 
 def leaf_confusion(evaluation: Evaluation) -> dict[str, npt.NDArray[np.int64]]:
-    """By category, counts of (gold leaf, leaf committed to); the last column counts agents that committed to none."""
-    tables = {}
+    """By category, counts of (gold leaf, leaf committed to); the last column counts agents that committed to none.
+
+    Empty where nothing tells which leaf was reached, as in others' results.
+    """
+    tables: dict[str, npt.NDArray[np.int64]] = {}
+    if np.isnan(evaluation.scores["leaf_correct"]).any():
+        return tables
     categories = evaluation.axes["category"]
     for category in sorted(set(categories.tolist())):
         rows = np.flatnonzero(categories == category)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
+from typing import Final, NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,7 @@ import orjson
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import shortest_path
 
+from condvln.evaluation.branching import NO_LEAF, committed_leaf
 from condvln.evaluation.kernels.alignment import dtw_of_costs
 from condvln.evaluation.measures import FIDELITY_DISTANCE, length_weighted, spl
 from condvln.evaluation.predictions import GraphPrediction
@@ -25,8 +26,17 @@ from condvln.export.r2r import ERROR_MARGIN
 from condvln.navigation.connectivity import ViewpointGraph, read_connectivity
 from schemas.errors import FormatError, MissingFileError
 
-__all__ = ["ERROR_MARGIN", "GraphDistances", "GraphEpisode", "GraphScore", "evaluate_graph", "read_graph_episodes"]
+__all__ = [
+    "ERROR_MARGIN",
+    "GraphBranches",
+    "GraphDistances",
+    "GraphEpisode",
+    "GraphScore",
+    "evaluate_graph",
+    "read_graph_episodes",
+]
 
+NAN: Final = float("nan")
 Table = npt.NDArray[np.float64]
 
 
@@ -68,11 +78,24 @@ class GraphEpisode:
     instruction_id: str
     scan: str
     path: tuple[str, ...]
+    branches: GraphBranches | None = None
+    """Where the manifest knows them."""
+
+
+@dataclass(frozen=True)
+class GraphBranches:
+    """Viewpoints of all leaves' goals, which of them is right, and the viewpoints to pass on the way there."""
+
+    leaves: tuple[str, ...]
+    gold_leaf: int
+    subgoals: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class GraphScore:
-    """Measures of one instruction; lengths in metres."""
+    """Measures of one instruction; lengths in metres, NaN where a measure is undefined. ``spl_route`` takes the length
+    of the reference path, which passes the subgoals; BSA and CSR are those of :class:`~condvln.evaluation.score.Score`,
+    by graph distances under the same margin."""
 
     path_length: float
     navigation_error: float
@@ -83,6 +106,12 @@ class GraphScore:
     sdtw: float
     cls: float
     missing: float
+    spl_route: float
+    bsa: float = NAN
+    csr: float = NAN
+    bsa_all: float = NAN
+    csr_all: float = NAN
+    committed_leaf: float = NAN
 
 
 def read_graph_episodes(path: Path) -> list[GraphEpisode]:
@@ -118,7 +147,7 @@ def evaluate_graph(
     Raises
     ------
     MissingFileError : a scan without a graph
-    FormatError : an unknown instruction or viewpoint, a path that begins elsewhere
+    FormatError : an unknown instruction or viewpoint, a path that begins elsewhere, an episode without a path
     """
     tasks = {episode.instruction_id: episode for episode in episodes}
     lacking = sorted({episode.scan for episode in tasks.values()} - set(graphs))
@@ -127,6 +156,11 @@ def evaluate_graph(
             f"no connectivity graph of {len(lacking)} scans, such as {lacking[0]}",
             remedy="Name the folder of <scan>_connectivity.json files",
         )
+    for task in tasks.values():
+        astray = [viewpoint for viewpoint in task.path if viewpoint not in graphs[task.scan].numbers]
+        if astray or not task.path:
+            what = f"no viewpoint {astray[0]!r} in scan {task.scan}" if astray else "its reference path is empty"
+            _refuse("", task.instruction_id, what)
     found: dict[str, GraphScore] = {}
     for prediction in predictions:
         episode = tasks.get(prediction.instruction_id)
@@ -164,7 +198,41 @@ def _score(episode: GraphEpisode, viewpoints: tuple[str, ...], graph: GraphDista
         sdtw=success * fidelity,
         cls=0.0 if missing else length_weighted(coverage, reference_length, length),
         missing=float(missing),
+        spl_route=spl(success, reference_length, length),
+        **_branching(episode.branches, path, graph, margin, success=success, missing=missing),
     )
+
+
+def _branching(
+    branches: GraphBranches | None,
+    path: Sequence[int],
+    graph: GraphDistances,
+    margin: float,
+    *,
+    success: bool,
+    missing: bool,
+) -> dict[str, float]:
+    if branches is None:
+        return {}
+    reached, count = 0, len(branches.subgoals)
+    if not missing:
+        near = graph.between(path, [graph.numbers[viewpoint] for viewpoint in branches.subgoals]) < margin
+        for row in near:
+            while reached < count and row[reached]:
+                reached += 1
+    bsa_all = reached / count if count else float(success)
+    bsa = bsa_all if count or success else NAN
+    leaf = NO_LEAF
+    if not missing:
+        ends = [graph.numbers[viewpoint] for viewpoint in branches.leaves]
+        leaf = committed_leaf(graph.between(path[-1:], ends)[0].tolist(), margin)
+    return {
+        "bsa": bsa,
+        "csr": NAN if np.isnan(bsa) else float(success and bsa == 1.0),
+        "bsa_all": bsa_all,
+        "csr_all": float(success and bsa_all == 1.0),
+        "committed_leaf": float(leaf),
+    }
 
 
 def _refuse(where: str, name: str, what: str) -> NoReturn:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -23,7 +24,7 @@ from condvln.evaluation.score import Rules, Score
 from condvln.evaluation.task import Task
 from schemas.errors import FormatError
 
-__all__ = ["NAMES", "evaluation_of_stats", "read_episode_stats"]
+__all__ = ["NAMES", "evaluation_of_stats", "is_episode_stats", "read_episode_stats"]
 
 NAMES: Final[Mapping[str, str]] = {
     "distance_to_goal": "navigation_error",
@@ -44,6 +45,17 @@ NAMES: Final[Mapping[str, str]] = {
 """Their names and ours."""
 
 _PREFIX: Final = "stats_"
+_BY_ID: Final = re.compile(rb'\s*\{\s*"(?:[^"\\]|\\.)*"\s*:\s*\{')
+"""How ``{id: {measure: number}}`` begins; predictions by id are lists."""
+_HEAD: Final = 1 << 12
+
+
+def is_episode_stats(path: Path) -> bool:
+    """Is this a folder or file of measures, and none of predictions?"""
+    if path.is_dir() or path.name.startswith(_PREFIX):
+        return True
+    with opened(path) as file:
+        return _BY_ID.match(file.read(_HEAD)) is not None
 
 
 def read_episode_stats(path: Path) -> dict[str, dict[str, float]]:

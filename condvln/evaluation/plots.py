@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -12,6 +13,8 @@ from matplotlib.figure import Figure
 
 from condvln.evaluation.aggregate import by_axis
 from condvln.evaluation.evaluate import Evaluation
+from condvln.export.streams import atomic_stream
+from schemas.errors import UsageError
 
 __all__ = ["SHOWN", "axis_figure", "save_figures"]
 
@@ -28,14 +31,16 @@ def axis_figure(evaluations: Sequence[Evaluation], axis: str, *, seed: int = 0) 
     panels = figure.subplots(1, len(SHOWN), sharey=True, squeeze=False)[0]
     keys = tuple(key for key, _ in SHOWN)
     for number, evaluation in enumerate(evaluations):
-        rows = by_axis(evaluation, axis, seed=seed, measures=keys)
+        rows = [row for row in by_axis(evaluation, axis, seed=seed, measures=keys) if row.group[axis] is not None]
         places = np.array([float(row.group[axis]) for row in rows]) + (number - (len(evaluations) - 1) / 2) * _SHIFT
+        # Names of files may hold a dollar sign, which would begin a formula.
+        label = evaluation.agent.replace("$", r"\$")
         for panel, (key, _) in zip(panels, SHOWN, strict=True):
             means, low, high = (
                 100 * np.array([getattr(row.estimates[key], name) for row in rows]) for name in ("mean", "low", "high")
             )
             bars = np.nan_to_num(np.vstack([means - low, high - means])).clip(min=0)
-            panel.errorbar(places, means, yerr=bars, marker="o", capsize=3, label=evaluation.agent)
+            panel.errorbar(places, means, yerr=bars, marker="o", capsize=3, label=label)
     for panel, (_, heading) in zip(panels, SHOWN, strict=True):
         _dress(panel, axis, heading, evaluations)
     panels[-1].legend(frameon=False, fontsize="small")
@@ -46,7 +51,8 @@ def _dress(panel: Any, axis: str, heading: str, evaluations: Sequence[Evaluation
     panel.set_title(heading)
     panel.set_xlabel(axis)
     panel.set_ylim(0, 100)
-    panel.set_xticks(sorted({int(value) for evaluation in evaluations for value in evaluation.axes[axis]}))
+    values = {value for evaluation in evaluations for value in evaluation.axes[axis] if value is not None}
+    panel.set_xticks(sorted(values))
     panel.grid(axis="y", alpha=0.3)
     panel.spines[["top", "right"]].set_visible(False)
     if heading == SHOWN[0][1]:
@@ -54,13 +60,23 @@ def _dress(panel: Any, axis: str, heading: str, evaluations: Sequence[Evaluation
 
 
 def save_figures(evaluations: Sequence[Evaluation], folder: Path, *, seed: int = 0) -> list[Path]:
-    """Write ``depth.png``, ``depth.pdf``, ``chain.png`` and ``chain.pdf``; the same scores give the same bytes."""
-    folder.mkdir(parents=True, exist_ok=True)
+    """Write ``depth.png``, ``depth.pdf``, ``chain.png`` and ``chain.pdf``; the same scores give the same bytes.
+
+    Raises
+    ------
+    UsageError : nothing tells depth and chain, as in a stranger's R2R file
+    StoreError : the disk refused
+    """
+    if not any(value is not None for evaluation in evaluations for value in evaluation.axes["depth"]):
+        raise UsageError("nothing tells the depth of these episodes", remedy="Plots need the manifest of an export.")
     written = []
     for axis in _AXES:
         figure = axis_figure(evaluations, axis, seed=seed)
         for suffix, metadata in (("png", {"Software": None}), ("pdf", {"CreationDate": None, "Producer": None})):
             path = folder / f"{axis}.{suffix}"
-            figure.savefig(path, dpi=150, metadata=metadata)
+            drawn = io.BytesIO()
+            figure.savefig(drawn, format=suffix, dpi=150, metadata=metadata)
+            with atomic_stream(path) as stream:
+                stream.write(drawn.getvalue())
             written.append(path)
     return written

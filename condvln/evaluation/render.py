@@ -6,6 +6,7 @@ import csv
 import io
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 from rich import box
@@ -15,6 +16,8 @@ from condvln.evaluation.tables import Cell, Column, Table
 
 __all__ = ["as_csv", "as_document", "as_latex", "as_markdown", "as_rich", "written"]
 
+_NAME: Final = 16
+"""Characters of a name that a terminal's table keeps on one line."""
 _NOTHING: Final = "–"
 _SCALE: Final = {"percent": 100.0}
 _DECIMALS: Final = {"percent": 1, "metres": 2, "number": 1, "p": 4, "count": 0}
@@ -40,6 +43,18 @@ def written(cell: Cell, column: Column, *, interval: bool = True) -> str:
     return text
 
 
+def _narrow(cell: Cell, column: Column) -> str:
+    """As :func:`written` on lines of their own, bounds with a digit less: a dozen columns must fit a terminal."""
+    lines = [written(replace(cell, low=math.nan, high=math.nan, n=cell.total), column)]
+    if not math.isnan(cell.low):
+        digits = max(0, _DECIMALS[column.kind] - 1)
+        scale = _SCALE.get(column.kind, 1.0)
+        lines.append(f"{cell.low * scale:.{digits}f}–{cell.high * scale:.{digits}f}")
+    if cell.n is not None and cell.n != cell.total and not math.isnan(float(cell.value or 0.0)):
+        lines.append(f"({cell.n})")
+    return "\n".join(lines)
+
+
 def _number(value: float, column: Column) -> str:
     return f"{value * _SCALE.get(column.kind, 1.0):.{_DECIMALS[column.kind]}f}"
 
@@ -47,11 +62,16 @@ def _number(value: float, column: Column) -> str:
 def as_rich(table: Table) -> RichTable:
     """For a terminal."""
     shown = RichTable(title=table.title, caption=table.note or None, box=box.SIMPLE_HEAD, title_justify="left")
-    for column in table.columns:
+    for index, column in enumerate(table.columns):
         heading = f"{column.heading} {_ARROWS[column.better]}".strip()
-        shown.add_column(heading, justify="left" if column.kind == "text" else "right", no_wrap=column.kind == "text")
+        # Too narrow a terminal breaks a number, but never cuts it; a name of usual length is not broken.
+        if column.kind == "text":
+            longest = max((len(str(row[index].value)) for row in table.rows), default=1)
+            shown.add_column(heading, overflow="fold", min_width=min(longest, _NAME))
+        else:
+            shown.add_column(heading, justify="right", overflow="fold")
     for row in table.rows:
-        shown.add_row(*(written(cell, column) for cell, column in zip(row, table.columns, strict=True)))
+        shown.add_row(*(_narrow(cell, column) for cell, column in zip(row, table.columns, strict=True)))
     return shown
 
 

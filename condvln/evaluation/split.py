@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from condvln.evaluation.episode_stats import evaluation_of_stats, read_episode_stats
+from condvln.evaluation.episode_stats import evaluation_of_stats, is_episode_stats, read_episode_stats
 from condvln.evaluation.evaluate import Evaluation, evaluate
+from condvln.evaluation.graph_split import GraphSplit, r2r_file
 from condvln.evaluation.navmeshes import NavmeshFolder
-from condvln.evaluation.predictions import read_predictions
+from condvln.evaluation.predictions import detect_format, read_graph_predictions, read_predictions
 from condvln.evaluation.score import Rules
 from condvln.evaluation.task import Task, read_tasks
+from condvln.export.graphs import GraphFolder
 from schemas.errors import MissingFileError, UsageError
 
 __all__ = ["SplitOptions", "evaluate_split", "split_tasks"]
@@ -27,6 +29,8 @@ class SplitOptions:
     navmesh_roots: tuple[Path, ...] = ()
     """Folders of the datasets whose navmeshes the export does not ship."""
     assume_stop: bool = False
+    connectivity: tuple[Path, ...] = ()
+    """Folders of ``<scan>_connectivity.json``, for paths over viewpoints."""
 
 
 def split_tasks(export: Path, split: str) -> list[Task]:
@@ -51,25 +55,47 @@ def evaluate_split(
 ) -> tuple[list[Evaluation], list[Task]]:
     """One evaluation for each file (or folder of ``stats_*.json``), agents named after the files.
 
+    Paths over viewpoints are judged against the split's R2R file; the tasks are then those that this file holds.
+
     Raises
     ------
-    UsageError : two files of one name
+    UsageError : two files of one name; paths in space and over viewpoints in one call
     InputError : from the readers
     """
     options = options or SplitOptions()
     names = [path.name.removesuffix(".gz").removesuffix(".json").removesuffix(".jsonl") for path in predictions]
     if len(set(names)) != len(names):
         raise UsageError("two prediction files have one name", remedy="Agents are named after their files: rename one")
+    discrete = [not is_episode_stats(path) and detect_format(path) == "r2r" for path in predictions]
+    if all(discrete):
+        return _evaluate_discrete(export, split, dict(zip(names, predictions, strict=True)), options)
+    if any(discrete):
+        raise UsageError(
+            "some predictions are paths in space, others paths over viewpoints",
+            remedy="They are judged by different rules: evaluate them in two calls",
+        )
     tasks = split_tasks(export, split)
     navmeshes = NavmeshFolder((export, *options.navmesh_roots))
     found = []
     for name, path in zip(names, predictions, strict=True):
-        if path.is_dir() or path.name.startswith("stats_"):
-            stats = read_episode_stats(path)
-            found.append(evaluation_of_stats(tasks, stats, agent=name, where=str(path)))
+        if is_episode_stats(path):
+            found.append(evaluation_of_stats(tasks, read_episode_stats(path), agent=name, where=str(path)))
             continue
         handed_in = read_predictions(path, assume_stop=options.assume_stop)
         found.append(
             evaluate(tasks, handed_in, navmeshes, options.rules, agent=name, where=str(path), radii=options.radii)
         )
     return found, tasks
+
+
+def _evaluate_discrete(
+    export: Path, split: str, predictions: Mapping[str, Path], options: SplitOptions
+) -> tuple[list[Evaluation], list[Task]]:
+    file = r2r_file(export, split)
+    known = split_tasks(export, split) if (export / "manifest").is_dir() else []
+    graph_split = GraphSplit(file, known, GraphFolder(*options.connectivity))
+    found = [
+        graph_split.evaluate(list(read_graph_predictions(path)), agent=name, where=str(path), radii=options.radii)
+        for name, path in predictions.items()
+    ]
+    return found, graph_split.tasks

@@ -23,6 +23,7 @@ from condvln.evaluation.task import Task
 __all__ = [
     "BRANCH_COLUMNS",
     "MAIN_COLUMNS",
+    "TWIN_COLUMNS",
     "Cell",
     "Column",
     "Table",
@@ -89,6 +90,10 @@ MAIN_COLUMNS: Final = (
     Column("bsa_all", "BSA-all", "percent", "higher"),
     Column("csr_all", "CSR-all", "percent", "higher"),
 )
+
+_TWIN: Final = ("navigation_error", "oracle_success", "success", "spl", "ndtw", "bsa", "csr", "csr_all")
+TWIN_COLUMNS: Final = tuple(column for column in MAIN_COLUMNS if column.key in _TWIN)
+"""Fewer, so that the agents' longer names fit beside them."""
 
 BRANCH_COLUMNS: Final = (
     Column("success", "SR", "percent", "higher"),
@@ -226,28 +231,37 @@ def comparison_table(
     return Table("comparison", "Agents compared", columns, tuple(rows), note, blocks=2)
 
 
-def twin_tables(original: Evaluation, oracle: Evaluation, *, seed: int = 0) -> list[Table]:
-    """One agent on a split and on its oracle-linear twin: what resolving the conditions costs it.
+def twin_tables(pairs: Sequence[tuple[Evaluation, Evaluation]], *, seed: int = 0) -> list[Table]:
+    """Agents on a split and on its oracle-linear twin, (original, oracle) each: what resolving the conditions costs.
 
     The gap is what the branching costs; what is left below 100 % under oracle text is plain instruction following.
     """
-    pair = [
-        replace(oracle, agent=f"{original.agent}, oracle text"),
-        replace(original, agent=f"{original.agent}, conditional text"),
+    told = [
+        (
+            replace(oracle, agent=f"{original.agent} (oracle text)"),
+            replace(original, agent=original.agent + _CONDITIONAL),
+        )
+        for original, oracle in pairs
     ]
-    return [
-        main_table(pair, seed=seed),
-        axis_table(pair, "category", seed=seed),
-        axis_table(pair, "observability", seed=seed),
-        comparison_table(pair, seed=seed),
+    side_by_side = [evaluation for pair in told for evaluation in pair]
+    tables = [_grouped("main", "Main results", side_by_side, ("source",), TWIN_COLUMNS, seed, note=_NOTE)]
+    tables += [
+        axis_table(side_by_side, axis, columns=TWIN_COLUMNS, seed=seed) for axis in ("category", "observability")
     ]
+    compared = [comparison_table(pair, seed=seed) for pair in told]
+    tables.append(replace(compared[0], rows=tuple(row for table in compared for row in table.rows)))
+    return [replace(t, name=f"twin_{t.name}", title=f"Oracle and conditional text: {t.title}") for t in tables]
+
+
+_CONDITIONAL: Final = " (conditions)"
 
 
 def all_tables(evaluations: Sequence[Evaluation], tasks: Sequence[Task], *, seed: int = 0) -> list[Table]:
-    """Everything that one evaluation has to say."""
+    """Everything that one evaluation has to say; nothing is said by an axis that nobody knows."""
     tables = [main_table(evaluations, seed=seed), branch_table(evaluations, seed=seed)]
     for axis in ("category", "depth", "chain", "composition", "observability", "moves"):
-        tables.append(axis_table(evaluations, axis, seed=seed))
+        if any(value is not None for evaluation in evaluations for value in evaluation.axes[axis]):
+            tables.append(axis_table(evaluations, axis, seed=seed))
     if any(evaluation.sweep for evaluation in evaluations):
         tables.append(sweep_table(evaluations, seed=seed))
     tables.append(divergence_table(evaluations, tasks))
@@ -256,7 +270,7 @@ def all_tables(evaluations: Sequence[Evaluation], tasks: Sequence[Task], *, seed
         tables.append(group_table(evaluations))
     if len(evaluations) > 1:
         tables.append(comparison_table(evaluations, seed=seed))
-    return tables
+    return [table for table in tables if table.rows]
 
 
 def _grouped(
@@ -277,6 +291,9 @@ def _grouped(
         for evaluation in evaluations:
             row = summary(evaluation, group=dict.fromkeys(axes, "all"), seed=seed, measures=measures)
             blocks.setdefault(("all",) * len(axes), []).append((evaluation.agent, row))
+    # A measure that no agent's file tells has no column.
+    told = [row for found in blocks.values() for _, row in found]
+    columns = [column for column in columns if any(row.estimates[column.key].n for row in told)]
     rows = tuple(
         (*(Cell("" if p is None else str(p)) for p in key), Cell(agent), *_cells(row, columns), Cell(row.episodes))
         for key, found in blocks.items()

@@ -121,6 +121,15 @@ def test_ignoring_the_condition_gets_no_counterfactual_pair_right(tasks: list[Ta
     assert group_accuracy(always).single == 0.5
 
 
+def test_where_no_leaf_is_known_none_is_right(found: Evaluation) -> None:
+    unknown = np.full(len(found), np.nan)
+    theirs = replace(found, scores={**found.scores, "leaf_correct": unknown})
+    result = group_accuracy(theirs)
+    assert np.isnan(result.all_leaves_right)
+    assert result.all_right == group_accuracy(found).all_right
+    assert leaf_confusion(theirs) == {}
+
+
 def test_confusion_counts(tasks: list[Task], choice: dict[str, int | None], found: Evaluation) -> None:
     tables = leaf_confusion(found)
     counts = Counter((t.axes["category"], t.gold_leaf, choice[t.episode_id]) for t in tasks)

@@ -68,8 +68,8 @@ def test_several_sources_get_a_row_of_all(evaluations: list[Evaluation]) -> None
 
 def test_original_against_oracle_text(evaluations: list[Evaluation]) -> None:
     oracle, original = evaluations
-    main, _, _, comparison = twin_tables(original, oracle)
-    assert [row[1].value for row in main.rows] == ["always|first, oracle text", "always|first, conditional text"]
+    main, _, _, comparison = twin_tables([(original, oracle)])
+    assert [row[1].value for row in main.rows] == ["always|first (oracle text)", "always|first (conditions)"]
     success = next(row for row in comparison.rows if row[2].value == "success")
     assert success[3].value == 1 - original.scores["success"].mean()
 

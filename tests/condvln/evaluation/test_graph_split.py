@@ -1,0 +1,166 @@
+"""The discrete variant from files to tables: on an export's R2R file with its manifest, and on a stranger's without."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from condvln.evaluation.evaluate import Evaluation
+from condvln.evaluation.plots import save_figures
+from condvln.evaluation.split import SplitOptions, evaluate_split
+from condvln.evaluation.tables import all_tables
+from condvln.evaluation.task import Task
+from condvln.export.graphs import GraphFolder
+from condvln.export.rxr import numeric_id
+from condvln.export.snapshot import export_snapshot
+from condvln.export.tables import MemoryTables
+from schemas.errors import FormatError, MissingFileError, UsageError
+from tests.made_snapshot import made_snapshot
+
+SCAN = "17DRP5sb8fy"  # of the official training list
+SIDE = 7
+SPACING = 2.0
+
+
+def connectivity() -> list[dict[str, Any]]:
+    """A grid of viewpoints, each joined to its neighbours."""
+    places = [(x, y) for x in range(SIDE) for y in range(SIDE)]
+    return [
+        {
+            "image_id": f"v{x}{y}",
+            "pose": [1, 0, 0, SPACING * x, 0, 1, 0, SPACING * y, 0, 0, 1, 1.5, 0, 0, 0, 1],
+            "height": 1.5,
+            "included": True,
+            "unobstructed": [abs(x - a) + abs(y - b) == 1 for a, b in places],
+            "visible": [True] * len(places),
+        }
+        for x, y in places
+    ]
+
+
+def at(name: str) -> dict[str, float]:
+    """Place of a viewpoint in Habitat's frame, 10 cm off."""
+    return {"x": SPACING * int(name[1]) + 0.1, "y": 0.0, "z": -SPACING * int(name[2])}
+
+
+@pytest.fixture(scope="module")
+def export(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Every start in the middle, leaves at the corners, subgoals half way: all are far apart on the graph."""
+    out = tmp_path_factory.mktemp("discrete")
+    (out / "connectivity").mkdir()
+    (out / "connectivity" / f"{SCAN}_connectivity.json").write_text(json.dumps(connectivity()))
+    made = made_snapshot({"mp3d": [SCAN]}, per_category=8)
+    rows = made.tables["mp3d"]["episodes"].to_pylist()
+    for row in rows:
+        row["start_position"] = at("v33")
+        for leaf, corner in zip(row["leaves"], ("v00", "v06", "v60", "v66"), strict=False):
+            leaf["goals"] = [at(corner)]
+            for subgoal in leaf["subgoals"]:
+                subgoal["position"] = at("v11" if corner == "v00" else f"v{corner[1]}3")
+    episodes = pa.Table.from_pylist(rows, made.tables["mp3d"]["episodes"].schema)
+    tables = MemoryTables("discrete", {"mp3d": {**made.tables["mp3d"], "episodes": episodes}})
+    report = export_snapshot(tables, out / "export", graphs=GraphFolder(out / "connectivity"))
+    assert report.r2r_left_out == {}
+    return out / "export"
+
+
+def options(export: Path, **changes: Any) -> SplitOptions:
+    return SplitOptions(connectivity=(export.parent / "connectivity",), **changes)
+
+
+def walks(export: Path, path: Path, walk: Any) -> Path:
+    items = json.loads((export / "r2r" / "R2R_train.json").read_text())
+    records = [
+        {"instr_id": f"{item['path_id']}_0", "trajectory": [[v, 0.0, 0.0] for v in walk(item["path"])]}
+        for item in items
+    ]
+    path.write_text(json.dumps(records))
+    return path
+
+
+@pytest.fixture(scope="module")
+def found(export: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Evaluation], list[Task]]:
+    folder = tmp_path_factory.mktemp("predictions")
+    perfect = walks(export, folder / "perfect.json", lambda path: path)
+    lazy = walks(export, folder / "lazy.json", lambda path: path[:1])
+    corner = walks(export, folder / "corner.json", lambda path: ["v33", "v11", "v00"])
+    return evaluate_split(export, "train", [perfect, lazy, corner], options(export, radii=(1.0, 5.0)))
+
+
+def test_perfect_lazy_and_stubborn(found: tuple[list[Evaluation], list[Task]], export: Path) -> None:
+    (perfect, lazy, corner), tasks = found
+    items = json.loads((export / "r2r" / "R2R_train.json").read_text())
+    assert [numeric_id(task.episode_id) for task in tasks] == [item["path_id"] for item in items]
+    for name in ("success", "oracle_success", "bsa_all", "csr_all", "leaf_correct", "ndtw", "spl_route"):
+        np.testing.assert_allclose(perfect.scores[name], 1, err_msg=name)
+    assert (lazy.scores["success"] == 0).all()
+    assert (lazy.scores["no_commit"] == 1).all()
+    assert (corner.scores["committed_leaf"] == 0).all()
+    right = np.array([float(task.gold_leaf == 0) for task in tasks])
+    assert 0 < right.mean() < 1
+    # v11, the subgoal on the way to leaf 0, is 4 m of graph from the others' or more
+    for name in ("success", "leaf_correct", "csr_all", "bsa_all"):
+        assert corner.scores[name].tolist() == right.tolist(), name
+    assert corner.scores["wrong_branch"].tolist() == (1 - right).tolist()
+    assert [e.agent for e in (perfect, lazy, corner)] == ["perfect", "lazy", "corner"]
+
+
+def test_the_sweep_moves_the_margin(found: tuple[list[Evaluation], list[Task]]) -> None:
+    (perfect, lazy, corner), _ = found
+    assert perfect.sweep[1.0]["success"].mean() == 1
+    assert lazy.sweep[5.0]["success"].mean() == 0
+    assert corner.sweep[1.0]["leaf_correct"].tolist() == corner.scores["leaf_correct"].tolist()
+
+
+def test_tables_have_what_is_known_and_no_column_of_nothing(found: tuple[list[Evaluation], list[Task]]) -> None:
+    tables = {table.name: table for table in all_tables(*found)}
+    assert {"main", "branches", "by_category", "by_depth", "divergence", "comparison", "sweep"} <= set(tables)
+    keys = [column.key for column in tables["branches"].columns]
+    assert "leaf_correct" in keys
+    assert not {"steps", "collisions", "stopped", "over_budget"} & set(keys)
+
+
+def test_a_strangers_file_gets_r2rs_own_measures(export: Path, tmp_path: Path) -> None:
+    (tmp_path / "R2R_train.json").write_bytes((export / "r2r" / "R2R_train.json").read_bytes())
+    perfect = walks(export, tmp_path / "perfect.json", lambda path: path)
+    evaluations, tasks = evaluate_split(tmp_path, "train", [perfect], options(export))
+    assert tasks == []
+    tables = {table.name: table for table in all_tables(evaluations, tasks)}
+    assert set(tables) == {"main", "branches"}
+    keys = [column.key for column in tables["main"].columns]
+    assert keys == [
+        "source", "agent", "path_length", "navigation_error", "oracle_success", "success", "spl", "spl_route",
+        "ndtw", "sdtw", "cls", "episodes",
+    ]  # fmt: skip
+    with pytest.raises(UsageError, match="depth"):
+        save_figures(evaluations, tmp_path / "plots")
+
+
+def test_what_is_amiss_is_said(export: Path, tmp_path: Path) -> None:
+    graph = walks(export, tmp_path / "graph.json", lambda path: path)
+    space = tmp_path / "space.json"
+    space.write_text('{"e": [{"position": [0, 0, 0], "stop": true}]}')
+    with pytest.raises(UsageError, match="two calls"):
+        evaluate_split(export, "train", [graph, space], options(export))
+    with pytest.raises(MissingFileError, match="--connectivity"):
+        evaluate_split(export, "train", [graph])
+    with pytest.raises(MissingFileError, match=r"R2R_train\.json"):
+        evaluate_split(tmp_path, "train", [graph], options(export))
+    records = json.loads(graph.read_text())
+    graph.write_text(json.dumps([*records, records[0]]))
+    with pytest.raises(FormatError, match="stands twice"):
+        evaluate_split(export, "train", [graph], options(export))
+    graph.write_text("[]")
+    items = json.loads((export / "r2r" / "R2R_train.json").read_text())
+    for path, says in ([], "reference path is empty"), (["nowhere"], "no viewpoint 'nowhere'"):
+        items[0]["path"] = path
+        (tmp_path / "R2R_train.json").write_text(json.dumps(items))
+        with pytest.raises(FormatError, match=says):
+            evaluate_split(tmp_path, "train", [graph], options(export))
+    missing, _ = evaluate_split(export, "train", [graph], options(export))
+    assert missing[0].scores["missing"].mean() == 1

@@ -1,0 +1,136 @@
+"""The evaluation's command: several agents side by side in every form, the oracle twin, others' results, plots."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from condvln.evaluation.split import split_tasks
+from jobs.command import app
+from jobs.export import export_snapshot_of
+from jobs.report import Report
+from schemas.config import Config
+
+runner = CliRunner()
+
+
+@pytest.fixture(scope="module")
+def export(made_run: tuple[Config, Report], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An export of the made dataset, all of it in one split or two."""
+    config, _ = made_run
+    out = tmp_path_factory.mktemp("export")
+    export_snapshot_of(config.model_copy(update={"export": out}))
+    return out
+
+
+@pytest.fixture(scope="module")
+def split(export: Path) -> str:
+    """The split with most episodes."""
+    counts: dict[str, int] = json.loads((export / "export.json").read_text())["episodes"]
+    return max(counts, key=lambda name: counts[name])
+
+
+@pytest.fixture(scope="module")
+def agents(export: Path, split: str, made_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Predictions of three reference agents."""
+    folder = tmp_path_factory.mktemp("agents")
+    for name in ("oracle", "always-then", "wrong-branch"):
+        words = ["walk", str(export), split, "--agent", name, "--out", str(folder / f"{name}.json")]
+        result = runner.invoke(app, [*words, "--navmesh-root", str(made_dataset)])
+        assert result.exit_code == 0, result.output
+    return {path.stem: path for path in folder.glob("*.json")}
+
+
+@pytest.fixture
+def evaluate(export: Path, split: str, made_dataset: Path) -> Any:
+    def run(*words: Any) -> Any:
+        given = ["evaluate", str(export), split, *map(str, words), "--navmesh-root", str(made_dataset)]
+        return runner.invoke(app, given)
+
+    return run
+
+
+def documents(evaluate: Any, *words: Any) -> dict[str, Any]:
+    result = evaluate(*words, "--json")
+    assert result.exit_code == 0, result.output
+    return {table["name"]: table for table in json.loads(result.stdout)["tables"]}
+
+
+def test_agents_side_by_side_in_every_form(evaluate: Any, agents: dict[str, Path], tmp_path: Path) -> None:
+    files = [agents["oracle"], agents["wrong-branch"]]
+    tables = documents(evaluate, *files, "--csv", tmp_path / "csv", "--scores", tmp_path / "scores.jsonl")
+    main = {row["agent"]: row for row in tables["main"]["rows"]}
+    assert main["oracle"]["success"]["mean"] == 1
+    assert main["wrong-branch"]["success"]["mean"] == 0
+    written = {path.stem for path in (tmp_path / "csv").iterdir()}
+    assert written == set(tables)
+    rows = list(csv.DictReader((tmp_path / "csv" / "main.csv").open(encoding="utf-8")))
+    assert [(row["agent"], float(row["success"])) for row in rows] == [("oracle", 1.0), ("wrong-branch", 0.0)]
+    scores = [json.loads(line) for line in (tmp_path / "scores.jsonl").read_text().splitlines()]
+    assert len(scores) == 2 * main["oracle"]["episodes"]
+    assert {score["agent"] for score in scores} == {"oracle", "wrong-branch"}
+    for form, sign in (("--latex", r"\toprule"), ("--markdown", "| agent |")):
+        text = evaluate(*files, form).stdout
+        assert sign in text
+        assert all(name in text for name in ("oracle", "wrong-branch"))
+    terminal = evaluate(*files).stdout
+    assert "Main results" in terminal
+    assert "…" not in terminal  # no number is cut
+
+
+def test_original_against_the_oracle_twin(evaluate: Any, agents: dict[str, Path]) -> None:
+    then, oracle, wrong = (agents[name] for name in ("always-then", "oracle", "wrong-branch"))
+    tables = documents(evaluate, then, wrong, "--oracle", oracle, "--oracle", wrong)
+    rows = tables["twin_main"]["rows"]
+    assert [row["agent"] for row in rows] == [
+        "always-then (oracle text)", "always-then (conditions)",
+        "wrong-branch (oracle text)", "wrong-branch (conditions)",
+    ]  # fmt: skip
+    gap = {row["first"]: row for row in tables["twin_comparison"]["rows"] if row["measure"] == "success"}
+    then_rate = next(r for r in tables["main"]["rows"] if r["agent"] == "always-then")["success"]["mean"]
+    assert gap["always-then (oracle text)"]["difference"] == pytest.approx(1 - then_rate)
+    assert gap["wrong-branch (oracle text)"]["difference"] == 0
+    short = evaluate(then, wrong, "--oracle", oracle)
+    assert short.exit_code != 0
+
+
+def test_others_results_stand_beside_predictions(
+    evaluate: Any, export: Path, split: str, agents: dict[str, Path], tmp_path: Path
+) -> None:
+    tasks = split_tasks(export, split)
+    theirs = tmp_path / "theirs"
+    theirs.mkdir()
+    for task in tasks[1:]:
+        stats = {"success": 1.0, "spl": 0.5, "distance_to_goal": float("inf")}
+        (theirs / f"stats_{task.episode_id}.json").write_text(json.dumps(stats))
+    together = tmp_path / "open_nav.json"
+    together.write_text(json.dumps({task.episode_id: {"success": 0.0, "spl": 0.0} for task in tasks}))
+    tables = documents(evaluate, theirs, together, agents["oracle"])
+    main = {row["agent"]: row for row in tables["main"]["rows"]}
+    assert main["theirs"]["success"]["mean"] == pytest.approx((len(tasks) - 1) / len(tasks))
+    assert main["open_nav"]["success"]["mean"] == 0
+    assert main["oracle"]["success"]["mean"] == 1
+    assert main["theirs"]["navigation_error"]["n"] == 0  # infinite is undefined, never 0
+    branches = {row["agent"]: row for row in tables["branches"]["rows"]}
+    assert branches["theirs"]["missing"]["mean"] == pytest.approx(1 / len(tasks))
+    assert branches["theirs"]["leaf_correct"]["n"] == 0
+    assert {name.rsplit("_", 1)[1] for name in tables if name.startswith("leaves_")} == {"oracle"}
+
+
+def test_plots_are_pictures(evaluate: Any, agents: dict[str, Path], tmp_path: Path) -> None:
+    result = evaluate(*agents.values(), "--plots", tmp_path / "plots")
+    assert result.exit_code == 0, result.output
+    heads = {path.name: path.read_bytes()[:4] for path in (tmp_path / "plots").iterdir()}
+    assert heads == {
+        "depth.png": b"\x89PNG", "depth.pdf": b"%PDF", "chain.png": b"\x89PNG", "chain.pdf": b"%PDF",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("words", [("--radius", "0"), ("--radius", "nan"), ("--distance", "taxi")])
+def test_wrong_usage(evaluate: Any, agents: dict[str, Path], words: tuple[str, str]) -> None:
+    assert evaluate(agents["oracle"], *words).exit_code != 0
