@@ -20,7 +20,7 @@ from condvln.episodes.observability import Observer
 from condvln.episodes.placing import Placer
 from condvln.episodes.pool import fill_pool
 from condvln.episodes.rules import EpisodeRules
-from condvln.episodes.table import placements_table, rejections_table, with_text
+from condvln.episodes.table import goals_from_table, placements_table, rejections_table, stops_table, with_text
 from condvln.episodes.view import SceneView
 from condvln.instructions import (
     InstructionConfig,
@@ -87,8 +87,8 @@ def _pathfinder(scene: Scene, tables: Tables) -> Pathfinder:
     return Pathfinder.load(scene.root / scene.navmesh.path)
 
 
-def _placer(scene: Scene, tables: Tables, rules: EpisodeRules, agent: Agent, seed: int) -> Placer:
-    return Placer(scene, _pathfinder(scene, tables), rules, seed, max_climb=agent.max_climb)
+def _view(unit: Unit, scene: Scene, agent: Agent) -> SceneView:
+    return SceneView(scene, _source_of(unit, agent).geometry(scene))
 
 
 @dataclass
@@ -162,7 +162,8 @@ class PriorsAggregate(Aggregate):
 
 @dataclass
 class ProgramStage(Stage):
-    """relations → candidate programs, in the order in which they will be tried."""
+    """relations + navmesh + surfaces → where objects are stood at, and candidate programs, in the order in which they
+    will be tried."""
 
     config: InstructionConfig
     thresholds: RelationThresholds
@@ -170,8 +171,9 @@ class ProgramStage(Stage):
     agent: Agent
     seed: int
     name: str = "programs"
-    version: int = 1
-    tables: tuple[str, ...] = ("candidates", "rejections")
+    version: int = 2
+    tables: tuple[str, ...] = ("stops", "candidates", "rejections")
+    reads_inputs: bool = True
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "relations")
     needs: tuple[str, ...] = ("priors",)
 
@@ -180,7 +182,7 @@ class ProgramStage(Stage):
             "config": asdict(self.config),
             "thresholds": asdict(self.thresholds),
             "rules": asdict(self.rules),
-            "max_climb": self.agent.max_climb,
+            "agent": asdict(self.agent),
             "seed": self.seed,
         }
 
@@ -198,8 +200,15 @@ class ProgramStage(Stage):
             relations = RoomRelations.from_table(upstream["relations"], arrays, self.thresholds)
             facts[room.room_id] = text_facts(relations, self.thresholds)
         # Leaves are checked before the gold one is drawn among them, so that the check can't favour a truth.
-        stops = _placer(scene, upstream, self.rules, self.agent, self.seed).stops
-        sampler = ProgramSampler(scene, facts, self._bits(scene, shared), self.config, self.seed, stops=stops)
+        placer = Placer(
+            scene,
+            _pathfinder(scene, upstream),
+            self.rules,
+            self.seed,
+            max_climb=self.agent.max_climb,
+            view=_view(unit, scene, self.agent),
+        )
+        sampler = ProgramSampler(scene, facts, self._bits(scene, shared), self.config, self.seed, stops=placer.stops)
         programs = [
             (instruction_id(scene.family, scene.scene_id, program), program)
             for category in CATEGORIES
@@ -207,6 +216,7 @@ class ProgramStage(Stage):
         ]
         return StageOutput(
             tables={
+                "stops": stops_table(scene.scene_id, placer.field.goals),
                 "candidates": instruction_table(scene.scene_id, programs),
                 "rejections": rejections_table(scene.scene_id, self.name, sampler.rejections),
             },
@@ -227,7 +237,7 @@ class EpisodeStage(Stage):
     name: str = "episodes"
     version: int = 2
     tables: tuple[str, ...] = ("placements", "rejections")
-    reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "candidates")
+    reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "stops", "candidates")
     reads_inputs: bool = True
 
     def parameters(self, unit: Unit) -> JSON:
@@ -244,9 +254,15 @@ class EpisodeStage(Stage):
         scene = _scene(unit, upstream)
         assert scene.navmesh is not None
         candidates = programs_from_table(upstream["candidates"])
-        placer = _placer(scene, upstream, self.rules, self.agent, self.seed)
-        view = SceneView(scene, _source_of(unit, self.agent).geometry(scene))
-        observer = Observer(scene, view, placer.pathfinder, self.rules, placer.obstacles)
+        placer = Placer(
+            scene,
+            _pathfinder(scene, upstream),
+            self.rules,
+            self.seed,
+            max_climb=self.agent.max_climb,
+            goals=goals_from_table(upstream["stops"]),
+        )
+        observer = Observer(scene, _view(unit, scene, self.agent), placer.pathfinder, self.rules, placer.obstacles)
         pool = fill_pool(
             candidates,
             placer,

@@ -11,7 +11,9 @@ from shapely import Polygon, contains_xy
 
 from condvln.episodes.footprint import Footprint
 from condvln.episodes.rules import EpisodeRules
+from condvln.episodes.view import SceneView
 from condvln.navigation.protocol import PathfinderProtocol
+from condvln.navigation.sight import View, eyes_at
 from condvln.scene import Room, Scene, SceneObject, round_mm
 
 __all__ = ["blocked_footprints", "goal_points", "is_standable", "wide_islands"]
@@ -31,6 +33,8 @@ WALL_ALLOWANCE: Final = 1.0
 """Metres of detour around the box allowed between two of its goal points; more means a wall lies between them."""
 SNAP_TOLERANCE: Final = 0.05
 """Metres a candidate may move sideways when snapped; more and it was not on the floor."""
+LOW_EYE: Final = 0.5
+"""Metres above the floor of a second eye, for what stands under a table."""
 FLOOR_STANDING: Final = 0.5
 """Objects whose bottom is lower than this above the floor stand in the agent's way."""
 
@@ -95,18 +99,20 @@ def goal_points(
     pathfinder: PathfinderProtocol,
     rules: EpisodeRules,
     obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
+    view: SceneView | None = None,
 ) -> F64:
     """Navigable points (k, 3) around `item`, nearest to its box first, at most ``rules.goal_points``; empty if none.
 
-    All lie on one side of any wall: their geodesic to the point nearest the box is at most half the box's perimeter
-    plus 1 m.
+    From all of them some of the object is seen, by the camera or by an eye low enough to look under a table; this is
+    not asked without a `view`. All lie on one side of any wall: their geodesic to the point nearest the box is at most
+    half the box's perimeter plus 1 m.
     """
     box = Footprint.of(item)
     if box is None:
         box = Footprint(item.center[[0, 2]], np.zeros(2), np.eye(2))
     bottom = float(item.aabb[0][1]) if item.aabb is not None else float(item.center[1])
     for offsets, reach in ((RING_OFFSETS, rules.goal_reach), (FAR_RING_OFFSETS, rules.goal_reach_at_most)):
-        found = _standing_places(item, room, box, bottom, offsets, reach, pathfinder, rules, obstacles)
+        found = _standing_places(item, room, box, bottom, offsets, reach, pathfinder, rules, obstacles, view)
         if len(found):
             return _spread(found, box, rules.goal_points)
     return np.empty((0, 3))
@@ -122,6 +128,7 @@ def _standing_places(
     pathfinder: PathfinderProtocol,
     rules: EpisodeRules,
     obstacles: Sequence[tuple[SceneObject, Footprint]],
+    view: SceneView | None,
 ) -> F64:
     flat = np.concatenate([box.ring(offset, RING_SPACING) for offset in offsets])
     # Where no room tells the storey, the floor is the one nearest to the object's own bottom.
@@ -148,6 +155,8 @@ def _standing_places(
         if other.object_id != item.object_id:
             keep &= footprint.distance(points) > 0.0
     points = points[keep]
+    if view is not None:
+        points = points[_seeing(points, item, view, rules)]
     if not len(points):
         return points
     order = np.lexsort((points[:, 2], points[:, 0], box.distance(points)))
@@ -155,6 +164,16 @@ def _standing_places(
     walk = pathfinder.geodesic_distances(points[0], points)
     same_side = walk <= box.half_perimeter + WALL_ALLOWANCE
     return np.asarray(points[same_side], dtype=np.float64)
+
+
+def _seeing(points: F64, item: SceneObject, view: SceneView, rules: EpisodeRules) -> NDArray[np.bool_]:
+    """Which points (n, 3) some of the object can be seen from."""
+    seen = np.zeros(len(points), dtype=bool)
+    for height in (rules.eye_height, LOW_EYE):
+        left = np.flatnonzero(~seen)
+        if len(left):
+            seen[left] = view.glimpsed(eyes_at(points[left], height), item.object_id, View(range=rules.sight_range))
+    return seen
 
 
 def _spread(points: F64, box: Footprint, count: int) -> F64:

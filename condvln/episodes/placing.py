@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -17,10 +17,11 @@ from condvln.episodes.footprint import Footprints
 from condvln.episodes.goals import blocked_footprints, goal_points, is_standable, wide_islands
 from condvln.episodes.routes import GoalField, Route, clearance
 from condvln.episodes.rules import EpisodeRules
+from condvln.episodes.view import SceneView
 from condvln.instructions.stops import Stops
 from condvln.navigation.follower import FollowedRoute, Follower
 from condvln.navigation.pathfinder import Pathfinder
-from condvln.scene import Scene, SceneObject, round_mm
+from condvln.scene import Scene, round_mm
 from condvln.seeding import generator
 from schemas.program import Program
 
@@ -85,7 +86,14 @@ def heading_degrees(yaw: float) -> float:
 
 
 class Placer:
-    """Places programs in one scene. Pure in (scene, navmesh, rules, seed): the order of calls changes nothing."""
+    """Places programs in one scene. Pure in (scene, navmesh, rules, seed): the order of calls changes nothing.
+
+    Parameters
+    ----------
+    max_climb : metres that the agent steps up
+    view : what can be seen, so that every object is seen from its goal points
+    goals : goal points (k, 3) by object id as ``field.goals`` of an equal placer has them, so as not to find them again
+    """
 
     def __init__(
         self,
@@ -95,7 +103,8 @@ class Placer:
         seed: int,
         *,
         max_climb: float,
-        objects: Iterable[str] | None = None,
+        view: SceneView | None = None,
+        goals: Mapping[str, F64] | None = None,
     ) -> None:
         self.scene = scene
         self.pathfinder = pathfinder
@@ -105,19 +114,17 @@ class Placer:
         self.obstacles = blocked_footprints(scene, pathfinder, max_climb)
         self._follower = Follower(pathfinder, max_actions=max(1, rules.max_steps // 2 - 1))  # and STOP
         self._solid = Footprints([footprint for _, footprint in self.obstacles])
-        wanted = sorted(scene.object_of if objects is None else objects)
-        goals = {}
-        for object_id in wanted:
-            points = self._goals(scene.object_of[object_id])
-            if len(points):
-                goals[object_id] = points
-        self.field = GoalField(pathfinder, goals)
+        self.field = GoalField(pathfinder, self._goals(view) if goals is None else goals)
 
-    def _goals(self, item: SceneObject) -> F64:
-        room = self.scene.room_of.get(item.room_id)
-        if room is None:
-            return np.empty((0, 3))
-        return goal_points(item, room, self.pathfinder, self.rules, self.obstacles)
+    def _goals(self, view: SceneView | None) -> dict[str, F64]:
+        goals = {}
+        for object_id, item in sorted(self.scene.object_of.items()):
+            room = self.scene.room_of.get(item.room_id)
+            if room is not None:
+                points = goal_points(item, room, self.pathfinder, self.rules, self.obstacles, view)
+                if len(points):
+                    goals[object_id] = points
+        return goals
 
     @cached_property
     def starts(self) -> F64:

@@ -16,13 +16,32 @@ from condvln.episodes.placing import PlacedLeaf, heading_degrees, yaw_quaternion
 from condvln.episodes.pool import Pool, PooledEpisode
 from condvln.scene import round_mm
 from schemas.program import Category
-from schemas.tables import EPISODES, REJECTIONS
+from schemas.tables import EPISODES, REJECTIONS, VEC3
 
-__all__ = ["PLACEMENTS", "TEXT_COLUMNS", "episode_id", "placements_table", "rejections_table", "with_text"]
+__all__ = [
+    "PLACEMENTS",
+    "STOPS",
+    "TEXT_COLUMNS",
+    "episode_id",
+    "goals_from_table",
+    "placements_table",
+    "rejections_table",
+    "stops_table",
+    "with_text",
+]
 
 TEXT_COLUMNS: Final = ("words", "max_steps", "instruction_text")
 PLACEMENTS: Final = pa.schema([f for f in EPISODES if f.name not in TEXT_COLUMNS])
 """The episodes table without what the wording decides."""
+
+STOPS: Final = pa.schema(
+    [
+        pa.field("scene_id", pa.string(), nullable=False),
+        pa.field("object_id", pa.string(), nullable=False),
+        pa.field("points", pa.list_(VEC3), nullable=False),
+    ]
+)
+"""Goal points of every object that can be stood at, best first; kept in the unit, not published."""
 
 ID_DIGITS: Final = 16
 """Hex digits of an episode id: 64 bits, a collision in a million episodes has odds of 1 in 10⁷."""
@@ -32,6 +51,23 @@ def episode_id(scene_id: str, instruction_id: str, start: NDArray[np.float64], y
     """Stable id from content: the scene, the instruction and the pose it starts from."""
     pose = ",".join(f"{value:.3f}" for value in start) + f",{yaw:.6f}"
     return hashlib.sha256("\x1f".join([scene_id, instruction_id, pose]).encode()).hexdigest()[:ID_DIGITS]
+
+
+def stops_table(scene_id: str, goals: Mapping[str, NDArray[np.float64]]) -> pa.Table:
+    """Goal points (k, 3) by object id as STOPS rows."""
+    rows = [
+        {"scene_id": scene_id, "object_id": name, "points": [_point(point) for point in points]}
+        for name, points in goals.items()
+    ]
+    return pa.Table.from_pylist(rows, schema=STOPS)
+
+
+def goals_from_table(table: pa.Table) -> dict[str, NDArray[np.float64]]:
+    """Goal points (k, 3) by object id of STOPS rows, in the table's order."""
+    return {
+        row["object_id"]: np.array([[p["x"], p["y"], p["z"]] for p in row["points"]], dtype=np.float64)
+        for row in table.select(["object_id", "points"]).to_pylist()
+    }
 
 
 def placements_table(scene_id: str, pool: Pool, compositions: Mapping[str, str], navmesh_sha256: str) -> pa.Table:

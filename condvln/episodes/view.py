@@ -21,6 +21,9 @@ Bools = NDArray[np.bool_]
 
 _STRUCTURE_KIND: Final = "structure"
 
+FIRST_LOOKS: Final = 8
+"""Every so manieth sample is tried before all are."""
+
 
 class SceneView:
     """Sight in one scene.
@@ -90,6 +93,16 @@ class SceneView:
         """(n, k): which samples of a target each of n eyes (n, 3) sees, looking all around."""
         own = np.full(len(target.samples), target.own)
         return visible_points(self._occluders, eyes, target.samples, view, own=own)
+
+    def glimpsed(self, eyes: F64, object_id: str, view: View) -> Bools:
+        """(n,): which of n eyes (n, 3) see any sample of an object. A few are tried first, as most eyes see those."""
+        target = self.target(object_id)
+        seen = np.zeros(len(eyes), dtype=bool)
+        for part in (target.samples[::FIRST_LOOKS], target.samples):
+            left = np.flatnonzero(~seen)
+            if len(left):
+                seen[left] = self.seen(eyes[left], SightTarget(part, target.own), view).any(axis=1)
+        return seen
 
 
 def _box_of(item: SceneObject) -> tuple[F64, F64, F64] | None:

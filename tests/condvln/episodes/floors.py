@@ -9,6 +9,7 @@ import numpy as np
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.polygon_tile import tile_of_polygons
 from condvln.scene import Room, Scene, SceneObject
+from condvln.scene.geometry import SceneGeometry
 from schemas.program import SHAPES, Condition, Leaf, ObjectRef, Program, RoomRef
 
 CELL = 0.25
@@ -51,6 +52,24 @@ def inside(item: SceneObject, x: float, z: float, grow: float = 0.0) -> bool:
     """Whether (x, z) lies in the object's footprint."""
     low, high = item.aabb[0] - grow, item.aabb[1] + grow
     return bool(low[0] < x < high[0] and low[2] < z < high[2])
+
+
+def box_triangles(low, high) -> tuple[np.ndarray, np.ndarray]:
+    """The twelve triangles of a box: vertices (8, 3) and faces (12, 3)."""
+    corners = np.array([[(low, high)[i >> axis & 1][axis] for axis in range(3)] for i in range(8)], float)
+    quads = [(0, 4, 6, 2), (1, 3, 7, 5), (0, 1, 5, 4), (2, 6, 7, 3), (0, 2, 3, 1), (4, 5, 7, 6)]
+    return corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
+
+
+def surfaces_of(parts: list[tuple[int, tuple[np.ndarray, np.ndarray]]], approximate: bool = False) -> SceneGeometry:
+    """Several meshes, each with its owner, as the geometry of a scene."""
+    starts = np.cumsum([0, *(len(vertices) for _, (vertices, _) in parts)])
+    return SceneGeometry(
+        np.concatenate([vertices for _, (vertices, _) in parts]),
+        np.concatenate([faces + start for start, (_, (_, faces)) in zip(starts, parts, strict=False)]),
+        np.repeat([owner for owner, _ in parts], [len(faces) for _, (_, faces) in parts]),
+        approximate,
+    )
 
 
 def program(*leaves: tuple[str, ...]) -> Program:

@@ -22,7 +22,7 @@ from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Room, Scene, SceneObject
 from condvln.scene.geometry import STRUCTURE, SceneGeometry
 from schemas.program import SHAPES, Condition, Leaf, ObjectRef, Program, Qualifier, RoomRef
-from tests.condvln.episodes.floors import box, grid_floor, inside
+from tests.condvln.episodes.floors import box, box_triangles, grid_floor, inside, surfaces_of
 
 RULES = EpisodeRules()
 WEST, EAST = RoomRef(room_id="west", label="kitchen"), RoomRef(room_id="east", label="bedroom")
@@ -53,14 +53,9 @@ def two_rooms(*objects: SceneObject) -> Scene:
 
 def surfaces(scene: Scene, *, approximate: bool) -> SceneGeometry:
     """The wall and the floor, and every object's box as twelve triangles."""
-    vertices, faces, owner = [WALL, FLOOR], [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]], [STRUCTURE] * 4
-    quads = [(0, 4, 6, 2), (1, 3, 7, 5), (0, 1, 5, 4), (2, 6, 7, 3), (0, 2, 3, 1), (4, 5, 7, 6)]
-    for k, item in enumerate(scene.objects):
-        start = 8 + 8 * k
-        vertices.append(np.array([[item.aabb[i >> a & 1][a] for a in range(3)] for i in range(8)]))
-        faces += [[start + i for i in corners] for q in quads for corners in (q[:3], (q[0], q[2], q[3]))]
-        owner += [k] * 12
-    return SceneGeometry(np.concatenate(vertices), np.array(faces), np.array(owner), approximate)
+    parts = [(STRUCTURE, (corners, np.array([[0, 1, 2], [0, 2, 3]]))) for corners in (WALL, FLOOR)]
+    parts += [(k, box_triangles(*item.aabb)) for k, item in enumerate(scene.objects)]
+    return surfaces_of(parts, approximate)
 
 
 def floor_of(scene: Scene) -> Pathfinder:

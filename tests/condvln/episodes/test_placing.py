@@ -12,10 +12,14 @@ from condvln.episodes.goals import blocked_footprints, goal_points
 from condvln.episodes.placing import Placement, Placer, Rejected
 from condvln.episodes.pool import fill_pool
 from condvln.episodes.rules import REASONS, EpisodeRules
+from condvln.episodes.table import goals_from_table, stops_table
+from condvln.episodes.view import SceneView
 from condvln.navigation.pathfinder import Pathfinder
+from condvln.navigation.sight import View, eyes_at
 from condvln.scene import Scene
+from condvln.scene.geometry import STRUCTURE
 from schemas.program import Program
-from tests.condvln.episodes.floors import apartment, box, grid_floor, inside, program
+from tests.condvln.episodes.floors import apartment, box, box_triangles, grid_floor, inside, program, surfaces_of
 
 RULES = EpisodeRules()
 
@@ -51,6 +55,50 @@ def test_goal_points_keep_to_one_side_of_a_wall() -> None:
     assert (points[:, 0] <= 4.0).all()
     through = grid_floor(8, 6, lambda x, z: False)
     assert (goal_points(picture, apartment(picture).rooms[0], through, RULES)[:, 0] > 4.0).any()
+
+
+def test_an_object_is_seen_from_its_goal_points() -> None:
+    # A pillar so narrow that the way round it is short: only sight tells its sides apart.
+    picture = box("picture", 3.95, 3, half=0.05, bottom=1.2, top=1.8)
+    pathfinder = grid_floor(8, 6, lambda x, z: 4 < x < 4.25 and 2.75 < z < 3.25)
+    scene = apartment(picture)
+    pillar = box_triangles([4.005, 0, 2.5], [4.25, 2.5, 3.5])
+    view = SceneView(scene, surfaces_of([(STRUCTURE, pillar), (0, box_triangles(*picture.aabb))]))
+    around = goal_points(picture, scene.rooms[0], pathfinder, RULES)
+    assert (around[:, 0] > 4.25).any()
+    seeing = goal_points(picture, scene.rooms[0], pathfinder, RULES, view=view)
+    assert len(seeing) >= 3
+    assert (seeing[:, 0] <= 4.0).all()
+    assert len({*map(tuple, seeing)} & {*map(tuple, around)}) >= 3
+
+
+def test_what_stands_under_a_table_is_seen_from_lower_down_and_what_is_shut_away_is_not() -> None:
+    shoe = box("shoe", 4, 3, half=0.1, top=0.2)
+    scene, pathfinder = apartment(shoe), grid_floor(8, 6, lambda x, z: inside(shoe, x, z))
+    own = (0, box_triangles(*shoe.aabb))
+    plate = (STRUCTURE, box_triangles([3.3, 0.7, 2.3], [4.7, 0.75, 3.7]))
+    under = SceneView(scene, surfaces_of([own, plate]))
+    points = goal_points(shoe, scene.rooms[0], pathfinder, RULES, view=under)
+    assert len(points) >= 4
+    assert not under.glimpsed(eyes_at(points), "shoe", View()).any()
+    chest = (STRUCTURE, box_triangles([3.8, 0, 2.8], [4.2, 0.5, 3.2]))
+    assert not len(
+        goal_points(shoe, scene.rooms[0], pathfinder, RULES, view=SceneView(scene, surfaces_of([own, chest])))
+    )
+
+
+def test_goal_points_are_kept_in_a_table_without_loss(flat) -> None:
+    scene, pathfinder = flat
+    placer = Placer(scene, pathfinder, RULES, seed=5, max_climb=0.2)
+    goals = goals_from_table(stops_table("flat", placer.field.goals))
+    assert list(goals) == list(placer.field.goals)
+    again = Placer(scene, pathfinder, RULES, seed=5, max_climb=0.2, goals=goals)
+    for name, points in placer.field.goals.items():
+        np.testing.assert_array_equal(again.field.goals[name], points)
+    made = program(("sofa",), ("sink",))
+    np.testing.assert_array_equal(
+        again.place(made, "i", compass=False).start, placer.place(made, "i", compass=False).start
+    )
 
 
 def test_an_object_in_the_middle_of_nothing_has_none(flat) -> None:
