@@ -20,8 +20,10 @@ from condvln.labels import vocabulary
 from condvln.scene import MeshPart, Room, Scene, SceneObject, SceneWarning, round_mm
 from condvln.scene.boxes import placement
 from condvln.scene.frames import Z_UP_TO_HABITAT
+from condvln.scene.geometry import SceneGeometry
 from condvln.sources.input_ledger import InputLedger
 from condvln.sources.json_document import JsonNode
+from condvln.sources.mesh_geometry import scan_geometry
 from condvln.sources.navmesh_choice import NavmeshChoice, choose_navmesh, shipped_navmeshes
 from condvln.sources.regions import in_rooms, side_regions
 from condvln.sources.scene_graph import MAX_GRAPH_BYTES, read_npz, read_scn
@@ -91,6 +93,10 @@ class GibsonSource(SceneSource):
             stage=stage,
             warnings=tuple(sorted(said, key=lambda w: (w.code, w.where, w.message))),
         )
+
+    def geometry(self, scene: Scene) -> SceneGeometry | None:
+        """The building's mesh; see `Source.geometry`. None where it is not there: no walls are invented."""
+        return scan_geometry(self.files, scene)
 
     def _note(self, scene_id: str, path: str, ledger: InputLedger) -> None:
         ledger.file(path)

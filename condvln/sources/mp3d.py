@@ -15,8 +15,10 @@ from condvln.labels import vocabulary
 from condvln.scene import MeshPart, OrientedBox, Room, Scene, SceneObject, SceneWarning, round_mm
 from condvln.scene.boxes import aabb_of, box_corners, placement, rounded_box
 from condvln.scene.frames import Z_UP_TO_HABITAT
+from condvln.scene.geometry import SceneGeometry
 from condvln.sources.house_file import HouseFile, HouseObject, HouseRegion, read_house_file
 from condvln.sources.input_ledger import InputLedger
+from condvln.sources.mesh_geometry import scan_geometry
 from condvln.sources.navmesh_choice import NavmeshChoice, choose_navmesh, shipped_navmeshes
 from condvln.sources.regions import in_rooms, side_regions
 from condvln.sources.scene_source import Note, SceneSource, SourceOptions
@@ -79,6 +81,10 @@ class Mp3dSource(SceneSource):
             stage=stage,
             warnings=tuple(sorted({*warnings, *navmesh.warnings}, key=lambda w: (w.code, w.where, w.message))),
         )
+
+    def geometry(self, scene: Scene) -> SceneGeometry | None:
+        """The scan's mesh; see `Source.geometry`. None where it is not there: no walls are invented."""
+        return scan_geometry(self.files, scene)
 
     def house(self, scene_id: str) -> HouseFile:
         """The raw record of a scan: panoramas, portals and categories too, in the file's frame.

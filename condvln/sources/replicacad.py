@@ -20,10 +20,12 @@ from numpy.typing import NDArray
 from condvln.labels import vocabulary
 from condvln.scene import MeshPart, Room, Scene, SceneObject, SceneWarning, round_mm
 from condvln.scene.boxes import aabb_of, oriented_box, rounded_box, transform_points
+from condvln.scene.geometry import SceneGeometry
 from condvln.scene.meshes import MeshLibrary
 from condvln.sources.body import Body, BodyReader
 from condvln.sources.input_ledger import InputLedger
 from condvln.sources.lexicon import read_descriptors
+from condvln.sources.mesh_geometry import assembled_geometry
 from condvln.sources.navmesh_choice import NavmeshChoice, choose_navmesh, shipped_navmeshes
 from condvln.sources.regions import in_rooms, read_regions, side_regions
 from condvln.sources.scene_dataset import SceneDataset
@@ -91,6 +93,10 @@ class ReplicaCadSource(SceneSource):
             stage=assembly.stage,
             warnings=tuple(sorted({*assembly.warnings, *lost}, key=lambda w: (w.code, w.where, w.message))),
         )
+
+    def geometry(self, scene: Scene) -> SceneGeometry | None:
+        """The meshes of the stage and of all objects; see `Source.geometry`. None where the stage's is not there."""
+        return assembled_geometry(self._meshes, scene)
 
     def _assemble(self, dataset: SceneDataset, scene_id: str, path: str, ledger: InputLedger) -> _Assembly:
         ledger.file(path)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -127,16 +127,13 @@ def upright_slabs(starts: ArrayLike, ends: ArrayLike, bottoms: ArrayLike, tops: 
     return boxes(eight, np.full(len(start), STRUCTURE))
 
 
-def pierced_wall(
-    start: F64, end: F64, bottom: float, top: float, thickness: float, holes: Sequence[Hole], owner: int = STRUCTURE
-) -> Piece:
+def pierced_wall(start: F64, end: F64, bottom: float, top: float, thickness: float, holes: Sequence[Hole]) -> Piece:
     """What is left of a wall about the line from `start` to `end`, (2,) each as (x, z), around its holes."""
     length = float(np.linalg.norm(end - start))
     rest = np.array(without_holes(Hole(0.0, length, bottom, top), holes)).reshape(-1, 4)
     along = (end - start) / length
     starts, ends = (start + rest[:, [k]] * along for k in (0, 1))
-    slabs = upright_slabs(starts, ends, rest[:, 2], rest[:, 3], thickness)
-    return replace(slabs, owner=np.full(len(slabs.faces), owner))
+    return upright_slabs(starts, ends, rest[:, 2], rest[:, 3], thickness)
 
 
 def without_holes(wall: Hole, holes: Sequence[Hole]) -> list[Hole]:

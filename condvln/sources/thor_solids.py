@@ -48,7 +48,7 @@ def thor_geometry(
     Parameters
     ----------
     items : all objects of the document
-    number : owners by object id; structure where there is none
+    number : owners by object id; walls, doors, and what is not in it are structure
     fitted : a single hand-built room, whose fittings tell where its walls stand; see `wall_outline`
 
     A door that stands open is cut out of the walls that it stands in; a closed one is a box. No ceiling is drawn, as a
@@ -67,8 +67,8 @@ def thor_geometry(
     border = upright_slabs(
         corners, np.roll(corners, -1, axis=0), np.zeros(len(corners)), np.full(len(corners), top), WALL_THICKNESS
     )
-    walls = (_wall(o, passages, number.get(o.object_id, STRUCTURE)) for o in items if o.raw_label == "Wall")
-    numbered = ((number.get(o.object_id, STRUCTURE), o) for o in standing)
+    walls = (_wall(o, passages) for o in items if o.raw_label == "Wall")
+    numbered = ((STRUCTURE if o.raw_label in DOORS else number.get(o.object_id, STRUCTURE), o) for o in standing)
     pieces = [floor(corners, 0.0), border, *(w for w in walls if w is not None), object_boxes(numbered)]
     return joined(pieces, approximate=True)
 
@@ -115,7 +115,7 @@ def _built_in(kind: str, node: JsonNode) -> bool:
     return kind not in DOORS and asset is not None and asset.text() == ""
 
 
-def _wall(item: SceneObject, passages: F64, owner: int) -> Piece | None:
+def _wall(item: SceneObject, passages: F64) -> Piece | None:
     """A wall that the metadata has as an object: its box along its longer side, with the open doors in it cut out."""
     box = item.box
     if box is None:
@@ -129,7 +129,7 @@ def _wall(item: SceneObject, passages: F64, owner: int) -> Piece | None:
     start, end = middle.copy(), middle.copy()
     start[axis], end[axis] = ground[:, axis]
     holes = list(_holes(box, axis, passages))
-    return pierced_wall(start, end, box[0, 1], box[1, 1], max(float(size[1 - axis]), SMALLEST), holes, owner)
+    return pierced_wall(start, end, box[0, 1], box[1, 1], max(float(size[1 - axis]), SMALLEST), holes)
 
 
 def _holes(box: F64, axis: int, passages: F64) -> Iterator[Hole]:

@@ -21,7 +21,7 @@ from schemas.errors import FormatError, MissingFileError
 if TYPE_CHECKING:  # slow to import, and a build from arrays needs none of it
     import trimesh
 
-__all__ = ["Z_UP", "MeshSource", "PlacedMesh", "mesh_triangles"]
+__all__ = ["Z_UP", "MeshSource", "PlacedMesh", "glb_triangles", "mesh_triangles"]
 
 # Takes a z-up file (MP3D, HM3D, Gibson scans) to Habitat's frame: (x, y, z) -> (x, z, -y).
 Z_UP: Array = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float32)
@@ -64,22 +64,41 @@ def mesh_triangles(sources: Iterable[MeshSource]) -> tuple[Array, Array]:
             parts += _join(mesh, _depth_first(mesh), root)
         else:
             parts += _read(Path(mesh), root)
+    return _joined(parts)
+
+
+def _joined(parts: list[tuple[Array, Array]]) -> tuple[Array, Array]:
     first = np.cumsum([0] + [len(points) for points, _ in parts])
     vertices = np.concatenate([np.zeros((0, 3), np.float32), *(points for points, _ in parts)])
     faces = np.concatenate([np.zeros((0, 3), np.int64), *(f + k for (_, f), k in zip(parts, first[:-1], strict=True))])
     return vertices, faces.astype(np.int32)
 
 
+def glb_triangles(data: bytes, where: str, transform: npt.ArrayLike) -> tuple[Array, Array]:
+    """Vertices (n, 3) float32 and faces (m, 3) int32 of a GLB file's bytes, as :func:`mesh_triangles` has them.
+
+    Raises
+    ------
+    FormatError
+        As `condvln.sources.glb.glb_scene`; `where` names the file.
+    """
+    return _joined(_parts_of_glb(data, where, _matrix(transform, "transform")))
+
+
+def _parts_of_glb(data: bytes, where: str, root: Array) -> list[tuple[Array, Array]]:
+    from condvln.sources.glb import glb_scene
+
+    scene = glb_scene(data, where)
+    return _join(scene, sorted(scene.graph.nodes_geometry, key=_node_number), root)
+
+
 def _read(path: Path, root: Array) -> list[tuple[Array, Array]]:
     import trimesh
-
-    from condvln.sources.glb import glb_scene
 
     if not path.is_file():
         raise MissingFileError("there is no such mesh file", where=path, remedy="Check the path")
     if path.suffix.lower() == ".glb":
-        scene = glb_scene(path.read_bytes(), str(path))
-        return _join(scene, sorted(scene.graph.nodes_geometry, key=_node_number), root)
+        return _parts_of_glb(path.read_bytes(), str(path), root)
     try:
         # Unprocessed: merging vertices or dropping faces would change what is built.
         scene = trimesh.load_scene(path, process=False)

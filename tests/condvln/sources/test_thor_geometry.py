@@ -150,6 +150,7 @@ def test_walls_that_are_objects_and_doors_in_them(tmp_path: Path, objects: list[
     geometry = drawn(tmp_path, *objects, name="FloorPlan_Val1_1", family="robothor")
     distance = walked(geometry).geodesic_distance([-1, 0.1, -0.2], [1, 0.1, -0.2])
     assert np.isfinite(distance) == passable
+    assert (geometry.owner == STRUCTURE).all()
     look = MeshOccluders(geometry.vertices, geometry.faces).hidden(np.array([[-1, 1, 0.0]]), np.array([[1, 1, 0.0]]))
     assert bool(look[0]) is not passable
 

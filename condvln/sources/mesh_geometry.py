@@ -1,0 +1,61 @@
+"""Surfaces of scenes that come with meshes: a scan that is one, or a stage with every body in its place."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.navigation.build.meshes import glb_triangles
+from condvln.scene import Scene
+from condvln.scene.geometry import STRUCTURE, SceneGeometry
+from condvln.scene.meshes import MeshLibrary, WorldMesh
+from condvln.sources.dataset_root import DatasetRoot
+from condvln.sources.glb import MAX_GLB_BYTES
+from condvln.sources.solids import Piece, joined
+
+__all__ = ["assembled_geometry", "scan_geometry"]
+
+
+def scan_geometry(files: DatasetRoot, scene: Scene) -> SceneGeometry | None:
+    """The triangles of a scene that is one scan, in the order and the float32 that Habitat builds navmeshes from.
+
+    None of them is told to be an object's. None where the scan's mesh is not there.
+
+    Raises
+    ------
+    InputError : the mesh can't be read
+    """
+    if not scene.stage:
+        return None
+    scans = [
+        glb_triangles(files.read(part.path, MAX_GLB_BYTES), str(files.folder / part.path), part.transform)
+        for part in scene.stage
+    ]
+    return joined([_piece(vertices, faces, STRUCTURE) for vertices, faces in scans], approximate=False)
+
+
+def assembled_geometry(meshes: MeshLibrary, scene: Scene) -> SceneGeometry | None:
+    """The triangles of the stage, then those of each object that has a mesh.
+
+    None where the stage is not there: floor and walls are unknown then.
+
+    Raises
+    ------
+    InputError : a mesh can't be read
+    """
+    if not scene.stage:
+        return None
+    pieces = [_of_mesh(meshes.placed(part), STRUCTURE) for part in scene.stage]
+    for number, item in enumerate(scene.objects):
+        mesh = meshes.world_mesh(item)
+        if mesh is not None:
+            pieces.append(_of_mesh(mesh, number))
+    return joined(pieces, approximate=False)
+
+
+def _of_mesh(mesh: WorldMesh, owner: int) -> Piece:
+    return _piece(mesh.vertices, mesh.faces, owner)
+
+
+def _piece(vertices: NDArray[np.floating], faces: NDArray[np.integer], owner: int) -> Piece:
+    return Piece(vertices.astype(np.float64), faces.astype(np.int64), np.full(len(faces), owner, np.int64))
