@@ -1,30 +1,112 @@
-"""``condvln sources``: what is there, what is missing, and what would be skipped or quarantined. Runs nothing."""
+"""``condvln sources``: what is there, what is missing, and what would be skipped or quarantined. Builds nothing."""
 
 from __future__ import annotations
 
-from jobs.pipeline import list_units
+from functools import partial
+from typing import Any, Final
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+from condvln.sources.downloads import look_for
+from condvln.sources.survey import Survey, survey_source
+from jobs.pipeline import open_configured
 from jobs.report import Report, Section
 from jobs.workspace import file_hashes, hasher
 from schemas.config import Config
+from schemas.errors import ConfigError
 
 __all__ = ["survey"]
 
+SHOWN: Final = 20
+"""Scenes and labels listed on a terminal; ``--json`` has all of them."""
 
-def survey(config: Config) -> Report:
-    """Scenes of every configured source, and those that can't even be listed."""
+
+def survey(config: Config, *, limit: int | None = None, console: Console | None = None) -> Report:
+    """Every configured source: its files, scenes, rooms, objects, labels, and what a run would leave out.
+
+    limit : most scenes read of each source; all where None
+    """
     hashes = file_hashes(config)
-    units = list_units(config, hasher(hashes))
-    hashes.save()
-    rows, faults = [], []
+    document: list[dict[str, Any]] = []
+    sections: dict[str, list[tuple[Any, ...]]] = {name: [] for name in _COLUMNS}
     for source in config.sources:
-        own = [unit for unit in units if unit.partition == source.family and unit.payload["root"] == str(source.root)]
-        broken = [unit for unit in own if unit.fault is not None]
-        files = {i.path: i.size for unit in own for i in unit.inputs}
-        rows.append((source.family, str(source.root), len(own), len(broken), len(files), sum(files.values()) / 2**20))
-        faults += [(unit.unit_id, str(unit.fault)) for unit in broken]
-    columns = ("family", "root", "scenes", "unreadable", "files", "MiB")
-    return Report(
-        {"sources": [dict(zip(columns, row, strict=True)) for row in rows], "unreadable": [list(f) for f in faults]},
-        [],
-        [Section("Sources", columns, [*rows]), Section("Unreadable", ("scene", "cause"), [*faults])],
-    )
+        try:
+            opened = open_configured(config, source, hasher(hashes))
+            handles = opened.handles()
+        except ConfigError as error:
+            document.append({"family": source.family, "root": str(source.root), "error": str(error)})
+            sections["Not a dataset"].append((source.family, str(error)))
+            continue
+        hashes.save()
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+        with Progress(*columns, console=console or Console(stderr=True), transient=True) as progress:
+            task = progress.add_task(f"reading {source.family}", total=min(len(handles), limit or len(handles)))
+            found = survey_source(opened, handles, limit=limit, tick=partial(progress.advance, task))
+        inputs = {i.path: i.size for handle in handles for i in handle.inputs}
+        kinds = look_for(source.family, source.root)
+        document.append(
+            {
+                "family": source.family,
+                "root": str(source.root),
+                "inputs": len(inputs),
+                "bytes": sum(inputs.values()),
+                "files": [
+                    {"holds": k.download.holds, "need": k.download.need, "files": k.files, "from": k.download.source}
+                    for k in kinds
+                ],
+                **_counts(found),
+            }
+        )
+        family = source.family
+        sections["Sources"].append((family, str(source.root), len(inputs), sum(inputs.values()) / 2**20))
+        sections["Scenes"].append((family, *_row(found)))
+        sections["Missing files"] += [
+            (family, k.download.need, k.download.holds, k.download.source, k.download.licence)
+            for k in kinds
+            if not k.files
+        ]
+        sections["Navmeshes"] += [(family, origin, count) for origin, count in sorted(found.navmeshes.items())]
+        sections["Unmapped labels"] += [(family, *item) for item in found.unmapped.most_common(SHOWN)]
+        sections["Unmapped rooms"] += [(family, *item) for item in found.unmapped_rooms.most_common(SHOWN)]
+        sections["Warnings"] += [(family, *item) for item in sorted(found.warnings.items())]
+        sections["Will be skipped"] += [(family, *item) for item in found.skipped[:SHOWN]]
+        sections["Unreadable"] += [(family, *item) for item in found.unreadable[:SHOWN]]
+    lines = [
+        f"{one['family']}: {len(one[what]) - SHOWN} more {what} scenes are not shown; --json lists them"
+        for one in document
+        for what in ("skipped", "unreadable")
+        if what in one and len(one[what]) > SHOWN
+    ]
+    return Report({"sources": document}, lines, [Section(n, _COLUMNS[n], [*rows]) for n, rows in sections.items()])
+
+
+_COLUMNS: Final = {
+    "Not a dataset": ("family", "why"),
+    "Sources": ("family", "root", "files and entries", "MiB"),
+    "Scenes": ("family", "scenes", "read", "rooms", "objects", "with extent", "without extent"),
+    "Missing files": ("family", "need", "what", "from", "licence to accept"),
+    "Navmeshes": ("family", "navmesh", "scenes"),
+    "Unmapped labels": ("family", "raw label", "objects"),
+    "Unmapped rooms": ("family", "raw label", "rooms"),
+    "Warnings": ("family", "code", "places"),
+    "Will be skipped": ("family", "scene", "why"),
+    "Unreadable": ("family", "scene", "cause"),
+}
+
+
+def _row(found: Survey) -> tuple[int, ...]:
+    return (found.scenes, found.read, found.rooms, found.objects, found.with_extent, found.without_extent)
+
+
+def _counts(found: Survey) -> dict[str, Any]:
+    names = ("scenes", "read", "rooms", "objects", "with_extent", "without_extent")
+    return {
+        **dict(zip(names, _row(found), strict=True)),
+        "navmeshes": dict(sorted(found.navmeshes.items())),
+        "unmapped_labels": dict(found.unmapped.most_common()),
+        "unmapped_rooms": dict(found.unmapped_rooms.most_common()),
+        "warnings": dict(sorted(found.warnings.items())),
+        "skipped": [list(item) for item in found.skipped],
+        "unreadable": [list(item) for item in found.unreadable],
+    }

@@ -1,0 +1,72 @@
+"""What each family's dataset consists of, under the names of its download pages, and which of it is on disk."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from itertools import islice
+from pathlib import Path
+from typing import Final, Literal
+
+__all__ = ["Download", "Found", "downloads", "look_for"]
+
+_TABLE: Final = "downloads.csv"
+MAX_COUNTED: Final = 1_000_000
+"""Files counted of one kind: a survey of a disk that is not a dataset must end."""
+
+
+@dataclass(frozen=True, slots=True)
+class Download:
+    """One kind of files of a dataset.
+
+    patterns : globs relative to the dataset's folder, any of which serves
+    need : without what is ``required`` nothing can be read; what is ``optional`` adds something
+    holds : what the files hold, and what happens without them
+    source : the name that its download page gives it
+    licence : what is to be accepted before it is downloaded
+    """
+
+    family: str
+    patterns: tuple[str, ...]
+    need: Literal["required", "optional"]
+    holds: str
+    source: str
+    licence: str
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """How many files of a kind are in a folder."""
+
+    download: Download
+    files: int
+
+
+@cache
+def downloads(family: str) -> tuple[Download, ...]:
+    """Kinds of files of a family, the required ones first."""
+    rows = csv.DictReader((files("condvln.sources") / _TABLE).read_text(encoding="utf-8").splitlines())
+    found = [
+        Download(
+            family=row["family"],
+            patterns=tuple(row["patterns"].split(";")),
+            need="required" if row["need"] == "required" else "optional",
+            holds=row["holds"],
+            source=row["from"],
+            licence=row["licence"],
+        )
+        for row in rows
+        if row["family"] == family
+    ]
+    return tuple(sorted(found, key=lambda d: d.need != "required"))
+
+
+def look_for(family: str, root: Path) -> list[Found]:
+    """What of a family's dataset is in a folder; opens nothing."""
+    found = []
+    for download in downloads(family):
+        paths = {path for pattern in download.patterns for path in islice(root.glob(pattern), MAX_COUNTED)}
+        found.append(Found(download, len(paths)))
+    return found

@@ -1,0 +1,112 @@
+"""What a dataset on disk holds and what a run will make of it, told by reading scenes and building nothing."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from condvln.labels import vocabulary
+from condvln.scene import Scene
+from condvln.sources.source import UNKNOWN_LABEL, SceneHandle, Source
+from schemas.errors import InputError
+
+__all__ = ["Survey", "survey_source"]
+
+
+@dataclass
+class Survey:
+    """Counts over the scenes that were read.
+
+    scenes : scenes listed; read : those among them that were read
+    unmapped : objects by raw label that the vocabulary does not know (they never appear in text)
+    warnings : by code, how many places; skipped, unreadable : (scene id, why)
+    navmeshes : scenes by where their navmesh comes from
+    """
+
+    scenes: int = 0
+    read: int = 0
+    rooms: int = 0
+    objects: int = 0
+    with_extent: int = 0
+    unmapped: Counter[str] = field(default_factory=Counter)
+    unmapped_rooms: Counter[str] = field(default_factory=Counter)
+    warnings: Counter[str] = field(default_factory=Counter)
+    navmeshes: Counter[str] = field(default_factory=Counter)
+    skipped: list[tuple[str, str]] = field(default_factory=list)
+    unreadable: list[tuple[str, str]] = field(default_factory=list)
+
+    @property
+    def without_extent(self) -> int:
+        """Objects whose extent the dataset does not tell."""
+        return self.objects - self.with_extent
+
+
+def survey_source(
+    source: Source,
+    handles: Sequence[SceneHandle],
+    *,
+    limit: int | None = None,
+    tick: Callable[[], object] | None = None,
+) -> Survey:
+    """Read scenes of a dataset and count.
+
+    Parameters
+    ----------
+    handles : the scenes, as ``source.handles()`` lists them
+    limit : most scenes read, spread evenly over the list; all where None
+    tick : called after each scene
+    """
+    survey = Survey(scenes=len(handles))
+    survey.unreadable += [(h.scene_id, str(h.fault)) for h in handles if h.fault is not None]
+    sound = [h.scene_id for h in handles if h.fault is None]
+    if limit is not None and len(sound) > limit:
+        sound = [sound[k * len(sound) // limit] for k in range(limit)]
+    for scene_id in sound:
+        try:
+            scene = source.read(scene_id)
+            _count(survey, source, scene)
+        except InputError as error:
+            survey.unreadable.append((scene_id, str(error)))
+        if tick is not None:
+            tick()
+    return survey
+
+
+def _count(survey: Survey, source: Source, scene: Scene) -> None:
+    survey.read += 1
+    survey.rooms += len(scene.rooms)
+    survey.objects += len(scene.objects)
+    survey.with_extent += sum(item.box is not None or item.radius is not None for item in scene.objects)
+    survey.warnings.update(warning.code for warning in scene.warnings)
+    survey.unmapped.update(
+        item.raw_label for item in scene.objects if not _known(vocabulary.is_mapped, item.raw_label, scene.family)
+    )
+    survey.unmapped_rooms.update(
+        room.raw_label for room in scene.rooms if room.annotation != "scene" and _unknown_room(room.raw_label, scene)
+    )
+    if len(scene.objects) < 2:
+        survey.skipped.append((scene.scene_id, f"{len(scene.objects)} objects: nothing to relate or to choose between"))
+    origin = _navmesh_origin(source, scene)
+    survey.navmeshes[origin] += 1
+    if origin == "none":
+        why = "no navmesh, and neither mesh nor walls to build one from: instructions without episodes"
+        survey.skipped.append((scene.scene_id, why))
+
+
+def _known(is_mapped: Callable[[str, str], bool], raw: str, family: str) -> bool:
+    return raw == UNKNOWN_LABEL or is_mapped(raw, family)
+
+
+def _unknown_room(raw: str, scene: Scene) -> bool:
+    label = vocabulary.room_type(raw, scene.family)
+    return raw != UNKNOWN_LABEL and label not in vocabulary.room_labels
+
+
+def _navmesh_origin(source: Source, scene: Scene) -> str:
+    if scene.navmesh is not None:
+        return "shipped, fits" if scene.navmesh.fits else "shipped, for another agent"
+    # A scan's mesh is there or not; opening it, which may take a minute, would tell no more.
+    if scene.stage or source.geometry(scene) is not None:
+        return "to be built"
+    return "none"

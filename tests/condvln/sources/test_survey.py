@@ -1,0 +1,93 @@
+"""What a survey tells of made datasets must be what was written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from condvln.samples import FAMILIES, make_samples
+from condvln.sources.downloads import downloads, look_for
+from condvln.sources.registry import FAMILIES as READERS
+from condvln.sources.registry import open_source
+from condvln.sources.survey import survey_source
+
+NO_MESH = {"procthor", "ithor", "robothor"}
+
+
+@pytest.fixture(scope="module", params=sorted(FAMILIES))
+def made(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory):
+    root = tmp_path_factory.mktemp(request.param)
+    return request.param, root, make_samples(root, family=request.param, scenes=2, seed=1)
+
+
+def test_every_family_has_its_downloads() -> None:
+    for family in READERS:
+        kinds = downloads(family)
+        assert kinds
+        assert kinds[0].need == "required"
+        assert all(kind.patterns and kind.source and kind.licence and kind.holds for kind in kinds)
+
+
+def test_counts_are_those_of_what_was_written(made) -> None:
+    family, root, report = made
+    source = open_source(family, root)
+    ticks: list[None] = []
+    survey = survey_source(source, source.handles(), tick=lambda: ticks.append(None))
+    assert len(ticks) == survey.read == survey.scenes
+    assert survey.read >= 2
+    scenes = [source.read(handle.scene_id) for handle in source.handles()]
+    assert survey.rooms == sum(len(scene.rooms) for scene in scenes)
+    assert survey.objects == sum(len(scene.objects) for scene in scenes)
+    # Some formats list walls and doors as objects too; iTHOR has no room type for a hallway.
+    assert survey.objects >= report.objects or family == "ithor"
+    assert survey.without_extent == 0
+    assert survey.unreadable == []
+    assert not survey.skipped
+    assert sum(survey.navmeshes.values()) == survey.read
+    assert set(survey.navmeshes) == {"to be built" if family in NO_MESH else "shipped, fits"}
+
+
+def test_whole_samples_miss_nothing_required(made) -> None:
+    family, root, _ = made
+    assert [
+        kind.download.holds for kind in look_for(family, root) if kind.download.need == "required" and not kind.files
+    ] == []
+
+
+def test_a_folder_of_nothing_misses_everything(tmp_path: Path) -> None:
+    for family in READERS:
+        assert all(kind.files == 0 for kind in look_for(family, tmp_path))
+
+
+def test_a_limit_spreads_over_the_list(tmp_path: Path) -> None:
+    make_samples(tmp_path, family="procthor", scenes=6, seed=1)
+    source = open_source("procthor", tmp_path)
+    handles = source.handles()
+    survey = survey_source(source, handles, limit=2)
+    first, fourth = (source.read(handles[k].scene_id) for k in (0, 3))
+    assert (survey.scenes, survey.read) == (6, 2)
+    assert survey.objects == len(first.objects) + len(fourth.objects)
+
+
+def test_a_broken_scene_is_told_and_the_others_are_read(tmp_path: Path) -> None:
+    make_samples(tmp_path, family="ithor", scenes=3, seed=1)
+    paths = sorted(p for p in tmp_path.rglob("*.json") if b'"sceneName"' in p.read_bytes())
+    paths[1].write_bytes(paths[1].read_bytes()[:-100])
+    source = open_source("ithor", tmp_path)
+    survey = survey_source(source, source.handles())
+    assert [scene for scene, _ in survey.unreadable] == [paths[1].stem]
+    assert survey.read == len(paths) - 1
+
+
+def test_real_datasets(real_data: Path) -> None:
+    found = {}
+    for family in ("procthor", "ithor", "mp3d", "gibson"):
+        source = open_source(family, real_data / family)
+        found[family] = survey_source(source, source.handles())
+    assert (found["procthor"].scenes, found["procthor"].rooms, found["procthor"].without_extent) == (60, 296, 0)
+    assert found["procthor"].navmeshes == {"to be built": 60}
+    assert (found["ithor"].scenes, found["ithor"].navmeshes) == (7, {"to be built": 7})
+    assert [scene for scene, _ in found["mp3d"].unreadable] == ["gZ6f7yhEvPG"]
+    assert found["gibson"].navmeshes == {"none": 13, "shipped, fits": 1}
+    assert len(found["gibson"].skipped) == 13
