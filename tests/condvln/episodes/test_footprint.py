@@ -51,9 +51,10 @@ def test_ring_lies_at_its_offset_and_leaves_no_gap(box: Footprint, offset: float
 @given(boxes, points)
 def test_crossing_is_shapely_s(box: Footprint, at: np.ndarray) -> None:
     shape = polygon(box)
+    core = shape.buffer(-1e-9, join_style="mitre")  # a way along an edge is not inside
     crossed = box.crossed_by(at[:-1], at[1:])
     for k, (a, b) in enumerate(pairwise(at)):
-        inside = LineString([a[[0, 2]], b[[0, 2]]]).intersection(shape).length
+        inside = LineString([a[[0, 2]], b[[0, 2]]]).intersection(core).length
         if inside > 1e-6:
             assert crossed[k]
         # Grazing a side or a corner is no crossing; rounding may go either way within a hair of it.
