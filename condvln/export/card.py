@@ -83,7 +83,7 @@ _FILES: Final = """\
 | `r2r/` | discrete R2R over Matterport viewpoints, where scans of Matterport3D are in it |
 | `manifest/<split>.jsonl` | programs, truths, gold leaf, goals of every leaf: never show it to an agent |
 | `navmeshes/` | navmeshes built for scenes that ship none |
-| `configs/` | configuration files for VLN-CE, habitat-lab, Open-Nav, NaVid and NaVILA |
+| `configs/` | configuration files for VLN-CE, habitat-lab, Open-Nav, VLN-Zero, NaVid and NaVILA |
 | `export.json` | counts per cell, what was left out and why, SHA-256 of every file |
 
 Scene meshes are not included: get them from their sources and put them below `data/scene_datasets/`. Positions are

@@ -1,13 +1,14 @@
-"""Configuration files for those who run the episodes: only the keys that must change from the consumer's own file.
+"""Configuration files for those who run the episodes: whole task files, to be named where the consumer's own is.
 
 Paths are those of an export that is linked as ``data/datasets/condvln`` in the consumer's checkout, beside its
-``data/scene_datasets``. Success distances are set for SR, SPL and OSR alike; nDTW keeps R2R's 3 m. Keys as in VLN-CE's
-``vlnce_task.yaml`` and ``rxr_vlnce_english_task.yaml``, habitat-lab's ``vln_r2r.yaml`` and the ANSR-v1 tasks of
-Open-Nav.
+``data/scene_datasets``. Success distances are set for SR, SPL, OSR and BSA alike; nDTW keeps R2R's 3 m. Keys as in
+VLN-CE's ``vlnce_task.yaml`` and ``rxr_vlnce_english_task.yaml``, habitat-lab's ``vln_r2r.yaml`` and the ANSR-v1 tasks
+of Open-Nav and VLN-Zero.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Final
 
 import yaml
@@ -24,6 +25,10 @@ _SCENES: Final = "data/scene_datasets/"
 _FIDELITY_DISTANCE: Final = 3.0
 _FALLBACK_SUCCESS_DISTANCE: Final = 1.0
 _BUDGET: Final = 500
+_ACTIONS: Final = ("STOP", "MOVE_FORWARD", "TURN_LEFT", "TURN_RIGHT")
+_MEASUREMENTS: Final = (
+    "DISTANCE_TO_GOAL", "SUCCESS", "SPL", "NDTW", "PATH_LENGTH", "ORACLE_SUCCESS", "STEPS_TAKEN",
+)  # fmt: skip
 
 
 def consumer_files(report: ExportReport) -> dict[str, str]:
@@ -36,7 +41,10 @@ def consumer_files(report: ExportReport) -> dict[str, str]:
         "configs/vlnce/condvln_oracle_task.yaml": _vlnce("oracle", "VLN-CE-v1", split, radius, steps),
         "configs/vlnce/condvln_rxr_task.yaml": _rxr(split, radius, steps),
         "configs/habitat_lab/condvln.yaml": _habitat_lab(split, radius, steps),
-        "configs/open_nav/condvln_task.yaml": _ansr(split, radius),
+        "configs/open_nav/condvln_task.yaml": _ansr(split, radius, _OPEN_NAV),
+        "configs/open_nav/condvln_experiment.yaml": _experiment("open_nav", split),
+        "configs/vln_zero/condvln_task.yaml": _ansr(split, radius, _VLN_ZERO),
+        "configs/vln_zero/condvln_experiment.yaml": _experiment("vln_zero", split, _VLN_ZERO.root),
         "configs/navid/condvln_task.yaml": _vlnce("vlnce", "VLN-CE-v1", split, radius, steps),
         "configs/navid/condvln_experiment.yaml": _experiment("navid", split),
         "configs/navila/condvln_task.yaml": _vlnce("vlnce", "VLN-CE-v1", split, radius, steps),
@@ -59,10 +67,27 @@ def _success_distance(report: ExportReport) -> tuple[float, bool]:
     return float(max(sorted(counts), key=lambda value: counts[value])), len(counts) > 1
 
 
+@dataclass(frozen=True)
+class _AnsrAgent:
+    """How one of the public conditional evaluators moves, and where its data lies."""
+
+    root: str
+    forward: float
+    turn: int
+    steps: int
+    actions: tuple[str, ...] = ()
+
+
+_OPEN_NAV: Final = _AnsrAgent("", 0.25, 15, 20, ("HIGHTOLOW",))
+"""Counts waypoint moves, not steps."""
+_VLN_ZERO: Final = _AnsrAgent("VLN_CE/", 1.0, 30, 500)
+
+
 def _note(radius: float, mixed: bool) -> str:
     lines = [
         f"# Link the export as {LINK} and put scene meshes below {_SCENES}.",
-        "# Merge these keys into your own file of this kind, or replace its paths by these.",
+        "# Name the task file as BASE_TASK_CONFIG_PATH in your agent's own experiment file. Its cameras are stock",
+        "# VLN-CE's: keep your own where your agent has others.",
     ]
     if mixed:
         lines.append(f"# Some episodes have another success distance than {radius:g} m (info.success_distance);")
@@ -70,19 +95,25 @@ def _note(radius: float, mixed: bool) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _vlnce(variant: str, kind: str, split: str, radius: float, steps: int) -> dict[str, Any]:
-    folder = f"{LINK}/{variant}"
+def _vlnce(variant: str, kind: str, split: str, radius: float, steps: int, root: str = "") -> dict[str, Any]:
+    folder = f"{root}{LINK}/{variant}"
     truth = {"SUCCESS_DISTANCE": _FIDELITY_DISTANCE, "GT_PATH": folder + "/{split}/{split}_gt.json.gz"}
     return {
         "ENVIRONMENT": {"MAX_EPISODE_STEPS": steps},
         "SIMULATOR": {
             "FORWARD_STEP_SIZE": 0.25,
             "TURN_ANGLE": 15,
-            "AGENT_0": {"HEIGHT": 1.5, "RADIUS": 0.1},
-            "HABITAT_SIM_V0": {"ALLOW_SLIDING": True},
+            "AGENT_0": {"SENSORS": ["RGB_SENSOR", "DEPTH_SENSOR"], "HEIGHT": 1.5, "RADIUS": 0.1},
+            "HABITAT_SIM_V0": {"GPU_DEVICE_ID": 0, "ALLOW_SLIDING": True},
+            "RGB_SENSOR": {"WIDTH": 224, "HEIGHT": 224, "HFOV": 90, "TYPE": "HabitatSimRGBSensor"},
+            "DEPTH_SENSOR": {"WIDTH": 256, "HEIGHT": 256, "HFOV": 90},
         },
         "TASK": {
             "TYPE": "VLN-v0",
+            "SENSORS": ["INSTRUCTION_SENSOR", "SHORTEST_PATH_SENSOR", "VLN_ORACLE_PROGRESS_SENSOR"],
+            "INSTRUCTION_SENSOR_UUID": "instruction",
+            "POSSIBLE_ACTIONS": list(_ACTIONS),
+            "MEASUREMENTS": list(_MEASUREMENTS),
             "SUCCESS_DISTANCE": radius,
             "SUCCESS": {"SUCCESS_DISTANCE": radius},
             "SPL": {"SUCCESS_DISTANCE": radius},
@@ -94,15 +125,22 @@ def _vlnce(variant: str, kind: str, split: str, radius: float, steps: int) -> di
             "TYPE": kind,
             "SPLIT": split,
             "DATA_PATH": folder + "/{split}/{split}.json.gz",
-            "SCENES_DIR": _SCENES,
+            "SCENES_DIR": root + _SCENES,
         },
     }
 
 
-def _ansr(split: str, radius: float) -> dict[str, Any]:
-    document = _vlnce("ansr", "ANSR-v1", split, radius, _BUDGET)
-    del document["ENVIRONMENT"]  # Open-Nav counts waypoint moves, not steps: its own number stays
-    document["TASK"]["BRANCH_SELECTION_ACCURACY"] = {"SUCCESS_DISTANCE": radius}
+def _ansr(split: str, radius: float, agent: _AnsrAgent) -> dict[str, Any]:
+    document = _vlnce("ansr", "ANSR-v1", split, radius, agent.steps, agent.root)
+    document["SIMULATOR"] |= {
+        "ACTION_SPACE_CONFIG": "v0",
+        "FORWARD_STEP_SIZE": agent.forward,
+        "TURN_ANGLE": agent.turn,
+    }
+    task = document["TASK"]
+    task["POSSIBLE_ACTIONS"] += agent.actions
+    task["MEASUREMENTS"] += ["COLLISIONS", "BRANCH_SELECTION_ACCURACY", "CONDITIONAL_SUCCESS_RATE"]
+    task["BRANCH_SELECTION_ACCURACY"] = {"SUCCESS_DISTANCE": radius}
     return document
 
 
@@ -138,9 +176,9 @@ def _habitat_lab(split: str, radius: float, steps: int) -> dict[str, Any]:
     }
 
 
-def _experiment(name: str, split: str) -> dict[str, Any]:
+def _experiment(name: str, split: str, root: str = "") -> dict[str, Any]:
     return {
-        "BASE_TASK_CONFIG_PATH": f"{LINK}/configs/{name}/condvln_task.yaml",
+        "BASE_TASK_CONFIG_PATH": f"{root}{LINK}/configs/{name}/condvln_task.yaml",
         "EVAL": {"SPLIT": split, "EPISODE_COUNT": -1},
         "RESULTS_DIR": f"results/{name}_condvln",
     }

@@ -78,7 +78,10 @@ def test_consumers_files_point_at_files_that_are_there(exported: Path) -> None:
         "navid/condvln_task.yaml",
         "navila/condvln_experiment.yaml",
         "navila/condvln_task.yaml",
+        "open_nav/condvln_experiment.yaml",
         "open_nav/condvln_task.yaml",
+        "vln_zero/condvln_experiment.yaml",
+        "vln_zero/condvln_task.yaml",
         "vlnce/condvln_oracle_task.yaml",
         "vlnce/condvln_rxr_task.yaml",
         "vlnce/condvln_task.yaml",
@@ -87,13 +90,15 @@ def test_consumers_files_point_at_files_that_are_there(exported: Path) -> None:
     for name in files:
         document = yaml.safe_load((folder / name).read_text())
         for key, value in walk(document):
-            if isinstance(value, str) and value.startswith(LINK):
-                path = value.removeprefix(LINK + "/").format(split="train", role="guide")
-                assert (exported / path).is_file(), (name, key, value)
+            if isinstance(value, str) and LINK in value:
+                root, path = value.split(LINK + "/")
+                assert root == ("VLN_CE/" if name.startswith("vln_zero") else "")
+                for split in SPLITS:
+                    assert (exported / path.format(split=split, role="guide")).is_file(), (name, key, value)
                 pointed += 1
             if key[-1] in ("SUCCESS_DISTANCE", "success_distance"):
                 assert value == (3.0 if {"NDTW", "SDTW"} & set(key) else 1.0), (name, key)
-    assert pointed >= 15
+    assert pointed == 7 * 3 + 1 + 4  # tasks name episodes and truth twice; habitat-lab episodes; experiments a task
 
 
 def walk(value: Any, key: tuple[str, ...] = ()) -> Any:
@@ -104,9 +109,27 @@ def walk(value: Any, key: tuple[str, ...] = ()) -> Any:
         yield key, value
 
 
-def test_success_and_oracle_success_are_set_alike(exported: Path) -> None:
-    task = yaml.safe_load((exported / "configs" / "vlnce" / "condvln_task.yaml").read_text())["TASK"]
+TASKS = ["vlnce/condvln_task", "vlnce/condvln_oracle_task", "vlnce/condvln_rxr_task", "open_nav/condvln_task",
+         "vln_zero/condvln_task", "navid/condvln_task", "navila/condvln_task"]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_a_task_file_stands_alone(exported: Path, name: str) -> None:
+    document = yaml.safe_load((exported / "configs" / f"{name}.yaml").read_text())
+    task = document["TASK"]
     assert task["SUCCESS"] == task["ORACLE_SUCCESS"] == task["SPL"] == {"SUCCESS_DISTANCE": 1.0}
+    assert task["SUCCESS_DISTANCE"] == 1.0
+    # what is measured is configured, and what the simulator shows is a sensor that is set up
+    assert {"SUCCESS", "SPL", "ORACLE_SUCCESS", "NDTW"} <= set(task["MEASUREMENTS"])
+    assert set(document["SIMULATOR"]["AGENT_0"]["SENSORS"]) <= set(document["SIMULATOR"])
+    assert task["SENSORS"]
+    assert task["INSTRUCTION_SENSOR_UUID"] == ("rxr_instruction" if "rxr" in name else "instruction")
+    ansr = document["DATASET"]["TYPE"] == "ANSR-v1"
+    assert ansr == ("BRANCH_SELECTION_ACCURACY" in task["MEASUREMENTS"]) == name.startswith(("open_nav", "vln_zero"))
+    if ansr:
+        assert task["BRANCH_SELECTION_ACCURACY"] == {"SUCCESS_DISTANCE": 1.0}
+    assert document["DATASET"]["SPLIT"] == "val_unseen"
+    assert document["ENVIRONMENT"]["MAX_EPISODE_STEPS"] > 0
 
 
 # -- changelog ---------------------------------------------------------------------------------------------------------
