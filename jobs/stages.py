@@ -7,6 +7,7 @@ it reads, what it is keyed on, and where its rows go. A change of what a stage m
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import lru_cache
@@ -20,7 +21,15 @@ from condvln.episodes.observability import Observer
 from condvln.episodes.placing import Placer
 from condvln.episodes.pool import fill_pool
 from condvln.episodes.rules import EpisodeRules
-from condvln.episodes.table import goals_from_table, placements_table, rejections_table, stops_table, with_text
+from condvln.episodes.table import (
+    PLACEMENTS,
+    goals_from_table,
+    placements_table,
+    rejections_table,
+    stops_table,
+    with_text,
+)
+from condvln.episodes.unplaced import unplaced_programs, unplaced_table
 from condvln.episodes.view import SceneView
 from condvln.instructions import (
     InstructionConfig,
@@ -47,7 +56,7 @@ from condvln.sources.source import Source
 from factory.stage import Aggregate, Stage, StageOutput
 from factory.unit import Unit
 from schemas.canonical import JSON
-from schemas.program import CATEGORIES, Category
+from schemas.program import CATEGORIES, Category, Program
 
 __all__ = ["EpisodeStage", "PriorsAggregate", "ProgramStage", "RelationStage", "SceneStage", "TextStage"]
 
@@ -81,7 +90,7 @@ def _scene(unit: Unit, tables: Tables) -> Scene:
 
 def _pathfinder(scene: Scene, tables: Tables) -> Pathfinder:
     """Over the navmesh that the first stage chose or built."""
-    assert scene.navmesh is not None  # the first stage skips scenes without
+    assert scene.navmesh is not None
     if scene.navmesh.built:
         return Pathfinder(parse_navmesh(tables["navmeshes"]["data"][0].as_py(), scene.navmesh.path))
     return Pathfinder.load(scene.root / scene.navmesh.path)
@@ -95,12 +104,13 @@ def _view(unit: Unit, scene: Scene, agent: Agent) -> SceneView:
 class SceneStage(Stage):
     """Native files → scenes, rooms, objects, and a navmesh where the source ships none.
 
-    A sound scene that can't yield is skipped, with its reason.
+    A sound scene that can't yield is skipped, with its reason. One without navmesh, mesh or walls yields instructions
+    and no episodes.
     """
 
     agent: Agent
     name: str = "scene"
-    version: int = 2
+    version: int = 3
     tables: tuple[str, ...] = ("scenes", "rooms", "objects", "navmeshes")
     reads_inputs: bool = True
 
@@ -112,17 +122,18 @@ class SceneStage(Stage):
         scene = source.read(str(unit.payload["scene_id"]))
         built: bytes | None = None
         reason = ""
-        if len(scene.objects) < 2:
+        skipped = len(scene.objects) < 2
+        if skipped:
             reason = f"{'no' if not scene.objects else 'only one'} object: nothing to relate or to choose between"
         elif scene.navmesh is None:
             geometry = source.geometry(scene)
             if geometry is not None:
                 scene, built = with_built_navmesh(scene, geometry, self.agent)
             if scene.navmesh is None:
-                reason = "no navmesh, and neither mesh nor walls to build one from: nowhere to place episodes"
-        tables = scene_tables(scene, status="skipped" if reason else "ok", reason=reason or None)
+                reason = "no navmesh, and neither mesh nor walls to build one from: instructions without episodes"
+        tables = scene_tables(scene, status="skipped" if skipped else "ok", reason=reason or None)
         tables["navmeshes"] = _navmeshes_table(scene.scene_id, built)
-        return StageOutput(tables=tables, outcome="skipped" if reason else "ok", reason=reason)
+        return StageOutput(tables=tables, outcome="skipped" if skipped else "ok", reason=reason if skipped else "")
 
 
 @dataclass
@@ -199,16 +210,19 @@ class ProgramStage(Stage):
             arrays = scene.arrays(room.room_id)
             relations = RoomRelations.from_table(upstream["relations"], arrays, self.thresholds)
             facts[room.room_id] = text_facts(relations, self.thresholds)
+        placer = None
+        if scene.navmesh is not None:
+            placer = Placer(
+                scene,
+                _pathfinder(scene, upstream),
+                self.rules,
+                self.seed,
+                max_climb=self.agent.max_climb,
+                view=_view(unit, scene, self.agent),
+            )
         # Leaves are checked before the gold one is drawn among them, so that the check can't favour a truth.
-        placer = Placer(
-            scene,
-            _pathfinder(scene, upstream),
-            self.rules,
-            self.seed,
-            max_climb=self.agent.max_climb,
-            view=_view(unit, scene, self.agent),
-        )
-        sampler = ProgramSampler(scene, facts, self._bits(scene, shared), self.config, self.seed, stops=placer.stops)
+        stops = None if placer is None else placer.stops
+        sampler = ProgramSampler(scene, facts, self._bits(scene, shared), self.config, self.seed, stops=stops)
         programs = [
             (instruction_id(scene.family, scene.scene_id, program), program)
             for category in CATEGORIES
@@ -216,7 +230,7 @@ class ProgramStage(Stage):
         ]
         return StageOutput(
             tables={
-                "stops": stops_table(scene.scene_id, placer.field.goals),
+                "stops": stops_table(scene.scene_id, {} if placer is None else placer.field.goals),
                 "candidates": instruction_table(scene.scene_id, programs),
                 "rejections": rejections_table(scene.scene_id, self.name, sampler.rejections),
             },
@@ -235,8 +249,8 @@ class EpisodeStage(Stage):
     agent: Agent
     seed: int
     name: str = "episodes"
-    version: int = 2
-    tables: tuple[str, ...] = ("placements", "rejections")
+    version: int = 3
+    tables: tuple[str, ...] = ("placements", "unplaced", "rejections")
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "stops", "candidates")
     reads_inputs: bool = True
 
@@ -252,8 +266,9 @@ class EpisodeStage(Stage):
 
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
         scene = _scene(unit, upstream)
-        assert scene.navmesh is not None
         candidates = programs_from_table(upstream["candidates"])
+        if scene.navmesh is None:
+            return self._without_navmesh(scene, candidates)
         placer = Placer(
             scene,
             _pathfinder(scene, upstream),
@@ -277,9 +292,22 @@ class EpisodeStage(Stage):
         return StageOutput(
             tables={
                 "placements": placements_table(scene.scene_id, pool, compositions, scene.navmesh.sha256),
+                "unplaced": unplaced_table(()),
                 "rejections": rejections_table(scene.scene_id, self.name, pool.rejections, pool.examples),
             },
             measures={"episodes": float(len(pool.episodes)), "candidates": float(len(candidates))},
+        )
+
+    def _without_navmesh(self, scene: Scene, candidates: list[tuple[str, Program]]) -> StageOutput:
+        """Instructions as many as wanted; every candidate counts as one that could not be placed."""
+        refused = Counter((program.category, "no_navmesh") for _, program in candidates)
+        return StageOutput(
+            tables={
+                "placements": PLACEMENTS.empty_table(),
+                "unplaced": unplaced_table(unplaced_programs(candidates, self.wanted)),
+                "rejections": rejections_table(scene.scene_id, self.name, refused),
+            },
+            measures={"episodes": 0.0, "candidates": float(len(candidates))},
         )
 
 
@@ -293,7 +321,7 @@ class TextStage(Stage):
     name: str = "text"
     version: int = 1
     tables: tuple[str, ...] = ("instructions", "episodes")
-    reads: tuple[str, ...] | None = ("candidates", "placements", "rooms")
+    reads: tuple[str, ...] | None = ("candidates", "placements", "unplaced", "rooms")
 
     def parameters(self, unit: Unit) -> JSON:
         return {
@@ -306,7 +334,9 @@ class TextStage(Stage):
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
         placements = upstream["placements"]
         candidates = upstream["candidates"]
-        kept = candidates.filter(pc.is_in(candidates["instruction_id"], value_set=placements["instruction_id"]))
+        wanted = [*placements["instruction_id"].chunks, *upstream["unplaced"]["instruction_id"].chunks]
+        names = pa.chunked_array(wanted, pa.string())
+        kept = candidates.filter(pc.is_in(candidates["instruction_id"], value_set=names))
         programs = dict(programs_from_table(kept))
         bodies = {k: render(program, self.seed, k) for k, program in programs.items()}
         texts = {}

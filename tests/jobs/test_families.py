@@ -1,0 +1,86 @@
+"""Every family's made scenes through the whole line: generated, exported with the navmeshes it needs, and proven."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from pathlib import Path
+
+import orjson
+import pytest
+from rich.console import Console
+
+from condvln.navigation.navmesh_file import read_navmesh
+from condvln.samples import FAMILIES, make_samples
+from jobs.generate import run_generate
+from jobs.verify import verify_export
+from jobs.workspace import published
+from schemas.config import Config, InstructionsConfig, SourceConfig
+from schemas.program import CATEGORIES
+
+BUILT = {"procthor", "ithor", "robothor"}
+"""Families that never ship a navmesh."""
+
+
+def config_of(folder: Path, family: str, scenes: int) -> Config:
+    make_samples(folder / "data", family=family, scenes=scenes, seed=3)
+    return Config(
+        name=family,
+        store=folder / "store",
+        export=folder / "export",
+        sources=(SourceConfig(family=family, root=folder / "data"),),  # type: ignore[arg-type]
+        instructions=InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, 4)),
+    )
+
+
+@pytest.mark.parametrize("family", sorted(FAMILIES))
+def test_a_family_yields_and_is_proven(family: str, tmp_path: Path) -> None:
+    config = config_of(tmp_path, family, 2)
+    report = run_generate(config, inline=True, console=Console(file=io.StringIO()))
+    assert report.exit_code == 0
+    snapshot = published(config)
+    episodes = snapshot.table("episodes")
+    assert episodes.num_rows >= 10
+    scenes = {row["scene_id"]: row for row in snapshot.table("scenes").to_pylist()}
+    assert all(row["navmesh_built"] == (family in BUILT) for row in scenes.values())
+    assert verify_export(config, tmp_path / "export").exit_code == 0
+    rows = [
+        orjson.loads(line) for path in sorted((tmp_path / "export/manifest").glob("*.jsonl")) for line in path.open()
+    ]
+    assert len(rows) > 0
+    for row in rows:
+        shipped = tmp_path / "export" / row["navmesh"]
+        assert shipped.is_file() == (family in BUILT)
+        path = shipped if family in BUILT else tmp_path / "data" / row["navmesh"]
+        assert hashlib.sha256(path.read_bytes()).hexdigest() == row["navmesh_sha256"]
+        own = read_navmesh(path).known_settings
+        assert own.fits(config.agent.radius, config.agent.height, config.agent.max_climb, config.agent.max_slope)
+
+
+def test_without_mesh_navmesh_or_walls_there_are_instructions_and_no_episodes(tmp_path: Path) -> None:
+    config = config_of(tmp_path, "gibson", 2)
+    for pattern in ("*.glb", "*.navmesh"):
+        for path in (tmp_path / "data").rglob(pattern):
+            path.unlink()
+    report = run_generate(config, inline=True, console=Console(file=io.StringIO()))
+    assert report.exit_code == 0
+    snapshot = published(config)
+    assert snapshot.table("episodes").num_rows == 0
+    instructions = snapshot.table("instructions").to_pylist()
+    assert len(instructions) > 20
+    assert all(row["text"] for row in instructions)
+    assert {row["status"] for row in snapshot.table("scenes").to_pylist()} == {"ok"}
+    assert all("instructions without episodes" in row["reason"] for row in snapshot.table("scenes").to_pylist())
+    refused = [r for r in snapshot.table("rejections").to_pylist() if r["reason"] == "no_navmesh"]
+    assert sum(row["count"] for row in refused) >= len(instructions)
+
+
+def test_a_scan_with_its_mesh_alone_gets_a_navmesh(tmp_path: Path) -> None:
+    config = config_of(tmp_path, "mp3d", 1)
+    for path in (tmp_path / "data").rglob("*.navmesh"):
+        path.unlink()
+    assert run_generate(config, inline=True, console=Console(file=io.StringIO())).exit_code == 0
+    (scene,) = published(config).table("scenes").to_pylist()
+    assert scene["navmesh_built"]
+    assert published(config).table("episodes").num_rows > 0
+    assert verify_export(config, tmp_path / "export").exit_code == 0
