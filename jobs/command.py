@@ -26,6 +26,10 @@ ConfigPath = Annotated[Path, typer.Argument(metavar="CONFIG", help="YAML configu
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", metavar="A.B=C", help="override one key; may be repeated")
 ]
+TargetName = Annotated[
+    str, typer.Argument(metavar="CONFIG|STORE", help="YAML configuration, or a store: its folder or s3://…")
+]
+RefName = Annotated[str | None, typer.Option("--ref", metavar="NAME", help="published under another name")]
 AsJson = Annotated[bool, typer.Option("--json", help="print one JSON document instead of text")]
 
 PIPE_WIDTH: Final = 160
@@ -141,12 +145,22 @@ def rebuild(
 
 
 @app.command()
-def status(config: ConfigPath, overrides: Overrides = None, as_json: AsJson = False) -> None:
-    """Snapshots, refs, and what is quarantined and why."""
-    from jobs.configuration import load_config
-    from jobs.status import report_status
+def status(
+    target: TargetName,
+    overrides: Overrides = None,
+    ref: RefName = None,
+    drift: Annotated[
+        bool, typer.Option("--drift", help="measure how far the priors are from what is published; reads every scene")
+    ] = False,
+    sizes: Annotated[bool, typer.Option("--sizes", help="list every file and add up the bytes")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Snapshots and refs, what is quarantined and why, the last runs, and the drift of the priors."""
+    from jobs.status import target_status
+    from jobs.target import find_target
 
-    _show(report_status(load_config(config, overrides or (), check_roots=False)), as_json)
+    found = find_target(target, overrides or (), ref)
+    _show(target_status(found, measure_drift=drift, sizes=sizes), as_json)
 
 
 NavmeshRoots = Annotated[
@@ -216,16 +230,21 @@ def oracle(
 
 @app.command()
 def query(
-    config: ConfigPath,
-    sql: Annotated[str, typer.Argument(metavar="SQL", help="over scenes, rooms, objects, relations, instructions, …")],
+    target: TargetName,
+    sql: Annotated[
+        str | None, typer.Argument(metavar="SQL|NAME", help="a query over the tables and views, or one by its name")
+    ] = None,
     overrides: Overrides = None,
     as_json: AsJson = False,
 ) -> None:
     """DuckDB over the published tables; each has a ``source`` column from its folder."""
-    from jobs.configuration import load_config
-    from jobs.query import run_query
+    from jobs.query import list_queries, query_target
+    from jobs.target import find_target
 
-    _show(run_query(load_config(config, overrides or (), check_roots=False), sql), as_json)
+    found = find_target(target, overrides or (), ref)
+    if not listed and sql is None:
+        raise UsageError("nothing is asked", place="SQL", remedy="Give a query or the name of one; --list tells them.")
+    _show(list_queries() if listed or sql is None else query_target(found, sql, out), as_json)
 
 
 @app.command()

@@ -4,46 +4,147 @@ from __future__ import annotations
 
 import datetime
 import decimal
-from typing import Any
+from collections.abc import Iterable
+from pathlib import Path
+from textwrap import dedent
+from typing import Any, Final
 
 import duckdb
 
+from jobs.named_queries import QUERIES, VIEWS
 from jobs.report import Report, Section
-from jobs.workspace import published
+from jobs.target import Target
 from schemas.config import Config
 from schemas.errors import UsageError
 from schemas.tables import TABLES
 
-__all__ = ["connect", "run_query"]
+__all__ = ["connect", "list_queries", "query_target", "run_query"]
+
+_WRITERS: Final = {".parquet": "PARQUET", ".csv": "CSV", ".json": "JSON", ".jsonl": "JSON"}
+"""Formats of ``--out`` by the file's ending."""
 
 
-def connect(config: Config) -> duckdb.DuckDBPyConnection:
-    """An in-memory database with one view a table over exactly the files of the published snapshot."""
-    snapshot = published(config)
+def connect(target: Target, sql: str = "") -> duckdb.DuckDBPyConnection:
+    """An in-memory database with a view for each table over exactly the files of the published snapshot, and VIEWS.
+
+    sql : what will be asked; where the store is elsewhere, only the tables that it reads are fetched. All by default.
+    """
+    snapshot = target.snapshot()
+    wanted = _tables_of(sql) if sql else None
+    folder = target.folder(wanted)
     connection = duckdb.connect(":memory:")
+    paths: dict[str, list[str]] = {}
     for name in TABLES:
-        paths = [str(path) for path in snapshot.local_paths(name)]
-        if paths:
-            listed = ", ".join("'" + path.replace("'", "''") + "'" for path in paths)
+        if name in snapshot.manifest.tables and (wanted is None or name in wanted):
+            partitions = snapshot.manifest.tables[name].partitions
+            paths[name] = [str(folder / part.path) for p in sorted(partitions) for part in partitions[p].parts]
+    # A query may read these files; others, the network and the settings are not its business.
+    everything = [path for found in paths.values() for path in found]
+    connection.execute(f"SET allowed_paths = [{_quoted(everything)}]")
+    connection.execute("SET enable_external_access = false")
+    for name, found in paths.items():
+        if found:
             connection.execute(
-                f"CREATE VIEW {name} AS SELECT * FROM read_parquet([{listed}], hive_partitioning = true)"
+                f"CREATE VIEW {name} AS SELECT * FROM read_parquet([{_quoted(found)}], hive_partitioning = true)"
             )
-    # A query may read the views; files beyond them and settings are not its business.
+    for view in VIEWS.values():
+        if all(paths.get(name) for name in view.tables):
+            connection.execute(f"CREATE VIEW {view.name} AS {view.sql}")
     connection.execute("SET lock_configuration = true")
     return connection
 
 
-def run_query(config: Config, sql: str) -> Report:
-    """Rows of one query. Raises UsageError with DuckDB's own message."""
-    with connect(config) as connection:
+def _quoted(paths: Iterable[str]) -> str:
+    return ", ".join("'" + path.replace("'", "''") + "'" for path in paths)
+
+
+def _tables_of(sql: str) -> set[str]:
+    """Published tables that a query reads, those behind views included; all of them when it can't be told."""
+    try:
+        with duckdb.connect(":memory:") as connection:
+            named = {name.lower() for name in connection.get_table_names(sql)}
+    except duckdb.Error:
+        return {*TABLES}
+    for view in reversed(VIEWS.values()):
+        if view.name in named:
+            named |= {*view.tables}
+    return named & {*TABLES} or {*TABLES}
+
+
+def query_target(target: Target, sql: str, out: Path | None = None) -> Report:
+    """Rows of one query, or of a named one; written to `out` (Parquet, CSV, JSON by its ending) if that is given.
+
+    Raises UsageError with DuckDB's own message.
+    """
+    if sql in QUERIES:
+        sql = QUERIES[sql].sql
+    with connect(target, sql) as connection:
         try:
-            result = connection.execute(sql)
-            columns = [column[0] for column in result.description or ()]
-            rows = result.fetchall()
+            result = connection.sql(sql)
+            if result is None:
+                raise UsageError("the statement gives no rows", place="SQL", remedy="Ask a SELECT.")
+            if out is not None:
+                return _write(result, out)
+            columns, rows = result.columns, result.fetchall()
         except duckdb.Error as error:
-            raise UsageError(str(error).strip(), place="SQL", remedy=f"Tables: {', '.join(TABLES)}.") from None
+            remedy = f"Tables: {', '.join(TABLES)}. Views: {', '.join(VIEWS)}. Named queries: --list."
+            raise UsageError(str(error).strip(), place="SQL", remedy=remedy) from None
     plain = [[_plain(value) for value in row] for row in rows]
     return Report({"columns": columns, "rows": plain}, [], [Section("", columns, [*plain])])
+
+
+def run_query(config: Config, sql: str) -> Report:
+    """Rows of one query over what is published under a configuration's name."""
+    return query_target(Target(config.store, config.name, config), sql)
+
+
+def list_queries() -> Report:
+    """Tables, views and named queries."""
+    queries = [(query.name, query.about) for query in QUERIES.values()]
+    views = [(view.name, view.about) for view in VIEWS.values()]
+    tables = [(name, ", ".join(schema.names)) for name, schema in TABLES.items()]
+    document = {
+        "queries": {q.name: {"about": q.about, "sql": dedent(q.sql).strip()} for q in QUERIES.values()},
+        "views": {v.name: {"about": v.about, "sql": dedent(v.sql).strip()} for v in VIEWS.values()},
+        "tables": {name: schema.names for name, schema in TABLES.items()},
+    }
+    return Report(
+        document,
+        [],
+        [
+            Section("Named queries: condvln query TARGET NAME", ("name", "what it tells"), [*queries]),
+            Section("Views", ("name", "what it holds"), [*views]),
+            Section("Tables, each with the column source", ("name", "columns"), [*tables]),
+        ],
+    )
+
+
+def _write(result: duckdb.DuckDBPyRelation, out: Path) -> Report:
+    """Rows go through Arrow, since the database itself may touch no file."""
+    import pyarrow as pa
+    import pyarrow.csv
+    import pyarrow.parquet
+
+    kind = _WRITERS.get(out.suffix.lower())
+    if kind is None:
+        raise UsageError(f"what is {out.suffix!r}?", where=out, remedy=f"Write to {', '.join(_WRITERS)}.")
+    table = result.to_arrow_table()
+    out.parent.mkdir(parents=True, exist_ok=True)
+    if kind == "PARQUET":
+        pa.parquet.write_table(table, out, compression="zstd")
+    elif kind == "CSV":
+        try:
+            pa.csv.write_csv(table, out)
+        except pa.ArrowException as error:
+            raise UsageError(f"CSV holds no nested columns: {error}", where=out, remedy="Write Parquet.") from None
+    else:
+        import json
+
+        with open(out, "w", encoding="utf-8") as handle:
+            for batch in table.to_batches():
+                for row in batch.to_pylist():
+                    handle.write(json.dumps(row, ensure_ascii=False, default=str) + "\n")
+    return Report({"rows": table.num_rows, "out": str(out)}, [f"{table.num_rows} rows in {out}"])
 
 
 def _plain(value: Any) -> Any:

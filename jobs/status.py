@@ -1,43 +1,168 @@
-"""``condvln status``: what is published, and what is in quarantine and why."""
+"""``condvln status``: what is published, what is in quarantine and why, the last runs, the drift of the priors."""
 
 from __future__ import annotations
 
-from factory.status import store_status
-from jobs.report import Report, Section
-from jobs.workspace import open_store
-from schemas.config import Config
+from collections.abc import Iterator
+from typing import Any, Final
 
-__all__ = ["report_status"]
+from pydantic import ValidationError
+
+from factory.status import AggregateDrift, RefStatus, StoreStatus, drift, store_status
+from factory.store import Store
+from jobs.progress import LOGS
+from jobs.report import Report, Section
+from jobs.target import Target
+from schemas.config import Config
+from schemas.errors import UsageError
+from schemas.snapshot import Pin, RunRecord, SnapshotManifest
+from schemas.unit import QuarantineRecord
+
+__all__ = ["report_status", "target_status"]
+
+HISTORY_SHOWN: Final = 5
+"""Earlier snapshots of each ref that are listed."""
+
+OUTCOMES: Final = {0: "done", 3: "with quarantine", 4: "stopped over budget"}
+
+MIB: Final = 2**20
 
 
 def report_status(config: Config) -> Report:
     """State of the configuration's store and ref."""
-    found = store_status(open_store(config))
-    own = next((status for status in found.refs if status.ref.name == config.name), None)
-    ref, manifest = (None, None) if own is None else (own.ref, own.manifest)
-    document = {
+    return target_status(Target(config.store, config.name, config))
+
+
+def target_status(target: Target, *, measure_drift: bool = False, sizes: bool = False) -> Report:
+    """State of a store, its refs all or the one that is asked for first.
+
+    measure_drift : build the pinned tables anew over what is published, and compare (reads every unit once)
+    sizes : list every file of the store
+    """
+    store = target.store()
+    found = store_status(store, sizes=sizes)
+    chosen = [status for status in found.refs if status.ref.name == target.name] if target.name else [*found.refs]
+    own = chosen[0] if len(chosen) == 1 else None
+    report = Report(_document(found, own), [f"store {found.url}"])
+    if target.name is not None and own is None:
+        report.lines.append(f"nothing is published as {target.name!r} yet")
+    if not found.refs and target.name is None:
+        report.lines.append("nothing is published yet")
+    report.lines += [_line(status) for status in found.refs]
+    report.sections.append(_snapshots(found.refs))
+    if own is not None and own.manifest is not None:
+        report.sections += [*_contents(own.manifest)]
+    report.sections.append(_quarantine(found.quarantine))
+    report.sections.append(_runs(found.runs))
+    report.sections.append(_pins(store, found, report))
+    if measure_drift:
+        report.sections.append(_drift(target, store, report))
+    if sizes:
+        rows = [(kind, count, round(found.bytes[kind] / MIB, 1)) for kind, count in sorted(found.files.items())]
+        report.sections.append(Section("Sizes", ("folder", "files", "MiB"), [*rows]))
+        report.document["sizes"] = {kind: {"files": n, "bytes": found.bytes[kind]} for kind, n in found.files.items()}
+    return report
+
+
+def _document(found: StoreStatus, own: RefStatus | None) -> dict[str, Any]:
+    return {
         "store": found.url,
-        "ref": None if ref is None else ref.model_dump(mode="json"),
-        "snapshot": None if manifest is None else manifest.model_dump(mode="json"),
+        "ref": None if own is None else own.ref.model_dump(mode="json"),
+        "snapshot": None if own is None or own.manifest is None else own.manifest.model_dump(mode="json"),
+        "refs": [status.ref.model_dump(mode="json") for status in found.refs],
         "quarantine": [record.model_dump(mode="json") for record in found.quarantine],
+        "runs": [record.model_dump(mode="json") for record in found.runs],
     }
-    lines = [f"store {found.url}"]
-    if ref is None:
-        lines.append(f"nothing is published as {config.name!r} yet")
-    else:
-        lines.append(f"{config.name} → snapshot {ref.snapshot_id} (generation {ref.generation}, {ref.published_at})")
-    sections = []
-    if manifest is not None:
-        lines.append("scenes: " + ", ".join(f"{n} {status}" for status, n in sorted(manifest.units.items())))
-        rows = [(name, table.rows, len(table.partitions)) for name, table in sorted(manifest.tables.items())]
-        sections.append(Section("Tables", ("table", "rows", "sources"), [*rows]))
-        costs = [(name, s.units, s.rows, s.seconds, round(s.peak_rss / 2**20)) for name, s in manifest.stages.items()]
-        sections.append(Section("Stages", ("stage", "scenes", "rows", "seconds", "peak MiB"), [*costs]))
-    sections.append(
-        Section(
-            "Quarantine",
-            ("scene", "stage", "attempts", "cause"),
-            [(r.unit_id, r.stage, r.attempts, r.message) for r in found.quarantine],
+
+
+def _line(status: RefStatus) -> str:
+    ref, manifest = status.ref, status.manifest
+    head = f"{ref.name} → snapshot {ref.snapshot_id} (generation {ref.generation}, {ref.published_at})"
+    if manifest is None:
+        return f"{head}: its manifest is missing or damaged; rebuild makes it again"
+    return f"{head}: scenes " + ", ".join(f"{n} {status}" for status, n in sorted(manifest.units.items()))
+
+
+def _snapshots(refs: tuple[RefStatus, ...]) -> Section:
+    rows = [
+        (state.snapshot_id, status.ref.name, state.generation, state.published_at)
+        for status in refs
+        for state in [status.ref, *status.ref.history[:HISTORY_SHOWN]]
+    ]
+    return Section("Snapshots", ("snapshot", "ref", "generation", "published"), [*rows])
+
+
+def _contents(manifest: SnapshotManifest) -> Iterator[Section]:
+    files = {
+        name: [part for partition in table.partitions.values() for part in partition.parts]
+        for name, table in manifest.tables.items()
+    }
+    rows = [
+        (name, table.rows, len(table.partitions), len(files[name]), sum(p.bytes for p in files[name]) / MIB)
+        for name, table in sorted(manifest.tables.items())
+    ]
+    yield Section("Tables", ("table", "rows", "sources", "files", "MiB"), [*rows])
+    costs = [
+        (name, s.version, s.units, s.skipped, s.rows, s.seconds, round(s.peak_rss / MIB))
+        for name, s in manifest.stages.items()
+    ]
+    yield Section("Stages", ("stage", "version", "scenes", "skipped", "rows", "seconds", "peak MiB"), [*costs])
+
+
+def _quarantine(records: tuple[QuarantineRecord, ...]) -> Section:
+    rows = [
+        (r.unit_id, r.stage, r.cause, r.attempts, round(r.peak_rss / MIB), r.recorded_at, f"{r.exception}: {r.message}")
+        for r in records
+    ]
+    return Section("Quarantine", ("scene", "stage", "cause", "attempts", "peak MiB", "at", "because of"), [*rows])
+
+
+def _runs(records: tuple[RunRecord, ...]) -> Section:
+    rows = [
+        (
+            r.started_at,
+            r.ref,
+            OUTCOMES.get(r.exit_code, str(r.exit_code)) + (", published" if r.published else ""),
+            round(r.seconds, 1),
+            r.counts.get("made", 0),
+            r.counts.get("fresh", 0) + r.counts.get("reused", 0),
+            r.counts.get("quarantined", 0),
+            f"{LOGS}/{r.started_at}-{r.token}.jsonl",
         )
-    )
-    return Report(document, lines, sections)
+        for r in records
+    ]
+    return Section("Runs", ("started", "ref", "outcome", "seconds", "made", "as before", "quarantined", "log"), [*rows])
+
+
+def _pins(store: Store, found: StoreStatus, report: Report) -> Section:
+    """Of how many scenes the pinned tables were built, and how many are published now: a cheap sign of drift."""
+    now = {
+        status.ref.name: max((s.units - s.skipped for s in status.manifest.stages.values()), default=0)
+        for status in found.refs
+        if status.manifest is not None
+    }
+    rows, document = [], []
+    for entry in sorted(store.list("pins"), key=lambda entry: entry.path):
+        ref = entry.path.rsplit("/", 1)[1].removesuffix(".json")
+        try:
+            pin = Pin.model_validate_json(store.read(entry.path))
+        except (FileNotFoundError, ValidationError):
+            continue
+        for name, pinned in sorted(pin.tables.items()):
+            rows.append((name, ref, pinned.units, now.get(ref), pinned.rows, pinned.hash))
+            document.append({"name": name, "ref": ref, **pinned.model_dump(mode="json"), "units_now": now.get(ref)})
+    report.document["pinned"] = document
+    return Section("Pinned", ("table", "ref", "built from", "scenes now", "rows", "hash"), [*rows])
+
+
+def _drift(target: Target, store: Store, report: Report) -> Section:
+    if target.config is None:
+        raise UsageError("drift is measured with the stages of a configuration", remedy="Name the YAML file.")
+    from jobs.pipeline import build_pipeline  # the science, needed for this alone
+
+    found: tuple[AggregateDrift, ...] = drift(build_pipeline(target.config), store, target.config.name)
+    report.document["drift"] = [
+        {"name": d.name, "rows": d.rows, "rows_now": d.rows_now, "differing": d.differing, "units_now": d.units_now}
+        for d in found
+    ]
+    rows = [(d.name, d.rows, d.rows_now, d.differing, d.units, d.units_now) for d in found]
+    return Section("Drift", ("table", "rows", "rows now", "differing", "built from", "scenes now"), [*rows])

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import secrets
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from condvln.samples import make_samples
+from factory.store import open_store
 from jobs.generate import run_generate
 from jobs.report import Report
+from jobs.workspace import CACHE_VARIABLE
 from schemas.config import Config, InstructionsConfig, SourceConfig
 
 SCENES = 2
@@ -55,3 +58,19 @@ def configured(tmp_path: Path) -> Callable[..., Config]:
         return configuration(tmp_path, root, **changes)
 
     return make
+
+
+@pytest.fixture(scope="session")
+def made_away(
+    made_run: tuple[Config, Report], s3_server: str, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Config]:
+    """The same run, its store copied to an object store; read only."""
+    config, _ = made_run
+    address = f"s3://bucket/{secrets.token_hex(6)}?endpoint={s3_server}"
+    here, away = open_store(str(config.store)), open_store(address)
+    for kind in ("refs", "snapshots", "indexes", "pins", "aggregates", "runs", "units"):
+        for entry in here.list(kind):
+            away.write(entry.path, here.read(entry.path))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(CACHE_VARIABLE, str(tmp_path_factory.mktemp("cache")))
+        yield config.model_copy(update={"store": address})

@@ -1,0 +1,78 @@
+"""What a reading verb is pointed at: a configuration, or a store by its folder or address."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from factory.snapshot import Snapshot
+from factory.store import Store, open_store
+from jobs.configuration import load_config
+from jobs.workspace import snapshot_folder
+from schemas.config import Config
+from schemas.errors import UsageError
+
+__all__ = ["Target", "find_target"]
+
+
+@dataclass(frozen=True)
+class Target:
+    """A store, and what is wanted of it.
+
+    address : folder, or ``s3://…``
+    name : the ref; None where the store was named and not a ref
+    config : the configuration, where one was named
+    """
+
+    address: Path | str
+    name: str | None
+    config: Config | None = None
+
+    def store(self) -> Store:
+        """The store, open."""
+        return open_store(self.address)
+
+    def refs(self) -> list[str]:
+        """Names of all that is published there, sorted."""
+        return sorted(entry.path.split("/", 1)[1].removesuffix(".json") for entry in self.store().list("refs"))
+
+    def snapshot(self) -> Snapshot:
+        """What is published under the name; without one, the only ref or 'main'.
+
+        Raises ``StoreError`` when nothing is published under it, ``UsageError`` when it is not clear which is meant.
+        """
+        if self.name is not None:
+            return Snapshot.open(self.store(), self.name)
+        names = self.refs()
+        if len(names) == 1:
+            return Snapshot.open(self.store(), names[0])
+        if "main" in names or not names:
+            return Snapshot.open(self.store(), "main")
+        raise UsageError(
+            f"{len(names)} refs are published: {', '.join(names)}", where=str(self.address), remedy="Say --ref NAME."
+        )
+
+    def folder(self, tables: Iterable[str] | None = None) -> Path:
+        """The snapshot as a folder on this disk, fetched (only `tables`, if named) where the store is elsewhere."""
+        return snapshot_folder(self.address, self.snapshot(), tables)
+
+
+def find_target(text: str, overrides: Sequence[str] = (), ref: str | None = None) -> Target:
+    """Read CONFIG|STORE. Raises ``UsageError`` on what is neither, ``ConfigError`` on a faulty configuration."""
+    if "://" in text:
+        open_store(text)
+    path = Path(text)
+    if "://" not in text and not path.is_dir():
+        if not path.exists():
+            raise UsageError("neither a configuration nor a store", where=text, remedy="Name a YAML file or a store.")
+        config = load_config(path, overrides, check_roots=False)
+        return Target(config.store, ref or config.name, config)
+    if overrides:
+        raise UsageError("--set belongs to a configuration", where=text, remedy="Name the YAML file, or leave it out.")
+    if "://" not in text:
+        path = path.resolve()
+        if not any((path / name).is_dir() for name in ("refs", "units", "snapshots")):
+            raise UsageError("no store is in this folder", where=path, remedy="A store holds refs/ and snapshots/.")
+        return Target(path, ref)
+    return Target(text, ref)

@@ -1,0 +1,199 @@
+"""SQL over what is published: views, named queries, and nothing beyond the snapshot's files; the cookbook runs."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+from typer.testing import CliRunner
+
+from factory.object_store import ObjectStore
+from factory.snapshot import Snapshot
+from jobs.command import app
+from jobs.named_queries import QUERIES, VIEWS
+from jobs.query import connect, list_queries, query_target
+from jobs.report import Report
+from jobs.target import Target
+from schemas.config import Config
+from schemas.errors import UsageError
+from schemas.tables import TABLES
+
+COOKBOOK = Path(__file__).parents[2] / "docs" / "cookbook.md"
+
+
+@pytest.fixture(scope="module")
+def target(made_run: tuple[Config, Report]) -> Target:
+    config, _ = made_run
+    return Target(config.store, config.name)
+
+
+@pytest.fixture(scope="module")
+def snapshot(target: Target) -> Snapshot:
+    return target.snapshot()
+
+
+def rows(target: Target, sql: str) -> list[dict[str, Any]]:
+    document = query_target(target, sql).document
+    return [dict(zip(document["columns"], row, strict=True)) for row in document["rows"]]
+
+
+def test_tables_hold_what_the_snapshot_does(target: Target, snapshot: Snapshot) -> None:
+    for name, schema in TABLES.items():
+        (found,) = rows(target, f"SELECT count(*) AS n FROM {name}")
+        assert found["n"] == snapshot.manifest.tables[name].rows
+        columns = rows(target, f"DESCRIBE {name}")
+        assert {column["column_name"] for column in columns} == {*schema.names, "source"}
+
+
+def test_leaves_and_conditions_are_the_nested_ones_one_by_one(target: Target, snapshot: Snapshot) -> None:
+    episodes = snapshot.table("episodes").to_pylist()
+    instructions = {row["instruction_id"]: row for row in snapshot.table("instructions").to_pylist()}
+    found = {(row["episode_id"], row["leaf"]): row for row in rows(target, "SELECT * FROM leaves")}
+    assert len(found) == sum(row["n_leaves"] for row in episodes)
+    for row in episodes:
+        moves = [leaf["moves"][-1] for leaf in instructions[row["instruction_id"]]["leaves"]]
+        for leaf in row["leaves"]:
+            seen = found[row["episode_id"], leaf["leaf"]]
+            assert seen["gold"] == (leaf["leaf"] == row["gold_leaf"])
+            assert (seen["object_id"], seen["n_goals"]) == (leaf["object_id"], len(leaf["goals"]))
+            assert (seen["label"], seen["room"]) == (
+                moves[leaf["leaf"]]["label"],
+                moves[leaf["leaf"]]["room"]["label"],
+            )
+            assert moves[leaf["leaf"]]["object_id"] == leaf["object_id"]
+    gold = rows(target, "SELECT episode_id, label FROM leaves WHERE gold")
+    assert {row["episode_id"]: row["label"] for row in gold} == {r["episode_id"]: r["gold_label"] for r in episodes}
+    conditions = rows(target, "SELECT * FROM conditions ORDER BY instruction_id, condition")
+    expected = [
+        (name, at, c["label"], c["room"]["label"], c["truth"], (c["qualifier"] or {}).get("predicate"))
+        for name, row in sorted(instructions.items())
+        for at, c in enumerate(row["conditions"])
+    ]
+    assert [
+        (c["instruction_id"], c["condition"], c["label"], c["room"], c["truth"], c["predicate"]) for c in conditions
+    ] == expected
+
+
+def test_labelled_relations_are_those_between_objects(target: Target) -> None:
+    (between,) = rows(target, "SELECT count(*) AS n FROM relations WHERE kind <> 'containment'")
+    (labelled,) = rows(target, "SELECT count(*) AS n, count(subject_label) AS s FROM labelled_relations")
+    assert labelled == {"n": between["n"], "s": between["n"]}
+
+
+@pytest.mark.parametrize("name", [*QUERIES])
+def test_every_named_query_runs(target: Target, name: str) -> None:
+    found = query_target(target, name).document
+    assert found["columns"]
+    # These tell of exceptions, which a sound made corpus may lack.
+    if name not in ("skipped", "warnings", "groups"):
+        assert found["rows"]
+
+
+def test_named_numbers_are_those_of_the_tables(target: Target, snapshot: Snapshot) -> None:
+    (overview,) = rows(target, "overview")
+    manifest = snapshot.manifest
+    assert overview == {
+        "source": "replicacad",
+        "scenes": manifest.units["ok"],
+        "skipped": 0,
+        "rooms": manifest.tables["rooms"].rows,
+        "objects": manifest.tables["objects"].rows,
+        "instructions": manifest.tables["instructions"].rows,
+        "episodes": manifest.tables["episodes"].rows,
+    }
+    assert sum(row["episodes"] for row in rows(target, "categories")) == overview["episodes"]
+    assert sum(row["share"] for row in rows(target, "gold-labels")) == pytest.approx(1.0, abs=1e-2)
+
+
+@pytest.mark.parametrize(
+    "sql",
+    [
+        "SELECT * FROM read_csv('/etc/passwd')",
+        "SELECT * FROM read_text('/etc/passwd')",
+        "SELECT * FROM glob('/etc/*')",
+        "COPY scenes TO 'stolen.csv'",
+        "ATTACH 'stolen.db'",
+        "SET enable_external_access = true",
+        "INSTALL httpfs",
+        "SELECT * FROM nothing",
+        "SELEC",
+        "",
+    ],
+)
+def test_a_query_reads_the_snapshot_and_nothing_else(target: Target, sql: str, tmp_path: Path) -> None:
+    with pytest.raises(UsageError):
+        query_target(target, sql)
+    assert not Path("stolen.csv").exists()
+
+
+def test_rows_are_written_to_files(target: Target, snapshot: Snapshot, tmp_path: Path) -> None:
+    sql = "SELECT episode_id, words FROM episodes ORDER BY episode_id"
+    expected = [(row["episode_id"], row["words"]) for row in rows(target, sql)]
+    for name in ("a.parquet", "b/c.csv", "d.jsonl"):
+        assert query_target(target, sql, tmp_path / name).document["rows"] == len(expected)
+    assert [(r["episode_id"], r["words"]) for r in pq.read_table(tmp_path / "a.parquet").to_pylist()] == expected
+    with open(tmp_path / "b" / "c.csv", newline="") as handle:
+        assert [(r["episode_id"], int(r["words"])) for r in csv.DictReader(handle)] == expected
+    lines = [json.loads(line) for line in (tmp_path / "d.jsonl").read_text().splitlines()]
+    assert [(r["episode_id"], r["words"]) for r in lines] == expected
+    with pytest.raises(UsageError, match="Write to"):
+        query_target(target, sql, tmp_path / "x.xlsx")
+    with pytest.raises(UsageError, match="nested"):
+        query_target(target, "SELECT leaves FROM episodes", tmp_path / "x.csv")
+
+
+def test_a_store_away_answers_the_same_and_fetches_only_what_is_asked(
+    made_away: Config, target: Target, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    away = Target(made_away.store, None)
+    fetched: list[str] = []
+    read = ObjectStore.read
+    monkeypatch.setattr(ObjectStore, "read", lambda self, path: (fetched.append(path), read(self, path))[1])
+    assert rows(away, "categories") == rows(target, "categories")
+    assert {path.split("/")[2] for path in fetched if path.endswith(".parquet")} == {"episodes"}
+    sql = "SELECT * FROM leaves ORDER BY episode_id, leaf"
+    assert rows(away, sql) == rows(target, sql)
+    assert {path.split("/")[2] for path in fetched if path.endswith(".parquet")} == {"episodes", "instructions"}
+
+
+def test_the_list_tells_everything_there_is(made_run: tuple[Config, Report]) -> None:
+    document = list_queries().document
+    assert [*document["queries"]] == [*QUERIES]
+    assert [*document["views"]] == [*VIEWS]
+    result = CliRunner().invoke(app, ["query", str(made_run[0].store), "--list"])
+    assert result.exit_code == 0
+    assert all(name in result.output for name in (*QUERIES, *VIEWS, *TABLES))
+    assert CliRunner().invoke(app, ["query", str(made_run[0].store)]).exit_code != 0
+
+
+# ---- the cookbook
+
+BLOCKS = re.findall(r"^```(sql|python)\n(.*?)^```", COOKBOOK.read_text(encoding="utf-8"), re.M | re.S)
+
+
+@pytest.mark.parametrize("at", range(len(BLOCKS)))
+def test_every_recipe_runs(
+    at: int, target: Target, made_away: Config, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    language, text = BLOCKS[at]
+    if language == "sql":
+        document = query_target(target, text).document
+        assert document["columns"]
+        assert document["rows"] or "-- may be empty" in text
+        return
+    monkeypatch.chdir(tmp_path)
+    namespace: dict[str, Any] = {"SNAPSHOT": target.folder(), "STORE": target.address, "ADDRESS": made_away.store}
+    exec(compile(text, f"cookbook block {at}", "exec"), namespace)
+    assert len(namespace["answer"]), "a recipe in Python leaves its rows in `answer`"
+
+
+def test_the_cookbook_shows_every_named_query_and_view(target: Target) -> None:
+    text = COOKBOOK.read_text(encoding="utf-8")
+    assert all(f"`{name}`" in text for name in (*QUERIES, *VIEWS))
+    with connect(target) as connection:
+        assert connection.execute("SELECT count(*) FROM leaves").fetchone() is not None
