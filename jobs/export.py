@@ -8,22 +8,23 @@ from typing import Final, TypedDict
 from condvln.export.graphs import GraphFolder
 from condvln.export.rows import Row
 from condvln.export.scene_table import NavmeshBytes
-from condvln.export.snapshot import ExportConfig, export_snapshot
+from condvln.export.snapshot import ExportConfig, export_snapshot, exported_snapshot
 from condvln.export.tables import FolderTables
-from factory.snapshot import Snapshot
+from factory.snapshot import Snapshot, read_manifest, read_ref
 from jobs.bias import add_bias
 from jobs.oracle import linear_text
 from jobs.pipeline import build_pipeline
 from jobs.report import Report, Section
 from jobs.workspace import published, snapshot_folder
 from schemas.config import Config
-from schemas.errors import ConfigError, CorruptShardError
+from schemas.errors import ConfigError, CorruptShardError, StoreError
 from schemas.program import Program
 
 __all__ = ["built_navmeshes", "export_snapshot_of", "run_export"]
 
 
 _CONNECTIVITY: Final = "connectivity"
+_COMPARED: Final = ("episodes", "instructions", "scenes")
 _PROGRAM: Final = ("category", "conditions", "branches", "leaves")
 
 
@@ -55,6 +56,7 @@ def export_snapshot_of(config: Config) -> Report:
         oracle_texts=_linear_text(**texts),
         navmeshes=built_navmeshes(config, snapshot),
         graphs=_graphs(config),
+        former=_former(config, snapshot),
     )
     rows = [(split, len(done.scenes[split]), count) for split, count in done.episodes.items()]
     lines = [f"export of snapshot {snapshot.snapshot_id} in {config.export}"]
@@ -72,6 +74,28 @@ def _linear_text(seed: int, preamble: bool) -> Callable[[Row, Row], str]:
         return linear_text(program, episode["instruction_id"], heading, seed=seed, preamble=preamble)
 
     return text
+
+
+def _former(config: Config, snapshot: Snapshot) -> FolderTables | None:
+    """The snapshot that the folder's export was made of, else the one published before; None where it is not kept."""
+    ref, _ = read_ref(snapshot.store, config.name)
+    states = [state for state in (ref.history if ref is not None else ()) if state.snapshot_id != snapshot.snapshot_id]
+    exported = exported_snapshot(config.export) if config.export is not None else ""
+    if exported:
+        states = [state for state in states if state.snapshot_id == exported]
+    if not states or snapshot.store.local_path("snapshots") is None:  # not worth fetching for a changelog
+        return None
+    manifest = read_manifest(snapshot.store, states[0].snapshot_id)
+    if manifest is None or any(
+        name not in manifest.tables or manifest.tables[name].columns != snapshot.manifest.tables[name].columns
+        for name in _COMPARED
+    ):
+        return None
+    try:
+        folder = snapshot_folder(config.store, Snapshot(snapshot.store, manifest, states[0].index), _COMPARED)
+    except StoreError:
+        return None
+    return FolderTables(folder)
 
 
 def _graphs(config: Config) -> GraphFolder:

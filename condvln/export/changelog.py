@@ -1,69 +1,135 @@
 """What changed between two exports, and why: ``CHANGELOG.md``, newest first.
 
 It is the history of a folder, so it is no part of the export's own index. It carries no dates: the same two snapshots
-give the same entry on any day.
+give the same entry on any day. Of each episode only hashes are kept, so that two exports of a million fit in memory.
 """
 
 from __future__ import annotations
 
-import hashlib
+import heapq
+from array import array
 from collections import Counter
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
+import numpy as np
+import numpy.typing as npt
 import orjson
+import pyarrow as pa
 
-from condvln.export.splits import SPLITS
+from condvln.export.pool import FIT, Hashes, Pool, hashes_of
+from condvln.export.splits import SPLITS, Split
 
-__all__ = ["CHANGELOG", "Changes", "PublishedEpisodes", "changes_between", "with_entry"]
+__all__ = ["CHANGELOG", "Changes", "Generated", "PublishedEpisodes", "changes_between", "with_entry"]
 
 CHANGELOG: Final = "CHANGELOG.md"
 _TITLE: Final = "# Changelog\n"
 _EXAMPLES: Final = 5
 _GEOMETRY: Final = ("start_position", "start_rotation", "leaves", "max_steps", "success_distance")
+_BLOCK: Final = 4096
 
 
-class _Episode(NamedTuple):
-    scene: str
-    split: str
-    text: bytes
-    geometry: bytes
-    navmesh: str
-
-
-@dataclass
+@dataclass(frozen=True, eq=False)
 class PublishedEpisodes:
-    """The episodes of an export as its manifests have them; hashes only, so that two fit in memory."""
+    """The n episodes of an export.
 
-    snapshot: str = ""
-    episodes: dict[str, _Episode] = field(default_factory=dict)
+    Attributes
+    ----------
+    names : (n,) ids; ``ids``, ``text`` and ``geometry`` are 64-bit hashes (n,)
+    scene : (n,) indices into ``scenes``, each ``<source>/<scene>``; ``split`` (n,) into the splits
+    navmeshes : SHA-256 by scene
+    """
+
+    snapshot: str
+    names: pa.ChunkedArray
+    ids: Hashes
+    scene: npt.NDArray[np.int32]
+    split: npt.NDArray[np.int8]
+    text: Hashes
+    geometry: Hashes
+    scenes: tuple[str, ...]
+    navmeshes: Mapping[str, str]
 
     @classmethod
-    def of(cls, export: Path) -> PublishedEpisodes:
-        """Read the manifests of an export; empty where there is none, or none that can be read."""
-        found = cls()
-        try:
+    def of_export(cls, export: Path) -> PublishedEpisodes | None:
+        """Read the manifests of an export; None where there is none, or none that can be read."""
+
+        def rows() -> Iterator[tuple[Split, str, dict[str, Any]]]:
             for split in SPLITS:
                 with (export / "manifest" / f"{split}.jsonl").open("rb") as lines:
                     for line in lines:
-                        found._add(orjson.loads(line), split)
-        except (OSError, ValueError, KeyError, TypeError):
-            return cls()
-        return found
+                        row = orjson.loads(line)
+                        snapshots.add(row["snapshot"])
+                        yield split, row["source"], row
 
-    def _add(self, row: dict[str, Any], split: str) -> None:
-        self.snapshot = row["snapshot"]
-        geometry = {
-            key: row[key] for key in ("start_position", "start_rotation", "leaves", "max_steps", "success_distance")
-        }
-        self.episodes[row["episode_id"]] = _Episode(
-            f"{row['source']}/{row['scene_id']}",
-            split,
-            hashlib.blake2b(row["instruction_text"].encode(), digest_size=8).digest(),
-            hashlib.blake2b(orjson.dumps(geometry), digest_size=8).digest(),
-            row["navmesh_sha256"],
+        snapshots: set[str] = set()
+        try:
+            found = cls.of_rows("", rows())
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+        return cls(**{**vars(found), "snapshot": min(snapshots)}) if snapshots else None
+
+    @classmethod
+    def of_rows(cls, snapshot: str, rows: Iterator[tuple[Split, str, dict[str, Any]]]) -> PublishedEpisodes:
+        """From (split, source, row of the manifest or of the episodes table)."""
+        codes: dict[str, int] = {}
+        navmeshes: dict[str, str] = {}
+        names: list[pa.Array] = []
+        block: list[str] = []
+        ids, text, geometry = array("Q"), array("Q"), array("Q")
+        scenes, splits = array("i"), array("b")
+        for split, source, row in rows:
+            scene = f"{source}/{row['scene_id']}"
+            navmeshes[scene] = row["navmesh_sha256"]
+            told = orjson.dumps({key: row[key] for key in _GEOMETRY}).decode()
+            hashes = hashes_of([(row["episode_id"],), (row["instruction_text"],), (told,)]).tolist()
+            for column, value in zip((ids, text, geometry), hashes, strict=True):
+                column.append(value)
+            scenes.append(codes.setdefault(scene, len(codes)))
+            splits.append(SPLITS.index(split))
+            block.append(row["episode_id"])
+            if len(block) == _BLOCK:
+                names.append(pa.array(block, pa.string()))
+                block.clear()
+        return cls(
+            snapshot,
+            pa.chunked_array([*names, pa.array(block, pa.string())]),
+            np.array(ids, dtype=np.uint64),
+            np.array(scenes, dtype=np.int32),
+            np.array(splits, dtype=np.int8),
+            np.array(text, dtype=np.uint64),
+            np.array(geometry, dtype=np.uint64),
+            tuple(codes),
+            navmeshes,
         )
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+@dataclass(frozen=True, eq=False)
+class Generated:
+    """Which episodes a snapshot has, chosen or not, and why some may be in no split."""
+
+    ids: Hashes
+    unfit: npt.NDArray[np.int64]
+    reasons: tuple[str, ...]
+
+    @classmethod
+    def of(cls, pool: Pool) -> Generated:
+        """What of a pool is needed to tell why an episode came or went."""
+        order = np.argsort(pool.episode)
+        return cls(pool.episode[order], pool.unfit[order], pool.reasons)
+
+    def reason(self, name: int) -> str | None:
+        """Why the episode may be in no split, empty where it may; None where it was not generated."""
+        at = int(np.searchsorted(self.ids, np.uint64(name)))
+        if at == len(self.ids) or int(self.ids[at]) != name:
+            return None
+        code = int(self.unfit[at])
+        return self.reasons[code] if code != FIT else ""
 
 
 @dataclass
@@ -78,12 +144,13 @@ class Changes:
     examples: dict[str, list[str]] = field(default_factory=dict)
     kept: int = 0
 
-    def note(self, kind: Counter[str], reason: str, name: str) -> None:
+    def note(self, kind: Counter[str], title: str, reason: str, name: str) -> None:
         """Count one episode."""
         kind[reason] += 1
-        found = self.examples.setdefault(reason, [])
-        if len(found) < _EXAMPLES:
-            found.append(name)
+        found = self.examples.setdefault(f"{title} {reason}", [])
+        found.append(name)
+        if len(found) > 2 * _EXAMPLES:
+            found[:] = heapq.nsmallest(_EXAMPLES, found)
 
     def entry(self) -> str:
         """The section of the changelog."""
@@ -91,47 +158,70 @@ class Changes:
         for title, kind in (("Added", self.added), ("Dropped", self.dropped), ("Changed", self.changed)):
             if kind:
                 lines += ["", f"### {title}", ""]
-                lines += [
-                    f"* {count:,} {reason} (such as {', '.join(self.examples[reason])})"
-                    for reason, count in sorted(kind.items())
-                ]
+            for reason, count in sorted(kind.items()):
+                shown = heapq.nsmallest(_EXAMPLES, self.examples[f"{title} {reason}"])
+                lines.append(f"* {count:,}: {reason} (such as {', '.join(shown)})")
         return "\n".join(lines) + "\n"
 
 
-def changes_between(former: PublishedEpisodes, new: PublishedEpisodes) -> Changes:
-    """Compare two exports, each episode under the likeliest reason."""
+def changes_between(
+    former: PublishedEpisodes,
+    new: PublishedEpisodes,
+    *,
+    before: Generated | None = None,
+    now: Generated | None = None,
+) -> Changes:
+    """Compare two exports, each episode under its likeliest reason.
+
+    Parameters
+    ----------
+    before, now : what the two snapshots have beyond what is published; without it, generation and choice are not told
+        apart
+    """
     changes = Changes(former.snapshot, new.snapshot)
-    old_scenes = {e.scene: e.navmesh for e in former.episodes.values()}
-    new_scenes = {e.scene: e.navmesh for e in new.episodes.values()}
-    for name, now in sorted(new.episodes.items()):
-        then = former.episodes.get(name)
-        if then is None:
-            changes.note(changes.added, f"added: {_why(now, old_scenes, 'new')}", name)
-        elif then == now:
-            changes.kept += 1
+    _, at, to = np.intersect1d(former.ids, new.ids, assume_unique=True, return_indices=True)
+    moved = former.split[at] != new.split[to]
+    rooted = np.array([former.navmeshes[s] != new.navmeshes.get(s) for s in former.scenes], dtype=bool)
+    placed = (former.geometry[at] != new.geometry[to]) | rooted[former.scene[at]]
+    reworded = former.text[at] != new.text[to]
+    for row in np.flatnonzero(moved | placed | reworded).tolist():
+        if moved[row]:
+            reason = f"moved from {SPLITS[former.split[at[row]]]} to {SPLITS[new.split[to[row]]]}"
         else:
-            changes.note(changes.changed, _difference(then, now), name)
-    for name, then in sorted(former.episodes.items()):
-        if name not in new.episodes:
-            changes.note(changes.dropped, f"dropped: {_why(then, new_scenes, 'gone')}", name)
+            reason = "other start, goals or routes" if placed[row] else "other wording"
+        changes.note(changes.changed, "Changed", reason, str(new.names[int(to[row])]))
+    changes.kept = len(at) - sum(changes.changed.values())
+    for row in np.setdiff1d(np.arange(len(new)), to, assume_unique=True).tolist():
+        reason = _why_added(new, row, former.navmeshes, before)
+        changes.note(changes.added, "Added", reason, str(new.names[row]))
+    for row in np.setdiff1d(np.arange(len(former)), at, assume_unique=True).tolist():
+        reason = _why_dropped(former, row, new.navmeshes, now)
+        changes.note(changes.dropped, "Dropped", reason, str(former.names[row]))
     return changes
 
 
-def _why(episode: _Episode, others: dict[str, str], word: str) -> str:
-    navmesh = others.get(episode.scene)
-    if navmesh is None:
-        return f"their scene is {word}"
-    if navmesh != episode.navmesh:
+def _why_added(new: PublishedEpisodes, row: int, others: Mapping[str, str], before: Generated | None) -> str:
+    told = before.reason(int(new.ids[row])) if before is not None else None
+    if told is not None:
+        return f"was left out before: {told or 'beyond the balance'}"
+    scene = new.scenes[new.scene[row]]
+    if scene not in others:
+        return "their scene is new"
+    if others[scene] != new.navmeshes[scene]:
         return "the navmesh of their scene changed"
-    return "generated or selected otherwise in a scene that stayed"
+    return "newly generated" if before is not None else "generated or chosen otherwise in a scene that stayed"
 
 
-def _difference(then: _Episode, now: _Episode) -> str:
-    if then.split != now.split:
-        return f"moved from {then.split} to {now.split}"
-    if then.geometry != now.geometry or then.navmesh != now.navmesh:
-        return "other start, goals or routes"
-    return "other wording" if then.text != now.text else "other in what no agent sees"
+def _why_dropped(former: PublishedEpisodes, row: int, others: Mapping[str, str], now: Generated | None) -> str:
+    told = now.reason(int(former.ids[row])) if now is not None else None
+    if told is not None:
+        return f"left out now: {told or 'beyond the balance'}"
+    scene = former.scenes[former.scene[row]]
+    if scene not in others:
+        return "their scene is gone"
+    if others[scene] != former.navmeshes[scene]:
+        return "the navmesh of their scene changed"
+    return "no longer generated" if now is not None else "generated or chosen otherwise in a scene that stayed"
 
 
 def with_entry(changelog: str, changes: Changes) -> str:

@@ -20,7 +20,7 @@ import pyarrow.compute as pc
 from schemas.errors import StoreError
 from schemas.program import CATEGORIES
 
-__all__ = ["FIT", "INSTRUCTION_COLUMNS", "POOL_COLUMNS", "STEP_CEILING", "Pool", "PoolBuilder"]
+__all__ = ["FIT", "INSTRUCTION_COLUMNS", "POOL_COLUMNS", "STEP_CEILING", "Hashes", "Pool", "PoolBuilder", "hashes_of"]
 
 POOL_COLUMNS: Final = (
     "scene_id",
@@ -124,7 +124,7 @@ class PoolBuilder:
             room = asked.field("room").field("label")
             kinds = self._kinds.all(pc.binary_join_element_wise(asked.field("label"), room, relation, "\t"))
             truths = asked.field("truth").to_numpy(zero_copy_only=False).astype(bool)
-            names = _hashes((source, name) for name in batch.column("instruction_id").to_pylist())
+            names = hashes_of((source, name) for name in batch.column("instruction_id").to_pylist())
             self._asked.append((names, pc.list_value_length(listed).to_numpy().astype(np.int64), kinds, truths))
 
     def add_episodes(self, source: str, batch: pa.RecordBatch, barred: Mapping[str, str] | None = None) -> None:
@@ -142,15 +142,15 @@ class PoolBuilder:
         self._append(
             source=np.full(batch.num_rows, self._sources(source), dtype=np.int16),
             scene=np.array([self._scenes((source, scene)) for scene in scenes], dtype=np.int32),
-            episode=_hashes((name,) for name in column["episode_id"]),
-            instruction=_hashes((source, name) for name in column["instruction_id"]),
-            unit=_hashes((source, scene, unit) for scene, unit in zip(scenes, units, strict=True)),
+            episode=hashes_of((name,) for name in column["episode_id"]),
+            instruction=hashes_of((source, name) for name in column["instruction_id"]),
+            unit=hashes_of((source, scene, unit) for scene, unit in zip(scenes, units, strict=True)),
             grouped=np.array([group is not None for group in column["group_id"]], dtype=bool),
             category=np.array([CATEGORIES.index(name) for name in column["category"]], dtype=np.int8),
             leaf=number["gold_leaf"].astype(np.int8),
             n_leaves=number["n_leaves"].astype(np.int8),
             stratum=np.array([self._strata(name) for name in strata], dtype=np.int8),
-            text=_hashes((source, *parts) for parts in texts),
+            text=hashes_of((source, *parts) for parts in texts),
             unfit=unfit,
         )
         self._ids.append(batch.column("episode_id"))
@@ -242,7 +242,8 @@ def _units(column: Mapping[str, list[Any]]) -> list[str]:
     return [f"group {group}" if group is not None else f"instruction {instruction}" for group, instruction in pairs]
 
 
-def _hashes(names: Iterable[tuple[Any, ...]]) -> Hashes:
+def hashes_of(names: Iterable[tuple[Any, ...]]) -> Hashes:
+    """64-bit hash of each tuple of names."""
     digests = [hashlib.blake2b("\0".join(map(str, parts)).encode(), digest_size=8).digest() for parts in names]
     return np.frombuffer(b"".join(digests), dtype=">u8").astype(np.uint64)
 

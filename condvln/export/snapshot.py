@@ -14,7 +14,7 @@ import orjson
 
 from condvln.bias import judge_export
 from condvln.export.card import dataset_card
-from condvln.export.changelog import CHANGELOG, PublishedEpisodes, changes_between, with_entry
+from condvln.export.changelog import CHANGELOG, Generated, PublishedEpisodes, changes_between, with_entry
 from condvln.export.consumers import consumer_files
 from condvln.export.croissant import croissant
 from condvln.export.densify import PATH_SPACING
@@ -22,9 +22,10 @@ from condvln.export.oracle import ORACLE_COLUMNS, OracleText, oracle_text_of
 from condvln.export.pool import INSTRUCTION_COLUMNS, POOL_COLUMNS, PoolBuilder
 from condvln.export.r2r import Graphs
 from condvln.export.report import ExportReport, WrittenFile
+from condvln.export.rows import Row, rows_of
 from condvln.export.scene_table import NavmeshBytes, SceneTable
 from condvln.export.selection import OUT, Selection, select
-from condvln.export.splits import SPLITS
+from condvln.export.splits import SPLITS, Split
 from condvln.export.streams import atomic_stream
 from condvln.export.tables import SnapshotTables, joined_by_scene
 from condvln.export.tokens import TOKEN_LENGTH, Vocabulary
@@ -32,7 +33,7 @@ from condvln.export.vlnce import SCENE_PATTERNS
 from condvln.export.writer import ExportWriter, Layout
 from schemas.config import SplitsConfig
 
-__all__ = ["INDEX", "ExportConfig", "NavmeshBytes", "export_snapshot"]
+__all__ = ["INDEX", "ExportConfig", "NavmeshBytes", "export_snapshot", "exported_snapshot"]
 
 INDEX: Final = "export.json"
 """The export's own record, written when all else is in place."""
@@ -69,6 +70,7 @@ def export_snapshot(
     oracle_texts: OracleText | None = None,
     navmeshes: NavmeshBytes | None = None,
     graphs: Graphs | None = None,
+    former: SnapshotTables | None = None,
     progress: Progress | None = None,
 ) -> ExportReport:
     """Write all splits of a snapshot below ``out`` in one pass over its rows, a scene in memory at a time.
@@ -81,6 +83,8 @@ def export_snapshot(
     oracle_texts : linear texts; without them there is no oracle twin
     navmeshes : gives built navmeshes, which are then shipped
     graphs : connectivity by Matterport3D scan; with them the discrete R2R files are written
+    former : the snapshot published before, against which ``CHANGELOG.md`` is written where the folder holds no other
+        export; where it holds that one's, it tells what was generated but not chosen
 
     Raises
     ------
@@ -89,7 +93,7 @@ def export_snapshot(
     config = config or ExportConfig()
     report = ExportReport(tables.id, dict(config.texts))
     scenes = SceneTable(tables, navmeshes)
-    selection, splits_of = _choose(tables, config, scenes)
+    selection, splits_of, generated = _choose(tables, config, scenes)
     report.cells = selection.cells
     report.left_out = dict(sorted(selection.left_out.items()))
     report.truth_imbalance = selection.truth_imbalance
@@ -98,7 +102,7 @@ def export_snapshot(
     report.episodes = dict.fromkeys(SPLITS, 0)
     report.scenes = {split: [] for split in SPLITS}
     former_files, former_snapshot = _former_export(out)
-    former_episodes = PublishedEpisodes.of(out) if former_snapshot not in ("", tables.id) else None
+    published, before = _formerly(out, former_snapshot, tables.id, former, config)
     layout = Layout(dict(config.scene_patterns), config.token_length, config.path_spacing, config.sharded, tables.id)
     writer = ExportWriter(out, layout, vocabulary, scenes, report, oracle_texts=oracle_texts, graphs=graphs)
     with writer.open():
@@ -106,14 +110,19 @@ def export_snapshot(
     if config.splits.bias != "off":
         report.bias = judge_export(out)
     _write_documents(out, config.name, report)
+    if published is not None:
+        _write_changelog(out, published, before, generated)
     with atomic_stream(out / INDEX) as stream:
         stream.write(orjson.dumps(report.document(), option=orjson.OPT_INDENT_2) + b"\n")
     for path in former_files - set(report.files):
         with suppress(OSError):
             (out / path).unlink()
-    if former_episodes is not None:
-        _write_changelog(out, former_episodes)
     return report
+
+
+def exported_snapshot(out: Path) -> str:
+    """Id of the snapshot that a folder's export was made of; empty where it holds none."""
+    return _former_export(out)[1]
 
 
 def _write_rows(
@@ -153,18 +162,46 @@ def _write_documents(out: Path, name: str, report: ExportReport) -> None:
         report.files[path] = WrittenFile(stream.size, stream.digest.hexdigest())
 
 
-def _write_changelog(out: Path, former: PublishedEpisodes) -> None:
+def _formerly(
+    out: Path, exported: str, now: str, former: SnapshotTables | None, config: ExportConfig
+) -> tuple[PublishedEpisodes | None, Generated | None]:
+    """What was published before: by the folder's manifests, else as ``former`` would have been exported; and what its
+    snapshot held beyond that, where ``former`` is it."""
+    if exported == now or (not exported and (former is None or former.id == now)):
+        return None, None
+    published = PublishedEpisodes.of_export(out) if exported else None
+    if former is None or (exported and former.id != exported):
+        return published, None
+    _, splits_of, generated = _choose(former, config, SceneTable(former, None))
+    if published is None:
+        published = PublishedEpisodes.of_rows(former.id, _chosen_rows(former, splits_of))
+    return published, generated
+
+
+def _chosen_rows(tables: SnapshotTables, splits_of: SplitCodes) -> Iterator[tuple[Split, str, Row]]:
+    for source, codes in splits_of.items():
+        rows = (row for batch in tables.batches("episodes", source) for row in rows_of(batch))
+        yield from ((SPLITS[code], source, row) for row, code in zip(rows, codes.tolist(), strict=True) if code != OUT)
+
+
+def _write_changelog(out: Path, former: PublishedEpisodes, before: Generated | None, generated: Generated) -> None:
+    new = PublishedEpisodes.of_export(out)
+    if new is None:  # nothing is published now: the card says so
+        return
     path = out / CHANGELOG
-    before = path.read_text(encoding="utf-8") if path.exists() else ""
+    text = path.read_text(encoding="utf-8") if path.exists() else ""
+    changes = changes_between(former, new, before=before, now=generated)
     with atomic_stream(path) as stream:
-        stream.write(with_entry(before, changes_between(former, PublishedEpisodes.of(out))).encode())
+        stream.write(with_entry(text, changes).encode())
 
 
 SplitCodes = dict[str, npt.NDArray[np.int8]]
 """By source, the split code of each row of the episodes table in reading order."""
 
 
-def _choose(tables: SnapshotTables, config: ExportConfig, scenes: SceneTable) -> tuple[Selection, SplitCodes]:
+def _choose(
+    tables: SnapshotTables, config: ExportConfig, scenes: SceneTable
+) -> tuple[Selection, SplitCodes, Generated]:
     builder = PoolBuilder()
     counts: dict[str, int] = {}
     for source in tables.sources:
@@ -173,9 +210,11 @@ def _choose(tables: SnapshotTables, config: ExportConfig, scenes: SceneTable) ->
         for batch in tables.batches("episodes", source, POOL_COLUMNS):
             builder.add_episodes(source, batch, barred)
             counts[source] = counts.get(source, 0) + batch.num_rows
-    selection = select(builder.build(), config.splits)
+    pool = builder.build()
+    selection = select(pool, config.splits)
     ends = np.cumsum([counts.get(source, 0) for source in tables.sources])[:-1]
-    return selection, dict(zip(tables.sources, np.split(selection.split, ends), strict=True))
+    splits_of = dict(zip(tables.sources, np.split(selection.split, ends), strict=True))
+    return selection, splits_of, Generated.of(pool)
 
 
 def _texts(tables: SnapshotTables, splits_of: SplitCodes, oracle_texts: OracleText | None) -> Iterator[str]:

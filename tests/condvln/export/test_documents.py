@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pytest
 import yaml
@@ -143,11 +145,11 @@ def changed(tables: MemoryTables, identity: str, change: Any) -> MemoryTables:
     return MemoryTables(identity, {"replicacad": named})
 
 
-def test_a_second_snapshot_tells_what_moved(tmp_path: Path) -> None:
-    scenes = ["v3_sc0_staging_00", "v3_sc1_staging_00", "apt_0"]
-    first = made_snapshot({"replicacad": scenes})
-    export_snapshot(first, tmp_path)
-    assert not (tmp_path / CHANGELOG).exists()
+SCENES = ["v3_sc0_staging_00", "v3_sc1_staging_00", "apt_0"]
+
+
+def second(first: MemoryTables) -> MemoryTables:
+    """One scene gone, one reworded, one with other budgets."""
 
     def change(table: str, row: dict[str, Any]) -> bool | None:
         if row["scene_id"] == "apt_0":
@@ -158,13 +160,19 @@ def test_a_second_snapshot_tells_what_moved(tmp_path: Path) -> None:
             row["max_steps"] -= 1
         return None
 
-    second = changed(first, "second", change)
-    export_snapshot(second, tmp_path)
+    return changed(first, "second", change)
+
+
+def test_a_second_snapshot_tells_what_moved(tmp_path: Path) -> None:
+    first = made_snapshot({"replicacad": SCENES})
+    export_snapshot(first, tmp_path)
+    assert not (tmp_path / CHANGELOG).exists()
+    export_snapshot(second(first), tmp_path)
     text = (tmp_path / CHANGELOG).read_text()
     assert text.startswith("# Changelog\n\n## second\n\nFrom made; 0 episodes are as they were.")
     for reason in ("their scene is gone", "other wording", "other start, goals or routes"):
         assert text.count(reason) == 1
-    export_snapshot(second, tmp_path)
+    export_snapshot(second(first), tmp_path)
     assert (tmp_path / CHANGELOG).read_text() == text
     export_snapshot(first, tmp_path)
     again = (tmp_path / CHANGELOG).read_text()
@@ -174,21 +182,66 @@ def test_a_second_snapshot_tells_what_moved(tmp_path: Path) -> None:
     assert CHANGELOG not in index["files"]
 
 
+def test_a_fresh_folder_tells_what_moved_since_the_snapshot_before(tmp_path: Path) -> None:
+    first = made_snapshot({"replicacad": SCENES})
+    export_snapshot(first, tmp_path / "old")
+    export_snapshot(second(first), tmp_path / "old")
+    export_snapshot(second(first), tmp_path / "new", former=first)
+    assert (tmp_path / "new" / CHANGELOG).read_text() == (tmp_path / "old" / CHANGELOG).read_text()
+    export_snapshot(first, tmp_path / "same", former=first)
+    assert not (tmp_path / "same" / CHANGELOG).exists()
+
+
+def test_generation_and_choice_are_told_apart(tmp_path: Path) -> None:
+    first = made_snapshot({"replicacad": SCENES})
+    export_snapshot(first, tmp_path)
+    chosen = [json.loads(line) for line in (tmp_path / "manifest" / "train.jsonl").read_text().splitlines()]
+    over, lost = chosen[0]["episode_id"], chosen[1]["episode_id"]
+
+    def change(table: str, row: dict[str, Any]) -> bool | None:
+        if table == "episodes" and row["episode_id"] == over:
+            row["max_steps"] = 501
+        return not (table == "episodes" and row["episode_id"] == lost)
+
+    other = changed(first, "other", change)
+    export_snapshot(other, tmp_path, former=first)
+    text = (tmp_path / CHANGELOG).read_text()
+    assert f"1: left out now: over the step budget (such as {over})" in text
+    assert f"1: no longer generated (such as {lost})" in text
+    assert "chosen otherwise" not in text
+    export_snapshot(first, tmp_path, former=other)
+    back = (tmp_path / CHANGELOG).read_text().split("## other")[0]
+    assert f"1: was left out before: over the step budget (such as {over})" in back
+    assert f"1: newly generated (such as {lost})" in back
+
+
+def told(published: PublishedEpisodes, rows: Any) -> PublishedEpisodes:
+    """Some of the episodes."""
+    columns = {key: getattr(published, key)[rows] for key in ("ids", "scene", "split", "text", "geometry")}
+    return replace(published, snapshot="some", names=published.names.take(pa.array(rows)), **columns)
+
+
 def test_every_difference_has_a_reason(exported: Path) -> None:
-    whole = PublishedEpisodes.of(exported)
-    assert len(whole.episodes) == sum(json.loads((exported / "export.json").read_text())["episodes"].values())
+    whole = PublishedEpisodes.of_export(exported)
+    assert whole is not None
+    assert len(whole) == sum(json.loads((exported / "export.json").read_text())["episodes"].values())
     same = changes_between(whole, whole)
-    assert (same.kept, same.added, same.dropped, same.changed) == (len(whole.episodes), {}, {}, {})
-    half = PublishedEpisodes("half", dict(list(whole.episodes.items())[::2]))
+    assert (same.kept, same.added, same.dropped, same.changed) == (len(whole), {}, {}, {})
+    half = told(whole, np.arange(0, len(whole), 2))
     changes = changes_between(whole, half)
-    assert sum(changes.dropped.values()) + changes.kept == len(whole.episodes)
-    assert set(changes.dropped) <= {
-        "dropped: generated or selected otherwise in a scene that stayed",
-        "dropped: their scene is gone",
+    assert changes.kept == len(half)
+    assert changes.dropped == {"generated or chosen otherwise in a scene that stayed": len(whole) - len(half)}
+    assert changes_between(half, whole).added == changes.dropped
+    test = SPLITS.index("test")
+    moved = replace(whole, split=np.full(len(whole), test, np.int8), navmeshes=dict.fromkeys(whole.scenes, "other"))
+    reasons = changes_between(whole, moved).changed
+    assert sum(reasons.values()) == len(whole)
+    assert reasons["other start, goals or routes"] == int((whole.split == test).sum())
+    assert {reason for reason in reasons if reason.startswith("moved")} == {
+        f"moved from {split} to test" for split in SPLITS if split != "test"
     }
-    moved = {name: e._replace(split="test", navmesh="other") for name, e in whole.episodes.items()}
-    reasons = changes_between(whole, PublishedEpisodes("moved", moved)).changed
-    assert all(reason.startswith("moved from") or reason == "other start, goals or routes" for reason in reasons)
+    gone = told(whole, np.flatnonzero(whole.scene != 0))
+    assert set(changes_between(whole, replace(gone, navmeshes={})).dropped) == {"their scene is gone"}
 
 
 def test_entries_stand_newest_first_and_once() -> None:
@@ -199,9 +252,20 @@ def test_entries_stand_newest_first_and_once() -> None:
     assert text.count("# Changelog") == 1
 
 
+def test_examples_are_the_first_by_name_whatever_the_order() -> None:
+    entries = set()
+    for order in (range(30), reversed(range(30))):
+        changes = Changes("a", "b")
+        for number in order:
+            changes.note(changes.added, "Added", "newly generated", f"e{number:02d}")
+        entries.add(changes.entry())
+    (entry,) = entries
+    assert "* 30: newly generated (such as e00, e01, e02, e03, e04)" in entry
+
+
 def test_an_export_that_can_not_be_read_is_no_former_export(tmp_path: Path) -> None:
-    assert PublishedEpisodes.of(tmp_path).snapshot == ""
+    assert PublishedEpisodes.of_export(tmp_path) is None
     (tmp_path / "manifest").mkdir()
     for split in SPLITS:
         (tmp_path / "manifest" / f"{split}.jsonl").write_text("{")
-    assert PublishedEpisodes.of(tmp_path).episodes == {}
+    assert PublishedEpisodes.of_export(tmp_path) is None
