@@ -52,7 +52,12 @@ def export_snapshot_of(config: Config) -> Report:
     done = export_snapshot(
         FolderTables(snapshot_folder(config.store, snapshot)),
         config.export,
-        ExportConfig(splits=config.splits, path_spacing=config.episodes.path_spacing, texts=texts),
+        ExportConfig(
+            splits=config.splits,
+            path_spacing=config.episodes.path_spacing,
+            sharded=config.splits.sharded,
+            texts=texts,
+        ),
         oracle_texts=_linear_text(**texts),
         navmeshes=built_navmeshes(config, snapshot),
         graphs=_graphs(config),
@@ -62,7 +67,13 @@ def export_snapshot_of(config: Config) -> Report:
     lines = [f"export of snapshot {snapshot.snapshot_id} in {config.export}"]
     if done.left_out:
         lines.append("left out: " + ", ".join(f"{n} {reason}" for reason, n in done.left_out.items()))
-    report = Report(done.document(), lines, [Section("Splits", ("split", "scenes", "episodes"), [*rows])])
+    sections = [Section("Splits", ("split", "scenes", "episodes"), [*rows])]
+    if done.shortfalls:
+        short = [(c.split, c.source, c.category, c.gold_leaf, c.wanted, c.selected) for c in done.shortfalls]
+        lines.append(f"{len(short)} cells are short, by {sum(c.shortfall for c in done.shortfalls)} episodes together")
+        columns = ("split", "source", "category", "gold leaf", "wanted", "selected")
+        sections.append(Section("Cells that are short", columns, [*short]))
+    report = Report(done.document(), lines, sections)
     add_bias(report, done.bias, config.splits.bias)
     return report
 

@@ -141,7 +141,13 @@ class SplitsConfig(Document):
 
     seed: int = 0
     per_cell: int | None = Field(
-        None, description="most episodes per split × category × gold leaf; none = all that balance"
+        None, ge=1, description="episodes wanted per split × category × gold leaf; none = all that balance"
+    )
+    scenes: dict[Literal["train", "val_unseen", "test"], tuple[str, ...]] = Field(
+        default_factory=dict, description="patterns <family>/<scene> with * and ?, before official lists and hashes"
+    )
+    sharded: bool = Field(
+        False, description="one file a scene, <split>/content/<scene>.json.gz, as Habitat's own datasets have them"
     )
     val_seen_share: Share = Field(0.1, description="share of the train scenes' episodes set aside as val_seen")
     fractions: tuple[Share, Share, Share] = Field((0.8, 0.1, 0.1), description="train, val_unseen, test by id hash")

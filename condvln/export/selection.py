@@ -18,7 +18,7 @@ import numpy.typing as npt
 from condvln.export.pool import FIT, Pool
 from condvln.export.splits import SPLITS, Split, fractions, scene_group
 from schemas.config import SplitsConfig
-from schemas.program import CATEGORIES
+from schemas.program import CATEGORIES, SHAPES, Category
 
 __all__ = ["OUT", "Cell", "Selection", "select"]
 
@@ -76,13 +76,15 @@ def select(pool: Pool, config: SplitsConfig) -> Selection:
                 for source in range(len(pool.sources))
             }
             quotas = _quotas(pool, blocks, config.per_cell)
+            wanted = _wanted(pool, quotas, config.per_cell)
             for source, block in blocks.items():
-                if len(block) == 0:
-                    continue
-                taken = _Picker(pool, block, quotas[source], balances[source]).pick()
-                selection.split[taken] = split_code
-                selection.left_out["beyond the balance"] += len(block) - len(taken)
-                selection.cells += _cells(pool, split, source, name, block, taken, config.per_cell or quotas[source])
+                taken = block[:0]
+                if len(block):
+                    taken = _Picker(pool, block, quotas[source], balances[source]).pick()
+                    selection.split[taken] = split_code
+                    selection.left_out["beyond the balance"] += len(block) - len(taken)
+                if len(block) or wanted[source]:
+                    selection.cells += _cells(pool, split, source, name, block, taken, wanted[source])
     for source, label in enumerate(pool.sources):
         inside = pool.source == source
         selection.truth_imbalance[label] = _imbalance(pool, inside & (selection.split != OUT))
@@ -135,6 +137,20 @@ def _quotas(pool: Pool, blocks: dict[int, npt.NDArray[np.int64]], per_cell: int 
         given[source] = min(most[source], -(-left // (len(waiting) - position)))
         left -= given[source]
     return given
+
+
+def _wanted(pool: Pool, quotas: dict[int, int], per_cell: int | None) -> dict[int, int]:
+    """Episodes of each leaf that each source should give, ``per_cell`` together: what it gives, and of what all lack
+    together its share."""
+    wanted = dict(quotas)
+    left = (per_cell or 0) - sum(quotas.values())
+    share = -(-(per_cell or 0) // len(quotas))
+    for source in sorted(quotas, key=lambda source: (quotas[source], pool.sources[source])):
+        short = min(left, share - quotas[source])
+        if short > 0:
+            wanted[source] += short
+            left -= short
+    return wanted
 
 
 def _scarcest_leaf(pool: Pool, block: npt.NDArray[np.int64]) -> int:
@@ -237,12 +253,12 @@ def _cells(
     pool: Pool,
     split: Split,
     source: int,
-    category: str,
+    category: Category,
     block: npt.NDArray[np.int64],
     taken: npt.NDArray[np.int64],
     wanted: int,
 ) -> list[Cell]:
-    leaves = int(pool.n_leaves[block[0]])
+    leaves = SHAPES[category].leaves
     available = np.bincount(pool.leaf[block], minlength=leaves)
     selected = np.bincount(pool.leaf[taken], minlength=leaves)
     return [

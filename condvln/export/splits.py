@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from fnmatch import fnmatchcase
 from functools import cache
 from importlib import resources
 from typing import Final, Literal
@@ -17,6 +18,7 @@ import numpy.typing as npt
 import orjson
 
 from schemas.config import SplitsConfig
+from schemas.errors import ConfigError
 
 __all__ = ["SPLITS", "Group", "Split", "fractions", "hash_fraction", "scene_group"]
 
@@ -39,7 +41,15 @@ _REPLICACAD: Final = re.compile(r"v3_sc(\d+)_staging_\d+$|apt_\d+$")
 
 
 def scene_group(family: str, scene_id: str, config: SplitsConfig) -> Group:
-    """Group of one scene, from its name alone."""
+    """Group of one scene, from its name alone: as the configuration says, else by the official list, else by hash.
+
+    Raises
+    ------
+    ConfigError : the configuration puts it into two groups
+    """
+    configured = _configured(family, scene_id, config)
+    if configured is not None:
+        return configured
     official = _official(family, scene_id)
     if official is not None:
         return official
@@ -66,6 +76,18 @@ def hash_fraction(seed: int, *names: str) -> float:
     """A number in [0, 1) that depends on ``seed`` and ``names`` alone."""
     text = "\0".join((str(seed), *names)).encode()
     return int.from_bytes(hashlib.blake2b(text, digest_size=8).digest(), "big") / 2.0**64
+
+
+def _configured(family: str, scene_id: str, config: SplitsConfig) -> Group | None:
+    name = f"{family}/{scene_id}"
+    found = [g for g in _GROUPS if any(fnmatchcase(name, pattern) for pattern in config.scenes.get(g, ()))]
+    if len(found) > 1:
+        raise ConfigError(
+            f"{name} is in {found[0]} and in {found[1]}",
+            place="splits.scenes",
+            remedy="Narrow one of the patterns: splits share no scene.",
+        )
+    return found[0] if found else None
 
 
 def _official(family: str, scene_id: str) -> Group | None:

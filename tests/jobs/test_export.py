@@ -8,10 +8,34 @@ from collections.abc import Callable
 from pathlib import Path
 
 from condvln.export.changelog import CHANGELOG
+from condvln.export.streams import read_unpacked
 from jobs.export import export_snapshot_of
 from jobs.generate import run_generate
 from jobs.report import Report
-from schemas.config import Config, InstructionsConfig
+from jobs.validate import validate_files
+from schemas.config import Config, InstructionsConfig, SplitsConfig
+from schemas.program import CATEGORIES, SHAPES
+
+
+def test_shards_groups_and_shortfalls_are_the_configurations(made_run: tuple[Config, Report], tmp_path: Path) -> None:
+    config, _ = made_run
+    splits = SplitsConfig(sharded=True, scenes={"val_unseen": ("replicacad/*",)}, per_cell=3)
+    report = export_snapshot_of(config.model_copy(update={"export": tmp_path / "out", "splits": splits}))
+    counts = report.document["episodes"]
+    assert {split for split, count in counts.items() if count} == {"val_unseen"}
+    folder = tmp_path / "out" / "vlnce" / "val_unseen"
+    assert json.loads(read_unpacked(folder / "val_unseen.json.gz"))["episodes"] == []
+    shards = [json.loads(read_unpacked(path))["episodes"] for path in sorted((folder / "content").iterdir())]
+    assert all(shards)
+    assert sum(map(len, shards)) == counts["val_unseen"]
+    assert not [f for f in validate_files(tmp_path / "out" / "vlnce").findings if f.severity == "error"]
+    short = report.document["cells"]
+    assert sum(cell["shortfall"] for cell in short) + sum(cell["selected"] for cell in short) == 3 * 4 * sum(
+        SHAPES[category].leaves for category in CATEGORIES
+    )
+    (section,) = [section for section in report.sections if section.title == "Cells that are short"]
+    assert len(section.rows) == sum(cell["shortfall"] > 0 for cell in short) > 0
+    assert any("cells are short" in line for line in report.lines)
 
 
 def test_a_second_snapshot_tells_what_moved(

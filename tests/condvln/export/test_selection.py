@@ -13,7 +13,7 @@ from condvln.export.selection import OUT, Selection, select
 from condvln.export.splits import SPLITS
 from condvln.export.tables import MemoryTables
 from schemas.config import SplitsConfig
-from schemas.program import CATEGORIES
+from schemas.program import CATEGORIES, SHAPES
 from tests.made_snapshot import made_snapshot
 
 SCENES = {
@@ -92,6 +92,14 @@ def test_counts_meet_the_configuration_or_the_shortfall_is_listed(pool: Pool, ch
         for (split, category, leaf), count in together.items():
             most = sum(min(v) for (s, name), v in scarcest.items() if s == split and name.split()[1] == category)
             assert count == min(config.per_cell, most), (split, category, leaf)
+        # every cell of every split is listed, and the shortfalls add up to what is missing
+        assert set(together) == {(s, c, leaf) for s in SPLITS for c in CATEGORIES for leaf in range(SHAPES[c].leaves)}
+        short: Counter[tuple[str, str, int]] = Counter()
+        for cell in result.cells:
+            short[cell.split, cell.category, cell.gold_leaf] += cell.shortfall
+        assert {key: config.per_cell - count for key, count in together.items()} == {
+            key: short[key] for key in together
+        }
     assert (result.split != OUT).sum() + sum(result.left_out.values()) == len(pool)
 
 
@@ -129,6 +137,14 @@ def test_the_answer_is_a_function_of_pool_and_seed(pool: Pool) -> None:
     first = select(pool, SplitsConfig(per_cell=8))
     np.testing.assert_array_equal(first.split, select(pool, SplitsConfig(per_cell=8)).split)
     assert (first.split != select(pool, SplitsConfig(per_cell=8, seed=1)).split).any()
+
+
+def test_a_split_without_scenes_lists_what_it_lacks() -> None:
+    pool = pool_of(made_snapshot({"replicacad": ["v3_sc0_staging_00"]}, per_category=12))
+    cells = [cell for cell in select(pool, SplitsConfig(per_cell=2)).cells if cell.split == "test"]
+    assert len(cells) == sum(SHAPES[category].leaves for category in CATEGORIES)
+    assert {(cell.available, cell.wanted, cell.selected, cell.shortfall) for cell in cells} == {(0, 2, 0, 2)}
+    assert not [cell for cell in select(pool, SplitsConfig()).cells if cell.split == "test"]
 
 
 def test_sources_share_a_cell_evenly(pool: Pool) -> None:

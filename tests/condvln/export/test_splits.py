@@ -7,9 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from condvln.export.splits import fractions, hash_fraction, scene_group
 from schemas.config import SplitsConfig
+from schemas.errors import ConfigError
 
 CONFIG = SplitsConfig()
 
@@ -59,6 +61,19 @@ def test_other_scenes_go_by_their_own_hash() -> None:
     other = SplitsConfig(seed=1)
     assert groups != [scene_group("procthor", f"house_{i}", other) for i in range(4000)]
     assert scene_group("procthor", "house_0", SplitsConfig(fractions=(0, 0, 1))) == "test"
+
+
+def test_the_configuration_goes_before_lists_and_hashes() -> None:
+    config = SplitsConfig(scenes={"train": ("procthor/train-*",), "test": ("procthor/test-?", "mp3d/17DRP5sb8fy")})
+    assert {scene_group("procthor", f"train-{i}", config) for i in range(50)} == {"train"}
+    assert scene_group("procthor", "test-7", config) == scene_group("mp3d", "17DRP5sb8fy", config) == "test"
+    assert scene_group("mp3d", "2azQ1b91cZZ", config) == "val_unseen"
+    assert scene_group("procthor", "test-70", config) == scene_group("procthor", "test-70", CONFIG)
+    torn = SplitsConfig(scenes={"train": ("*",), "test": ("procthor/*",)})
+    with pytest.raises(ConfigError, match=r"splits\.scenes: procthor/a is in train and in test"):
+        scene_group("procthor", "a", torn)
+    with pytest.raises(ValidationError):
+        SplitsConfig(scenes={"val": ("*",)})  # type: ignore[dict-item]
 
 
 def test_fractions_of_hashes_are_uniform_and_seeded() -> None:
