@@ -20,7 +20,7 @@ from condvln.sources.gltf_tree import geometry_tree
 from condvln.sources.json_document import MAX_COORDINATE, JsonNode, parse_json
 from schemas.errors import FormatError
 
-__all__ = ["MAX_GLB_BYTES", "GlbGeometry", "glb_scene", "read_glb"]
+__all__ = ["MAX_GLB_BYTES", "GlbGeometry", "glb_chunks", "glb_scene", "read_glb"]
 
 MAX_GLB_BYTES: Final = 1 << 29
 """No scan or asset of the sources is half as large."""
@@ -68,7 +68,7 @@ def glb_scene(data: bytes, where: str) -> trimesh.Scene:
     ------
     FormatError : as read_glb
     """
-    root, binary = _chunks(data, where)
+    root, binary = glb_chunks(data, where)
     tree = geometry_tree(root, len(binary))
     try:
         return trimesh.load_scene(
@@ -121,8 +121,13 @@ def _watertight(faces: NDArray[np.int64], n: int) -> bool:
     return bool((there[1:] != there[:-1]).all() and (there == back).all())
 
 
-def _chunks(data: bytes, where: str) -> tuple[JsonNode, bytes]:
-    """The JSON tree and the binary chunk (empty where there is none)."""
+def glb_chunks(data: bytes, where: str) -> tuple[JsonNode, bytes]:
+    """The JSON tree and the binary chunk (empty where there is none) of a GLB file.
+
+    Raises
+    ------
+    FormatError : not a GLB file of version 2, cut off, or its JSON is not sound
+    """
 
     def fail(what: str, offset: int) -> FormatError:
         return FormatError(what, where=where, place=f"byte {offset}", remedy=_REMEDY)

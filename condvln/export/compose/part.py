@@ -1,0 +1,249 @@
+"""A GLB file as a part of another: what of it can be copied, checked against the bytes that are there.
+
+Geometry comes first through `condvln.sources.gltf_tree`, which refuses what can't be read. Of the rest are kept the
+attributes and materials that a renderer of static scenes uses; skins, animations, cameras and lights stay behind.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.export.compose.material import MaterialReader
+from condvln.sources.glb import glb_chunks
+from condvln.sources.gltf_tree import geometry_tree
+from condvln.sources.json_document import JsonNode
+from schemas.errors import FormatError
+
+__all__ = ["Accessor", "GlbPart", "Node", "Primitive", "read_part"]
+
+_REMEDY: Final = "Take the file from its dataset again"
+_TYPES: Final = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
+_WIDTHS: Final = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+_KINDS: Final = {
+    "POSITION": ("VEC3",),
+    "NORMAL": ("VEC3",),
+    "TANGENT": ("VEC4",),
+    "TEXCOORD_0": ("VEC2",),
+    "TEXCOORD_1": ("VEC2",),
+    "COLOR_0": ("VEC3", "VEC4"),
+}
+"""Attributes that are copied, in this order, and the types they may have."""
+_TRIANGLES, _STRIP = 4, 5
+_FLOAT: Final = 5126
+_INDEX_TYPES: Final = frozenset({5121, 5123, 5125})
+MAX_COPIES: Final = 6
+"""How often the attributes of a file may read its bytes, on the whole."""
+
+
+@dataclass(frozen=True, slots=True)
+class Accessor:
+    """Packed numbers: glTF's component type and type, and their bytes."""
+
+    component: int
+    kind: str
+    count: int
+    normalized: bool
+    data: bytes
+    low: tuple[float, ...] = ()
+    high: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Primitive:
+    """Triangles or a strip of them: accessors by attribute, indices, and a material; numbers within the part."""
+
+    mode: int
+    attributes: dict[str, int]
+    indices: int | None
+    material: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """A node: its own transform as glTF has it, its mesh, its children; numbers within the part."""
+
+    transform: dict[str, list[float]]
+    mesh: int | None
+    children: tuple[int, ...]
+
+
+@dataclass(slots=True)
+class GlbPart:
+    """What is copied of one file. `look` holds materials and their textures."""
+
+    nodes: list[Node] = field(default_factory=list)
+    roots: tuple[int, ...] = ()
+    meshes: list[list[Primitive]] = field(default_factory=list)
+    accessors: list[Accessor] = field(default_factory=list)
+    look: MaterialReader | None = None
+
+
+def read_part(data: bytes, where: str) -> GlbPart:
+    """The default scene of a GLB file.
+
+    Raises
+    ------
+    FormatError : truncated, inconsistent, hostile, compressed, or without triangles; `where` names the file
+    """
+    root, binary = glb_chunks(data, where)
+    tree = geometry_tree(root, len(binary))
+    return _Copier(root, binary, tree).part
+
+
+class _Copier:
+    """Walks the default scene again; that its nodes and triangles are sound is known by now."""
+
+    def __init__(self, root: JsonNode, binary: bytes, tree: dict[str, Any]) -> None:
+        self.root, self.binary = root, binary
+        self.copied = 0
+        self.look = MaterialReader(root, binary)
+        self.part = GlbPart(look=self.look)
+        self.mesh_of: dict[int, int | None] = {}
+        self.accessor_of: dict[tuple[int, str], int] = {}
+        nodes = self._list("nodes")
+        roots = self._roots(nodes)
+        # Parents come before their children, so that nothing recurses.
+        order, at = list(roots), 0
+        while at < len(order):
+            order += [c.integer() for c in _array(nodes[order[at]], "children")]
+            at += 1
+        number = {old: new for new, old in enumerate(order)}
+        for old in order:
+            own = nodes[old]
+            mesh = own.get("mesh")
+            self.part.nodes.append(
+                Node(
+                    _transform(own),
+                    None if mesh is None else self._mesh(mesh.integer()),
+                    tuple(number[c.integer()] for c in _array(own, "children")),
+                )
+            )
+        self.part.roots = tuple(number[r] for r in roots)
+        assert len(order) == len(tree["nodes"])
+
+    def _list(self, key: str) -> list[JsonNode]:
+        return _array(self.root, key)
+
+    def _roots(self, nodes: list[JsonNode]) -> list[int]:
+        scenes = self._list("scenes")
+        if scenes:
+            chosen = self.root.get("scene")
+            return [n.integer() for n in _array(scenes[0 if chosen is None else chosen.integer()], "nodes")]
+        below = {c.integer() for node in nodes for c in _array(node, "children")}
+        return [n for n in range(len(nodes)) if n not in below]
+
+    def _mesh(self, index: int) -> int | None:
+        if index not in self.mesh_of:
+            found = [p for p in map(self._primitive, _array(self._list("meshes")[index], "primitives")) if p]
+            self.mesh_of[index] = len(self.part.meshes) if found else None
+            if found:
+                self.part.meshes.append(found)
+        return self.mesh_of[index]
+
+    def _primitive(self, source: JsonNode) -> Primitive | None:
+        mode_node, attributes = source.get("mode"), source["attributes"]
+        mode = _TRIANGLES if mode_node is None else mode_node.integer()
+        position = attributes.get("POSITION")
+        if mode not in (_TRIANGLES, _STRIP) or position is None:
+            return None
+        kept = {name: self._accessor(attributes[name], name) for name in _KINDS if attributes.get(name) is not None}
+        vertices = self.part.accessors[kept["POSITION"]].count
+        for name, at in kept.items():
+            if self.part.accessors[at].count != vertices:
+                _fail(attributes[name], f"{self.part.accessors[at].count} entries for {vertices} vertices")
+        indices_node = source.get("indices")
+        indices = None if indices_node is None else self._accessor(indices_node, "indices")
+        corners = vertices
+        if indices is not None and indices_node is not None:
+            own = self.part.accessors[indices]
+            corners = own.count
+            named = np.frombuffer(own.data, np.dtype(_TYPES[own.component]).newbyteorder("<"))
+            if corners and int(named.max()) >= vertices:
+                _fail(indices_node, f"a face names the vertex {int(named.max())} of {vertices}")
+        if corners < 3 or not vertices:
+            return None
+        material = source.get("material")
+        return Primitive(mode, kept, indices, None if material is None else self.look.material(material))
+
+    def _accessor(self, node: JsonNode, name: str) -> int:
+        index = _index(node, self._list("accessors"))
+        if (index, name) not in self.accessor_of:
+            source = self._list("accessors")[index]
+            kind, component = source["type"].text(), source["componentType"].integer()
+            kinds = ("SCALAR",) if name == "indices" else _KINDS[name]
+            normal = source.get("normalized")
+            normalized = normal is not None and normal.boolean()
+            floats = component == _FLOAT
+            fits = (
+                component in _INDEX_TYPES if name == "indices" else floats or (normalized and component in (5121, 5123))
+            )
+            if kind not in kinds or not fits or (name in ("POSITION", "NORMAL", "TANGENT") and not floats):
+                _fail(source, f"type {kind} of component {component} does not serve as {name}")
+            packed = self._packed(source, component, _WIDTHS[kind])
+            bounds: tuple[tuple[float, ...], ...] = ((), ())
+            if name == "POSITION":
+                if not np.isfinite(packed).all():
+                    _fail(source, "a vertex is not finite")
+                ends = (packed.min(axis=0), packed.max(axis=0)) if len(packed) else (np.zeros(3), np.zeros(3))
+                bounds = tuple(tuple(float(v) for v in end) for end in ends)
+            self.accessor_of[index, name] = len(self.part.accessors)
+            self.part.accessors.append(
+                Accessor(component, kind, len(packed), normalized and not floats, packed.tobytes(), *bounds)
+            )
+        return self.accessor_of[index, name]
+
+    def _packed(self, source: JsonNode, component: int, width: int) -> NDArray[Any]:
+        """The numbers of an accessor, (count, width), without the gaps between them."""
+        if "sparse" in source:
+            _fail(source, "sparse accessors can't be read", "Export it with plain accessors")
+        dtype = np.dtype(_TYPES[component]).newbyteorder("<")
+        count, view = source["count"].integer(), self._view(source)
+        offset = _or(source, "byteOffset", 0)
+        item = dtype.itemsize * width
+        step = _or(view, "byteStride", 0) or item
+        start, length = _or(view, "byteOffset", 0), view["byteLength"].integer()
+        sound = min(count, offset, start, length, step) >= 0 and start + length <= len(self.binary)
+        if not sound or (count and offset + (count - 1) * step + item > length):
+            _fail(source, f"{count} items of {item} bytes do not fit into the view")
+        self.copied += count * item
+        if self.copied > MAX_COPIES * len(self.binary):
+            _fail(source, f"accessors read the same bytes more than {MAX_COPIES} times")
+        rows = np.ndarray((count, width), dtype, self.binary, start + offset, (step, dtype.itemsize))
+        return np.ascontiguousarray(rows)
+
+    def _view(self, source: JsonNode) -> JsonNode:
+        views = self._list("bufferViews")
+        view = views[_index(source["bufferView"], views)]
+        if view["buffer"].integer() != 0:
+            _fail(view, "numbers outside the file's own binary chunk can't be read", "Export it as one GLB file")
+        return view
+
+
+def _transform(node: JsonNode) -> dict[str, list[float]]:
+    keys = ("matrix",) if "matrix" in node else ("translation", "rotation", "scale")
+    lengths = {"matrix": 16, "translation": 3, "rotation": 4, "scale": 3}
+    return {key: node[key].vector(lengths[key], 1e6).tolist() for key in keys if key in node}
+
+
+def _array(node: JsonNode, key: str) -> list[JsonNode]:
+    member = node.get(key)
+    return [] if member is None else member.elements()
+
+
+def _index(node: JsonNode, of: list[JsonNode]) -> int:
+    value = node.integer()
+    if not 0 <= value < len(of):
+        _fail(node, f"the index {value} is not among {len(of)}")
+    return value
+
+
+def _or(node: JsonNode, key: str, default: int) -> int:
+    return node[key].integer() if key in node else default
+
+
+def _fail(node: JsonNode, what: str, remedy: str = _REMEDY) -> None:
+    raise FormatError(what, where=node.where, place=node.place, remedy=remedy)

@@ -1,0 +1,106 @@
+"""``condvln compose``: one scene of a configured source as one GLB file, with its navmesh beside it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Any, Final
+
+from condvln.export.compose import ComposedScene, compose_scene
+from condvln.export.streams import atomic_stream
+from condvln.export.vlnce import scene_file
+from condvln.navigation.agent import Agent
+from condvln.navigation.pathfinder import Pathfinder
+from condvln.scene import Scene
+from condvln.sources.source import Source, hash_file
+from jobs.pipeline import open_configured
+from jobs.report import Report
+from schemas.config import Config
+from schemas.errors import ConfigError, UsageError
+
+__all__ = ["compose"]
+
+SUFFIX: Final = ".glb"
+SHOWN: Final = 5
+"""Objects that are left out are named up to here; ``--json`` has all of them."""
+
+
+def compose(config: Config, scene_id: str, out: Path) -> Report:
+    """Write `out` and, with the suffix ``.navmesh``, what the configured agent can walk of it.
+
+    Parameters
+    ----------
+    scene_id : as in the tables; with ``<family>/`` before it where several sources have one of that name
+
+    Raises
+    ------
+    UsageError : no source, or more than one, has such a scene; `out` is no .glb file
+    InputError : the scene can't be read, or has no surfaces
+    """
+    if out.suffix != SUFFIX:
+        raise UsageError(f"{out} is no {SUFFIX} file", place="OUT.glb", remedy=f"Name it {out.name}{SUFFIX}.")
+    source, name = _found(config, scene_id)
+    scene = source.read(name)
+    composed = compose_scene(scene, source.geometry(scene), Agent(**config.agent.model_dump()))
+    navmesh = out.with_suffix(".navmesh")
+    # The navmesh first: a loader that finds a scene finds its navmesh too.
+    for path, data in ((navmesh, composed.navmesh.to_bytes()), (out, composed.glb)):
+        with atomic_stream(path) as stream:
+            stream.write(data)
+    return _report(scene, composed, out, navmesh)
+
+
+def _found(config: Config, scene_id: str) -> tuple[Source, str]:
+    """The one source that has the scene, and the scene's id there."""
+    found: list[tuple[Source, str]] = []
+    for one in config.sources:
+        for name in dict.fromkeys((scene_id, scene_id.removeprefix(f"{one.family}/"))):
+            asked = one.model_copy(update={"scenes": (name,), "exclude": ()})
+            try:
+                source = open_configured(config, asked, hash_file)
+                handles = [h for h in source.handles() if h.scene_id == name and h.inputs]
+            except ConfigError:
+                continue  # such a dataset is not there, or no scene of it fits
+            found += [(source, h.scene_id) for h in handles]
+    if not found:
+        raise UsageError(
+            f"no source has a scene {scene_id!r}",
+            place="SCENE",
+            remedy="condvln sources CONFIG lists what is there; the scenes table has all ids.",
+        )
+    if len(found) > 1:
+        families = ", ".join(f"{source.family}/{name}" for source, name in found)
+        raise UsageError(f"several sources have it: {families}", place="SCENE", remedy="Name one of these.")
+    return found[0]
+
+
+def _report(scene: Scene, composed: ComposedScene, out: Path, navmesh: Path) -> Report:
+    nav = Pathfinder(composed.navmesh)
+    named = scene_file(scene.family, scene.scene_id)
+    document: dict[str, Any] = {
+        "scene": f"{scene.family}/{scene.scene_id}",
+        "glb": str(out),
+        "navmesh": str(navmesh),
+        "bytes": len(composed.glb),
+        "triangles": composed.triangles,
+        "objects": len(composed.bodies),
+        "left_out": list(composed.left_out),
+        "textures_left_out": composed.textures_left_out,
+        "approximate": composed.approximate,
+        "navigable_area": nav.navigable_area,
+        "islands": nav.num_islands,
+        "scene_id": named,
+        "warnings": dict(sorted(Counter(w.code for w in scene.warnings).items())),
+    }
+    lines = [
+        f"{out}: {len(composed.glb):,} bytes, {composed.triangles:,} triangles, {len(composed.bodies)} objects"
+        + (", drawn as boxes between walls" if composed.approximate else ""),
+        f"{navmesh}: {nav.navigable_area:.2f} m² on {nav.num_islands} islands",
+        f"Episodes name this scene {named}: put both files there, below the loader's data/scene_datasets/.",
+    ]
+    if composed.left_out:
+        shown = ", ".join(composed.left_out[:SHOWN]) + (" …" if len(composed.left_out) > SHOWN else "")
+        lines.append(f"left out, as their surfaces are not known: {len(composed.left_out)} objects ({shown})")
+    if composed.textures_left_out:
+        lines.append(f"left out, as their images stand in no GLB file: {composed.textures_left_out} textures")
+    return Report(document, lines)

@@ -1,0 +1,115 @@
+"""``condvln compose``: the files it writes, and what it says when it can't."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from condvln.navigation.pathfinder import Pathfinder
+from condvln.samples import make_samples
+from condvln.sources.glb import read_glb
+from condvln.sources.registry import open_source
+from jobs.command import app
+from jobs.compose import compose
+from schemas.config import AgentConfig, Config, SourceConfig
+from schemas.errors import InputError, UsageError
+
+Datasets = dict[str, Path]
+
+
+@pytest.fixture(scope="module")
+def datasets(tmp_path_factory: pytest.TempPathFactory) -> Datasets:
+    root = tmp_path_factory.mktemp("datasets")
+    for family in ("replicacad", "procthor", "gibson", "mp3d"):
+        make_samples(root / family, family, 1, 8)
+    return {folder.name: folder for folder in root.iterdir()}
+
+
+def configured(folder: Path, datasets: Datasets, *families: str) -> Config:
+    sources = tuple(SourceConfig(family=f, root=datasets[f]) for f in families)  # type: ignore[arg-type]
+    return Config(name="made", store=folder / "store", sources=sources)
+
+
+@pytest.mark.parametrize(
+    ("family", "scene"), [("replicacad", "made_000"), ("procthor", "houses-0"), ("gibson", "verified/made_000")]
+)
+def test_both_files_are_written_and_again_the_same(tmp_path: Path, datasets: Datasets, family: str, scene: str) -> None:
+    config = configured(tmp_path, datasets, family)
+    out = tmp_path / "scene_datasets" / "a" / "a.glb"
+    report = compose(config, scene, out)
+    first = {file.name: file.read_bytes() for file in out.parent.iterdir()}
+    assert set(first) == {"a.glb", "a.navmesh"}
+    assert not (tmp_path / "store").exists()
+    said = report.document
+    assert (said["bytes"], said["scene"]) == (len(first["a.glb"]), f"{family}/{scene}")
+    assert said["scene_id"] == f"{family}/{scene}/{scene}.glb"
+    assert said["triangles"] >= len(read_glb(first["a.glb"], "a.glb").faces)
+    nav = Pathfinder.load(out.with_suffix(".navmesh"))
+    assert said["navigable_area"] == nav.navigable_area
+    assert nav.settings.agent_radius == pytest.approx(config.agent.radius)
+    compose(config, f"{family}/{scene}", out)
+    assert {file.name: file.read_bytes() for file in out.parent.iterdir()} == first
+
+
+def test_the_navmesh_fits_the_configured_agent(tmp_path: Path, datasets: Datasets) -> None:
+    config = configured(tmp_path, datasets, "procthor").model_copy(
+        update={"agent": AgentConfig(radius=0.3, height=0.9)}
+    )
+    compose(config, "houses-0", tmp_path / "a.glb")
+    own = Pathfinder.load(tmp_path / "a.navmesh").settings
+    assert own.fits(0.3, 0.9, 0.2, 45.0)
+
+
+def test_every_room_of_a_composed_house_is_reached(tmp_path: Path, datasets: Datasets) -> None:
+    compose(configured(tmp_path, datasets, "procthor"), "houses-0", tmp_path / "a.glb")
+    nav = Pathfinder.load(tmp_path / "a.navmesh")
+    scene = open_source("procthor", datasets["procthor"]).read("houses-0")
+    main = max(range(nav.num_islands), key=nav.island_area)
+    for room in scene.rooms:
+        assert room.polygon is not None
+        x, z = room.polygon.mean(axis=0)
+        snapped = nav.snap_point([x, 0.0, z], main)
+        assert abs(snapped[1]) < 0.3
+
+
+def test_a_scene_of_several_sources_is_to_be_named_with_its_family(tmp_path: Path, datasets: Datasets) -> None:
+    config = configured(tmp_path, datasets, "replicacad", "mp3d")
+    with pytest.raises(UsageError, match="several sources have it: replicacad/made_000, mp3d/made_000"):
+        compose(config, "made_000", tmp_path / "a.glb")
+    assert compose(config, "mp3d/made_000", tmp_path / "a.glb").document["scene"] == "mp3d/made_000"
+
+
+@pytest.mark.parametrize(
+    ("scene", "out", "message"), [("nowhere", "a.glb", "no source has"), ("x", "a.ply", "no .glb")]
+)
+def test_wrong_use_is_told_and_nothing_is_written(
+    tmp_path: Path, datasets: Datasets, scene: str, out: str, message: str
+) -> None:
+    with pytest.raises(UsageError, match=message):
+        compose(configured(tmp_path, datasets, "replicacad"), scene, tmp_path / out)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_scene_without_surfaces_leaves_what_was_there(tmp_path: Path) -> None:
+    make_samples(tmp_path / "data", "mp3d", 1, 8)
+    (tmp_path / "data/made_000/made_000.glb").unlink()
+    (tmp_path / "a.glb").write_bytes(b"before")
+    config = configured(tmp_path, {"mp3d": tmp_path / "data"}, "mp3d")
+    with pytest.raises(InputError, match="neither a mesh nor walls"):
+        compose(config, "made_000", tmp_path / "a.glb")
+    assert (tmp_path / "a.glb").read_bytes() == b"before"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.glb", "data"]
+
+
+def test_the_command_says_where_loaders_look_for_it(tmp_path: Path, datasets: Datasets) -> None:
+    config = tmp_path / "c.yaml"
+    config.write_text(f"name: made\nstore: store\nsources: [{{family: procthor, root: '{datasets['procthor']}'}}]\n")
+    result = CliRunner().invoke(app, ["compose", str(config), "houses-0", str(tmp_path / "a.glb"), "--json"])
+    assert result.exit_code == 0
+    said = json.loads(result.stdout)
+    assert (said["scene_id"], said["approximate"], said["exit_code"]) == ("procthor/houses-0/houses-0.glb", True, 0)
+    shown = CliRunner().invoke(app, ["compose", str(config), "houses-0", str(tmp_path / "a.glb")])
+    assert "procthor/houses-0/houses-0.glb" in shown.stdout
