@@ -229,6 +229,21 @@ def oracle(
 
 
 @app.command()
+def compose(
+    config: ConfigPath,
+    scene: Annotated[str, typer.Argument(metavar="SCENE", help="scene id; FAMILY/ID where several sources have it")],
+    out: Annotated[Path, typer.Argument(metavar="OUT.glb", help="file to write; its navmesh goes beside it")],
+    overrides: Overrides = None,
+    as_json: AsJson = False,
+) -> None:
+    """One GLB and its navmesh from a scene's parts, as loaders need that open a scene by a single file."""
+    from jobs.compose import compose as compose_scene
+    from jobs.configuration import load_config
+
+    _show(compose_scene(load_config(config, overrides or ()), scene, out), as_json)
+
+
+@app.command()
 def query(
     target: TargetName,
     sql: Annotated[
