@@ -6,7 +6,7 @@ from collections import Counter
 from typing import Any, Final
 
 from condvln.episodes.rules import EpisodeRules
-from condvln.instructions.config import InstructionConfig
+from condvln.instructions.config import Cell, InstructionConfig
 from condvln.navigation.agent import Agent
 from condvln.relations import RelationThresholds
 from condvln.sources.registry import open_source
@@ -34,23 +34,24 @@ _STAGE_OF: Final[dict[str, str | tuple[str, ...]]] = {
     "instructions": "text",
     "episodes": "text",
     "rejections": ("programs", "episodes"),
+    "funnel": "episodes",
 }
 
 
 def build_pipeline(config: Config) -> Pipeline:
-    """The five stages under `config`, and the seven tables they publish."""
+    """The five stages under `config`, and the eight tables they publish."""
     agent = _agent(config)
     thresholds = _mirror(RelationThresholds, config.thresholds)
     rules = _mirror(EpisodeRules, config.episodes)
     wanted = config.instructions
-    sampling = _mirror(InstructionConfig, wanted)
+    sampling = _mirror(InstructionConfig, wanted, cells=tuple(_mirror(Cell, cell) for cell in wanted.cells))
     return Pipeline(
         name="condvln",
         stages=(
             SceneStage(agent),
             RelationStage(thresholds),
             ProgramStage(sampling, thresholds, rules, agent, config.seed),
-            EpisodeStage(wanted.per_category, wanted.label_cap, wanted.preamble, rules, agent, config.seed),
+            EpisodeStage(sampling.wanted, wanted.label_cap, wanted.preamble, rules, agent, config.seed),
             TextStage(rules, wanted.preamble, config.seed),
         ),
         aggregates=(PriorsAggregate(wanted.plausible_share),),
@@ -107,9 +108,9 @@ def _agent(config: Config) -> Agent:
     return agent
 
 
-def _mirror(kind: type[Any], model: Any) -> Any:
+def _mirror(kind: type[Any], model: Any, **changes: Any) -> Any:
     """A frozen dataclass of the science from its configuration model: the same names on both sides, or an error."""
-    values = model.model_dump()
+    values = model.model_dump() | changes
     known = set(kind.__dataclass_fields__)
     unknown = set(values) - known
     if unknown:

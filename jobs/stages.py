@@ -7,7 +7,6 @@ it reads, what it is keyed on, and where its rows go. A change of what a stage m
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import lru_cache
@@ -19,10 +18,11 @@ import pyarrow.compute as pc
 
 from condvln.episodes.observability import Observer
 from condvln.episodes.placing import Placer
-from condvln.episodes.pool import fill_pool
+from condvln.episodes.pool import Candidate, Pool, fill_pool
 from condvln.episodes.rules import EpisodeRules
 from condvln.episodes.table import (
     PLACEMENTS,
+    funnel_table,
     goals_from_table,
     placements_table,
     rejections_table,
@@ -32,6 +32,7 @@ from condvln.episodes.table import (
 from condvln.episodes.unplaced import unplaced_programs, unplaced_table
 from condvln.episodes.view import SceneView
 from condvln.instructions import (
+    Cell,
     InstructionConfig,
     LabelPriors,
     PriorBits,
@@ -56,11 +57,14 @@ from condvln.sources.source import Source
 from factory.stage import Aggregate, Stage, StageOutput
 from factory.unit import Unit
 from schemas.canonical import JSON
-from schemas.program import CATEGORIES, Category, Program
+from schemas.program import CATEGORIES
 
 __all__ = ["EpisodeStage", "PriorsAggregate", "ProgramStage", "RelationStage", "SceneStage", "TextStage"]
 
 Tables = Mapping[str, pa.Table]
+
+CELL: Final = pa.field("cell", pa.string(), nullable=False)
+"""Beside the columns of an instruction, a candidate has the cell that it was drawn for."""
 
 NAVMESHES: Final = pa.schema([("scene_id", pa.string()), ("data", pa.large_binary())])
 """Built navmeshes, kept in the unit for later stages and for the export; not a published table."""
@@ -182,7 +186,7 @@ class ProgramStage(Stage):
     agent: Agent
     seed: int
     name: str = "programs"
-    version: int = 2
+    version: int = 3
     tables: tuple[str, ...] = ("stops", "candidates", "rejections")
     reads_inputs: bool = True
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "relations")
@@ -223,18 +227,19 @@ class ProgramStage(Stage):
         # Leaves are checked before the gold one is drawn among them, so that the check can't favour a truth.
         stops = None if placer is None else placer.stops
         sampler = ProgramSampler(scene, facts, self._bits(scene, shared), self.config, self.seed, stops=stops)
-        programs = [
-            (instruction_id(scene.family, scene.scene_id, program), program)
+        drawn = [
+            (instruction_id(scene.family, scene.scene_id, program), program, cell)
             for category in CATEGORIES
-            for program in sampler.candidates(category)
+            for cell, program in sampler.drawn(category)
         ]
+        candidates = instruction_table(scene.scene_id, ((name, program) for name, program, _ in drawn))
         return StageOutput(
             tables={
                 "stops": stops_table(scene.scene_id, {} if placer is None else placer.field.goals),
-                "candidates": instruction_table(scene.scene_id, programs),
+                "candidates": candidates.append_column(CELL, pa.array([cell.name for _, _, cell in drawn], CELL.type)),
                 "rejections": rejections_table(scene.scene_id, self.name, sampler.rejections),
             },
-            measures={"candidates": float(len(programs))},
+            measures={"candidates": float(len(drawn))},
         )
 
 
@@ -242,22 +247,22 @@ class ProgramStage(Stage):
 class EpisodeStage(Stage):
     """Candidate programs + navmesh + surfaces → placed episodes and what is seen on them, without their words."""
 
-    wanted: Mapping[Category, int]
+    wanted: tuple[Cell, ...]
     label_cap: float
     preamble: bool
     rules: EpisodeRules
     agent: Agent
     seed: int
     name: str = "episodes"
-    version: int = 3
-    tables: tuple[str, ...] = ("placements", "unplaced", "rejections")
+    version: int = 4
+    tables: tuple[str, ...] = ("placements", "unplaced", "rejections", "funnel")
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "stops", "candidates")
     reads_inputs: bool = True
 
     def parameters(self, unit: Unit) -> JSON:
         return {
             "rules": asdict(self.rules),
-            "wanted": {str(category): count for category, count in self.wanted.items()},
+            "wanted": [asdict(cell) for cell in self.wanted],
             "label_cap": self.label_cap,
             "preamble": self.preamble,
             "agent": asdict(self.agent),
@@ -266,7 +271,7 @@ class EpisodeStage(Stage):
 
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
         scene = _scene(unit, upstream)
-        candidates = programs_from_table(upstream["candidates"])
+        candidates = self._candidates(upstream["candidates"])
         if scene.navmesh is None:
             return self._without_navmesh(scene, candidates)
         placer = Placer(
@@ -294,18 +299,31 @@ class EpisodeStage(Stage):
                 "placements": placements_table(scene.scene_id, pool, compositions, scene.navmesh.sha256),
                 "unplaced": unplaced_table(()),
                 "rejections": rejections_table(scene.scene_id, self.name, pool.rejections, pool.examples),
+                "funnel": funnel_table(scene.scene_id, self.wanted, pool),
             },
             measures={"episodes": float(len(pool.episodes)), "candidates": float(len(candidates))},
         )
 
-    def _without_navmesh(self, scene: Scene, candidates: list[tuple[str, Program]]) -> StageOutput:
+    def _candidates(self, table: pa.Table) -> list[Candidate]:
+        named = {cell.name: cell for cell in self.wanted}
+        cells = table[CELL.name].to_pylist()
+        return [
+            Candidate(name, program, named[cell])
+            for (name, program), cell in zip(programs_from_table(table), cells, strict=True)
+        ]
+
+    def _without_navmesh(self, scene: Scene, candidates: list[Candidate]) -> StageOutput:
         """Instructions as many as wanted; every candidate counts as one that could not be placed."""
-        refused = Counter((program.category, "no_navmesh") for _, program in candidates)
+        pool = Pool()
+        for candidate in candidates:
+            pool.candidates[candidate.cell] += 1
+            pool.reject(candidate, "no_navmesh")
         return StageOutput(
             tables={
                 "placements": PLACEMENTS.empty_table(),
-                "unplaced": unplaced_table(unplaced_programs(candidates, self.wanted)),
-                "rejections": rejections_table(scene.scene_id, self.name, refused),
+                "unplaced": unplaced_table(unplaced_programs(candidates)),
+                "rejections": rejections_table(scene.scene_id, self.name, pool.rejections, pool.examples),
+                "funnel": funnel_table(scene.scene_id, self.wanted, pool),
             },
             measures={"episodes": 0.0, "candidates": float(len(candidates))},
         )

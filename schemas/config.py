@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from schemas.base import Document, Finite
+from schemas.episode import Composition
 from schemas.program import CATEGORIES, Category
 
 __all__ = [
@@ -19,6 +20,7 @@ __all__ = [
     "Config",
     "EpisodeConfig",
     "Family",
+    "InstructionCell",
     "InstructionsConfig",
     "KeepConfig",
     "RayConfig",
@@ -90,11 +92,24 @@ class Thresholds(Document):
         return self
 
 
+class InstructionCell(Document):
+    """A cell of the axes, and how many episodes of it are wanted a scene; what is not given may be anything."""
+
+    category: Category
+    composition: Composition | None = None
+    observability: Literal["O0f", "O0", "O1", "O2"] | None = Field(None, description="O0f: O0 within the first view")
+    moves: int | None = Field(None, ge=1, le=3, description="moves of every leaf")
+    count: int = Field(ge=1)
+
+
 class InstructionsConfig(Document):
     """What is sampled of each scene."""
 
     per_category: dict[Category, int] = Field(
         default_factory=lambda: dict.fromkeys(CATEGORIES, 20), description="episodes wanted a scene"
+    )
+    cells: tuple[InstructionCell, ...] = Field(
+        (), description="episodes wanted of single cells; takes the place of per_category for their categories"
     )
     candidates_per_episode: int = Field(8, ge=1, description="candidates drawn for each episode wanted")
     moves: tuple[Share, Share, Share] = Field((0.4, 0.4, 0.2), description="shares of leaves with 1, 2, 3 moves")
@@ -110,6 +125,14 @@ class InstructionsConfig(Document):
     def _shares_sum_to_one(self) -> InstructionsConfig:
         if abs(sum(self.moves) - 1.0) > 1e-9:
             raise ValueError("moves: the three shares must sum to 1")
+        return self
+
+    @model_validator(mode="after")
+    def _cells_differ(self) -> InstructionsConfig:
+        axes = [(cell.category, cell.composition, cell.observability, cell.moves) for cell in self.cells]
+        for name in axes:
+            if axes.count(name) > 1:
+                raise ValueError(f"cells: {' '.join(str(part) for part in name if part)} stands there twice; add up")
         return self
 
 

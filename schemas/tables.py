@@ -1,4 +1,4 @@
-"""Arrow schemas of the seven published tables.
+"""Arrow schemas of the eight published tables.
 
 The family of a scene is the partition folder (``source=<family>``), not a column. Coordinates are metres in Habitat's
 frame, rounded to 1 mm. Every nested value is a typed struct, so that DuckDB, Polars and pyarrow read them unaided.
@@ -10,7 +10,18 @@ from typing import Final
 
 import pyarrow as pa
 
-__all__ = ["EPISODES", "INSTRUCTIONS", "OBJECTS", "REJECTIONS", "RELATIONS", "ROOMS", "SCENES", "SORT_KEYS", "TABLES"]
+__all__ = [
+    "EPISODES",
+    "FUNNEL",
+    "INSTRUCTIONS",
+    "OBJECTS",
+    "REJECTIONS",
+    "RELATIONS",
+    "ROOMS",
+    "SCENES",
+    "SORT_KEYS",
+    "TABLES",
+]
 
 _F = pa.float64()
 _S = pa.string()
@@ -210,9 +221,22 @@ REJECTIONS: Final = pa.schema(
         _required("scene_id", _S),
         _required("stage", _S),
         pa.field("category", _S),
+        _required("cell", _S),  # the category, and what else the configuration fixes
         _required("reason", _S),
         _required("count", pa.int64()),
         pa.field("example", _S),
+    ]
+)
+
+FUNNEL: Final = pa.schema(
+    [
+        _required("scene_id", _S),
+        _required("category", _S),
+        _required("cell", _S),
+        _required("wanted", _I),
+        _required("candidates", _I),
+        _required("rejected", _I),  # in placing; candidates = rejected + placed
+        _required("placed", _I),
     ]
 )
 
@@ -224,6 +248,7 @@ TABLES: Final[dict[str, pa.Schema]] = {
     "instructions": INSTRUCTIONS,
     "episodes": EPISODES,
     "rejections": REJECTIONS,
+    "funnel": FUNNEL,
 }
 
 SORT_KEYS: Final[dict[str, tuple[str, ...]]] = {
@@ -233,6 +258,7 @@ SORT_KEYS: Final[dict[str, tuple[str, ...]]] = {
     "relations": ("scene_id", "room_id", "subject", "target", "kind", "predicate"),
     "instructions": ("scene_id", "instruction_id"),
     "episodes": ("scene_id", "episode_id"),
-    "rejections": ("scene_id", "stage", "reason", "category"),
+    "rejections": ("scene_id", "stage", "reason", "cell"),
+    "funnel": ("scene_id", "cell"),
 }
 """Columns that order the rows of each table; together they are unique."""

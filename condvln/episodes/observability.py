@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from condvln.episodes.floor import floor_points
 from condvln.episodes.footprint import Footprint
 from condvln.episodes.goals import wide_islands
-from condvln.episodes.placing import Placement
+from condvln.episodes.placing import Prospect
 from condvln.episodes.rules import EpisodeRules
 from condvln.episodes.view import SceneView
 from condvln.labels import Vocabulary, vocabulary
@@ -28,7 +28,7 @@ from condvln.scene import Scene, SceneObject
 from schemas.episode import Observability
 from schemas.program import Condition, Program
 
-__all__ = ["ConditionEvidence", "Observation", "Observer", "common_prefix"]
+__all__ = ["FIRST_VIEW", "ConditionEvidence", "Observation", "Observer", "common_prefix"]
 
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -41,6 +41,8 @@ PREFIX_SAMPLES: Final = 0.05
 """Metres between the places at which paths are compared."""
 FRONT_FOV: Final = 90.0
 """Degrees, both ways, of the camera of VLN-CE's R2R task."""
+FIRST_VIEW: Final = "O0f"
+"""How a cell asks for O0 within the first view."""
 LEVELS: Final[tuple[Observability, ...]] = ("O0", "O1", "O2")
 """From what is seen at once to what needs a detour."""
 
@@ -63,7 +65,8 @@ class ConditionEvidence:
 class Observation:
     """The observability of an episode: the worst over the conditions that its gold route evaluates.
 
-    in_view : all evidence lies in the first view, 90° wide (O0f); approximate : boxes stood in for surfaces
+    in_view : all evidence lies in the first view, 90° wide (O0f, a part of O0)
+    approximate : boxes stood in for surfaces
     """
 
     evidence: tuple[ConditionEvidence, ...]
@@ -78,6 +81,10 @@ class Observation:
     def in_view(self) -> bool:
         """Whether an agent sees all evidence without turning."""
         return all(e.in_view for e in self.evidence)
+
+    def fits(self, asked: str) -> bool:
+        """Whether it is what a cell asks for: a level, or O0f for O0 in the first view."""
+        return self.in_view if asked == FIRST_VIEW else self.observability == asked
 
 
 class Observer:
@@ -99,12 +106,12 @@ class Observer:
         self._targets: dict[_Target, SightTarget | None] = {}
         self._seen: dict[tuple[_Target, bytes], Bools] = {}
 
-    def observe(self, placed: Sequence[tuple[Program, Placement]]) -> list[Observation]:
-        """The observation of each placed program, in their order."""
+    def observe(self, placed: Sequence[tuple[Program, Prospect]]) -> list[Observation]:
+        """The observation of each program where it is placed, in their order."""
         asked = [
             {k: self._needs(program.conditions[k]) for k in sorted(set(program.route()[0]))} for program, _ in placed
         ]
-        starts = [eyes_at(placement.start, self._rules.eye_height) for _, placement in placed]
+        starts = [eyes_at(prospect.start, self._rules.eye_height) for _, prospect in placed]
         self._look(
             (target, eye)
             for needs, eye in zip(asked, starts, strict=True)
@@ -115,8 +122,8 @@ class Observer:
             {k: self._known(ways, eye) for k, ways in needs.items()} for needs, eye in zip(asked, starts, strict=True)
         ]
         paths = [
-            np.concatenate([eye, self._eyes_on_the_way(placement)])
-            for (_, placement), eye in zip(placed, starts, strict=True)
+            np.concatenate([eye, self._eyes_on_the_way(prospect)])
+            for (_, prospect), eye in zip(placed, starts, strict=True)
         ]
         self._look(
             (target, path)
@@ -126,16 +133,16 @@ class Observer:
             for target in _all(ways)
         )
         found = []
-        for (_, placement), needs, known, eye, path in zip(placed, asked, at_start, starts, paths, strict=True):
+        for (_, prospect), needs, known, eye, path in zip(placed, asked, at_start, starts, paths, strict=True):
             evidence = []
             for k, ways in needs.items():
                 level: Observability = "O0" if known[k] else "O1" if self._known(ways, path) else "O2"
-                evidence.append(ConditionEvidence(k, level, known[k] and self._known(ways, eye, placement.yaw)))
+                evidence.append(ConditionEvidence(k, level, known[k] and self._known(ways, eye, prospect.yaw)))
             found.append(Observation(tuple(evidence), self._view.approximate))
         return found
 
-    def _eyes_on_the_way(self, placement: Placement) -> F64:
-        prefix = common_prefix([leaf.route.path for leaf in placement.leaves])
+    def _eyes_on_the_way(self, prospect: Prospect) -> F64:
+        prefix = common_prefix(prospect.paths)
         return eyes_at(_spaced(prefix, EYE_SPACING)[1:], self._rules.eye_height)
 
     def _needs(self, condition: Condition) -> _Needs:

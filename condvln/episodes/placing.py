@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +25,16 @@ from condvln.scene import Scene, round_mm
 from condvln.seeding import generator
 from schemas.program import Program
 
-__all__ = ["PlacedLeaf", "Placement", "Placer", "Rejected", "heading_degrees", "yaw_quaternion"]
+__all__ = ["PlacedLeaf", "Placement", "Placer", "Prospect", "Rejected", "heading_degrees", "yaw_quaternion"]
 
 F64 = NDArray[np.float64]
 
 COMPASS_STEP: Final = math.pi / 4
 """Yaw grid of texts that name the start heading: the eight compass points."""
+
+
+NOT_FIT: Final = "observability_missed"
+"""Reason why a program has no place although every rule can be kept."""
 
 
 class Rejected(Exception):
@@ -61,6 +65,19 @@ class PlacedLeaf:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class Prospect:
+    """What an agent may see before it must choose: start (3,), yaw in radians about +Y, and the way (n, 3) to each
+    leaf."""
+
+    start: F64
+    yaw: float
+    paths: tuple[F64, ...]
+
+
+Fit: TypeAlias = Callable[[Prospect], float | None]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class Placement:
     """Where an instruction begins and where each of its leaves lies; start (3,), yaw in radians about +Y."""
 
@@ -68,6 +85,11 @@ class Placement:
     yaw: float
     leaves: tuple[PlacedLeaf, ...]
     success_distance: float
+
+    @property
+    def prospect(self) -> Prospect:
+        """What may be seen of it."""
+        return Prospect(self.start, self.yaw, tuple(leaf.route.path for leaf in self.leaves))
 
     @property
     def steps(self) -> int:
@@ -191,10 +213,13 @@ class Placer:
                 if self.gap(one_stop, next_stop) < 2 * self.tau:
                     raise Rejected("moves_too_close")
 
-    def place(self, program: Program, instruction_id: str, *, compass: bool) -> Placement:
+    def place(self, program: Program, instruction_id: str, *, compass: bool, fit: Fit | None = None) -> Placement:
         """One start for `program` under which every leaf keeps every rule; raises `Rejected` with the reason.
 
-        `compass`: the text names the start heading, so that the yaw is a compass point.
+        Parameters
+        ----------
+        compass : the text names the start heading, so that the yaw is a compass point
+        fit : what else the start and the ways must be: the yaw with which they are, or None
         """
         if not len(self.starts):
             raise Rejected("no_start")
@@ -209,9 +234,11 @@ class Placer:
             if compass:
                 yaw = round(yaw / COMPASS_STEP) * COMPASS_STEP
             try:
-                return self._place_at(program, self.starts[k], yaw)
+                return self._place_at(program, self.starts[k], yaw, fit)
             except Rejected as rejected:
                 failures[rejected.reason] += 1
+        if NOT_FIT in failures:
+            raise Rejected(NOT_FIT)
         raise Rejected(max(sorted(failures), key=lambda reason: failures[reason]))
 
     def _starts_in_range(self, program: Program) -> NDArray[np.int64]:
@@ -225,7 +252,7 @@ class Placer:
                 good &= self.field.nearest(rows, move.object_id) > 2 * self.tau
         return np.flatnonzero(good)
 
-    def _place_at(self, program: Program, start: F64, yaw: float) -> Placement:
+    def _place_at(self, program: Program, start: F64, yaw: float, fit: Fit | None) -> Placement:
         routes = []
         for leaf in program.leaves:
             route = self.field.route(start, [move.object_id for move in leaf.moves])
@@ -238,6 +265,11 @@ class Placer:
             for route, leaf in zip(routes, program.leaves, strict=True)
         ]
         self._check_separation(routes, goals)
+        if fit is not None:
+            fitting = fit(Prospect(start, yaw, tuple(route.path for route in routes)))
+            if fitting is None:
+                raise Rejected(NOT_FIT)
+            yaw = fitting
         leaves = []
         for leaf, route, points in zip(program.leaves, routes, goals, strict=True):
             direct = float(self.field.distances(start, leaf.goal.object_id).min())

@@ -54,8 +54,10 @@ REASONS: Final[dict[str, str]] = {
     "path_through_furniture": "the navmesh leads through an object that stands there",
     "over_step_budget": "twice the ground-truth actions exceed the step ceiling",
     "follower_stuck": "an agent that knows the map does not get there with discrete steps",
+    "observability_missed": "no start shows the evidence as the cell asks for it",
+    "program_placed": "the same program has its place already",
     "label_over_cap": "a target's label already has its share of the scene's leaves",
-    "quota_full": "the category has the episodes asked for",
+    "quota_full": "the cell has the episodes asked for, in all or of this gold leaf",
     "no_navmesh": "the scene has no navmesh to place episodes on",
     "no_start": "no navigable start on an island wide enough",
 }

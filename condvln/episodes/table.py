@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, Final
 
@@ -14,15 +14,16 @@ from numpy.typing import NDArray
 from condvln.episodes.observability import Observation
 from condvln.episodes.placing import PlacedLeaf, heading_degrees, yaw_quaternion
 from condvln.episodes.pool import Pool, PooledEpisode
+from condvln.instructions.config import Cell
 from condvln.scene import round_mm
-from schemas.program import Category
-from schemas.tables import EPISODES, REJECTIONS, VEC3
+from schemas.tables import EPISODES, FUNNEL, REJECTIONS, VEC3
 
 __all__ = [
     "PLACEMENTS",
     "STOPS",
     "TEXT_COLUMNS",
     "episode_id",
+    "funnel_table",
     "goals_from_table",
     "placements_table",
     "rejections_table",
@@ -154,19 +155,38 @@ def with_text(placements: pa.Table, texts: Mapping[str, str], max_steps: int, st
 def rejections_table(
     scene_id: str,
     stage: str,
-    counts: Mapping[tuple[Category, str], int],
-    examples: Mapping[tuple[Category, str], str] | None = None,
+    counts: Mapping[tuple[Cell, str], int],
+    examples: Mapping[tuple[Cell, str], str] | None = None,
 ) -> pa.Table:
-    """Counts by (category, reason) as REJECTIONS rows."""
+    """Counts by (cell, reason) as REJECTIONS rows."""
     rows = [
         {
             "scene_id": scene_id,
             "stage": stage,
-            "category": category,
+            "category": cell.category,
+            "cell": cell.name,
             "reason": reason,
             "count": count,
-            "example": (examples or {}).get((category, reason)),
+            "example": (examples or {}).get((cell, reason)),
         }
-        for (category, reason), count in sorted(counts.items(), key=lambda item: (item[0][1], item[0][0]))
+        for (cell, reason), count in sorted(counts.items(), key=lambda item: (item[0][1], item[0][0].name))
     ]
     return pa.Table.from_pylist(rows, schema=REJECTIONS)
+
+
+def funnel_table(scene_id: str, cells: Sequence[Cell], pool: Pool) -> pa.Table:
+    """What came of each cell that was wanted, as FUNNEL rows."""
+    placed = pool.placed
+    rows = [
+        {
+            "scene_id": scene_id,
+            "category": cell.category,
+            "cell": cell.name,
+            "wanted": cell.count,
+            "candidates": pool.candidates[cell],
+            "rejected": sum(count for (of, _), count in pool.rejections.items() if of == cell),
+            "placed": placed[cell],
+        }
+        for cell in cells
+    ]
+    return pa.Table.from_pylist(rows, schema=FUNNEL)

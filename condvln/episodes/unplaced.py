@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 import pyarrow as pa
 
-from schemas.program import Category, Program
+from condvln.episodes.pool import Candidate
+from condvln.instructions.config import Cell
 
 __all__ = ["UNPLACED", "unplaced_programs", "unplaced_table"]
 
@@ -15,24 +16,23 @@ UNPLACED = pa.schema([("instruction_id", pa.string())])
 """Ids of instructions that are published without an episode; kept in the unit."""
 
 
-def unplaced_programs(candidates: Iterable[tuple[str, Program]], wanted: Mapping[Category, int]) -> list[str]:
-    """Ids of the first programs of each category, in their order, up to what is wanted of it.
+def unplaced_programs(candidates: Iterable[Candidate]) -> list[str]:
+    """Ids of the first programs of each cell, in their order, up to what is wanted of it.
 
-    As in a pool of episodes, no gold index gets more than its equal share of a category.
+    As in a pool of episodes, no gold index gets more than its equal share of a cell. Where nobody can stand nothing is
+    seen, so what a cell asks of observability is left open.
     """
-    taken: Counter[Category] = Counter()
-    golds: dict[Category, Counter[int]] = defaultdict(Counter)
-    seen: set[Program] = set()
+    taken: Counter[Cell] = Counter()
+    golds: dict[Cell, Counter[int]] = defaultdict(Counter)
     chosen = []
-    for name, program in candidates:
-        category, gold = program.category, program.gold_leaf()
-        quota = -(-wanted.get(category, 0) // len(program.leaves))
-        if taken[category] >= wanted.get(category, 0) or golds[category][gold] >= quota or program in seen:
+    for candidate in candidates:
+        cell, gold = candidate.cell, candidate.program.gold_leaf()
+        quota = -(-cell.count // len(candidate.program.leaves))
+        if taken[cell] >= cell.count or golds[cell][gold] >= quota:
             continue
-        seen.add(program)
-        taken[category] += 1
-        golds[category][gold] += 1
-        chosen.append(name)
+        taken[cell] += 1
+        golds[cell][gold] += 1
+        chosen.append(candidate.instruction_id)
     return chosen
 
 

@@ -38,6 +38,10 @@ PLAUSIBLE_SHARE: Final = 0.05
 """A label is plausible in a room type when seen in at least this share of its rooms."""
 
 
+SEEN_FACTOR: Final = 3
+"""More candidates are drawn of a cell that asks for an observability: few starts give one that is not O2."""
+
+
 PRESENCE_MARGIN: Final = 0.75
 """Part of the allowed share of label-only conditions that is drawn, so that chance doesn't carry it over the bound."""
 
@@ -56,13 +60,26 @@ class Cell:
     """A cell of the axes that is asked for: a category, and of the rest what is fixed.
 
     composition : C0, C1 or C2; moves : the moves of every leaf, so that their number doesn't tell the gold one
-    weight : share of the category's candidates, relative to its other cells
+    observability : O0, O1 or O2, or O0f for O0 in the first view; it is a matter of placing, not of drawing
+    count : episodes wanted a scene
     """
 
     category: Category
     composition: str | None = None
     moves: int | None = None
-    weight: float = 1.0
+    observability: str | None = None
+    count: int = 0
+
+    @property
+    def name(self) -> str:
+        """What the tables call it: ``nested C2 O1 3 moves``; a category alone where nothing else is fixed."""
+        moves = None if self.moves is None else f"{self.moves} move{'s' if self.moves > 1 else ''}"
+        return " ".join(part for part in (self.category, self.composition, self.observability, moves) if part)
+
+    @property
+    def drawn(self) -> bool:
+        """Whether anything beside the category is fixed."""
+        return self.name != self.category
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +96,7 @@ class InstructionConfig:
     plausible_share : a label is plausible in a room type when seen in this share of its rooms
     preamble : open texts that use compass words with the start heading
     compositions : weights with which C0, C1, C2 are asked for where the scene has the rooms for it
-    cells : what to draw of a category instead of those mixes; categories without a cell are drawn from the mixes
+    cells : what is wanted of a category instead of `per_category`, drawn as asked instead of from those mixes
     group_weights : weights of the predicate groups in conditions; 0 = only where nothing else serves
     leaf_separation_single_room, leaf_separation : least horizontal distance of two stops' centres in metres, used
         where no better knowledge (goal to goal geodesics) is supplied
@@ -107,9 +124,20 @@ class InstructionConfig:
     attempts: int = 12
     draws_per_candidate: int = 20
 
-    def candidates(self, category: Category) -> int:
-        """Candidates wanted of a category."""
-        return self.per_category.get(category, 0) * self.candidates_per_episode
+    def cells_of(self, category: Category) -> tuple[Cell, ...]:
+        """What is wanted of a category: its cells, or its number in `per_category` from the mixes."""
+        asked = tuple(cell for cell in self.cells if cell.category == category)
+        count = self.per_category.get(category, 0)
+        return asked or ((Cell(category, count=count),) if count else ())
+
+    @property
+    def wanted(self) -> tuple[Cell, ...]:
+        """All that is wanted of a scene, in the order of the categories."""
+        return tuple(cell for category in CATEGORIES for cell in self.cells_of(category))
+
+    def candidates(self, cell: Cell) -> int:
+        """Candidates wanted of a cell; more where placing may miss what it asks for."""
+        return cell.count * self.candidates_per_episode * (1 if cell.observability is None else SEEN_FACTOR)
 
     def label_only(self, single_room: bool) -> float:
         """Share of label-only conditions, drawn whatever their truth, so that the kind says nothing about it."""

@@ -33,6 +33,9 @@ __all__ = ["ProgramSampler"]
 WISHES_PER_CANDIDATE: Final = 2
 """Wishes tried for each candidate wanted, so that a scene that can't fulfil some of them still fills its number."""
 
+VAIN_WISHES: Final = 30
+"""Wishes in a row, each drawn many times, after which a cell has given all that it can."""
+
 
 @dataclass(frozen=True, slots=True)
 class _Wish:
@@ -53,7 +56,7 @@ class ProgramSampler:
 
     Attributes
     ----------
-    rejections : how often each (category, reason) ended a draw or cost a part of one another try
+    rejections : how often, for each cell, each reason ended a draw or cost a part of one another try
     """
 
     def __init__(
@@ -69,7 +72,7 @@ class ProgramSampler:
     ) -> None:
         self.scene, self.config, self.seed = scene, config, seed
         self.words = words
-        self.rejections: Counter[tuple[Category, str]] = Counter()
+        self.rejections: Counter[tuple[Cell, str]] = Counter()
         self.referents = {
             room.room_id: Referents.of(room, scene.arrays(room.room_id), facts[room.room_id], words, config.anchor_size)
             for room in sorted(scene.rooms, key=lambda r: r.room_id)
@@ -117,46 +120,58 @@ class ProgramSampler:
 
     def _lot(self, category: Category, used: Counter[str]) -> TargetLot:
         """Goals: labels by weight and rarity, none beyond its share."""
-        most = max(1.0, self.label_cap * self.config.candidates(category) * SHAPES[category].leaves)
+        candidates = sum(self.config.candidates(cell) for cell in self.config.cells_of(category))
+        most = max(1.0, self.label_cap * candidates * SHAPES[category].leaves)
         weights = {t.label: t.weight / (1 + used[t.label]) for t in self.targets if used[t.label] + 1 <= most}
         return TargetLot(self._members, weights)
 
     def candidates(self, category: Category) -> Iterator[Program]:
-        """Up to ``config.candidates(category)`` distinct programs, in a seeded order."""
-        wanted = self.config.candidates(category)
-        if wanted and not self.asker.rooms:
-            self.rejections[category, "nothing_to_ask"] += 1
-            return
-        draws = Draws(generator(self.seed, self.scene.family, self.scene.scene_id, "programs", category))
+        """Distinct programs of all that is wanted of a category, in a seeded order."""
+        return (program for _, program in self.drawn(category))
+
+    def drawn(self, category: Category) -> Iterator[tuple[Cell, Program]]:
+        """Up to ``config.candidates(cell)`` programs of each cell of a category, all distinct, each with its cell."""
         seen: set[Program] = set()
         used: Counter[str] = Counter()
+        for cell in self.config.cells_of(category):
+            for program in self._drawn(cell, seen, used):
+                yield cell, program
+
+    def _drawn(self, cell: Cell, seen: set[Program], used: Counter[str]) -> Iterator[Program]:
+        category, wanted = cell.category, self.config.candidates(cell)
+        if wanted and not self.asker.rooms:
+            self.rejections[cell, "nothing_to_ask"] += 1
+            return
+        purpose = ("programs", category, cell.name) if cell.drawn else ("programs", category)
+        draws = Draws(generator(self.seed, self.scene.family, self.scene.scene_id, *purpose))
         lot = self._lot(category, used)
+        found = failed = 0
         for _ in range(wanted * WISHES_PER_CANDIDATE):
-            if len(seen) >= wanted:
+            if found >= wanted or failed >= VAIN_WISHES:
                 return
+            failed += 1
             # What is hard to draw is not given up for what is easy: a wish stands until it is met.
-            wish = self._wish(category, draws)
+            wish = self._wish(cell, draws)
             for _ in range(self.config.draws_per_candidate):
                 try:
                     program = self._draw(category, wish, draws, lot)
                     if program in seen:
                         raise GivenUp("duplicate")
                 except GivenUp as given_up:
-                    self.rejections[category, given_up.reason] += 1
+                    self.rejections[cell, given_up.reason] += 1
                     continue
                 finally:
-                    self.rejections.update({(category, rule): n for rule, n in self.asker.clashes.items()})
+                    self.rejections.update({(cell, rule): n for rule, n in self.asker.clashes.items()})
                     self.asker.clashes.clear()
                 seen.add(program)
+                found, failed = found + 1, 0
                 used.update(leaf.goal.label for leaf in program.leaves)
                 lot = self._lot(category, used)
                 yield program
                 break
 
-    def _wish(self, category: Category, draws: Draws) -> _Wish:
-        cells = [cell for cell in self.config.cells if cell.category == category]
-        cell = draws.weighted(cells, [c.weight for c in cells]) if cells else Cell(category)
-        wanted = cell.composition
+    def _wish(self, cell: Cell, draws: Draws) -> _Wish:
+        category, wanted = cell.category, cell.composition
         if wanted is None:
             weights = self.config.compositions
             possible = {"C0": self._roomy(category), "C1": len(self._held) > 1, "C2": len(self._held) > 2}

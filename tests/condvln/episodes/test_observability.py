@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from condvln.episodes.floor import FLOOR_POINTS, LIFT, floor_points
 from condvln.episodes.footprint import Footprint
 from condvln.episodes.observability import STRAY, Observation, Observer, common_prefix
-from condvln.episodes.placing import PlacedLeaf, Placement
-from condvln.episodes.routes import Route
+from condvln.episodes.placing import Prospect
 from condvln.episodes.rules import EpisodeRules
 from condvln.episodes.view import SceneView
 from condvln.navigation.pathfinder import Pathfinder
@@ -76,19 +75,15 @@ def asking(*conditions: Condition) -> Program:
     return Program(category=category, conditions=conditions, branches=SHAPES[category].branches, leaves=tuple(leaves))
 
 
-def ways(*paths: list[list[float]], yaw: float = 0.0) -> Placement:
-    """A placement whose leaves are reached along these (x, z) corners, all from the first of the first."""
-    leaves = []
-    for path in paths:
-        corners = np.array([[x, 0.0, z] for x, z in path])
-        length = float(np.linalg.norm(np.diff(corners, axis=0), axis=1).sum())
-        leaves.append(PlacedLeaf((), corners[-1:], Route(corners[-1:], corners, length), length, None))
-    return Placement(np.array([paths[0][0][0], 0.0, paths[0][0][1]]), yaw, tuple(leaves), 1.0)
+def ways(*paths: list[list[float]], yaw: float = 0.0) -> Prospect:
+    """Leaves that are reached along these (x, z) corners, all from the first of the first."""
+    corners = tuple(np.array([[x, 0.0, z] for x, z in path]) for path in paths)
+    return Prospect(corners[0][0], yaw, corners)
 
 
 def observed(
     program: Program,
-    placement: Placement,
+    placement: Prospect,
     *objects: SceneObject,
     geometry: str = "exact",
     rules: EpisodeRules = RULES,
@@ -106,7 +101,7 @@ SURFACES = pytest.mark.parametrize("geometry", ["exact", "approximate"])
 
 @SURFACES
 def test_from_the_start_on_the_way_or_only_by_a_detour(geometry) -> None:
-    def level(condition: Condition, placement: Placement) -> str:
+    def level(condition: Condition, placement: Prospect) -> str:
         return observed(asking(condition), placement, geometry=geometry).observability
 
     assert level(present("lamp", WEST, "lamp"), STAYING) == "O0"

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from scipy.stats import chisquare
 
 from condvln.instructions import Cell, InstructionConfig, LabelPriors, ProgramSampler
@@ -14,6 +15,7 @@ from condvln.instructions.composition import composition
 from condvln.instructions.rejection import REASONS
 from condvln.instructions.stops import Stops
 from condvln.scene import Scene
+from schemas.config import InstructionsConfig
 from schemas.program import CATEGORIES, Condition, Program
 
 ALPHA = 1e-4
@@ -117,8 +119,8 @@ def test_compositions(sampled) -> None:
 def test_a_cell_can_be_asked_for(make_scene, facts_maker, composition_: str, moves: int) -> None:
     scene = make_scene(0, side=8.0)
     facts, bits = facts_maker(scene), LabelPriors.of_scene(scene).bits(scene)
-    cells = (Cell("nested", composition_, moves),)
-    config = InstructionConfig(per_category={"nested": 2}, candidates_per_episode=10, cells=cells)
+    cells = (Cell("nested", composition_, moves, count=2),)
+    config = InstructionConfig(per_category={"nested": 90}, candidates_per_episode=10, cells=cells)
     programs = list(ProgramSampler(scene, facts, bits, config, 0).candidates("nested"))
     assert {composition(p) for p in programs} == {composition_}
     assert {len(leaf.moves) for p in programs for leaf in p.leaves} == {moves}
@@ -127,11 +129,12 @@ def test_a_cell_can_be_asked_for(make_scene, facts_maker, composition_: str, mov
 
 def test_a_cell_that_cannot_be_had_says_why(make_scene, facts_maker) -> None:
     scene = make_scene(0, ("apartment",), 20)
-    config = InstructionConfig(per_category={"nested": 1}, candidates_per_episode=5, cells=(Cell("nested", "C2"),))
+    cell = Cell("nested", "C2", count=1)
+    config = InstructionConfig(candidates_per_episode=5, cells=(cell,))
     bits = LabelPriors.of_scene(scene).bits(scene)
     sampler = ProgramSampler(scene, facts_maker(scene), bits, config, 0)
     assert list(sampler.candidates("nested")) == []
-    assert set(sampler.rejections) == {("nested", "no_targets")}
+    assert set(sampler.rejections) == {(cell, "no_targets")}
 
 
 def test_reasons_are_named(sampled) -> None:
@@ -181,4 +184,40 @@ def test_a_scene_with_nothing_to_tell_apart_yields_nothing_and_says_so(make_scen
     same = replace(scene, objects=tuple(replace(o, label="chair") for o in scene.objects))
     sampler = ProgramSampler(same, facts_maker(same), LabelPriors.of_scene(same).bits(same), InstructionConfig(), 0)
     assert list(sampler.candidates("simple")) == []
-    assert sampler.rejections == {("simple", "nothing_to_ask"): 1}
+    assert sampler.rejections == {(Cell("simple", count=20), "nothing_to_ask"): 1}
+
+
+def test_cells_take_the_place_of_their_category_s_number() -> None:
+    cells = (Cell("chain", "C2", 3, "O1", count=50), Cell("chain", count=7))
+    config = InstructionConfig(per_category={"simple": 4, "chain": 9, "nested": 0}, cells=cells)
+    assert [(cell.name, cell.count) for cell in config.wanted] == [
+        ("simple", 4),
+        ("chain C2 O1 3 moves", 50),
+        ("chain", 7),
+    ]
+
+
+def test_two_cells_of_one_category_share_no_program(make_scene, facts_maker) -> None:
+    scene = make_scene(0, side=8.0)
+    bits = LabelPriors.of_scene(scene).bits(scene)
+    cells = (Cell("simple", "C1", 1, count=3), Cell("simple", "C1", 1, "O1", count=1), Cell("simple", count=2))
+    sampler = ProgramSampler(scene, facts_maker(scene), bits, InstructionConfig(cells=cells), 0)
+    drawn = list(sampler.drawn("simple"))
+    assert len({program for _, program in drawn}) == len(drawn)
+    counts = Counter(cell for cell, _ in drawn)
+    assert list(counts) == list(cells)
+    assert all(0 < counts[cell] <= sampler.config.candidates(cell) for cell in cells)
+
+
+@pytest.mark.parametrize(
+    "cells",
+    [
+        [{"category": "simple", "count": 0}],
+        [{"category": "simple", "count": 1, "moves": 4}],
+        [{"category": "simple", "count": 1, "observability": "O3"}],
+        [{"category": "simple", "count": 1, "moves": 2}, {"category": "simple", "count": 5, "moves": 2}],
+    ],
+)
+def test_cells_that_cannot_be_meant_are_refused(cells) -> None:
+    with pytest.raises(ValidationError):
+        InstructionsConfig(cells=cells)

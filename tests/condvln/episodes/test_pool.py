@@ -1,0 +1,125 @@
+"""Pools on a floor made here: every cell gets what it asks for, or each candidate is counted under what it fails."""
+
+from __future__ import annotations
+
+from collections import Counter
+from itertools import permutations
+
+import numpy as np
+import pytest
+
+from condvln.episodes.observability import Observer
+from condvln.episodes.placing import Placer
+from condvln.episodes.pool import Candidate, Pool, fill_pool
+from condvln.episodes.rules import REASONS, EpisodeRules
+from condvln.episodes.table import funnel_table, placements_table, rejections_table
+from condvln.episodes.unplaced import unplaced_programs
+from condvln.episodes.view import SceneView
+from condvln.instructions import Cell
+from condvln.navigation.pathfinder import Pathfinder
+from condvln.scene import Scene
+from schemas.program import SHAPES, Condition, Leaf, ObjectRef, Program, RoomRef
+from tests.condvln.episodes.floors import apartment, box, grid_floor, inside
+
+RULES = EpisodeRules()
+ZONE = RoomRef(room_id="zone", label="apartment")
+OBJECTS = (box("sofa", 1, 1), box("sink", 9, 1), box("lamp", 9, 5), box("bed", 1, 5), box("table", 5, 3))
+SCREEN = box("screen", 3, 3, half=0.4, top=2.4)
+NAMES = [o.object_id for o in OBJECTS]
+
+
+@pytest.fixture(scope="module")
+def flat() -> tuple[Scene, Pathfinder]:
+    scene = apartment(*OBJECTS, SCREEN)
+    return scene, grid_floor(10, 6, lambda x, z: any(inside(o, x, z) for o in scene.objects))
+
+
+def asking(first: str, second: str, witness: str, truth: bool) -> Program:
+    """Two stops, and a condition whose evidence is `witness`, or all of the floor."""
+    condition = Condition(
+        label=witness if truth else "piano", room=ZONE, truth=truth, witnesses=(witness,) if truth else ()
+    )
+    leaves = (Leaf(moves=(ObjectRef(object_id=name, label=name, room=ZONE),)) for name in (first, second))
+    return Program(category="simple", conditions=(condition,), branches=SHAPES["simple"].branches, leaves=tuple(leaves))
+
+
+def filled(flat, candidates: list[Candidate], cells: tuple[Cell, ...], label_cap: float = 1.0) -> Pool:
+    scene, pathfinder = flat
+    placer = Placer(scene, pathfinder, RULES, seed=5, max_climb=0.2)
+    observer = Observer(scene, SceneView(scene), pathfinder, RULES, placer.obstacles)
+    return fill_pool(candidates, placer, cells, label_cap, lambda _: True, observer)
+
+
+def drawn(*cells: Cell) -> list[Candidate]:
+    """Every program for every cell, of both truths in turn."""
+    programs = [
+        asking(first, second, witness, truth)
+        for first, second, witness in permutations(NAMES, 3)
+        for truth in (True, False)
+    ]
+    return [Candidate(f"{cell.name} {k}", program, cell) for cell in cells for k, program in enumerate(programs)]
+
+
+LEVELS = ("O0f", "O0", "O1", "O2")
+
+
+def test_every_cell_gets_what_it_asks_for(flat) -> None:
+    cells = tuple(Cell("simple", observability=level, count=6) for level in LEVELS)
+    pool = filled(flat, drawn(*cells), cells)
+    for cell in cells:
+        found = [e for e in pool.episodes if e.candidate.cell == cell]
+        assert found
+        assert all(e.observation.fits(cell.observability) for e in found)
+        golds = Counter(e.program.gold_leaf() for e in found)
+        assert max(golds.values()) <= 3, "no leaf beyond its share of a cell"
+        assert pool.placed[cell] == len(found) <= cell.count
+    # What needs no turning of the head is a part of what is seen from the start.
+    first_view = [e for e in pool.episodes if e.candidate.cell.observability == "O0f"]
+    assert {e.observation.observability for e in first_view} == {"O0"}
+    assert pool.rejections[cells[2], "observability_missed"]
+
+
+def test_every_candidate_is_an_episode_or_is_counted_once(flat) -> None:
+    cells = (Cell("simple", observability="O0", count=5), Cell("simple", moves=1, count=4))
+    candidates = drawn(*cells)
+    pool = filled(flat, candidates, cells, label_cap=0.3)
+    rejections = rejections_table("flat", "episodes", pool.rejections, pool.examples).to_pylist()
+    funnel = funnel_table("flat", cells, pool).to_pylist()
+    assert [row["cell"] for row in funnel] == ["simple O0", "simple 1 move"]
+    for cell, row in zip(cells, funnel, strict=True):
+        rejected = sum(r["count"] for r in rejections if r["cell"] == row["cell"])
+        placed = sum(e.candidate.cell == cell for e in pool.episodes)
+        assert row["candidates"] == sum(c.cell == cell for c in candidates) == rejected + placed
+        assert (row["rejected"], row["placed"], row["wanted"]) == (rejected, placed, cell.count)
+    assert {r["reason"] for r in rejections} <= set(REASONS)
+    rows = placements_table("flat", pool, {e.instruction_id: "C0" for e in pool.episodes}, "0" * 64).to_pylist()
+    for row, episode in zip(rows, pool.episodes, strict=True):
+        assert row["observability"] == episode.observation.observability
+        assert row["evidence"] == [
+            {"condition": 0, "observability": row["observability"], "in_view": row["evidence_in_view"]}
+        ]
+        assert row["observability_approximate"] is True
+
+
+def test_what_is_asked_of_one_cell_leaves_the_others_alone(flat) -> None:
+    plain, seen = Cell("simple", count=6), Cell("simple", observability="O0f", count=6)
+    alone = filled(flat, drawn(plain), (plain,))
+    beside = filled(flat, drawn(plain) + drawn(seen), (plain, seen))
+    kept = [e for e in beside.episodes if e.candidate.cell == plain]
+    assert [e.instruction_id for e in kept] == [e.instruction_id for e in alone.episodes]
+    for one, other in zip(kept, alone.episodes, strict=True):
+        np.testing.assert_array_equal(one.placement.start, other.placement.start)
+        assert one.placement.yaw == other.placement.yaw
+        assert one.observation == other.observation
+    for episode in beside.episodes:  # turned by quarters, so that a compass point stays one
+        assert np.degrees(episode.placement.yaw) / 45 == pytest.approx(round(np.degrees(episode.placement.yaw) / 45))
+
+
+def test_instructions_without_episodes_keep_to_cells_and_gold_balance() -> None:
+    cells = (Cell("simple", observability="O1", count=5), Cell("simple", count=4))
+    candidates = drawn(*cells)
+    chosen = [c for c in candidates if c.instruction_id in set(unplaced_programs(candidates))]
+    assert Counter(c.cell for c in chosen) == {cells[0]: 5, cells[1]: 4}
+    for cell in cells:
+        golds = Counter(c.program.gold_leaf() for c in chosen if c.cell == cell)
+        assert max(golds.values()) - min(golds.values()) <= 1
