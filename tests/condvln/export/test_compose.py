@@ -146,8 +146,12 @@ def test_drawn_scenes_have_the_navmesh_of_their_episodes(made: Path, family: str
     assert with_built_navmesh(scene, geometry, Agent())[1] == whole.navmesh.to_bytes()
 
 
-def test_real_floor_plans_have_the_navmesh_of_their_episodes(real_data: Path) -> None:
-    source = open_source("ithor", real_data / "ithor")
+@pytest.mark.parametrize(
+    ("family", "scenes"),
+    [("ithor", ("*",)), ("procthor", ("houses60-0", "houses60-16", "houses60-33", "houses60-49"))],
+)
+def test_real_scenes_have_the_navmesh_of_their_episodes(real_data: Path, family: str, scenes: tuple[str, ...]) -> None:
+    source = open_source(family, real_data / family, scenes=scenes)
     for handle in source.handles():
         scene = source.read(handle.scene_id)
         geometry = source.geometry(scene)

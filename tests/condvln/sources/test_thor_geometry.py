@@ -241,8 +241,8 @@ def test_a_made_apartment_of_robothor_is_one_floor(tmp_path: Path) -> None:
 
 REAL = {
     "FloorPlan207": (145, 133, 133),
-    # The box of its cooking island is 0.1 m deeper than the knobs on its front, and a chair and a bag of rubbish leave more
-    # room than their boxes do.
+    # The box of its cooking island is 0.1 m deeper than the knobs on its front, and a chair and a bag of rubbish leave
+    # more room than their boxes do.
     "FloorPlan21": (105, 93, 90),
     "FloorPlan306": (93, 94, 91),
     "FloorPlan320": (60, 65, 59),
