@@ -10,8 +10,10 @@ from condvln.export.compose import ComposedScene, compose_scene
 from condvln.export.streams import atomic_stream
 from condvln.export.vlnce import scene_file
 from condvln.navigation.agent import Agent
+from condvln.navigation.navmesh_file import MAX_FILE_BYTES, NavMeshFile, parse_navmesh
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Scene
+from condvln.sources.dataset_root import DatasetRoot
 from condvln.sources.source import Source, hash_file
 from jobs.pipeline import open_configured
 from jobs.report import Report
@@ -25,29 +27,44 @@ SHOWN: Final = 5
 """Objects that are left out are named up to here; ``--json`` has all of them."""
 
 
-def compose(config: Config, scene_id: str, out: Path) -> Report:
+def compose(config: Config, scene_id: str, out: Path, *, own_navmesh: bool = False) -> Report:
     """Write `out` and, with the suffix ``.navmesh``, what the configured agent can walk of it.
 
     Parameters
     ----------
     scene_id : as in the tables; with ``<family>/`` before it where several sources have one of that name
+    own_navmesh : write the navmesh that the dataset ships for the scene in place of the one built of `out`: episodes
+        were placed on it, and their distances hold on it to the last digit
 
     Raises
     ------
-    UsageError : no source, or more than one, has such a scene; `out` is no .glb file
+    UsageError : no source, or more than one, has such a scene; `out` is no .glb file; the dataset ships no navmesh
     InputError : the scene can't be read, or has no surfaces
     """
     if out.suffix != SUFFIX:
         raise UsageError(f"{out} is no {SUFFIX} file", place="OUT.glb", remedy=f"Name it {out.name}{SUFFIX}.")
     source, name = _found(config, scene_id)
     scene = source.read(name)
+    shipped = _shipped(scene) if own_navmesh else None
     composed = compose_scene(scene, source.geometry(scene), Agent(**config.agent.model_dump()))
+    walked = composed.navmesh if shipped is None else shipped
     navmesh = out.with_suffix(".navmesh")
     # The navmesh first: a loader that finds a scene finds its navmesh too.
-    for path, data in ((navmesh, composed.navmesh.to_bytes()), (out, composed.glb)):
+    for path, data in ((navmesh, walked.to_bytes()), (out, composed.glb)):
         with atomic_stream(path) as stream:
             stream.write(data)
-    return _report(scene, composed, out, navmesh)
+    return _report(scene, composed, walked, out, navmesh)
+
+
+def _shipped(scene: Scene) -> NavMeshFile:
+    if scene.navmesh is None:
+        raise UsageError(
+            f"the dataset ships no navmesh of {scene.family}/{scene.scene_id}",
+            place="--own-navmesh",
+            remedy="Leave it out: the navmesh that is built then is the one of the episodes, too.",
+        )
+    files = DatasetRoot(scene.root)
+    return parse_navmesh(files.read(scene.navmesh.path, MAX_FILE_BYTES), str(files.folder / scene.navmesh.path))
 
 
 def _found(config: Config, scene_id: str) -> tuple[Source, str]:
@@ -74,8 +91,8 @@ def _found(config: Config, scene_id: str) -> tuple[Source, str]:
     return found[0]
 
 
-def _report(scene: Scene, composed: ComposedScene, out: Path, navmesh: Path) -> Report:
-    nav = Pathfinder(composed.navmesh)
+def _report(scene: Scene, composed: ComposedScene, walked: NavMeshFile, out: Path, navmesh: Path) -> Report:
+    nav, built = Pathfinder(walked), walked is composed.navmesh
     named = scene_file(scene.family, scene.scene_id)
     document: dict[str, Any] = {
         "scene": f"{scene.family}/{scene.scene_id}",
@@ -87,6 +104,7 @@ def _report(scene: Scene, composed: ComposedScene, out: Path, navmesh: Path) -> 
         "left_out": list(composed.left_out),
         "textures_left_out": composed.textures_left_out,
         "approximate": composed.approximate,
+        "navmesh_built": built,
         "navigable_area": nav.navigable_area,
         "islands": nav.num_islands,
         "scene_id": named,
@@ -95,7 +113,8 @@ def _report(scene: Scene, composed: ComposedScene, out: Path, navmesh: Path) -> 
     lines = [
         f"{out}: {len(composed.glb):,} bytes, {composed.triangles:,} triangles, {len(composed.bodies)} objects"
         + (", drawn as boxes between walls" if composed.approximate else ""),
-        f"{navmesh}: {nav.navigable_area:.2f} m² on {nav.num_islands} islands",
+        f"{navmesh}: {nav.navigable_area:.2f} m² on {nav.num_islands} islands, "
+        + ("built of it" if built or scene.navmesh is None else f"the dataset's {scene.navmesh.path}"),
         f"Episodes name this scene {named}: put both files there, below the loader's data/scene_datasets/.",
     ]
     if composed.left_out:

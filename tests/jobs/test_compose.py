@@ -54,6 +54,17 @@ def test_both_files_are_written_and_again_the_same(tmp_path: Path, datasets: Dat
     assert {file.name: file.read_bytes() for file in out.parent.iterdir()} == first
 
 
+def test_the_datasets_own_navmesh_may_be_kept(tmp_path: Path, datasets: Datasets) -> None:
+    config = configured(tmp_path, datasets, "replicacad", "procthor")
+    report = compose(config, "made_000", tmp_path / "a.glb", own_navmesh=True)
+    shipped = datasets["replicacad"] / "navmeshes_default" / "made_000.navmesh"
+    assert (tmp_path / "a.navmesh").read_bytes() == shipped.read_bytes()
+    assert report.document["navmesh_built"] is False
+    with pytest.raises(UsageError, match="ships no navmesh of procthor/houses-0"):
+        compose(config, "houses-0", tmp_path / "b.glb", own_navmesh=True)
+    assert not (tmp_path / "b.glb").exists()
+
+
 def test_the_navmesh_fits_the_configured_agent(tmp_path: Path, datasets: Datasets) -> None:
     config = configured(tmp_path, datasets, "procthor").model_copy(
         update={"agent": AgentConfig(radius=0.3, height=0.9)}
