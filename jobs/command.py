@@ -233,6 +233,9 @@ def compose(
     config: ConfigPath,
     scene: Annotated[str, typer.Argument(metavar="SCENE", help="scene id; FAMILY/ID where several sources have it")],
     out: Annotated[Path, typer.Argument(metavar="OUT.glb", help="file to write; its navmesh goes beside it")],
+    own_navmesh: Annotated[
+        bool, typer.Option("--own-navmesh", help="write the navmesh that the dataset ships, on which episodes were placed")
+    ] = False,
     overrides: Overrides = None,
     as_json: AsJson = False,
 ) -> None:
@@ -240,7 +243,7 @@ def compose(
     from jobs.compose import compose as compose_scene
     from jobs.configuration import load_config
 
-    _show(compose_scene(load_config(config, overrides or ()), scene, out), as_json)
+    _show(compose_scene(load_config(config, overrides or ()), scene, out, own_navmesh=own_navmesh), as_json)
 
 
 @app.command()
