@@ -234,7 +234,7 @@ def compose(
     scene: Annotated[str, typer.Argument(metavar="SCENE", help="scene id; FAMILY/ID where several sources have it")],
     out: Annotated[Path, typer.Argument(metavar="OUT.glb", help="file to write; its navmesh goes beside it")],
     own_navmesh: Annotated[
-        bool, typer.Option("--own-navmesh", help="write the navmesh that the dataset ships, on which episodes were placed")
+        bool, typer.Option("--own-navmesh", help="write the dataset's own navmesh, on which episodes were placed")
     ] = False,
     overrides: Overrides = None,
     as_json: AsJson = False,
