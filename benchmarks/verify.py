@@ -31,6 +31,8 @@ __all__ = ["main"]
 
 SCENES: Final = 6
 PER_CATEGORY: Final = 20
+ROUNDS: Final = 3
+"""Proofs of the whole export; the quickest counts, since other work on the machine only ever slows one down."""
 TARGET: Final = 1000
 """Episodes a second and core, apart from navmesh work."""
 
@@ -76,16 +78,21 @@ def _measure(export: Path, root: Path) -> None:
         setattr(owner, name, _timed(getattr(owner, name), "navmesh", spent))
     setattr(Shapes, "_placed", _timed(Shapes._placed, "meshes", spent))  # noqa: B010
     read = _timed(source.read, "scenes read", spent)
-    began = time.process_time()
-    proven = sum(c.proven for c in prove_export(export, Rules(), lambda _, scene_id: read(scene_id)))
-    total = time.process_time() - began
     count = sum(len(run.rows) for run in ExportFiles(export).runs())
-    rest = total - spent["navmesh"]
+    rounds = []
+    for _ in range(ROUNDS):
+        spent.clear()
+        began = time.process_time()
+        proven = sum(c.proven for c in prove_export(export, Rules(), lambda _, scene_id: read(scene_id)))
+        total = time.process_time() - began
+        rounds.append((total - spent["navmesh"], total, dict(spent)))
+    rest, total, parts = min(rounds, key=lambda found: found[0])
     print(f"{proven} of {count} episodes proven in {total:.2f} s of one core: {count / total:,.0f} a second")
-    for name, seconds in [*spent.items(), ("everything else", total - spent.total())]:
+    known = sum(parts.values())
+    for name, seconds in [*parts.items(), ("everything else", total - known)]:
         print(f"  {name:<16} {1e6 * seconds / count:8.0f} µs an episode")
     print(f"apart from navmesh work: {count / rest:,.0f} episodes a second (target {TARGET:,})")
-    print(f"apart from reading scenes too: {count / (total - spent.total()):,.0f} episodes a second")
+    print(f"apart from reading scenes too: {count / (total - known):,.0f} episodes a second")
 
 
 def _timed(function: Callable[..., Any], name: str, spent: Counter[str]) -> Callable[..., Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -66,7 +66,7 @@ FACTS: Final[Mapping[str, str]] = {
     "split_leakage": "a scene belongs to one group of splits",
     "program_leakage": "a program of a scene stands in one split",
     "program_once": "a program of a scene has one start, outside of counterfactual groups",
-    "group": "episodes of a counterfactual group share scene, split, category and budget",
+    "group": "episodes of a counterfactual group share all but one condition's truth and the places of two leaves",
     "readable": "the row and its scene can be read",
 }
 """Every kind of fact that is checked."""
@@ -97,7 +97,7 @@ class Certificate:
     source: str
     scene_id: str
     split: str
-    checked: Counter[str] = field(default_factory=Counter)
+    checked: dict[str, int] = field(default_factory=lambda: defaultdict(int))
     conditions: list[dict[str, Any]] = field(default_factory=list)
     disagreements: list[Disagreement] = field(default_factory=list)
 

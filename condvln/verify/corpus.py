@@ -6,6 +6,7 @@ import hashlib
 
 from condvln.verify.certificate import Certificate
 from schemas.evaluation import ManifestEpisode
+from schemas.program import Condition, ObjectRef, Program
 
 __all__ = ["Corpus"]
 
@@ -20,7 +21,7 @@ class Corpus:
         self._episodes: dict[bytes, str] = {}
         self._scenes: dict[tuple[str, str], str] = {}
         self._programs: dict[bytes, tuple[str, str]] = {}
-        self._groups: dict[str, tuple[str, str, str, str, int]] = {}
+        self._groups: dict[str, tuple[tuple[object, ...], Program]] = {}
 
     def check(self, row: ManifestEpisode, split: str, certificate: Certificate) -> None:
         """Hold one more episode against those before it."""
@@ -37,15 +38,41 @@ class Corpus:
         certificate.same("split_leakage", group, first)
         self._check_program(row, place, split, certificate)
         if row.group_id is not None:
-            shared = (row.source, row.scene_id, split, row.category, row.max_steps)
-            certificate.same("group", shared, self._groups.setdefault(row.group_id, shared), row.group_id)
+            self._check_group(row, row.group_id, split, certificate)
 
     def _check_program(self, row: ManifestEpisode, place: str, split: str, certificate: Certificate) -> None:
         unit = row.group_id or row.episode_id
-        key = _digest(place + row.program.model_dump_json())
+        key = _digest(place + _told(row.program))
         its_split, its_unit = self._programs.setdefault(key, (split, unit))
         certificate.same("program_leakage", split, its_split)
         certificate.holds("program_once", unit == its_unit, "one start", f"another, of {its_unit}")
+
+    def _check_group(self, row: ManifestEpisode, group_id: str, split: str, certificate: Certificate) -> None:
+        """Members share all but one condition and the places of two leaves."""
+        shared = (row.source, row.scene_id, split, row.category, row.start_position, row.start_rotation, row.max_steps)
+        first_shared, first = self._groups.setdefault(group_id, (shared, row.program))
+        certificate.same("group", shared, first_shared, group_id)
+        turned = [
+            (one, other) for one, other in zip(first.conditions, row.program.conditions, strict=False) if one != other
+        ]
+        opposite = all(one.truth != other.truth for one, other in turned)
+        certificate.holds("group", len(turned) <= 1 and opposite, "one condition turned", len(turned), group_id)
+        moved = [pair for pair in zip(first.leaves, row.program.leaves, strict=False) if pair[0] != pair[1]]
+        exchanged = not moved or (len(moved) == 2 and moved[0] == moved[1][::-1])
+        certificate.holds("group", exchanged, "two leaves exchanged", len(moved), group_id)
+
+
+def _told(program: Program) -> str:
+    """A program by all that tells it from another of its scene; a third of the time that its JSON takes."""
+    conditions = [(c.label, c.truth, *_ids(c)) for c in program.conditions]
+    leaves = [[(move.object_id, *_ids(move)) for move in leaf.moves] for leaf in program.leaves]
+    return repr((program.category, conditions, leaves))
+
+
+def _ids(named: Condition | ObjectRef) -> tuple[str | None, ...]:
+    qualifier = named.qualifier
+    of_qualifier = (None, None) if qualifier is None else (qualifier.predicate, qualifier.anchor_id)
+    return (named.room.room_id, named.room.anchor_id, *of_qualifier)
 
 
 def _digest(text: str) -> bytes:

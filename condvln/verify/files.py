@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -76,13 +76,19 @@ class ExportFiles:
         """The scenes, each once where all files have them in one order, as exports do."""
         cursors = [_SplitCursor(self.folder, split, self.unread) for split in self.splits]
         while waiting := [cursor.scene for cursor in cursors if cursor.scene is not None]:
-            run = SceneRun(*min(waiting))
-            for cursor in cursors:
-                while cursor.scene == (run.source, run.scene_id):
-                    run.rows.append(cursor.take())
-            yield run
+            # Not held here while the reader is at it, so that it goes when the reader is done.
+            yield _taken(cursors, *min(waiting))
         for cursor in cursors:
             cursor.close()
+
+
+def _taken(cursors: Sequence[_SplitCursor], source: str, scene_id: str) -> SceneRun:
+    """The rows of one scene out of all splits."""
+    run = SceneRun(source, scene_id)
+    for cursor in cursors:
+        while cursor.scene == (source, scene_id):
+            run.rows.append(cursor.take())
+    return run
 
 
 class _SplitCursor:

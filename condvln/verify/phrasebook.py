@@ -17,10 +17,12 @@ import yaml
 
 from condvln.verify.words import package_data, words
 
-__all__ = ["END", "Match", "Phrasebook", "phrasebook"]
+__all__ = ["SO_FAR", "Matches", "Phrasebook", "phrasebook"]
 
 END: Final = ""
 """Key of a node under which the phrases that end there stand; no word is empty."""
+SO_FAR: Final = "\n"
+"""Key of a node under which all phrases on the way to it stand, by kind; no word is white space."""
 
 _TOKEN: Final = re.compile(r"[^\s,.;:]+|[,.;:]")
 _ARTICLES: Final = {"{a}": "indefinite", "{none}": "none"}
@@ -29,13 +31,15 @@ Match = tuple[str, str, frozenset[str]]
 """Kind of phrase, what it stands for, and the classes of noun that its article goes with."""
 
 Node = dict[str, Any]
+Matches = dict[str, tuple[tuple[int, str, frozenset[str]], ...]]
+"""By kind of phrase (number of words, what it stands for, classes of noun)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Phrasebook:
     """The phrases of one language.
 
-    tree : words to nodes; under `END` the matches of the phrase that ends there
+    tree : words to nodes; under `END` the matches of the phrase that ends there, under `SO_FAR` those before it too
     contractions : words that stand for several, by the word
     """
 
@@ -80,7 +84,19 @@ def phrasebook(code: str = "en") -> Phrasebook:
     for kind, entries in (("noun", _nouns(code, "nouns")), ("room", _nouns(code, "rooms"))):
         for label, (noun, noun_class) in entries.items():
             book.add(noun, kind, label, (noun_class,))
+    _gather(book.tree, 0, {})
     return book
+
+
+def _gather(node: Node, words_so_far: int, before: Matches) -> None:
+    """Give each node the phrases on the way to it."""
+    found = dict(before)
+    for kind, value, classes in node.get(END, ()):
+        found[kind] = (*found.get(kind, ()), (words_so_far, value, classes))
+    for word, below in node.items():
+        if word != END:
+            _gather(below, words_so_far + 1, found)
+    node[SO_FAR] = found
 
 
 def _with_articles(phrase: str, articles: Mapping[str, Mapping[str, str]]) -> Iterator[tuple[str, frozenset[str]]]:

@@ -12,28 +12,29 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from condvln.navigation.follower import Follower
 from condvln.scene import Scene
 from condvln.verify.certificate import Certificate
 from condvln.verify.heading import yaw_of
+from condvln.verify.kernels.separation import clearances, near_goals
 from condvln.verify.rules import Rules
 from condvln.verify.standing import Obstacles, Reach
-from condvln.verify.walks import Walks
+from condvln.verify.walks import Point, Walks
 from schemas.episode import EpisodeLeaf
 from schemas.evaluation import ManifestEpisode
 
 __all__ = ["check_placement"]
 
-F64 = NDArray[np.float64]
-
 MILLIMETRE: Final = 0.001
 """How far re-derived lengths and corners may be from the published ones."""
+GROUP_SIZE: Final = 4
+"""Episodes of a counterfactual group: two truths of a condition, two orders of leaves."""
 ROUNDING: Final = 1e-6
 """Metres by which a distance may fall short of a bound that it was held to in other arithmetic."""
 ON_FLOOR: Final = 0.05
 """Metres that snapping may move a point that stands on the floor."""
+LEAF_NAMES: Final = tuple(f"leaf {k}" for k in range(8))
 DETOUR: Final = 1.0
 """Metres that the way between two goals of one object may be longer than half way round it; more means a wall."""
 
@@ -42,14 +43,15 @@ DETOUR: Final = 1.0
 class _Leaf:
     """One leaf, with the indices of its points and of the questions about them.
 
-    path (n, 3), goal_points (k, 3) : the published ones
+    away, here : of its goals, metres from the object, and whether all are on its floor and in its room; empty if there
+    is no such object
     direct : from the start to the goals; final : from the last stop to the goals; first : from the start to the
     subgoals; around : from the goal nearest to the object to all; legs : from stop to stop
     """
 
     leaf: EpisodeLeaf
-    path: F64
-    goal_points: F64
+    away: tuple[float, ...]
+    here: tuple[bool, ...]
     stops: tuple[int, ...]
     goals: tuple[int, ...]
     direct: tuple[int, ...]
@@ -61,11 +63,16 @@ class _Leaf:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Placed:
-    """A row's start, leaves, and the questions about the gaps between every two leaves."""
+    """A row's start and leaves.
+
+    gaps : by two leaves the questions about their goals, where a straight line does not tell that they are apart
+    clearances (l, l) : least metres from each leaf's path to another leaf's goals
+    """
 
     start: int
     leaves: tuple[_Leaf, ...]
     gaps: dict[tuple[int, int], list[int]]
+    clearances: list[list[float]]
 
 
 def check_placement(
@@ -76,17 +83,50 @@ def check_placement(
     rules: Rules,
 ) -> None:
     """Everything about the episodes of one scene that has a place."""
+    lines = _Lines(rows)
     checker = _Checker(scene, rules)
-    placed = [checker.note(row) for row in rows]
+    placed = checker.note(rows, lines)
     checker.walks.ask(follower.pathfinder)
     obstacles = Obstacles(scene, follower.pathfinder, rules.agent.max_climb)
-    checker.blocked = obstacles.holding(np.array(checker.walks.positions).reshape(-1, 3))
-    crossed = iter(obstacles.crossed([leaf.path for places in placed for leaf in places.leaves]))
+    checker.look_out(obstacles)
+    crossed = iter(obstacles.crossed(lines.corners, lines.corner_ends))
+    groups = _Groups(rows)
     for row, certificate, places in zip(rows, certificates, placed, strict=True):
         met = [next(crossed) for _ in row.leaves]
         certificate.holds("in_the_way", met.count(None) == len(met), "free paths", met, "paths")
         checker.check(row, places, certificate)
-        _check_budget(row, follower, rules, certificate)
+        _check_budget(row, groups, follower, rules, certificate)
+
+
+class _Lines:
+    """Paths and goals of all leaves of a scene's rows, one after the other.
+
+    corners (n, 3), goals (m, 3); corner_ends, goal_ends (l,) : where each leaf's end; row_ends (r,) : where each
+    row's leaves end
+    """
+
+    def __init__(self, rows: Sequence[ManifestEpisode]) -> None:
+        leaves = [leaf for row in rows for leaf in row.leaves]
+        self.corners = np.array([point for leaf in leaves for point in leaf.reference_path])
+        self.goals = np.array([point for leaf in leaves for point in leaf.goals])
+        self.corner_ends = np.cumsum([len(leaf.reference_path) for leaf in leaves])
+        self.goal_ends = np.cumsum([len(leaf.goals) for leaf in leaves])
+        self.row_ends = np.cumsum([len(row.leaves) for row in rows])
+
+    def clearances(self) -> list[list[float]]:
+        """By leaf the metres from its path to the goals of each leaf of its row; infinite to its own.
+
+        A straight line is never longer than a way, so that a path that keeps clear by it never enters the ball.
+        """
+        widest = int(np.diff(self.row_ends, prepend=0).max())
+        squares = clearances(self.corners, self.corner_ends, self.goals, self.goal_ends, self.row_ends, widest)
+        found: list[list[float]] = np.sqrt(squares).tolist()
+        return found
+
+    def near_goals(self, within: float) -> list[list[int]]:
+        """Pairs of goals so close that they may tell the gap of two leaves: a way is no shorter than the line."""
+        found: list[list[int]] = near_goals(self.goals, self.goal_ends, self.row_ends, within).tolist()
+        return found
 
 
 class _Checker:
@@ -99,15 +139,32 @@ class _Checker:
         self.separation = 2 * self.success + episodes.leaf_gap
         self.walks = Walks()
         self.reach = Reach(scene)
-        self.blocked: list[str | None] = []
+        self._inside: dict[int, str] = {}
+        self._astray: set[int] = set()
 
     # -- what is wanted of the navmesh ---------------------------------------------------------------------------------
 
-    def note(self, row: ManifestEpisode) -> _Placed:
-        """Note every question about a row."""
-        start = self.walks.point(row.start_position)
-        leaves = tuple(self._note_leaf(start, leaf) for leaf in row.leaves)
-        return _Placed(start, leaves, self._note_gaps(leaves))
+    def note(self, rows: Sequence[ManifestEpisode], lines: _Lines) -> list[_Placed]:
+        """Note every question about all rows."""
+        away = lines.clearances()
+        near = iter(lines.near_goals(self.separation))
+        pair = next(near, None)
+        placed = []
+        first, first_goal = 0, 0
+        for row in rows:
+            start = self.walks.point(row.start_position)
+            leaves = tuple([self._note_leaf(start, leaf) for leaf in row.leaves])
+            names = [goal for leaf in leaves for goal in leaf.goals]
+            last = first + len(leaves)
+            gaps: dict[tuple[int, int], list[int]] = {}
+            while pair is not None and pair[0] < last:
+                one, other, goal, other_goal = pair
+                asked = self.walks.pair(names[goal - first_goal], names[other_goal - first_goal])
+                gaps.setdefault((one - first, other - first), []).append(asked)
+                pair = next(near, None)
+            placed.append(_Placed(start, leaves, gaps, [line[: len(leaves)] for line in away[first:last]]))
+            first, first_goal = last, first_goal + len(names)
+        return placed
 
     def _note_leaf(self, start: int, leaf: EpisodeLeaf) -> _Leaf:
         point, pair = self.walks.point, self.walks.pair
@@ -115,12 +172,12 @@ class _Checker:
         subgoals = tuple([point(subgoal.position) for subgoal in leaf.subgoals])
         stops = (start, *subgoals, goals[0])
         direct = tuple([pair(start, goal) for goal in goals])
-        away = [distance for distance, _ in self.reach.around(leaf.object_id, leaf.goals) or ((0.0, True),)]
-        nearest = goals[away.index(min(away))]
+        away, here = self.reach.around(leaf.object_id, leaf.goals)
+        nearest = goals[away.index(min(away))] if away else goals[0]
         return _Leaf(
             leaf=leaf,
-            path=np.array(leaf.reference_path),
-            goal_points=np.array(leaf.goals),
+            away=away,
+            here=here,
             stops=stops,
             goals=goals,
             direct=direct,
@@ -130,20 +187,13 @@ class _Checker:
             legs=tuple([self.walks.leg(one, other) for one, other in pairwise(stops)]),
         )
 
-    def _note_gaps(self, leaves: Sequence[_Leaf]) -> dict[tuple[int, int], list[int]]:
-        """Pairs of goals so close that they may tell the gap of two leaves: a way is no shorter than the line."""
-        points = np.concatenate([leaf.goal_points for leaf in leaves])
-        names = [goal for leaf in leaves for goal in leaf.goals]
-        owners = [k for k, leaf in enumerate(leaves) for _ in leaf.goals]
-        apart = points[:, None] - points[None]
-        near = np.einsum("ijk,ijk->ij", apart, apart) < self.separation**2
-        gaps: dict[tuple[int, int], list[int]] = {
-            (k, j): [] for k in range(len(leaves)) for j in range(k + 1, len(leaves))
-        }
-        for one, other in np.argwhere(near).tolist():
-            if owners[one] < owners[other]:
-                gaps[owners[one], owners[other]].append(self.walks.pair(names[one], names[other]))
-        return gaps
+    def look_out(self, obstacles: Obstacles) -> None:
+        """Note which of the points lie off the floor, and which in what stands on it."""
+        walks = self.walks
+        blocked = obstacles.holding(np.array(walks.positions).reshape(-1, 3))
+        self._inside = {p: name for p, name in enumerate(blocked) if name is not None}
+        moved = zip(walks.sideways, walks.upwards, strict=True)
+        self._astray = {p for p, (sideways, upwards) in enumerate(moved) if not max(sideways, upwards) <= ON_FLOOR}
 
     # -- what comes out ------------------------------------------------------------------------------------------------
 
@@ -155,9 +205,9 @@ class _Checker:
         moves = [[move.object_id for move in leaf.moves] for leaf in row.program.leaves]
         objects = [[*(s.object_id for s in leaf.subgoals), leaf.object_id] for leaf in row.leaves]
         certificate.same("leaf_objects", (numbers, objects), ([*range(len(moves))], moves))
-        for k, leaf in enumerate(placed.leaves):
-            self._check_reach(leaf, certificate, f"leaf {k}")
-            self._check_route(row, leaf, certificate, f"leaf {k}")
+        for leaf, name in zip(placed.leaves, LEAF_NAMES, strict=False):
+            self._check_reach(leaf, certificate, name)
+            self._check_route(row, leaf, certificate, name)
         self._check_apart(placed, certificate)
         if 0 <= row.gold_leaf < len(row.leaves):
             gold = row.leaves[row.gold_leaf]
@@ -166,37 +216,47 @@ class _Checker:
 
     def _check_stand(self, placed: _Placed, certificate: Certificate) -> None:
         walks = self.walks
-        points = {placed.start}.union(*(leaf.stops for leaf in placed.leaves), *(leaf.goals for leaf in placed.leaves))
-        off = [walks.positions[p] for p in points if not max(walks.sideways[p], walks.upwards[p]) <= ON_FLOOR]
+        points = {placed.start}.union(*[leaf.stops + leaf.goals for leaf in placed.leaves])
+        off = [walks.positions[p] for p in sorted(points & self._astray)]
         certificate.holds("standable", not off, "on the floor", off)
         islands = {walks.islands[p] for p in points}
         certificate.holds("island", len(islands) == 1, "one island", sorted(islands))
         radius, least = walks.island_radii[placed.start], self.rules.island_radius
         certificate.holds("island", radius >= least, f"radius of at least {least}", radius, "start")
-        inside = [self.blocked[p] for p in points if self.blocked[p] is not None]
+        inside = [self._inside[p] for p in sorted(points & self._inside.keys())]
         certificate.holds("in_the_way", not inside, "free points", inside)
 
     def _check_reach(self, placed: _Leaf, certificate: Certificate, name: str) -> None:
-        leaf, rules = placed.leaf, self.rules
-        for object_id, positions in (
-            *((subgoal.object_id, (subgoal.position,)) for subgoal in leaf.subgoals),
-            (leaf.object_id, leaf.goals),
-        ):
-            found = self.reach.around(object_id, positions)
-            if found is None:
-                certificate.holds("goal_reach", False, object_id, "no such object", name)
-                continue
-            away = [distance for distance, _ in found]
-            # Farther points only where nothing nearer can be stood on, so never both.
-            reach = rules.goal_reach if min(away) <= rules.goal_reach else rules.goal_reach_at_most
-            certificate.holds("goal_reach", max(away) <= reach + ROUNDING, (object_id, reach), max(away), name)
-            wrong = [position for position, (_, here) in zip(positions, found, strict=True) if not here]
-            certificate.holds("goal_reach", not wrong, ("on the floor and in the room of", object_id), wrong, name)
+        leaf = placed.leaf
+        for subgoal in leaf.subgoals:
+            found = self.reach.around(subgoal.object_id, (subgoal.position,))
+            self._check_near(subgoal.object_id, (subgoal.position,), *found, certificate, name)
+        self._check_near(leaf.object_id, leaf.goals, placed.away, placed.here, certificate, name)
         around = self.reach.half_round(leaf.object_id)
         if around is not None:
             walk = max(self.walks.metres(placed.around))
             certificate.holds("goal_side", walk <= around + DETOUR + ROUNDING, around + DETOUR, walk, name)
-        certificate.holds("goal_side", len(leaf.goals) <= rules.goal_points, rules.goal_points, len(leaf.goals), name)
+        most = self.rules.goal_points
+        certificate.holds("goal_side", len(leaf.goals) <= most, most, len(leaf.goals), name)
+
+    def _check_near(
+        self,
+        object_id: str,
+        positions: Sequence[Point],
+        away: tuple[float, ...],
+        here: tuple[bool, ...],
+        certificate: Certificate,
+        name: str,
+    ) -> None:
+        if not away:
+            certificate.holds("goal_reach", False, object_id, "no such object", name)
+            return
+        # Farther points only where nothing nearer can be stood on, so never both.
+        reach = self.rules.goal_reach if min(away) <= self.rules.goal_reach else self.rules.goal_reach_at_most
+        farthest = max(away)
+        certificate.holds("goal_reach", farthest <= reach + ROUNDING, (object_id, reach), farthest, name)
+        wrong = [] if all(here) else [place for place, good in zip(positions, here, strict=True) if not good]
+        certificate.holds("goal_reach", not wrong, ("on the floor and in the room of", object_id), wrong, name)
 
     def _check_route(self, row: ManifestEpisode, placed: _Leaf, certificate: Certificate, name: str) -> None:
         leaf, walks = placed.leaf, self.walks
@@ -215,19 +275,40 @@ class _Checker:
         certificate.holds("start_apart", nearest > 2 * self.success, 2 * self.success, nearest, name)
 
     def _check_apart(self, placed: _Placed, certificate: Certificate) -> None:
+        n = len(placed.leaves)
+        certificate.checked["leaves_apart"] += n * (n - 1) // 2 - len(placed.gaps)
         for (k, j), pairs in placed.gaps.items():
-            gap = min(self.walks.metres(pairs), default=self.separation)
+            gap = min(self.walks.metres(pairs))
             agreed = gap >= self.separation - ROUNDING
             certificate.holds("leaves_apart", agreed, self.separation, gap, f"leaves {k} and {j}")
-        away = _clearances(placed.leaves)
-        close = np.argwhere(away < self.success - ROUNDING).tolist()
-        for k, j in close:
-            name = f"path of leaf {k} and leaf {j}"
-            certificate.holds("path_apart", False, self.success, float(away[k, j]), name)
-        certificate.checked["path_apart"] += len(away) * (len(away) - 1) - len(close)
+        certificate.checked["path_apart"] += n * (n - 1)
+        for k, away in enumerate(placed.clearances):
+            if min(away) < self.success - ROUNDING:
+                for j, metres in enumerate(away):
+                    if metres < self.success - ROUNDING:
+                        name = f"path of leaf {k} and leaf {j}"
+                        certificate.checked["path_apart"] -= 1
+                        certificate.holds("path_apart", False, self.success, metres, name)
 
 
-def _check_budget(row: ManifestEpisode, follower: Follower, rules: Rules, certificate: Certificate) -> None:
+class _Groups:
+    """Words of the texts of each counterfactual group: all its budgets go by the longest."""
+
+    def __init__(self, rows: Sequence[ManifestEpisode]) -> None:
+        self._words: dict[str, list[int]] = {}
+        for row in rows:
+            if row.group_id is not None:
+                self._words.setdefault(row.group_id, []).append(len(row.instruction_text.split()))
+
+    def words(self, row: ManifestEpisode) -> tuple[int, bool]:
+        """Words that decide a row's budget; whether an unpublished member of its group may have more."""
+        own = [len(row.instruction_text.split())] if row.group_id is None else self._words[row.group_id]
+        return max(own), row.group_id is not None and len(own) < GROUP_SIZE
+
+
+def _check_budget(
+    row: ManifestEpisode, groups: _Groups, follower: Follower, rules: Rules, certificate: Certificate
+) -> None:
     """The budget by the words of the text, and by the actions to the leaf that takes most of them."""
     yaw = yaw_of(row.start_rotation)
     certificate.holds("start_rotation", yaw is not None, "a turn about the vertical", row.start_rotation)
@@ -239,32 +320,16 @@ def _check_budget(row: ManifestEpisode, follower: Follower, rules: Rules, certif
         route = follower.follow(row.start_position, yaw, stops)
         certificate.holds("budget", route.arrived, "a walk that arrives", route.outcome, f"leaf {k}")
         steps = max(steps, len(route.actions))
-    ceiling, words = rules.episodes.max_steps, rules.episodes.steps_per_word * len(row.instruction_text.split())
+    ceiling, per_word = rules.episodes.max_steps, rules.episodes.steps_per_word
     certificate.holds("budget", 2 * steps <= ceiling, f"at most {ceiling}", 2 * steps, "twice the actions")
-    certificate.same("budget", row.max_steps, min(ceiling, max(words, 2 * steps)))
+    words, perhaps_more = groups.words(row)
+    found = min(ceiling, max(per_word * words, 2 * steps))
+    by_words = row.max_steps == ceiling or (row.max_steps < ceiling and row.max_steps % per_word == 0)
+    longer = perhaps_more and found < row.max_steps and by_words
+    certificate.holds("budget", longer or row.max_steps == found, row.max_steps, found)
 
 
 def _are_close(one: Sequence[Sequence[float]], other: Sequence[Sequence[float]]) -> bool:
     if len(one) != len(other):
         return False
     return bool(np.abs(np.array(one) - np.array(other)).max() <= MILLIMETRE + ROUNDING)
-
-
-def _clearances(leaves: Sequence[_Leaf]) -> F64:
-    """(l, l) least straight-line metres from each leaf's path to another leaf's goals; infinite on the diagonal.
-
-    A straight line is never longer than a way, so that a path that keeps clear by it never enters the ball.
-    """
-    begins = np.concatenate([leaf.path[:-1] for leaf in leaves])
-    along = np.concatenate([leaf.path[1:] for leaf in leaves]) - begins
-    goals = np.concatenate([leaf.goal_points for leaf in leaves])
-    squares = (along * along).sum(axis=1)
-    to_goals = goals[None] - begins[:, None]
-    part = np.einsum("ijk,ik->ij", to_goals, along) / np.where(squares > 0.0, squares, 1.0)[:, None]
-    off = to_goals - np.minimum(np.maximum(part, 0.0), 1.0)[..., None] * along[:, None]
-    away = np.sqrt(np.einsum("ijk,ijk->ij", off, off))
-    rows = np.cumsum([0, *(len(leaf.path) - 1 for leaf in leaves[:-1])])
-    columns = np.cumsum([0, *(len(leaf.goals) for leaf in leaves[:-1])])
-    least: F64 = np.minimum.reduceat(np.minimum.reduceat(away, rows, axis=0), columns, axis=1)
-    np.fill_diagonal(least, np.inf)
-    return least

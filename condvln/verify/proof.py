@@ -57,21 +57,29 @@ def prove_export(folder: Path, rules: Rules, read_scene: SceneReader) -> Iterato
     corpus = Corpus()
     shapes: dict[Path, Shapes] = {}
     runs = files.runs()
+
+    def certificates_of_next() -> list[Certificate] | None:
+        run = next(runs, None)
+        if run is None:
+            return None
+        certificates = [_certificate(row) for row in run.rows]
+        try:
+            scene = read_scene(run.source, run.scene_id)
+            own = shapes.setdefault(scene.root, Shapes(scene.root))
+            prove_scene(run.rows, certificates, scene, folder, rules, own)
+        except InputError as error:
+            for certificate in certificates:
+                certificate.holds("readable", False, f"{run.source}/{run.scene_id}", str(error))
+        for row, certificate in zip(run.rows, certificates, strict=True):
+            corpus.check(row.manifest, row.split, certificate)
+        return certificates
+
     while True:
+        # The rows are gone when the collector is on again: it would go through all that still lives.
         with _no_collection():
-            run = next(runs, None)
-            if run is None:
-                break
-            certificates = [_certificate(row) for row in run.rows]
-            try:
-                scene = read_scene(run.source, run.scene_id)
-                own = shapes.setdefault(scene.root, Shapes(scene.root))
-                prove_scene(run.rows, certificates, scene, folder, rules, own)
-            except InputError as error:
-                for certificate in certificates:
-                    certificate.holds("readable", False, f"{run.source}/{run.scene_id}", str(error))
-            for row, certificate in zip(run.rows, certificates, strict=True):
-                corpus.check(row.manifest, row.split, certificate)
+            certificates = certificates_of_next()
+        if certificates is None:
+            break
         yield from certificates
     for entry in files.unread:
         certificate = Certificate(entry.episode_id, "", "", entry.split)

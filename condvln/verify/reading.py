@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
-from condvln.verify.phrasebook import END, Phrasebook, phrasebook
+from condvln.verify.phrasebook import SO_FAR, Matches, Phrasebook, phrasebook
 
 __all__ = ["MAX_CONDITIONS", "Moves", "Named", "Phrase", "Reading", "Unreadable", "read"]
 
@@ -76,9 +76,15 @@ class _State(NamedTuple):
     ifs: tuple[tuple[int, int], ...]
     asked: tuple[tuple[int, int, bool, bool], ...]
 
+    def on(self, at: int) -> _State:
+        """The same at a later place."""
+        return _State(at, self.named, self.rules, self.ifs, self.asked)
+
 
 _Match = tuple[int, str, frozenset[str]]
-_Matches = dict[str, list[_Match]]
+
+_STOPS: Final = frozenset(".;:")
+"""Marks that end a clause which says where to go."""
 
 _SAME_ROOM: Final = Named("", "the same room")
 
@@ -109,7 +115,7 @@ class _Reader:
         self.tokens = book.tokens(text)
         self.furthest = 0
         self.scope: Named | None = None
-        self._matches: dict[int, _Matches] = {}
+        self._matches: dict[int, Matches] = {}
         self._phrases: dict[int, list[tuple[int, Phrase]]] = {}
         self._literals: dict[int, list[tuple[int, bool, Phrase | str]]] = {}
         self._moves: dict[int, list[tuple[int, Moves]]] = {}
@@ -132,23 +138,33 @@ class _Reader:
 
     # -- words and phrases ---------------------------------------------------------------------------------------------
 
-    def _here(self, at: int) -> _Matches:
-        """By kind, the (end, value, classes) of the phrases that begin at a place."""
+    def _here(self, at: int) -> Matches:
+        """By kind, the phrases that begin at a place."""
         found = self._matches.get(at)
         if found is None:
-            found = self._matches[at] = {}
+            if at > self.furthest:
+                self.furthest = at
             node: Any = self.book.tree
-            self.furthest = max(self.furthest, at)
-            for place in range(at, len(self.tokens)):
-                node = node.get(self.tokens[place])
-                if node is None:
+            for token in self.tokens[at:]:
+                below = node.get(token)
+                if below is None:
                     break
-                for kind, value, classes in node.get(END, ()):
-                    found.setdefault(kind, []).append((place + 1, value, classes))
+                node = below
+            found = self._matches[at] = node[SO_FAR]
         return found
 
     def _of(self, at: int, kind: str) -> Sequence[_Match]:
-        return self._here(at).get(kind, ())
+        """(end, value, classes) of the phrases of a kind that begin at a place."""
+        here = self._matches.get(at)
+        if here is None:
+            here = self._here(at)
+        if kind not in here:
+            return ()
+        found = here[kind]
+        if len(found) == 1:
+            words, value, classes = found[0]
+            return ((at + words, value, classes),)
+        return [(at + words, value, classes) for words, value, classes in found]
 
     def _is(self, at: int, mark: str) -> bool:
         return at < len(self.tokens) and self.tokens[at] == mark
@@ -195,11 +211,10 @@ class _Reader:
             found = []
             for end, label in self._definite(at, "noun"):
                 for stop, qualifier in self._qualified(end):
-                    here = self._here(stop)
                     found.append((stop, Phrase(label, qualifier, self.scope)))
-                    for after, _, _ in here.get("in", ()):
+                    for after, _, _ in self._of(stop, "in"):
                         found += [(last, Phrase(label, qualifier, room)) for last, room in self._rooms(after)]
-                    found += [(last, Phrase(label, qualifier, _SAME_ROOM)) for last, _, _ in here.get("same", ())]
+                    found += [(last, Phrase(label, qualifier, _SAME_ROOM)) for last, _, _ in self._of(stop, "same")]
             self._phrases[at] = found
         return self._phrases[at]
 
@@ -236,6 +251,7 @@ class _Reader:
                     yield stop, present, label
 
     def _stops(self, at: int) -> list[tuple[int, Moves]]:
+        """Where to go, up to the end of a clause: nothing stands between the last stop and the mark."""
         if at not in self._moves:
             found: list[tuple[int, Moves]] = []
             for slot in ("go", "first"):
@@ -244,7 +260,8 @@ class _Reader:
                     firsts = [(stop, (thing,)) for stop, thing in self._things(end) if thing.room is not _SAME_ROOM]
                     for stop, moves in firsts:
                         found += self._further(stop, moves)
-            self._moves[at] = list(dict.fromkeys(found))
+            ended = [(end, moves) for end, moves in found if end < len(self.tokens) and self.tokens[end] in _STOPS]
+            self._moves[at] = list(dict.fromkeys(ended))
         return self._moves[at]
 
     def _further(self, at: int, moves: Moves) -> Iterator[tuple[int, Moves]]:
@@ -252,8 +269,9 @@ class _Reader:
         for slot in ("then", "finally"):
             for end, _, _ in self._of(at, slot):
                 for stop, thing in self._things(end):
-                    room = moves[-1].room if thing.room is _SAME_ROOM else thing.room
-                    more = (*moves, thing._replace(room=room))
+                    if thing.room is _SAME_ROOM:
+                        thing = Phrase(thing.label, thing.qualifier, moves[-1].room)
+                    more = (*moves, thing)
                     if slot == "then":
                         yield from self._further(stop, more)
                     else:
@@ -268,43 +286,48 @@ class _Reader:
                 if after.at + 1 == len(self.tokens):
                     yield after
                 else:
-                    yield from self._sentences(after._replace(at=after.at + 1), _ALWAYS)
+                    yield from self._sentences(after.on(after.at + 1), _ALWAYS)
             elif self._is(after.at, ";") or self._is(after.at, ":"):
-                yield from self._sentences(after._replace(at=after.at + 1), its_base)
+                yield from self._sentences(after.on(after.at + 1), its_base)
 
     def _clause(self, state: _State, context: int, base: int) -> Iterator[tuple[_State, int]]:
         """One clause with all that hangs on it, and the base of the clauses after it."""
-        here = self._here(state.at)
-        for end, _, _ in here.get("if", ()):
-            for after, cases in self._guards(state._replace(at=end)):
-                yield from self._comma(after._replace(ifs=(*after.ifs, (context, cases))), context & cases, base)
-        for end, _, _ in here.get("else", ()):
+        at = state.at
+        here = self._here(at)
+        for end, _, _ in self._of(at, "if") if "if" in here else ():
+            for after, cases in self._guards(state.on(end)):
+                opened = _State(after.at, after.named, after.rules, (*after.ifs, (context, cases)), after.asked)
+                yield from self._comma(opened, context & cases, base)
+        for end, _, _ in self._of(at, "else") if "else" in here else ():
             for k, (around, cases) in enumerate(state.ifs):
                 closed = state.ifs[:k] + state.ifs[k + 1 :]
-                yield from self._comma(state._replace(at=end, ifs=closed), around & ~cases, base)
-        for end, _, _ in here.get("check", ()):
-            for after, cases in self._claims(state._replace(at=end), asserted_only=True):
-                yield after._replace(asked=(*after.asked, (context, cases, True, True))), base
+                meant = _State(end, state.named, state.rules, closed, state.asked)
+                yield from self._comma(meant, around & ~cases, base)
+        for end, _, _ in self._of(at, "check") if "check" in here else ():
+            for after, cases in self._claims(state.on(end), asserted_only=True):
+                asking = (*after.asked, (context, cases, True, True))
+                yield _State(after.at, after.named, after.rules, after.ifs, asking), base
         for slot, answer in (("yes", True), ("no", False)):
-            for end, _, _ in here.get(slot, ()):
+            for end, _, _ in self._of(at, slot) if slot in here else ():
                 for k, (around, cases, yes, no) in enumerate(state.asked):
                     if yes if answer else no:
                         left = (around, cases, yes and not answer, no and answer)
                         asked = (*state.asked[:k], left, *state.asked[k + 1 :])
-                        meant = around & (cases if answer else ~cases)
-                        yield from self._comma(state._replace(at=end, asked=asked), meant, base)
+                        answered = _State(end, state.named, state.rules, state.ifs, asked)
+                        yield from self._comma(answered, around & (cases if answer else ~cases), base)
 
     def _comma(self, state: _State, context: int, base: int) -> Iterator[tuple[_State, int]]:
         if self._is(state.at, ","):
-            yield from self._consequence(state._replace(at=state.at + 1), context, base)
+            yield from self._consequence(state.on(state.at + 1), context, base)
 
     def _consequence(self, state: _State, context: int, base: int) -> Iterator[tuple[_State, int]]:
         """What to do in the cases `context`: walk, look further, or ask at once."""
         for end, moves in self._stops(state.at):
-            yield state._replace(at=end, rules=(*state.rules, (context, moves))), base
+            rules = (*state.rules, (context, moves))
+            yield _State(end, state.named, rules, state.ifs, state.asked), base
         for end, _, _ in self._of(state.at, "nest"):
             if self._is(end, ":"):
-                yield from self._clause(state._replace(at=end + 1), context, context)
+                yield from self._clause(state.on(end + 1), context, context)
         yield from self._clause(state, context, base)
 
     def _guards(self, state: _State) -> Iterator[tuple[_State, int]]:
@@ -313,7 +336,7 @@ class _Reader:
             yield after, cases
             for slot in ("and", "but"):
                 for end, _, _ in self._of(after.at, slot):
-                    for last, others in self._claims(after._replace(at=end)):
+                    for last, others in self._claims(after.on(end)):
                         yield last, cases & others
 
     def _claims(self, state: _State, asserted_only: bool = False) -> Iterator[tuple[_State, int]]:
@@ -332,7 +355,8 @@ class _Reader:
             else:
                 k, named = len(named), (*named, what)
             if k < MAX_CONDITIONS:
-                yield state._replace(at=end, named=named), _HOLDS[k] if present else _ALWAYS & ~_HOLDS[k]
+                said = _State(end, named, state.rules, state.ifs, state.asked)
+                yield said, _HOLDS[k] if present else _ALWAYS & ~_HOLDS[k]
 
 
 def _table(state: _State) -> tuple[Moves, ...] | None:

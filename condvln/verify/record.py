@@ -45,6 +45,8 @@ def check_record(row: ManifestEpisode, record: Mapping[str, Any] | None, certifi
         "chain": row.chain,
         "composition": row.composition,
         "observability": row.observability,
+        "evidence_in_view": row.evidence_in_view,
+        "observability_approximate": row.observability_approximate,
         "moves": row.moves,
         "words": row.words,
         "instruction_id": row.instruction_id,

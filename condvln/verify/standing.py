@@ -76,19 +76,23 @@ class Reach:
         self._grounds: dict[str, Ground | None] = {}
         self._known: dict[str, dict[Point, tuple[float, bool]]] = {}
 
-    def around(self, object_id: str, positions: Sequence[Point]) -> list[tuple[float, bool]] | None:
-        """Horizontal metres from the object, and whether the point is on its floor and in its room; None: no such."""
+    def around(self, object_id: str, positions: Sequence[Point]) -> tuple[tuple[float, ...], tuple[bool, ...]]:
+        """Horizontal metres of each position from the object, and whether it is on its floor and in its room.
+
+        Empty where there is no such object.
+        """
         known = self._known.setdefault(object_id, {})
         new = [position for position in positions if position not in known]
         if new:
             ground = self._ground(object_id)
             if ground is None:
-                return None
+                return (), ()
             points = np.array(new)
             room = self._scene.room_of[self._scene.object_of[object_id].room_id]
             here = _in_reach(ground, room, points)
             known.update(zip(new, zip(ground.distances(points).tolist(), here.tolist(), strict=True), strict=True))
-        return [known[position] for position in positions]
+        away, inside = zip(*[known[position] for position in positions], strict=True)
+        return away, inside
 
     def half_round(self, object_id: str) -> float | None:
         """Metres half way round what the object stands over; None of one that the scene does not have."""
@@ -141,13 +145,13 @@ class Obstacles:
         """The obstacle over each of n points (n, 3), None where there is none."""
         return self._met(shapely.points(points[:, [0, 2]]), len(points))
 
-    def crossed(self, paths: Sequence[F64]) -> list[str | None]:
-        """The obstacle that each path (k, 3) leads through, None where there is none."""
-        if not paths:
-            return []
-        corners = np.concatenate(paths)[:, [0, 2]]
-        owners = np.repeat(np.arange(len(paths)), [len(path) for path in paths])
-        return self._met(shapely.linestrings(corners, indices=owners), len(paths))
+    def crossed(self, corners: F64, ends: NDArray[np.int64]) -> list[str | None]:
+        """The obstacle that each path leads through, None where there is none.
+
+        corners (n, 3) of all paths; ends (k,) : where each path's end
+        """
+        owners = np.repeat(np.arange(len(ends)), np.diff(ends, prepend=0))
+        return self._met(shapely.linestrings(corners[:, [0, 2]], indices=owners), len(ends))
 
     def _met(self, shapes: NDArray[np.object_], count: int) -> list[str | None]:
         met: list[str | None] = [None] * count

@@ -7,6 +7,7 @@ import json
 import shutil
 import subprocess
 import sys
+from itertools import product
 from pathlib import Path
 
 import orjson
@@ -147,13 +148,47 @@ def test_a_program_in_two_splits_is_found(made_export) -> None:
     assert found[1] == ["program_leakage", "program_once"]
 
 
-def test_a_group_shares_its_budget_and_split(made_export) -> None:
-    one, other = (row.manifest for row in made_export.runs[0].rows[:2])
-    one = one.model_copy(update={"group_id": "g", "split": "train"})
-    same = {"group_id": "g", "split": "train", "category": one.category, "max_steps": one.max_steps}
-    assert not disagreements([("train", one), ("train", other.model_copy(update=same))])[1]
-    changed = other.model_copy(update={**same, "max_steps": one.max_steps - 1})
-    assert disagreements([("train", one), ("train", changed)])[1] == ["group"]
+def group_of(row):
+    """The four members of a counterfactual group made from one row: all but the id and what must differ is shared."""
+    program = row.program
+    condition = program.conditions[0]
+    twin = condition.model_copy(update={"truth": not condition.truth, "witnesses": () if condition.truth else ("w",)})
+    members = []
+    for turned, exchanged in product((False, True), repeat=2):
+        leaves = (program.leaves[1], program.leaves[0], *program.leaves[2:]) if exchanged else program.leaves
+        conditions = (twin if turned else condition, *program.conditions[1:])
+        own = program.model_copy(update={"conditions": conditions, "leaves": leaves})
+        name = f"member {turned} {exchanged}"
+        update = {"episode_id": name, "instruction_text": name, "group_id": "g", "split": "train", "program": own}
+        members.append(row.model_copy(update=update))
+    return members
+
+
+def test_a_group_shares_all_that_it_must(made_export) -> None:
+    members = group_of(made_export.rows[0].manifest)
+    assert not any(disagreements(("train", member) for member in members))
+    x, y, z = members[0].start_position
+    for change in (
+        {"max_steps": members[0].max_steps - 1},
+        {"start_position": (x + 0.001, y, z)},
+        {"start_rotation": (0.0, 0.0, 0.0, 1.0001)},
+        {"category": "other"},
+    ):
+        broken = [*members[:3], members[3].model_copy(update=change)]
+        assert disagreements(("train", member) for member in broken)[3] == ["group"]
+
+
+def test_a_group_differs_in_one_condition_and_two_leaves(made_export) -> None:
+    long = next(row.manifest for row in made_export.rows if row.manifest.category == "long_chain")
+    members = group_of(long)
+    conditions, leaves = members[0].program.conditions, members[0].program.leaves
+    for change in (
+        {"conditions": conditions[::-1]},
+        {"leaves": (leaves[1], leaves[2], leaves[0], leaves[3])},
+        {"leaves": (leaves[0], leaves[1], leaves[2], leaves[0])},
+    ):
+        broken = [members[0], members[1].model_copy(update={"program": long.program.model_copy(update=change)})]
+        assert "group" in disagreements(("train", member) for member in broken)[1]
 
 
 def test_the_verifier_runs_none_of_the_code_that_it_verifies() -> None:

@@ -1,0 +1,1 @@
+"""Inherent loops of the proof, compiled."""
