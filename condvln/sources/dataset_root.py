@@ -22,7 +22,9 @@ class DatasetRoot:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._real = Path(os.path.realpath(folder))
+        self._real = os.path.realpath(folder)
+        self._below = self._real.rstrip(os.sep) + os.sep
+        self._inside: set[str] = set()
 
     def join(self, base: str, path: str, *, where: str = "", place: str = "") -> str:
         """`path` as found in a file of folder `base`, normalised and relative to the root.
@@ -45,20 +47,24 @@ class DatasetRoot:
         return joined
 
     def path(self, relative: str) -> Path:
-        """The file or folder itself; checked, because a symlink may lead out of the root.
+        """The file or folder itself; checked once it is there, because a symlink may lead out of the root.
 
         Raises
         ------
         PathEscapeError : a symlink on the way leads out of the root
         """
         path = self.folder / relative
-        real = Path(os.path.realpath(path))
-        if real != self._real and self._real not in real.parents:
+        if relative in self._inside:
+            return path
+        real = os.path.realpath(path)
+        if real != self._real and not real.startswith(self._below):
             raise PathEscapeError(
                 "a symbolic link leads out of the dataset",
                 where=path,
                 remedy="Put the file itself inside the dataset's root folder",
             )
+        if os.path.lexists(path):
+            self._inside.add(relative)
         return path
 
     def has(self, relative: str) -> bool:

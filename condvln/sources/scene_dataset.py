@@ -10,6 +10,7 @@ import glob
 import posixpath
 from collections import Counter
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Final
 
 from condvln.sources.dataset_root import DatasetRoot
@@ -23,6 +24,9 @@ __all__ = ["CONFIG_SUFFIX", "Attribute", "SceneDataset", "Template"]
 CONFIG_SUFFIX: Final = ".scene_dataset_config.json"
 MAX_JSON_BYTES: Final = 64 << 20
 """ReplicaCAD's largest document has 50 kB, the largest scene dataset config known 20 MB."""
+
+KEPT_URDF_BYTES: Final = 1 << 18
+"""Largest URDF file whose meaning is remembered; ReplicaCAD's have 10 kB."""
 
 _KINDS: Final[dict[str, tuple[str, ...]]] = {
     "stages": (".stage_config.json",),
@@ -84,6 +88,10 @@ class _Index:
     loaded: dict[str, Template] = field(default_factory=dict)
 
 
+_known_urdf = lru_cache(maxsize=64)(read_urdf)
+"""Scenes of one dataset share a handful of bodies; known by their bytes, so that a changed file is read anew."""
+
+
 class SceneDataset:
     """The dataset under `root`, as it is on disk when this is made.
 
@@ -123,7 +131,8 @@ class SceneDataset:
         InputError : it is missing or malformed
         """
         if path not in self._bodies:
-            self._bodies[path] = read_urdf(self.root.read(path, MAX_URDF_BYTES), str(self.root.folder / path))
+            data, where = self.root.read(path, MAX_URDF_BYTES), str(self.root.folder / path)
+            self._bodies[path] = (_known_urdf if len(data) <= KEPT_URDF_BYTES else read_urdf)(data, where)
         return self._bodies[path]
 
     def scenes(self) -> dict[str, str]:
