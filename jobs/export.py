@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final, TypedDict
 
+from condvln.export.graph_episodes import GraphEpisodes
 from condvln.export.graphs import GraphFolder
 from condvln.export.rows import Row
 from condvln.export.scene_table import NavmeshBytes
 from condvln.export.snapshot import ExportConfig, export_snapshot, exported_snapshot
 from condvln.export.tables import FolderTables
+from condvln.export.viewpoints import FOLDER, write_viewpoints
 from factory.snapshot import Snapshot, read_manifest, read_ref
 from jobs.bias import add_bias
 from jobs.oracle import linear_text
@@ -20,7 +22,7 @@ from schemas.config import Config
 from schemas.errors import ConfigError, CorruptShardError, StoreError
 from schemas.program import Program
 
-__all__ = ["built_navmeshes", "export_snapshot_of", "run_export"]
+__all__ = ["add_viewpoints", "built_navmeshes", "export_snapshot_of", "run_export"]
 
 
 _CONNECTIVITY: Final = "connectivity"
@@ -75,7 +77,24 @@ def export_snapshot_of(config: Config) -> Report:
         sections.append(Section("Cells that are short", columns, [*short]))
     report = Report(done.document(), lines, sections)
     add_bias(report, done.bias, config.splits.bias)
+    add_viewpoints(report, config, snapshot)
     return report
+
+
+def add_viewpoints(report: Report, config: Config, snapshot: Snapshot) -> None:
+    """Place the instructions of scans without a mesh on their viewpoint graphs, where there are such, and say so."""
+    assert config.export is not None
+    graphs = _graphs(config)
+    if not graphs:
+        return
+    tables = FolderTables(snapshot_folder(config.store, snapshot))
+    episodes = GraphEpisodes(tables, graphs, config.splits, config.seed, config.instructions.preamble)
+    done = write_viewpoints(config.export, episodes, snapshot.snapshot_id, episodes.left_out)
+    if done.episodes or done.left_out:
+        report.document["viewpoints"] = done.document()
+        made = ", ".join(f"{count} {split}" for split, count in done.episodes.items()) or "none"
+        refused = ", ".join(f"{count} {reason}" for reason, count in done.left_out.items()) or "none"
+        report.lines.append(f"on viewpoints alone, in {config.export / FOLDER}: {made}; left out: {refused}")
 
 
 def _linear_text(seed: int, preamble: bool) -> Callable[[Row, Row], str]:

@@ -14,7 +14,7 @@ from factory.executor import Executor, InlineExecutor
 from factory.report import ABORTED, RunReport
 from factory.run import run
 from factory.unit import Unit
-from jobs.export import export_snapshot_of
+from jobs.export import add_viewpoints, export_snapshot_of
 from jobs.pipeline import build_pipeline, list_units
 from jobs.progress import LoggedRun, RunProgress
 from jobs.report import Report, Section
@@ -102,8 +102,10 @@ def bring_up_to_date(
 
 def add_export(report: Report, config: Config) -> None:
     """Export what is published, and say so in `report`."""
-    if not published(config).manifest.tables["episodes"].rows:
-        report.lines.append("no episodes, so nothing is exported; the tables scenes and rejections say why")
+    snapshot = published(config)
+    if not snapshot.manifest.tables["episodes"].rows:
+        report.lines.append("no episodes on a navmesh to export; the tables scenes and rejections say why")
+        add_viewpoints(report, config, snapshot)
         return
     exported = export_snapshot_of(config)
     report.document["export"] = exported.document

@@ -1,0 +1,145 @@
+"""Programs placed on a graph of viewpoints, for scans of which nothing but the annotation and the graph is there.
+
+R2R's rules stand in place of a navmesh's: an agent stops at a viewpoint and is judged by 3 m along the graph (Anderson
+et al., Vision-and-Language Navigation, CVPR 2018).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations, pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from shapely import Polygon, contains_xy
+
+from condvln.episodes.footprint import Footprint
+from condvln.navigation.graph_pathfinder import GraphPathfinder
+from condvln.scene import Room, Scene, SceneObject
+from condvln.seeding import generator
+from schemas.program import Program
+
+__all__ = ["REASONS", "GraphLeaf", "GraphPlacement", "GraphPlacer", "NotOnGraph"]
+
+F64 = NDArray[np.float64]
+
+REACH: Final = 3.0
+"""Metres from an object's box to the viewpoint that stands for it, and R2R's success distance."""
+FARTHEST: Final = 30.0
+"""Metres along the graph from the start to a leaf, as on a navmesh."""
+STOREY: Final = 2.5
+"""Metres a camera may hang above the floor of its room."""
+
+REASONS: Final = {
+    "object_without_viewpoint": "no viewpoint of its room lies within 3 m of the object",
+    "leaves_too_close": "two leaves lie less than 3 m apart on the graph",
+    "one_viewpoint": "two stops that follow each other stand at one viewpoint",
+    "no_start_in_range": "no viewpoint has every leaf 3 to 30 m away and no other leaf on the way",
+}
+"""Why a program can't be placed on a graph."""
+
+
+class NotOnGraph(Exception):
+    """The program can't be placed; the text is one of REASONS."""
+
+
+@dataclass(frozen=True, slots=True)
+class GraphLeaf:
+    """A leaf as if it were gold: viewpoints of its stops and of the way from the start, length along the graph."""
+
+    stops: tuple[str, ...]
+    path: tuple[str, ...]
+    direct: float
+    length: float
+
+
+@dataclass(frozen=True, slots=True)
+class GraphPlacement:
+    """Start viewpoint, yaw in radians about +Y, and every leaf."""
+
+    start: str
+    yaw: float
+    leaves: tuple[GraphLeaf, ...]
+
+
+class GraphPlacer:
+    """Places programs on the viewpoints of one scan; pure in (scene, graph, seed)."""
+
+    def __init__(self, scene: Scene, graph: GraphPathfinder, seed: int) -> None:
+        self._scene, self._graph, self._seed = scene, graph, seed
+        self._places = graph.graph.positions.astype(np.float64)
+        self._in_room = {room.room_id: self._of_room(room) for room in scene.rooms}
+        self._nearest: dict[str, str | None] = {}
+
+    def viewpoint(self, item: SceneObject) -> str | None:
+        """The viewpoint of the object's room nearest to its box; None where none is within reach."""
+        if item.object_id not in self._nearest:
+            self._nearest[item.object_id] = self._find(item)
+        return self._nearest[item.object_id]
+
+    def place(self, program: Program, instruction_id: str, *, compass: bool) -> GraphPlacement:
+        """Start and stops of one program; with `compass` the start yaw is a multiple of 45°.
+
+        Raises
+        ------
+        NotOnGraph : with the reason
+        """
+        stops = [tuple(self._stop(move.object_id) for move in leaf.moves) for leaf in program.leaves]
+        goals = [route[-1] for route in stops]
+        if any(self._between(one, other) < REACH for one, other in combinations(goals, 2)):
+            raise NotOnGraph("leaves_too_close")
+        if any(one == other for route in stops for one, other in pairwise(route)):
+            raise NotOnGraph("one_viewpoint")
+        rng = generator(self._seed, self._scene.scene_id, instruction_id, "graph")
+        order = rng.permutation(len(self._graph.graph.ids))
+        yaw = float(np.radians(45.0 * rng.integers(8)) if compass else rng.uniform(-np.pi, np.pi))
+        for number in order.tolist():
+            start = self._graph.graph.ids[number]
+            leaves = self._leaves(start, stops, goals)
+            if leaves is not None:
+                return GraphPlacement(start, yaw, leaves)
+        raise NotOnGraph("no_start_in_range")
+
+    def _leaves(self, start: str, stops: list[tuple[str, ...]], goals: list[str]) -> tuple[GraphLeaf, ...] | None:
+        found = []
+        for route, goal in zip(stops, goals, strict=True):
+            direct = self._between(start, goal)
+            if not REACH <= direct <= FARTHEST or start == route[0]:
+                return None
+            path = [start]
+            for stop in route:
+                path += self._graph.viewpoint_path(path[-1], stop)[1:]
+                if path[-1] != stop:
+                    return None
+            if any(other in path for other in goals if other != goal):
+                return None
+            found.append(GraphLeaf(route, tuple(path), direct, self._graph.path_length(path)))
+        return tuple(found)
+
+    def _stop(self, object_id: str) -> str:
+        found = self.viewpoint(self._scene.object_of[object_id])
+        if found is None:
+            raise NotOnGraph("object_without_viewpoint")
+        return found
+
+    def _between(self, one: str, other: str) -> float:
+        return self._graph.geodesic_distance(self._graph.position(one), self._graph.position(other))
+
+    def _find(self, item: SceneObject) -> str | None:
+        here = self._in_room.get(item.room_id)
+        box = Footprint.of(item) or Footprint(item.center[[0, 2]], np.zeros(2), np.eye(2))
+        if here is None or not here.any():
+            return None
+        away = np.where(here, box.distance(self._places), np.inf)
+        # Cameras that tie (several stand over one box) go by how near its middle they are.
+        middle = np.linalg.norm(self._places[:, [0, 2]] - item.center[[0, 2]], axis=1)
+        best = int(np.lexsort((middle, away))[0])
+        return self._graph.graph.ids[best] if away[best] <= REACH else None
+
+    def _of_room(self, room: Room) -> NDArray[np.bool_]:
+        level = (self._places[:, 1] >= room.floor_y) & (self._places[:, 1] <= room.floor_y + STOREY)
+        if room.polygon is None:
+            return np.asarray(level, dtype=np.bool_)
+        inside = contains_xy(Polygon(room.polygon), self._places[:, 0], self._places[:, 2])
+        return np.asarray(level & inside, dtype=np.bool_)

@@ -1,0 +1,86 @@
+"""The part of an export that lives on viewpoints alone: ``viewpoints/R2R_<split>.json`` and their own manifests.
+
+The folder is read like an export of its own: ``condvln evaluate EXPORT/viewpoints val_unseen …``.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from condvln.export.graph_episodes import GraphEpisode
+from condvln.export.manifest import manifest_row
+from condvln.export.splits import SPLITS
+from condvln.export.streams import ByteStream, JsonArrayStream, atomic_stream
+from condvln.export.vlnce import encode
+
+__all__ = ["FOLDER", "ViewpointReport", "write_viewpoints"]
+
+FOLDER: Final = "viewpoints"
+_SOURCE: Final = "mp3d"
+
+
+@dataclass
+class ViewpointReport:
+    """Episodes by split, the scans they stand in, and what could not be placed by reason."""
+
+    episodes: dict[str, int] = field(default_factory=dict)
+    scans: dict[str, list[str]] = field(default_factory=dict)
+    left_out: dict[str, int] = field(default_factory=dict)
+
+    def document(self) -> dict[str, Any]:
+        """As plain values."""
+        return {"episodes": self.episodes, "scans": self.scans, "left_out": self.left_out}
+
+
+def write_viewpoints(
+    out: Path, episodes: Iterable[GraphEpisode], snapshot: str, left_out: Counter[str] | None = None
+) -> ViewpointReport:
+    """Write the episodes below ``out/viewpoints``, each file complete or not at all; splits without episodes have none.
+
+    Parameters
+    ----------
+    out : the export's folder
+    episodes : scan by scan; one scan's are of one split
+    snapshot : id of the snapshot that they come from
+    left_out : filled by whoever makes the episodes, read when they have ended
+
+    Raises
+    ------
+    StoreError : the disk refused
+    """
+    report = ViewpointReport()
+    folder = out / FOLDER
+    opened: dict[str, tuple[JsonArrayStream, ByteStream]] = {}
+    with ExitStack() as stack:
+        for episode in episodes:
+            split = episode.split
+            if split not in opened:
+                items = stack.enter_context(atomic_stream(folder / f"R2R_{split}.json", closing=b"]\n"))
+                items.write(b"[")
+                manifest = stack.enter_context(atomic_stream(folder / "manifest" / f"{split}.jsonl"))
+                opened[split] = JsonArrayStream(items), manifest
+            items_of, manifest = opened[split]
+            items_of.entry(encode(episode.item))
+            scan = episode.row["scene_id"]
+            names = {
+                "source": _SOURCE,
+                "split": split,
+                "navmesh": f"connectivity/{scan}_connectivity.json",
+                "snapshot": snapshot,
+            }
+            manifest.write(encode(manifest_row(episode.row, episode.instruction, **names)) + b"\n")
+            report.episodes[split] = report.episodes.get(split, 0) + 1
+            scans = report.scans.setdefault(split, [])
+            if scan not in scans:
+                scans.append(scan)
+    report.left_out = dict(sorted((left_out or Counter()).items()))
+    for split in SPLITS:
+        if split not in opened:
+            (folder / f"R2R_{split}.json").unlink(missing_ok=True)
+            (folder / "manifest" / f"{split}.jsonl").unlink(missing_ok=True)
+    return report
