@@ -183,7 +183,8 @@ class Index:
             raise CorruptShardError("the unit index is gone", where=path) from error
         if hashlib.sha256(data).hexdigest()[:32] != hash_:
             raise CorruptShardError("the unit index differs from its hash", where=path)
-        table = pq.read_table(pa.BufferReader(data))
+        # Without threads: those of Arrow may still end while the interpreter does, and abort the process then.
+        table = pq.ParquetFile(pa.BufferReader(data)).read(use_threads=False)
         if not set(_UNIT_FIELDS) <= set(table.column_names):
             raise CorruptShardError("the unit index is of another version", where=path)
         return cls(table)

@@ -226,8 +226,9 @@ def parquet_table(data: Any, where: str, columns: Iterable[str] | None = None) -
     Raises ``CorruptShardError`` when it is not a Parquet file.
     """
     try:
-        table = pq.read_table(
-            pa.BufferReader(data), columns=None if columns is None else list(columns), use_threads=False
+        # Not read_table, which goes by way of Arrow's datasets and their threads even for a buffer.
+        table = pq.ParquetFile(pa.BufferReader(data)).read(
+            columns=None if columns is None else list(columns), use_threads=False
         )
     except (pa.ArrowException, OSError, ValueError) as error:
         raise CorruptShardError(f"not a readable Parquet file: {error}", where=where) from error

@@ -170,6 +170,35 @@ NavmeshRoots = Annotated[
 Graphs = Annotated[
     list[Path] | None,
     typer.Option("--connectivity", help="folder of <scan>_connectivity.json, for discrete R2R"),
+@app.command(
+    epilog="The exit code is that of the verb; 130 after Ctrl-C, when the job goes on.",
+    context_settings={"ignore_unknown_options": True},
+)
+def submit(
+    config: ConfigPath,
+    verb: Annotated[str, typer.Argument(metavar="VERB", help="plan, generate, rebuild, export, verify, …")],
+    arguments: Annotated[
+        list[str] | None, typer.Argument(metavar="ARGUMENTS...", help="further words of the verb's command line")
+    ] = None,
+    address: Annotated[
+        str,
+        typer.Option(metavar="URL", envvar="RAY_API_SERVER_ADDRESS", help="dashboard of the cluster, http://HOST:8265"),
+    ] = "http://127.0.0.1:8265",
+    overrides: Overrides = None,
+    job: Annotated[
+        str | None, typer.Option("--id", metavar="ID", help="submission id; a job of this id is followed, not doubled")
+    ] = None,
+    follow: Annotated[bool, typer.Option(help="follow the log until the job ends")] = True,
+) -> None:
+    """The same verb as a Ray Job on a cluster; follows its log."""
+    from jobs.submit import run_submit
+
+    words = arguments or ()
+    report = run_submit(config, verb, words, address=address, overrides=overrides or (), job=job, follow=follow)
+    _show(report, False)
+    _exit(report.exit_code)
+
+
 ]
 
 

@@ -1,0 +1,137 @@
+"""``condvln submit``: a verb as a Ray Job on a cluster, its log followed here, its exit code passed on.
+
+The configuration is read and checked here and shipped resolved, so that environment and ``--set`` of this machine count
+and its folders are absolute: each must exist under that path on the cluster, the store too unless it is an object
+store. Secrets are not shipped; the cluster has its own.
+"""
+
+from __future__ import annotations
+
+import secrets
+import shlex
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import yaml
+
+from jobs.configuration import load_config
+from jobs.ray_jobs import JobState, RayJobs
+from jobs.report import Report
+from schemas.config import Config
+from schemas.errors import UsageError
+
+__all__ = ["VERBS", "run_submit"]
+
+VERBS: Final = ("sources", "plan", "generate", "rebuild", "status", "export", "verify", "query", "show")
+"""Verbs that take a configuration."""
+
+SHIPPED: Final = "condvln.yaml"
+"""Name of the configuration in the job's working directory."""
+
+POLL_SECONDS: Final = 2.0
+
+INTERRUPTED: Final = 130
+"""Exit code after Ctrl-C, as shells have it; the job goes on."""
+
+UNKNOWN: Final = 1
+"""Exit code of a job that ended without one of its own: stopped, or lost with its node."""
+
+
+def run_submit(
+    config: Path,
+    verb: str,
+    arguments: Sequence[str] = (),
+    *,
+    address: str,
+    overrides: Sequence[str] = (),
+    job: str | None = None,
+    follow: bool = True,
+    say: Callable[[str], None] = lambda text: print(text, end="", flush=True),
+    poll: float = POLL_SECONDS,
+) -> Report:
+    """Submit, and follow until the end unless told not to. The report's exit code is the job's.
+
+    arguments : further words of the verb's command line
+    job : submission id; a job that is there under it already is followed, not submitted twice
+    say : gets the job's output as it comes
+    """
+    _check(verb, config, arguments)
+    resolved = load_config(config, overrides, check_roots=False)
+    server = RayJobs(address)
+    version = server.version()
+    name = job or f"condvln-{resolved.name}-{verb}-{secrets.token_hex(4)}"
+    state = server.state(name) if job is not None else None
+    if state is None:
+        if isinstance(resolved.store, Path):
+            say(f"the store is a folder: every node of the cluster must see {resolved.store}\n")
+        name = server.submit(
+            entrypoint(verb, arguments),
+            name,
+            {"working_dir": server.upload({SHIPPED: _document(resolved)})},
+            {"condvln": resolved.name, "verb": verb},
+        )
+        say(f"job {name} on {server.address} (Ray {version})\n")
+    document: dict[str, Any] = {"job": name, "address": server.address, "ray": version}
+    if not follow:
+        return Report({**document, "status": "SUBMITTED"}, [f"follow it with --id {name}"])
+    try:
+        state = _follow(server, name, say, poll)
+    except KeyboardInterrupt:
+        hint = f"job {name} goes on; follow it again with --id {name}"
+        return Report({**document, "status": "RUNNING"}, [hint], exit_code=INTERRUPTED)
+    code = state.exit_code
+    if code is None:
+        code = 0 if state.status == "SUCCEEDED" else UNKNOWN
+    lines = [f"job {name} {state.status.lower()}, exit code {code}"]
+    if state.exit_code is None and state.message:
+        lines.append(state.message)
+    return Report({**document, "status": state.status, "message": state.message}, lines, exit_code=code)
+
+
+def entrypoint(verb: str, arguments: Sequence[str] = ()) -> str:
+    """The command line of a job: it joins the cluster that it runs on."""
+    return shlex.join(["condvln", verb, SHIPPED, *arguments, "--set", "ray.address=auto"])
+
+
+def _check(verb: str, config: Path, arguments: Sequence[str]) -> None:
+    """A command line that is wrong is told here, not by a job after it has waited for a node."""
+    import typer
+    from typer.main import get_command
+
+    from jobs.command import app
+
+    if verb not in VERBS:
+        raise UsageError(f"{verb!r} can't be submitted", remedy=f"These can: {', '.join(VERBS)}.")
+    command = get_command(app).commands[verb]  # type: ignore[attr-defined]
+    try:
+        command.make_context(verb, [str(config), *arguments])
+    except typer.Exit:
+        raise UsageError(f"--help of {verb} is for this machine", remedy=f"condvln {verb} --help") from None
+    except Exception as error:
+        # The library's own errors, whose class depends on its version (it brings its own copy of click, or not).
+        told = getattr(error, "format_message", None)
+        if told is None:
+            raise
+        raise UsageError(f"{verb} {shlex.join(arguments)}: {told()}", remedy=f"See condvln {verb} --help.") from None
+
+
+def _document(config: Config) -> bytes:
+    return yaml.safe_dump(config.model_dump(mode="json", exclude_defaults=True), sort_keys=False).encode()
+
+
+def _follow(server: RayJobs, job: str, say: Callable[[str], None], poll: float) -> JobState:
+    told = 0
+    while True:
+        # The state first: what is printed before the end is then in the log that is read after it.
+        state = server.state(job)
+        if state is None:
+            raise UsageError(f"the cluster knows no job {job!r} any more", where=server.address)
+        log = server.log(job)
+        if len(log) > told:
+            say(log[told:])
+            told = len(log)
+        if state.ended:
+            return state
+        time.sleep(poll)

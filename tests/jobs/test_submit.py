@@ -1,0 +1,253 @@
+"""Verbs as Ray Jobs: shipped, followed, their exit codes passed on; against the protocol, and against Ray itself."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import json
+import os
+import shlex
+import shutil
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from jobs.configuration import load_config
+from jobs.ray_jobs import RayJobs
+from jobs.report import Report
+from jobs.submit import VERBS, entrypoint, run_submit
+from schemas.config import Config
+from schemas.errors import ConfigError, TransientIOError, UsageError
+
+
+def _job_server() -> type:
+    spec = importlib.util.spec_from_file_location("job_server", Path(__file__).with_name("job_server.py"))
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["job_server"] = module
+    spec.loader.exec_module(module)
+    found: type = module.JobServer
+    return found
+
+
+@pytest.fixture
+def server(tmp_path: Path) -> Iterator[object]:
+    found = _job_server()(tmp_path / "cluster")
+    found.folder.mkdir()
+    listening = found.start()
+    yield found
+    listening.shutdown()
+
+
+@pytest.fixture
+def path(made_run: tuple[Config, Report], tmp_path: Path) -> Path:
+    """The configuration of the made run, as a person has it."""
+    config, _ = made_run
+    path = tmp_path / "run.yaml"
+    path.write_text(config.model_dump_json())
+    return path
+
+
+def submit(server: object, *arguments: object, **how: object) -> tuple[Report, str]:
+    said: list[str] = []
+    report = run_submit(*arguments, address=server.address, say=said.append, poll=0.05, **how)  # type: ignore[arg-type, attr-defined]
+    return report, "".join(said)
+
+
+def test_a_verb_runs_there_its_log_comes_here_and_its_exit_code_is_ours(server: object, path: Path) -> None:
+    report, said = submit(server, path, "plan", ["--json"])
+    assert (report.exit_code, report.document["status"]) == (0, "SUCCEEDED"), said
+    line = next(line for line in said.splitlines() if line.startswith("{"))
+    assert sum(json.loads(line)["counts"].values()) == 2
+    assert "the store is a folder" in said
+    # A second time the same configuration is not shipped again.
+    puts = [asked for asked in server.asked if asked[0] == "PUT"]  # type: ignore[attr-defined]
+    submit(server, path, "status")
+    assert [asked for asked in server.asked if asked[0] == "PUT"] == puts  # type: ignore[attr-defined]
+
+
+def test_what_is_shipped_is_the_configuration_as_it_counts_here(
+    server: object, path: Path, made_run: tuple[Config, Report], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CONDVLN_SEED", "5")
+    report, _ = submit(server, path, "status", overrides=["ray.deadline_seconds=7"])
+    job = report.document["job"]
+    monkeypatch.delenv("CONDVLN_SEED")
+    found = load_config(server.folder / job / "condvln.yaml", check_roots=False)  # type: ignore[attr-defined]
+    expected = made_run[0].model_copy(update={"seed": 5})
+    assert found.model_copy(update={"ray": expected.ray}) == expected
+    assert found.ray.deadline_seconds == 7
+    body = server.bodies[job]  # type: ignore[attr-defined]
+    assert shlex.split(body["entrypoint"]) == ["condvln", "status", "condvln.yaml", "--set", "ray.address=auto"]
+    assert body["entrypoint_num_cpus"] == 0, "the head of a cluster has none"
+    assert set(body["runtime_env"]) == {"working_dir"}, "no environment, so no secret, goes along"
+
+
+def test_a_failing_job_ends_with_its_own_code(server: object, path: Path) -> None:
+    report, said = submit(server, path, "query", ["SELECT * FROM nothing"])
+    assert (report.exit_code, report.document["status"]) == (1, "FAILED")
+    assert "Tables: scenes" in said
+    server.hidden = True  # type: ignore[attr-defined]
+    report, _ = submit(server, path, "query", ["SELECT * FROM nothing"])
+    assert report.exit_code == 1
+    assert "failed with exit code 1" in report.lines[-1]
+
+
+@pytest.mark.parametrize("code", [3, 4])
+def test_codes_beyond_one_are_passed_on(server: object, path: Path, code: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("jobs.submit.entrypoint", lambda verb, arguments: f"echo stopped; exit {code}")
+    report, said = submit(server, path, "rebuild")
+    assert (report.exit_code, said.splitlines()[-1]) == (code, "stopped")
+
+
+def test_an_id_is_followed_and_not_submitted_twice(server: object, path: Path) -> None:
+    started, _ = submit(server, path, "status", job="nightly", follow=False)
+    assert (started.exit_code, started.document["status"]) == (0, "SUBMITTED")
+    followed, said = submit(server, path, "status", job="nightly")
+    assert (followed.document["job"], followed.document["status"]) == ("nightly", "SUCCEEDED")
+    assert "snapshot" in said
+    assert [asked for asked in server.asked if asked[0] == "POST"] == [("POST", "/api/jobs/")]  # type: ignore[attr-defined]
+
+
+def test_a_head_that_is_away_for_a_moment_is_waited_for(server: object, monkeypatch: pytest.MonkeyPatch) -> None:
+    client = RayJobs(server.address, pause=0.001)  # type: ignore[attr-defined]
+    server.failing = 3  # type: ignore[attr-defined]
+    assert client.version() == "2.60.0"
+    server.failing = 100  # type: ignore[attr-defined]
+    with pytest.raises(TransientIOError, match="503 the head restarts"):
+        client.version()
+    with pytest.raises(TransientIOError, match="does not answer"):
+        RayJobs("http://127.0.0.1:1", pause=0.001).version()
+
+
+def test_interrupted_the_job_goes_on(server: object, path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(seconds: float) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("jobs.submit.entrypoint", lambda verb, arguments: "sleep 0.2; echo done > here")
+    monkeypatch.setattr("time.sleep", interrupt)
+    report, _ = submit(server, path, "rebuild")
+    assert report.exit_code == 130
+    assert report.document["job"] in report.lines[0]
+    process = server.jobs[report.document["job"]]  # type: ignore[attr-defined]
+    assert process.wait() == 0
+    assert (server.folder / report.document["job"] / "here").exists()  # type: ignore[attr-defined]
+
+
+def test_tokens_come_from_the_environment(server: object, tmp_path: Path) -> None:
+    (tmp_path / "token").write_text("fromfile\n")
+    (tmp_path / "home" / ".ray").mkdir(parents=True)
+    (tmp_path / "home" / ".ray" / "auth_token").write_text("own")
+    home = {"HOME": str(tmp_path / "home")}
+    for environment, expected in (
+        (home, "Bearer own"),
+        ({**home, "RAY_AUTH_MODE": "disabled"}, None),
+        ({**home, "RAY_AUTH_TOKEN": "other"}, "Bearer other"),
+        ({"RAY_AUTH_TOKEN": "secret"}, "Bearer secret"),
+        ({"RAY_AUTH_TOKEN_PATH": str(tmp_path / "token")}, "Bearer fromfile"),
+        ({"RAY_JOB_HEADERS": '{"Authorization": "Basic x"}'}, "Basic x"),
+    ):
+        RayJobs(server.address, environment).version()  # type: ignore[attr-defined]
+        assert server.headers.get("Authorization") == expected  # type: ignore[attr-defined]
+    away = RayJobs("http://elsewhere:8265", home)
+    assert "Authorization" not in away._headers, "a token of this machine stays here"
+    assert RayJobs("http://elsewhere:8265", {**home, "RAY_AUTH_MODE": "token"})._headers["Authorization"]
+    with pytest.raises(UsageError, match="not a JSON object"):
+        RayJobs(server.address, {"RAY_JOB_HEADERS": "x"})  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("verb", "arguments", "said"),
+    [
+        ("fly", [], "can't be submitted"),
+        ("submit", [], "can't be submitted"),
+        ("demo", [], "can't be submitted"),
+        ("rebuild", ["--sideways"], "No such option"),
+        ("rebuild", ["another"], "unexpected extra argument"),
+        ("plan", ["--help"], "for this machine"),
+    ],
+)
+def test_a_wrong_command_line_is_told_before_anything_is_sent(
+    server: object, path: Path, verb: str, arguments: list[str], said: str
+) -> None:
+    with pytest.raises(UsageError, match=said):
+        submit(server, path, verb, arguments)
+    assert server.asked == []  # type: ignore[attr-defined]
+
+
+def test_a_wrong_configuration_or_address_is_told_before_anything_is_sent(server: object, path: Path) -> None:
+    with pytest.raises(ConfigError, match="unknown key"):
+        submit(server, path, "plan", overrides=["colour=red"])
+    assert server.asked == []  # type: ignore[attr-defined]
+    for address in ("ray://host:10001", "host:8265", "auto"):
+        with pytest.raises(UsageError, match="not the address of a job server"):
+            run_submit(path, "plan", address=address)
+
+
+def test_every_verb_that_takes_a_configuration_can_be_submitted() -> None:
+    from typer.main import get_command
+
+    from jobs.command import app
+
+    commands = get_command(app).commands  # type: ignore[attr-defined]
+    takes = {
+        name
+        for name, command in commands.items()
+        if command.params and (command.params[0].metavar or "").startswith("CONFIG")
+    }
+    assert {*VERBS} <= takes
+    # These need what is on this machine: a screen, a path to write to.
+    assert takes - {*VERBS} <= {"submit", "compose"}
+
+
+def test_words_survive_the_shell() -> None:
+    words = shlex.split(entrypoint("query", ["SELECT 'it''s' AS \"a b\"; -- $HOME"]))
+    assert words[3] == "SELECT 'it''s' AS \"a b\"; -- $HOME"
+
+
+@pytest.mark.soak
+@pytest.mark.ray
+def test_rays_own_job_server_runs_a_rebuild(dataset: Path, configured: object, tmp_path: Path) -> None:
+    """A real head with its dashboard, and a rebuild that runs on it as a job."""
+    for module in ("aiohttp", "opencensus", "smart_open"):
+        if importlib.util.find_spec(module) is None:
+            pytest.skip("Ray's job server is part of ray[default], which is not installed here")
+    config = configured(dataset)  # type: ignore[operator]
+    path = tmp_path / "run.yaml"
+    path.write_text(config.model_dump_json())
+    with socket.socket() as free, socket.socket() as other:
+        free.bind(("127.0.0.1", 0))
+        other.bind(("127.0.0.1", 0))
+        port, dashboard = free.getsockname()[1], other.getsockname()[1]
+    binaries = Path(sys.executable).parent
+    ray = str(binaries / "ray")
+    temporary = Path("/tmp") / f"ray-{os.getpid()}"
+    environment = {**os.environ, "PATH": f"{binaries}{os.pathsep}{os.environ['PATH']}"}
+    head = [ray, "start", "--head", "--block", f"--port={port}", "--num-cpus=2", "--dashboard-host=127.0.0.1"]
+    head += [f"--dashboard-port={dashboard}", f"--temp-dir={temporary}", "--disable-usage-stats"]
+    with subprocess.Popen(head, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        try:
+            address = f"http://127.0.0.1:{dashboard}"
+            for _ in range(30):
+                try:
+                    RayJobs(address, pause=0.5).version()
+                    break
+                except TransientIOError:
+                    assert process.poll() is None
+            said: list[str] = []
+            done = run_submit(path, "rebuild", ["--json"], address=address, say=said.append, poll=0.5)
+            assert done.exit_code == 0, "".join(said)[-3000:]
+            document = json.loads("".join(said).strip().splitlines()[-1])
+            assert (document["published"], document["counts"]["made"]) == (True, 2)
+            scene = dataset / "configs" / "scenes" / "made_001.scene_instance.json"
+            scene.write_bytes(scene.read_bytes()[:100])
+            assert run_submit(path, "rebuild", address=address, say=said.append, poll=0.5).exit_code == 3
+        finally:
+            process.terminate()
+            process.wait(30)
+            shutil.rmtree(temporary, ignore_errors=True)
