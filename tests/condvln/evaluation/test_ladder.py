@@ -1,4 +1,7 @@
-"""Reference agents order themselves on episodes of every family: what a ceiling, a floor and a guess must score."""
+"""Reference agents order themselves on made episodes: what a ceiling, a floor and a guess must score.
+
+tests/jobs/test_export_families.py asks the same of every family.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,6 @@ import math
 from pathlib import Path
 
 import numpy as np
-import pytest
 from rich.console import Console
 
 from condvln.evaluation.agents import AGENTS, predict_all
@@ -15,27 +17,32 @@ from condvln.evaluation.navmeshes import NavmeshFolder
 from condvln.evaluation.split import split_tasks
 from condvln.evaluation.task import Task
 from condvln.export.splits import SPLITS
-from condvln.samples import FAMILIES, make_samples
+from condvln.samples import make_samples
 from jobs.generate import run_generate
 from schemas.config import Config, InstructionsConfig, SourceConfig
 from schemas.program import CATEGORIES
 
 
-def made_tasks(family: str, folder: Path, scenes: int, per_category: int) -> tuple[list[Task], NavmeshFolder]:
-    """Episodes of all splits of a made dataset, selected and exported as ever."""
+def made_export(family: str, folder: Path, scenes: int, per_category: int) -> Path:
+    """A made dataset's episodes, selected and exported as ever; all below ``folder``."""
     make_samples(folder / "scenes", family=family, scenes=scenes, seed=5)
     config = Config(
         name="ladder",
-        store=folder / "store",
+        store=str(folder / "store"),
         export=folder / "export",
         sources=(SourceConfig(family=family, root=folder / "scenes"),),  # type: ignore[arg-type]
         instructions=InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, per_category)),
     )
     report = run_generate(config, inline=True, console=Console(quiet=True))
-    if not (folder / "export" / "export.json").exists():
-        pytest.skip(f"the made scenes of {family} yield no episodes: {report.lines}")
+    assert report.document["counts"]["quarantined"] == 0, report.document["quarantined"]
+    assert (folder / "export" / "export.json").exists(), report.lines
+    return folder / "export"
+
+
+def made_tasks(folder: Path) -> tuple[list[Task], NavmeshFolder]:
+    """Tasks of all splits of a made export, and its navmeshes."""
     tasks = [task for split in SPLITS for task in split_tasks(folder / "export", split)]
-    return tasks, NavmeshFolder((folder / "export", folder / "scenes", folder / "store"))
+    return tasks, NavmeshFolder((folder / "export", folder / "scenes"))
 
 
 def check_ladder(tasks: list[Task], navmeshes: NavmeshFolder) -> None:
@@ -52,7 +59,10 @@ def check_ladder(tasks: list[Task], navmeshes: NavmeshFolder) -> None:
             assert (found[name].scores[measure] == 1).all(), (name, measure)
         assert (found[name].scores["bsa"] == 1).all()
         assert mean(name, "ndtw") >= 0.95
-    np.testing.assert_allclose(found["perfect"].scores["spl_route"], 1, atol=1e-5)
+    # The path's corners are rounded to 1 mm, the route's length is not.
+    rounding = np.array([0.002 * len(task.gold.path) / task.gold.route_length for task in tasks])
+    assert (found["perfect"].scores["spl_route"] >= 1 - rounding).all()
+    np.testing.assert_allclose(found["perfect"].scores["spl_route"], 1, atol=1e-3)
     assert mean("oracle", "spl_route") >= 0.95
     direct = np.array([len(task.gold.subgoals) == 0 for task in tasks])
     assert mean("oracle", "spl", direct) >= 0.95
@@ -79,13 +89,7 @@ def check_laws(found: dict[str, Evaluation]) -> None:
 
 
 def test_ladder(tmp_path: Path) -> None:
-    tasks, navmeshes = made_tasks("replicacad", tmp_path, 2, 4)
+    made_export("replicacad", tmp_path, 2, 4)
+    tasks, navmeshes = made_tasks(tmp_path)
     assert len(tasks) >= 10
-    check_ladder(tasks, navmeshes)
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize("family", sorted(FAMILIES))
-def test_ladder_of_every_family(family: str, tmp_path: Path) -> None:
-    tasks, navmeshes = made_tasks(family, tmp_path, 4, 10)
     check_ladder(tasks, navmeshes)
