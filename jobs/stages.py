@@ -16,9 +16,10 @@ from typing import Final
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from condvln.episodes.candidates import Candidate, candidates_from_table, candidates_table, draw_candidates
 from condvln.episodes.observability import Observer
 from condvln.episodes.placing import Placer
-from condvln.episodes.pool import Candidate, Pool, fill_pool
+from condvln.episodes.pool import Pool, fill_pool
 from condvln.episodes.rules import EpisodeRules
 from condvln.episodes.table import (
     PLACEMENTS,
@@ -37,7 +38,6 @@ from condvln.instructions import (
     LabelPriors,
     PriorBits,
     ProgramSampler,
-    instruction_id,
     instruction_table,
     names_compass,
     programs_from_table,
@@ -57,14 +57,10 @@ from condvln.sources.source import Source
 from factory.stage import Aggregate, Stage, StageOutput
 from factory.unit import Unit
 from schemas.canonical import JSON
-from schemas.program import CATEGORIES
 
 __all__ = ["EpisodeStage", "PriorsAggregate", "ProgramStage", "RelationStage", "SceneStage", "TextStage"]
 
 Tables = Mapping[str, pa.Table]
-
-CELL: Final = pa.field("cell", pa.string(), nullable=False)
-"""Beside the columns of an instruction, a candidate has the cell that it was drawn for."""
 
 NAVMESHES: Final = pa.schema([("scene_id", pa.string()), ("data", pa.large_binary())])
 """Built navmeshes, kept in the unit for later stages and for the export; not a published table."""
@@ -186,7 +182,7 @@ class ProgramStage(Stage):
     agent: Agent
     seed: int
     name: str = "programs"
-    version: int = 3
+    version: int = 4
     tables: tuple[str, ...] = ("stops", "candidates", "rejections")
     reads_inputs: bool = True
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "relations")
@@ -227,19 +223,14 @@ class ProgramStage(Stage):
         # Leaves are checked before the gold one is drawn among them, so that the check can't favour a truth.
         stops = None if placer is None else placer.stops
         sampler = ProgramSampler(scene, facts, self._bits(scene, shared), self.config, self.seed, stops=stops)
-        drawn = [
-            (instruction_id(scene.family, scene.scene_id, program), program, cell)
-            for category in CATEGORIES
-            for cell, program in sampler.drawn(category)
-        ]
-        candidates = instruction_table(scene.scene_id, ((name, program) for name, program, _ in drawn))
+        candidates = draw_candidates(sampler)
         return StageOutput(
             tables={
                 "stops": stops_table(scene.scene_id, {} if placer is None else placer.field.goals),
-                "candidates": candidates.append_column(CELL, pa.array([cell.name for _, _, cell in drawn], CELL.type)),
+                "candidates": candidates_table(scene.scene_id, candidates),
                 "rejections": rejections_table(scene.scene_id, self.name, sampler.rejections),
             },
-            measures={"candidates": float(len(drawn))},
+            measures={"candidates": float(len(candidates))},
         )
 
 
@@ -248,13 +239,14 @@ class EpisodeStage(Stage):
     """Candidate programs + navmesh + surfaces → placed episodes and what is seen on them, without their words."""
 
     wanted: tuple[Cell, ...]
+    groups: int
     label_cap: float
     preamble: bool
     rules: EpisodeRules
     agent: Agent
     seed: int
     name: str = "episodes"
-    version: int = 4
+    version: int = 5
     tables: tuple[str, ...] = ("placements", "unplaced", "rejections", "funnel")
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "stops", "candidates")
     reads_inputs: bool = True
@@ -263,6 +255,7 @@ class EpisodeStage(Stage):
         return {
             "rules": asdict(self.rules),
             "wanted": [asdict(cell) for cell in self.wanted],
+            "groups": self.groups,
             "label_cap": self.label_cap,
             "preamble": self.preamble,
             "agent": asdict(self.agent),
@@ -271,7 +264,7 @@ class EpisodeStage(Stage):
 
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
         scene = _scene(unit, upstream)
-        candidates = self._candidates(upstream["candidates"])
+        candidates = candidates_from_table(upstream["candidates"], self.wanted)
         if scene.navmesh is None:
             return self._without_navmesh(scene, candidates)
         placer = Placer(
@@ -290,6 +283,7 @@ class EpisodeStage(Stage):
             self.label_cap,
             lambda program: self.preamble and names_compass(program),
             observer,
+            self.groups,
         )
         compositions = dict(
             zip(*(upstream["candidates"][c].to_pylist() for c in ("instruction_id", "composition")), strict=True)
@@ -299,18 +293,10 @@ class EpisodeStage(Stage):
                 "placements": placements_table(scene.scene_id, pool, compositions, scene.navmesh.sha256),
                 "unplaced": unplaced_table(()),
                 "rejections": rejections_table(scene.scene_id, self.name, pool.rejections, pool.examples),
-                "funnel": funnel_table(scene.scene_id, self.wanted, pool),
+                "funnel": funnel_table(scene.scene_id, self.wanted, pool, self.groups),
             },
             measures={"episodes": float(len(pool.episodes)), "candidates": float(len(candidates))},
         )
-
-    def _candidates(self, table: pa.Table) -> list[Candidate]:
-        named = {cell.name: cell for cell in self.wanted}
-        cells = table[CELL.name].to_pylist()
-        return [
-            Candidate(name, program, named[cell])
-            for (name, program), cell in zip(programs_from_table(table), cells, strict=True)
-        ]
 
     def _without_navmesh(self, scene: Scene, candidates: list[Candidate]) -> StageOutput:
         """Instructions as many as wanted; every candidate counts as one that could not be placed."""
@@ -323,7 +309,7 @@ class EpisodeStage(Stage):
                 "placements": PLACEMENTS.empty_table(),
                 "unplaced": unplaced_table(unplaced_programs(candidates)),
                 "rejections": rejections_table(scene.scene_id, self.name, pool.rejections, pool.examples),
-                "funnel": funnel_table(scene.scene_id, self.wanted, pool),
+                "funnel": funnel_table(scene.scene_id, self.wanted, pool, self.groups),
             },
             measures={"episodes": 0.0, "candidates": float(len(candidates))},
         )
@@ -337,7 +323,7 @@ class TextStage(Stage):
     preamble: bool
     seed: int
     name: str = "text"
-    version: int = 1
+    version: int = 2
     tables: tuple[str, ...] = ("instructions", "episodes")
     reads: tuple[str, ...] | None = ("candidates", "placements", "unplaced", "rooms")
 
@@ -357,6 +343,7 @@ class TextStage(Stage):
         kept = candidates.filter(pc.is_in(candidates["instruction_id"], value_set=names))
         programs = dict(programs_from_table(kept))
         bodies = {k: render(program, self.seed, k) for k, program in programs.items()}
+        groups = dict(zip(*(placements[c].to_pylist() for c in ("instruction_id", "group_id")), strict=True))
         texts = {}
         for row in placements.select(["episode_id", "instruction_id", "start_heading_degrees"]).to_pylist():
             name = row["instruction_id"]
@@ -366,7 +353,7 @@ class TextStage(Stage):
             )
         return StageOutput(
             tables={
-                "instructions": instruction_table(str(unit.payload["scene_id"]), programs.items(), bodies),
+                "instructions": instruction_table(str(unit.payload["scene_id"]), programs.items(), bodies, groups),
                 "episodes": with_text(placements, texts, self.rules.max_steps, self.rules.steps_per_word),
             }
         )

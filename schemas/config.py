@@ -111,6 +111,11 @@ class InstructionsConfig(Document):
     cells: tuple[InstructionCell, ...] = Field(
         (), description="episodes wanted of single cells; takes the place of per_category for their categories"
     )
+    counterfactual_groups: int = Field(
+        2,
+        ge=0,
+        description="groups of four a scene, besides: one start, a condition's truth and two leaves exchanged",
+    )
     candidates_per_episode: int = Field(8, ge=1, description="candidates drawn for each episode wanted")
     moves: tuple[Share, Share, Share] = Field((0.4, 0.4, 0.2), description="shares of leaves with 1, 2, 3 moves")
     label_cap: Share = Field(0.15, description="no label is the target of more than this share of a scene's leaves")

@@ -231,7 +231,7 @@ REJECTIONS: Final = pa.schema(
 FUNNEL: Final = pa.schema(
     [
         _required("scene_id", _S),
-        _required("category", _S),
+        pa.field("category", _S),  # null for counterfactual groups, whose categories take turns
         _required("cell", _S),
         _required("wanted", _I),
         _required("candidates", _I),

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from condvln.episodes.observability import Observation
 from condvln.episodes.placing import PlacedLeaf, heading_degrees, yaw_quaternion
 from condvln.episodes.pool import Pool, PooledEpisode
-from condvln.instructions.config import Cell
+from condvln.instructions.config import Cell, cell_name
+from condvln.instructions.counterfactuals import GROUP_SIZE
 from condvln.scene import round_mm
 from schemas.tables import EPISODES, FUNNEL, REJECTIONS, VEC3
 
@@ -85,7 +86,7 @@ def _row(scene_id: str, pooled: PooledEpisode, composition: str, navmesh_sha256:
         "scene_id": scene_id,
         "episode_id": episode_id(scene_id, pooled.instruction_id, placement.start, placement.yaw),
         "instruction_id": pooled.instruction_id,
-        "group_id": None,
+        "group_id": pooled.candidate.group_id,
         "category": program.category,
         "composition": composition,
         **_seen(pooled.observation),
@@ -141,52 +142,60 @@ def _point(values: NDArray[np.float64]) -> dict[str, float]:
 def with_text(placements: pa.Table, texts: Mapping[str, str], max_steps: int, steps_per_word: int) -> pa.Table:
     """EPISODES rows: each placement with its text (by episode id), word count and step budget.
 
-    The budget is min(ceiling, max(steps a word × words, 2 × ground-truth actions)).
+    The budget is min(ceiling, max(steps a word × words, 2 × ground-truth actions)); in a counterfactual group the words
+    are those of its longest text, so that all have one budget.
     """
     rows = placements.to_pylist()
+    longest: dict[str, int] = {}
     for row in rows:
-        text = texts[row["episode_id"]]
-        row["words"] = len(text.split())
-        row["max_steps"] = min(max_steps, max(steps_per_word * row["words"], 2 * row["ground_truth_steps"]))
-        row["instruction_text"] = text
+        row["instruction_text"] = texts[row["episode_id"]]
+        row["words"] = len(row["instruction_text"].split())
+        unit = row["group_id"] or row["episode_id"]
+        longest[unit] = max(longest.get(unit, 0), row["words"])
+    for row in rows:
+        words = longest[row["group_id"] or row["episode_id"]]
+        row["max_steps"] = min(max_steps, max(steps_per_word * words, 2 * row["ground_truth_steps"]))
     return pa.Table.from_pylist(rows, schema=EPISODES)
 
 
 def rejections_table(
     scene_id: str,
     stage: str,
-    counts: Mapping[tuple[Cell, str], int],
-    examples: Mapping[tuple[Cell, str], str] | None = None,
+    counts: Mapping[tuple[Cell | None, str], int],
+    examples: Mapping[tuple[Cell | None, str], str] | None = None,
 ) -> pa.Table:
     """Counts by (cell, reason) as REJECTIONS rows."""
     rows = [
         {
             "scene_id": scene_id,
             "stage": stage,
-            "category": cell.category,
-            "cell": cell.name,
+            "category": None if cell is None else cell.category,
+            "cell": cell_name(cell),
             "reason": reason,
             "count": count,
             "example": (examples or {}).get((cell, reason)),
         }
-        for (cell, reason), count in sorted(counts.items(), key=lambda item: (item[0][1], item[0][0].name))
+        for (cell, reason), count in sorted(counts.items(), key=lambda item: (item[0][1], cell_name(item[0][0])))
     ]
     return pa.Table.from_pylist(rows, schema=REJECTIONS)
 
 
-def funnel_table(scene_id: str, cells: Sequence[Cell], pool: Pool) -> pa.Table:
-    """What came of each cell that was wanted, as FUNNEL rows."""
+def funnel_table(scene_id: str, cells: Sequence[Cell], pool: Pool, groups: int = 0) -> pa.Table:
+    """What came of each cell that was wanted, and of counterfactual groups, as FUNNEL rows; all count episodes."""
     placed = pool.placed
+    wanted: list[tuple[Cell | None, int]] = [(cell, cell.count) for cell in cells]
+    if groups:
+        wanted.append((None, groups * GROUP_SIZE))
     rows = [
         {
             "scene_id": scene_id,
-            "category": cell.category,
-            "cell": cell.name,
-            "wanted": cell.count,
+            "category": None if cell is None else cell.category,
+            "cell": cell_name(cell),
+            "wanted": count,
             "candidates": pool.candidates[cell],
-            "rejected": sum(count for (of, _), count in pool.rejections.items() if of == cell),
+            "rejected": sum(n for (of, _), n in pool.rejections.items() if of == cell),
             "placed": placed[cell],
         }
-        for cell in cells
+        for cell, count in wanted
     ]
     return pa.Table.from_pylist(rows, schema=FUNNEL)

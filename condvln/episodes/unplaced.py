@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 import pyarrow as pa
 
-from condvln.episodes.pool import Candidate
+from condvln.episodes.candidates import Candidate
 from condvln.instructions.config import Cell
 
 __all__ = ["UNPLACED", "unplaced_programs", "unplaced_table"]
@@ -20,13 +20,15 @@ def unplaced_programs(candidates: Iterable[Candidate]) -> list[str]:
     """Ids of the first programs of each cell, in their order, up to what is wanted of it.
 
     As in a pool of episodes, no gold index gets more than its equal share of a cell. Where nobody can stand nothing is
-    seen, so what a cell asks of observability is left open.
+    seen, so what a cell asks of observability is left open, and what shares a start has none to share.
     """
     taken: Counter[Cell] = Counter()
     golds: dict[Cell, Counter[int]] = defaultdict(Counter)
     chosen = []
     for candidate in candidates:
         cell, gold = candidate.cell, candidate.program.gold_leaf()
+        if cell is None:
+            continue
         quota = -(-cell.count // len(candidate.program.leaves))
         if taken[cell] >= cell.count or golds[cell][gold] >= quota:
             continue

@@ -28,6 +28,9 @@ OUT: Final = -1
 LOOKAHEAD: Final = 64
 """Candidates looked at for each place: the more, the evener the truths; the fewer, the faster."""
 
+_HALVED: Final = "its counterfactual group is not whole"
+_NO_ROOM: Final = "its counterfactual group does not fit the balance"
+
 Terms = list[tuple[int, int]]
 """Kind of each condition of an episode (of all episodes of a group), and +1 where it is true, −1 where false."""
 
@@ -75,6 +78,9 @@ def select(pool: Pool, config: SplitsConfig) -> Selection:
                 source: members[(pool.category[members] == category) & (pool.source[members] == source)]
                 for source in range(len(pool.sources))
             }
+            for source, block in blocks.items():
+                blocks[source] = _with_fitting_groups(pool, block)
+                selection.left_out[_NO_ROOM] += len(block) - len(blocks[source])
             quotas = _quotas(pool, blocks, config.per_cell)
             wanted = _wanted(pool, quotas, config.per_cell)
             for source, block in blocks.items():
@@ -109,6 +115,11 @@ def _place(pool: Pool, config: SplitsConfig, left_out: Counter[str]) -> npt.NDAr
         left_out["its program is in another split"] += int(torn.sum())
     kept = np.full(len(pool), OUT, dtype=np.int8)
     kept[fit[~torn]] = placed[fit[~torn]]
+    # Of a counterfactual group nothing is left when one is missing.
+    halved = pool.grouped & np.isin(pool.unit, pool.unit[pool.grouped & (kept == OUT)]) & (kept != OUT)
+    if halved.any():
+        left_out[_HALVED] += int(halved.sum())
+        kept[halved] = OUT
     return kept
 
 
@@ -121,6 +132,38 @@ def _seeded_order(pool: Pool, seed: int) -> npt.NDArray[np.int64]:
     turn = np.empty(len(pool), dtype=np.int64)
     turn[by_scene] = np.arange(len(pool)) - first
     return by_hash[np.argsort(turn[by_hash], kind="stable")]
+
+
+def _groups(pool: Pool, block: npt.NDArray[np.int64]) -> list[list[int]]:
+    """Rows of each counterfactual group of a block, in the order in which it has their first."""
+    groups: dict[int, list[int]] = defaultdict(list)
+    for row in block[pool.grouped[block]].tolist():
+        groups[int(pool.unit[row])].append(row)
+    return list(groups.values())
+
+
+def _with_fitting_groups(pool: Pool, block: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """The block without the counterfactual groups that can't all be taken where every leaf is taken equally often.
+
+    A group is taken as a whole or not at all, so that of what it has too many of one leaf nothing else makes up.
+    """
+    groups = _groups(pool, block)
+    if not groups:
+        return block
+    leaves = int(pool.n_leaves[block[0]])
+    needs = [np.bincount(pool.leaf[group], minlength=leaves)[:leaves] for group in groups]
+    single = np.bincount(pool.leaf[block[~pool.grouped[block]]], minlength=leaves)[:leaves]
+    most = int((single + np.sum(needs, axis=0)).min())
+    while True:
+        taken, fitting = np.zeros(leaves, dtype=np.int64), []
+        for group, need in zip(groups, needs, strict=True):
+            if (taken + need <= most).all():
+                taken += need
+                fitting += group
+        reached = int((single + taken).min())
+        if reached >= most:
+            return block[~pool.grouped[block] | np.isin(block, fitting)]
+        most = reached
 
 
 def _quotas(pool: Pool, blocks: dict[int, npt.NDArray[np.int64]], per_cell: int | None) -> dict[int, int]:
@@ -168,13 +211,23 @@ class _Picker:
         self._balance = balance
         self._block = block
         self._n_leaves = int(pool.n_leaves[block[0]])
+        self._single = block[~pool.grouped[block]]
         self._room = [quota] * self._n_leaves
 
     def pick(self) -> npt.NDArray[np.int64]:
-        """The episodes taken, whole counterfactual groups before single ones."""
-        taken = list(self._whole_groups())
-        grouped = set(taken)
-        queues = self._queues([row for row in self._block.tolist() if row not in grouped], taken)
+        """The episodes taken, whole counterfactual groups before single ones, which make up for the rest."""
+        single = np.bincount(self._pool.leaf[self._single], minlength=self._n_leaves)[: self._n_leaves]
+        quota = self._room[0]
+        before = list(self._balance)
+        while True:
+            taken = list(self._whole_groups())
+            lacking = int(max(0, (np.array(self._room) - single).max()))
+            if not lacking:
+                break
+            quota -= lacking
+            self._room = [quota] * self._n_leaves
+            self._balance[:] = before
+        queues = self._queues(self._single.tolist(), taken)
         while any(self._room):
             for leaf in range(self._n_leaves):
                 if self._room[leaf]:
@@ -183,10 +236,7 @@ class _Picker:
         return np.array(taken, dtype=np.int64)
 
     def _whole_groups(self) -> Iterator[int]:
-        groups: dict[int, list[int]] = defaultdict(list)
-        for row in self._block[self._pool.grouped[self._block]].tolist():
-            groups[int(self._pool.unit[row])].append(row)
-        queue = _Queue(list(groups.values())[::-1])
+        queue = _Queue(_groups(self._pool, self._block)[::-1])
         while (rows := self._evenest(queue)) is not None:
             need = np.bincount(self._pool.leaf[rows], minlength=self._n_leaves).tolist()
             if all(n <= room for n, room in zip(need, self._room, strict=True)):

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 from condvln.instructions.conditions import ConditionPool, Question
 from condvln.instructions.config import PREDICATE_GROUPS, InstructionConfig
@@ -112,17 +113,20 @@ class Asker:
         claims = [Claim.of(condition) for k, condition in enumerate(program.conditions) if k != index]
         given = Presupposed.by(move for leaf in program.leaves for move in leaf.moves)
         truth = not old.truth
-        if old.qualifier is not None:
-            relation = part.pool.relations.get(old.qualifier.predicate)
-            questions = (
-                [] if relation is None else [relation.question(truth, k) for k in range(len(relation.cells[truth]))]
-            )
-        else:
-            questions = list(part.pool.presence.questions[truth]) if part.pool.presence else []
-        made = [self._condition(old.room, question) for question in questions]
-        sound = [c for c in made if clash(Claim.of(c), claims, given, self._vocabulary) is None]
-        alike = [condition for condition in sound if condition.label == old.label]
-        return draws.choice(alike or sound) if sound else None
+        statements = part.pool.presence if old.qualifier is None else part.pool.relations.get(old.qualifier.predicate)
+        if statements is None:
+            return None
+        # Weighted as conditions are that are drawn, so that a twin's words tell no more of its truth than theirs.
+        sums = statements.sums[truth]
+        weights = [sums[0], *(after - before for before, after in pairwise(sums))]
+        made = [self._condition(old.room, statements.question(truth, k)) for k in range(len(sums))]
+        sound = [
+            (condition, weight)
+            for condition, weight in zip(made, weights, strict=True)
+            if clash(Claim.of(condition), claims, given, self._vocabulary) is None
+        ]
+        alike = [(condition, weight) for condition, weight in sound if condition.label == old.label]
+        return draws.weighted(*zip(*(alike or sound), strict=True)) if sound else None
 
     def _pair(
         self, room: RoomRef, statements: Statements, claims: Sequence[Claim], given: Presupposed, draws: Draws

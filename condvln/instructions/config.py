@@ -8,7 +8,7 @@ from typing import Final
 
 from schemas.program import CATEGORIES, Category, Predicate
 
-__all__ = ["COMPASS", "PLAUSIBLE_SHARE", "PREDICATES", "PREDICATE_GROUPS", "Cell", "InstructionConfig"]
+__all__ = ["COMPASS", "PLAUSIBLE_SHARE", "PREDICATES", "PREDICATE_GROUPS", "Cell", "InstructionConfig", "cell_name"]
 
 COMPASS: Final[tuple[Predicate, ...]] = (
     "east of",
@@ -36,6 +36,10 @@ PREDICATES: Final[tuple[Predicate, ...]] = tuple(p for group in PREDICATE_GROUPS
 
 PLAUSIBLE_SHARE: Final = 0.05
 """A label is plausible in a room type when seen in at least this share of its rooms."""
+
+
+GROUPS: Final = "counterfactual groups"
+"""In place of a cell's name."""
 
 
 SEEN_FACTOR: Final = 3
@@ -82,6 +86,11 @@ class Cell:
         return self.name != self.category
 
 
+def cell_name(cell: Cell | None) -> str:
+    """What the tables call a cell, or with None what is of counterfactual groups."""
+    return GROUPS if cell is None else cell.name
+
+
 @dataclass(frozen=True, slots=True)
 class InstructionConfig:
     """What to sample, in which mix.
@@ -97,6 +106,7 @@ class InstructionConfig:
     preamble : open texts that use compass words with the start heading
     compositions : weights with which C0, C1, C2 are asked for where the scene has the rooms for it
     cells : what is wanted of a category instead of `per_category`, drawn as asked instead of from those mixes
+    counterfactual_groups : groups of four programs wanted a scene besides those, of the categories that are wanted
     group_weights : weights of the predicate groups in conditions; 0 = only where nothing else serves
     leaf_separation_single_room, leaf_separation : least horizontal distance of two stops' centres in metres, used
         where no better knowledge (goal to goal geodesics) is supplied
@@ -116,6 +126,7 @@ class InstructionConfig:
     preamble: bool = True
     compositions: Mapping[str, float] = field(default_factory=_even_compositions)
     cells: tuple[Cell, ...] = ()
+    counterfactual_groups: int = 0
     group_weights: Mapping[str, float] = field(default_factory=_group_weights)
     leaf_separation_single_room: float = 1.5
     leaf_separation: float = 2.5

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
+from typing import Final
 
 from condvln.instructions.asking import Asker
 from condvln.instructions.degeneracy import degeneracies
@@ -16,7 +17,9 @@ from condvln.instructions.ids import ID_LENGTH, program_key
 from condvln.labels import Vocabulary
 from schemas.program import Condition, Program
 
-__all__ = ["counterfactual_group", "flipped", "group_id", "swapped"]
+__all__ = ["GROUP_SIZE", "Group", "counterfactual_group", "flipped", "group_id", "swapped"]
+
+GROUP_SIZE: Final = 4
 
 Group = tuple[Program, Program, Program, Program]
 """The program; its condition flipped; its leaves exchanged; both."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
@@ -17,6 +18,7 @@ from condvln.instructions.asking import Asker
 from condvln.instructions.composition import composition
 from condvln.instructions.conditions import ConditionPool
 from condvln.instructions.config import Cell, InstructionConfig
+from condvln.instructions.counterfactuals import Group, counterfactual_group
 from condvln.instructions.degeneracy import idle_conditions, is_circular, outcomes
 from condvln.instructions.draws import Draws
 from condvln.instructions.priors import PriorBits
@@ -26,7 +28,7 @@ from condvln.instructions.stops import Stops, Target, TargetLot, apart_by_centre
 from condvln.labels import Vocabulary, vocabulary
 from condvln.scene import Scene
 from condvln.seeding import generator
-from schemas.program import SHAPES, Category, Leaf, ObjectRef, Program, RoomRef
+from schemas.program import CATEGORIES, SHAPES, Category, Leaf, ObjectRef, Program, RoomRef
 
 __all__ = ["ProgramSampler"]
 
@@ -56,7 +58,8 @@ class ProgramSampler:
 
     Attributes
     ----------
-    rejections : how often, for each cell, each reason ended a draw or cost a part of one another try
+    rejections : how often, for each cell (None: counterfactual groups), each reason ended a draw or cost a part of one
+        another try
     """
 
     def __init__(
@@ -72,7 +75,7 @@ class ProgramSampler:
     ) -> None:
         self.scene, self.config, self.seed = scene, config, seed
         self.words = words
-        self.rejections: Counter[tuple[Cell, str]] = Counter()
+        self.rejections: Counter[tuple[Cell | None, str]] = Counter()
         self.referents = {
             room.room_id: Referents.of(room, scene.arrays(room.room_id), facts[room.room_id], words, config.anchor_size)
             for room in sorted(scene.rooms, key=lambda r: r.room_id)
@@ -153,22 +156,58 @@ class ProgramSampler:
             # What is hard to draw is not given up for what is easy: a wish stands until it is met.
             wish = self._wish(cell, draws)
             for _ in range(self.config.draws_per_candidate):
-                try:
-                    program = self._draw(category, wish, draws, lot)
-                    if program in seen:
-                        raise GivenUp("duplicate")
-                except GivenUp as given_up:
-                    self.rejections[cell, given_up.reason] += 1
+                program = None
+                with self._counted(cell):
+                    program = _unseen(self._draw(category, wish, draws, lot), seen)
+                if program is None:
                     continue
-                finally:
-                    self.rejections.update({(cell, rule): n for rule, n in self.asker.clashes.items()})
-                    self.asker.clashes.clear()
                 seen.add(program)
                 found, failed = found + 1, 0
                 used.update(leaf.goal.label for leaf in program.leaves)
                 lot = self._lot(category, used)
                 yield program
                 break
+
+    def groups(self) -> Iterator[Group]:
+        """Counterfactual groups, as many candidates as for so many episodes, their categories in turn; all distinct."""
+        wanted = self.config.counterfactual_groups * self.config.candidates_per_episode
+        cells = [cells for cells in map(self.config.cells_of, CATEGORIES) if cells]
+        if not wanted or not cells or not self.asker.rooms:
+            return
+        draws = Draws(generator(self.seed, self.scene.family, self.scene.scene_id, "counterfactual groups"))
+        order = draws.sample(cells, len(cells))
+        seen: set[Program] = set()
+        lots = {cell.category: self._lot(cell.category, Counter()) for cells in order for cell in cells}
+        for k in range(wanted):
+            cell = draws.choice(order[k % len(order)])
+            wish = self._wish(cell, draws)
+            for _ in range(self.config.draws_per_candidate):
+                group = None
+                with self._counted(None):
+                    group = self._group(
+                        _unseen(self._draw(cell.category, wish, draws, lots[cell.category]), seen), draws
+                    )
+                if group is not None and not seen & set(group):
+                    seen.update(group)
+                    yield group
+                    break
+
+    @contextmanager
+    def _counted(self, cell: Cell | None) -> Iterator[None]:
+        """Counts why what is done within was given up, and what the asker passed over."""
+        try:
+            yield
+        except GivenUp as given_up:
+            self.rejections[cell, given_up.reason] += 1
+        finally:
+            self.rejections.update({(cell, rule): n for rule, n in self.asker.clashes.items()})
+            self.asker.clashes.clear()
+
+    def _group(self, program: Program, draws: Draws) -> Group:
+        group = counterfactual_group(program, self.asker, draws, self.words)
+        if group is None:
+            raise GivenUp("no_twin")
+        return group
 
     def _wish(self, cell: Cell, draws: Draws) -> _Wish:
         category, wanted = cell.category, cell.composition
@@ -274,3 +313,9 @@ class ProgramSampler:
         if not self._refs[key]:
             raise GivenUp("circular")
         return draws.choice(self._refs[key])
+
+
+def _unseen(program: Program, seen: set[Program]) -> Program:
+    if program in seen:
+        raise GivenUp("duplicate")
+    return program

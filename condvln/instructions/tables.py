@@ -18,7 +18,7 @@ def instruction_table(
     scene_id: str,
     programs: Iterable[tuple[str, Program]],
     texts: Mapping[str, str] | None = None,
-    groups: Mapping[str, str] | None = None,
+    groups: Mapping[str, str | None] | None = None,
 ) -> pa.Table:
     """INSTRUCTIONS rows in the order given.
 

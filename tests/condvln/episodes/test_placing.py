@@ -8,9 +8,10 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from condvln.episodes.candidates import Candidate
 from condvln.episodes.goals import blocked_footprints, goal_points
 from condvln.episodes.placing import Placement, Placer, Rejected
-from condvln.episodes.pool import Candidate, fill_pool
+from condvln.episodes.pool import fill_pool
 from condvln.episodes.rules import REASONS, EpisodeRules
 from condvln.episodes.table import goals_from_table, stops_table
 from condvln.episodes.view import SceneView

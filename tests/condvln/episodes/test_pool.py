@@ -6,19 +6,23 @@ from collections import Counter
 from itertools import permutations
 
 import numpy as np
+import pyarrow as pa
 import pytest
 
+from condvln.episodes import pool as pool_module
+from condvln.episodes.candidates import Candidate, candidates_from_table, candidates_table
 from condvln.episodes.observability import Observer
 from condvln.episodes.placing import Placer
-from condvln.episodes.pool import Candidate, Pool, fill_pool
+from condvln.episodes.pool import Pool, fill_pool
 from condvln.episodes.rules import REASONS, EpisodeRules
-from condvln.episodes.table import funnel_table, placements_table, rejections_table
+from condvln.episodes.table import funnel_table, placements_table, rejections_table, with_text
 from condvln.episodes.unplaced import unplaced_programs
 from condvln.episodes.view import SceneView
 from condvln.instructions import Cell
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Scene
 from schemas.program import SHAPES, Condition, Leaf, ObjectRef, Program, RoomRef
+from schemas.tables import EPISODES
 from tests.condvln.episodes.floors import apartment, box, grid_floor, inside
 
 RULES = EpisodeRules()
@@ -123,3 +127,92 @@ def test_instructions_without_episodes_keep_to_cells_and_gold_balance() -> None:
     for cell in cells:
         golds = Counter(c.program.gold_leaf() for c in chosen if c.cell == cell)
         assert max(golds.values()) - min(golds.values()) <= 1
+
+
+def quadruple(first: str, second: str, witness: str, name: str) -> list[Candidate]:
+    """The four programs of a counterfactual group."""
+    programs = [
+        asking(one, two, witness, truth) for one, two in ((first, second), (second, first)) for truth in (True, False)
+    ]
+    return [Candidate(f"{name} {k}", program, None, name) for k, program in enumerate(programs)]
+
+
+def test_a_counterfactual_group_shares_its_start_and_comes_whole(flat) -> None:
+    cell = Cell("simple", count=8)
+    groups = [
+        member for k, names in enumerate(permutations(NAMES, 3)) for member in quadruple(*names, name=f"group {k}")
+    ]
+    scene, pathfinder = flat
+    placer = Placer(scene, pathfinder, RULES, seed=5, max_climb=0.2)
+    observer = Observer(scene, SceneView(scene), pathfinder, RULES)
+    pool = fill_pool([*drawn(cell), *groups], placer, (cell,), 0.5, lambda p: p.conditions[0].truth, observer, 3)
+    members: dict[str, list] = {}
+    for episode in pool.episodes:
+        if episode.candidate.group_id is not None:
+            members.setdefault(episode.candidate.group_id, []).append(episode)
+    assert 2 <= len(members) <= 3
+    for found in members.values():
+        assert len(found) == 4
+        base = found[0]
+        for episode in found:
+            np.testing.assert_array_equal(episode.placement.start, base.placement.start)
+            assert (episode.placement.yaw, episode.placement.steps) == (base.placement.yaw, base.placement.steps)
+            for leaf, placed in zip(episode.program.leaves, episode.placement.leaves, strict=True):
+                assert placed.objects == tuple(move.object_id for move in leaf.moves)
+            assert episode.observation is not None
+        # One text of the group names its heading, so that the start of all is a compass point.
+        assert np.degrees(base.placement.yaw) / 45 == pytest.approx(round(np.degrees(base.placement.yaw) / 45))
+        assert Counter(e.program.gold_leaf() for e in found) == {0: 2, 1: 2}
+    programs = [e.program for e in pool.episodes]
+    assert len(set(programs)) == len(programs), "a program of a group is not placed again by itself"
+    assert pool.rejections[cell, "program_placed"]
+    (row,) = [row for row in funnel_table("flat", (cell,), pool, 3).to_pylist() if row["category"] is None]
+    assert row["wanted"] == 12
+    assert row["candidates"] == len(groups) == row["rejected"] + row["placed"]
+    assert row["placed"] == 4 * len(members)
+
+
+def test_a_group_is_trimmed_away_whole(flat) -> None:
+    # Of one group alone each of two labels has half of all leaves; nothing is over a share that small pools allow.
+    pool = filled(flat, [], ())
+    assert pool.episodes == []
+    scene, pathfinder = flat
+    placer = Placer(scene, pathfinder, RULES, seed=5, max_climb=0.2)
+    groups = [
+        m
+        for k, names in enumerate([("sofa", "sink", "bed"), ("sofa", "lamp", "bed"), ("sofa", "table", "bed")])
+        for m in quadruple(*names, name=f"group {k}")
+    ]
+    pool = fill_pool(groups, placer, (), 1.0, lambda _: False, None, 3)
+    whole = Counter(e.candidate.group_id for e in pool.episodes)
+    assert set(whole.values()) == {4}
+    pool_module._trim(pool, 0.3)
+    kept = Counter(e.candidate.group_id for e in pool.episodes)
+    assert set(kept.values()) <= {4}
+    assert len(kept) < len(whole)
+    assert sum(kept.values()) + sum(pool.rejections.values()) == len(groups)
+
+
+def test_a_group_has_one_step_budget_by_its_longest_text(flat) -> None:
+    scene, pathfinder = flat
+    placer = Placer(scene, pathfinder, RULES, seed=5, max_climb=0.2)
+    candidates = quadruple("sofa", "sink", "bed", "g")
+    pool = fill_pool(candidates, placer, (), 1.0, lambda _: False, None, 1)
+    placements = placements_table("flat", pool, {c.instruction_id: "C0" for c in candidates}, "0" * 64)
+    names = placements["episode_id"].to_pylist()
+    texts = {name: " ".join(["word"] * (12 + k)) for k, name in enumerate(names)}
+    rows = with_text(placements, texts, 500, 10).to_pylist()
+    assert [row["words"] for row in rows] == [12, 13, 14, 15]
+    assert {row["max_steps"] for row in rows} == {max(150, 2 * rows[0]["ground_truth_steps"])}
+    assert {row["group_id"] for row in rows} == {"g"}
+    single = placements.set_column(3, EPISODES.field("group_id"), pa.nulls(4, pa.string()))
+    alone = with_text(single, texts, 500, 10).to_pylist()
+    assert [row["max_steps"] for row in alone] == [
+        max(10 * row["words"], 2 * row["ground_truth_steps"]) for row in alone
+    ]
+
+
+def test_candidates_are_kept_in_a_table_without_loss(flat) -> None:
+    cells = (Cell("simple", observability="O1", count=5), Cell("simple", count=4))
+    candidates = [*drawn(*cells), *quadruple("sofa", "sink", "bed", "g")]
+    assert candidates_from_table(candidates_table("flat", candidates), cells) == candidates

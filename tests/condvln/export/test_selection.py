@@ -154,14 +154,39 @@ def test_sources_share_a_cell_evenly(pool: Pool) -> None:
             assert cell.selected == 2
 
 
-def test_whole_counterfactual_groups_come_first(pool: Pool) -> None:
-    selected = select(pool, SplitsConfig())
-    whole = broken = 0
-    for unit in np.unique(pool.unit[pool.grouped]):
-        members = selected.split[pool.unit == unit]
-        whole += (members != OUT).all()
-        broken += (members != OUT).any() and not (members != OUT).all()
-    assert whole > 4 * broken
+def test_counterfactual_groups_come_first_and_whole_or_not_at_all(pool: Pool, chosen: Chosen) -> None:
+    split = chosen[1].split
+    groups = [split[pool.unit == unit] for unit in np.unique(pool.unit[pool.grouped])]
+    whole = sum((members != OUT).all() for members in groups)
+    assert whole + sum((members == OUT).all() for members in groups) == len(groups)
+    assert all(len(set(members.tolist())) == 1 for members in groups)
+    if chosen[0].per_cell is None:
+        assert whole > 0.8 * len(groups)
+
+
+def test_of_a_group_that_lost_a_member_nothing_is_taken(pool: Pool) -> None:
+    unfit = pool.unfit.copy()
+    lost = np.flatnonzero(pool.grouped)[::3]
+    unfit[lost] = pool.reasons.index("over") if "over" in pool.reasons else 1
+    reasons = (*pool.reasons, "over")
+    selected = select(Pool(**{**pool.__dict__, "unfit": unfit, "reasons": reasons}), SplitsConfig())
+    assert (selected.split[np.isin(pool.unit, pool.unit[lost])] == OUT).all()
+    assert selected.left_out["its counterfactual group is not whole"] > 0
+    assert (selected.split != OUT).sum() + sum(selected.left_out.values()) == len(pool)
+
+
+def test_groups_that_lean_on_one_leaf_do_not_spoil_the_balance() -> None:
+    pool = pool_of(made_snapshot({"replicacad": ["v3_sc0_staging_00"]}, per_category=80))
+    leaf = pool.leaf.copy()
+    leaf[pool.grouped] = 0
+    selected = select(Pool(**{**pool.__dict__, "leaf": leaf}), SplitsConfig(val_seen_share=0))
+    for category in np.unique(pool.category):
+        mine = (pool.category == category) & (selected.split != OUT)
+        counts = np.bincount(leaf[mine])
+        assert len(set(counts.tolist())) == 1
+        assert counts[0] == min(np.bincount(leaf[(pool.category == category) & ~pool.grouped])[1:])
+    groups = [selected.split[pool.unit == unit] for unit in np.unique(pool.unit[pool.grouped])]
+    assert {(members != OUT).sum() for members in groups} == {0, 2}
 
 
 def test_a_leaf_that_is_never_gold_leaves_its_category_out() -> None:

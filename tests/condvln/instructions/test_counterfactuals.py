@@ -6,6 +6,7 @@ from collections import Counter
 
 import numpy as np
 
+from condvln.instructions import Cell, InstructionConfig, LabelPriors, ProgramSampler
 from condvln.instructions.counterfactuals import counterfactual_group, group_id, swapped
 from condvln.instructions.draws import Draws
 from condvln.labels import vocabulary
@@ -46,6 +47,42 @@ def test_groups(sampled, prove) -> None:
             assert name == group_id(scene.family, scene.scene_id, (both, exchanged, flipped, base))
             assert name != group_id(scene.family, "another", group)
     assert made > 0.8 * tried
+
+
+def test_a_sampler_s_groups_take_the_categories_in_turn(make_scene, facts_maker, prove) -> None:
+    scene = make_scene(0, side=8.0)
+    facts = facts_maker(scene)
+    bits = LabelPriors.of_scene(scene).bits(scene)
+    wanted = {"simple": 3, "nested": 3, "chain": 3}
+
+    def groups(**changes) -> list[tuple]:
+        config = InstructionConfig(per_category=wanted, candidates_per_episode=6, counterfactual_groups=3, **changes)
+        return list(ProgramSampler(scene, facts, bits, config, 0).groups())
+
+    found = groups()
+    assert 12 <= len(found) <= 18
+    assert {group[0].category for group in found[:3]} == set(wanted)
+    programs = [program for group in found for program in group]
+    assert len(set(programs)) == len(programs)
+    for group in found:
+        assert len({program.category for program in group}) == 1
+        for program in group:
+            prove(program, scene, facts)
+    sampler = ProgramSampler(
+        scene,
+        facts,
+        bits,
+        InstructionConfig(per_category=wanted, candidates_per_episode=6, counterfactual_groups=3),
+        0,
+    )
+    before = [p for c in wanted for p in sampler.candidates(c)]
+    assert list(sampler.groups()) == found, "whatever was drawn before"
+    none = InstructionConfig(per_category=wanted, candidates_per_episode=6)
+    alone = ProgramSampler(scene, facts, bits, none, 0)
+    assert [p for c in wanted for p in alone.candidates(c)] == before
+    assert list(alone.groups()) == []
+    in_cells = groups(cells=(Cell("chain", "C1", 2, count=4),))
+    assert {len(leaf.moves) for g in in_cells for p in g if p.category == "chain" for leaf in p.leaves} == {2}
 
 
 def test_exchanging_twice_changes_nothing(sampled) -> None:

@@ -1,0 +1,64 @@
+"""Programs that wait to be placed: what the sampler drew, in the order in which it will be tried."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import pyarrow as pa
+
+from condvln.instructions.config import Cell, cell_name
+from condvln.instructions.counterfactuals import group_id
+from condvln.instructions.ids import instruction_id
+from condvln.instructions.sampling import ProgramSampler
+from condvln.instructions.tables import instruction_table, programs_from_table
+from schemas.program import CATEGORIES, Program
+from schemas.tables import INSTRUCTIONS
+
+__all__ = ["Candidate", "candidates_from_table", "candidates_table", "draw_candidates"]
+
+_CELL: Final = pa.field("cell", pa.string(), nullable=False)
+_GROUP: Final = INSTRUCTIONS.field("group_id")
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A program to be placed, and the cell that it was drawn for; None with the counterfactual group that it is of."""
+
+    instruction_id: str
+    program: Program
+    cell: Cell | None
+    group_id: str | None = None
+
+
+def draw_candidates(sampler: ProgramSampler) -> list[Candidate]:
+    """All that a sampler draws: each cell's programs, then counterfactual groups, whose programs may be among them."""
+    family, scene_id = sampler.scene.family, sampler.scene.scene_id
+    found = [
+        Candidate(instruction_id(family, scene_id, program), program, cell)
+        for category in CATEGORIES
+        for cell, program in sampler.drawn(category)
+    ]
+    for group in sampler.groups():
+        name = group_id(family, scene_id, group)
+        found += [Candidate(instruction_id(family, scene_id, program), program, None, name) for program in group]
+    return found
+
+
+def candidates_table(scene_id: str, candidates: Sequence[Candidate]) -> pa.Table:
+    """Candidates as rows: the columns of INSTRUCTIONS, and ``cell``."""
+    table = instruction_table(scene_id, ((c.instruction_id, c.program) for c in candidates))
+    groups = pa.array([c.group_id for c in candidates], _GROUP.type)
+    table = table.set_column(table.schema.get_field_index(_GROUP.name), _GROUP, groups)
+    return table.append_column(_CELL, pa.array([cell_name(c.cell) for c in candidates], _CELL.type))
+
+
+def candidates_from_table(table: pa.Table, cells: Iterable[Cell]) -> list[Candidate]:
+    """Candidates of the rows that `candidates_table` made, in their order; `cells` are those that were drawn for."""
+    named = {cell.name: cell for cell in cells}
+    columns = (table[name].to_pylist() for name in (_CELL.name, _GROUP.name))
+    return [
+        Candidate(name, program, None if group is not None else named[cell], group)
+        for (name, program), cell, group in zip(programs_from_table(table), *columns, strict=True)
+    ]
