@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from condvln.relations import relate_scene, text_facts
 from condvln.scene.meshes import MeshLibrary
 from condvln.verify.certificate import Certificate
+from condvln.verify.corpus import Corpus
 from condvln.verify.files import Row
 from condvln.verify.proof import prove_scene
 from condvln.verify.surfaces import Shapes
@@ -38,6 +39,8 @@ def _mutants(made_export, seed: int, rounds: int):
         world = World(scene, {room_id: text_facts(found) for room_id, found in relations.items()})
         rows = made.setdefault(run.scene_id, [])
         for row in run.rows:
+            if row.manifest.group_id is not None:
+                continue  # mutants beside each other would be members of one group; they have a test of their own
             for name, mutate in MUTATORS.items():
                 for _ in range(rounds):
                     files = Files.of(row)
@@ -81,6 +84,46 @@ def _check(made_export, seed: int, rounds: int) -> None:
     assert total >= 2000
     assert total - len(survivors) >= LEAST * total
     assert not survivors, "a survivor is a hole in the verifier, or a mutator that makes no fault"
+
+
+@pytest.mark.soak
+def test_mutants_of_groups_are_caught(made_export) -> None:
+    """One member is broken at a time, the others of its group are sound."""
+    rng = np.random.default_rng(2)
+    tried, survivors = 0, []
+    for run in made_export.runs:
+        scene = made_export.scenes[run.scene_id]
+        relations = relate_scene(scene, meshes=MeshLibrary(scene.root).world_mesh)
+        world = World(scene, {room_id: text_facts(found) for room_id, found in relations.items()})
+        groups = {}
+        for row in run.rows:
+            groups.setdefault(row.manifest.group_id, []).append(row)
+        groups.pop(None, None)
+        shapes = Shapes(scene.root)
+        for name, mutate in MUTATORS.items():
+            rows, broken = [run.rows[0]], []
+            for members in groups.values():
+                which = int(rng.integers(len(members)))
+                files = Files.of(members[which])
+                if not mutate(files, rng, world):
+                    continue
+                try:
+                    mutant = files.row(members[which].split)
+                except ValidationError:
+                    continue
+                broken.append(len(rows) + which)
+                rows += [*members[:which], mutant, *members[which + 1 :]]
+            certificates = [Certificate(r.manifest.episode_id, "replicacad", run.scene_id, r.split) for r in rows]
+            prove_scene(rows, certificates, scene, made_export.folder, made_export.rules, shapes)
+            corpus = Corpus()
+            for row, certificate in zip(rows[1:], certificates[1:], strict=True):
+                corpus.check(row.manifest, row.split, certificate)
+            tried += len(broken)
+            survivors += [(name, rows[k].manifest.instruction_text) for k in broken if certificates[k].proven]
+    print(f"\n{tried} mutants of members of groups")
+    if not tried:
+        pytest.skip("the made export has no counterfactual groups")
+    assert not survivors
 
 
 def test_mutants_are_caught(made_export) -> None:
