@@ -15,7 +15,7 @@ from condvln.labels import vocabulary
 NOUNS = Path(__file__).parent / "nouns.txt"
 
 STILTED = re.compile(
-    r"\b(?:as long as|is home to|features|on top of that|if no|look whether|holds if|this is all about|somewhere here)\b"
+    r"\b(?:as long as|is home to|features|on top of that|if no|look whether|this is all about|somewhere here)\b"
 )
 """Phrases that were taken out because readers stumbled over them, or read them as something else."""
 
