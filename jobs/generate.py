@@ -15,6 +15,7 @@ from factory.report import ABORTED, RunReport
 from factory.run import run
 from factory.unit import Unit
 from jobs.export import add_viewpoints, export_snapshot_of
+from jobs.funnel import add_funnel
 from jobs.pipeline import build_pipeline, list_units
 from jobs.progress import LoggedRun, RunProgress
 from jobs.report import Report, Section
@@ -49,6 +50,8 @@ def run_generate(
         console=console,
     )
     report = run_report(done)
+    if done.snapshot_id is not None:
+        add_funnel(report, published(config))
     if config.export is not None and done.exit_code != ABORTED and done.snapshot_id is not None:
         add_export(report, config)
     return report
@@ -71,7 +74,7 @@ def bring_up_to_date(
     warm : compile what scenes need before any is read; not worth it where none is expected to be made
     """
     # Compiled once here, so that workers find the kernels in the cache instead of compiling them side by side.
-    kernels = {"paths", "follower"}
+    kernels = {"paths", "follower", "line of sight among boxes"}
     if any(not any(i.path.endswith(".navmesh") for i in unit.inputs) for unit in units):
         kernels.add("navmesh builder")
     if warm:

@@ -7,8 +7,10 @@ from typing import Any, Final
 
 from pydantic import ValidationError
 
+from factory.snapshot import Snapshot
 from factory.status import AggregateDrift, RefStatus, StoreStatus, drift, store_status
 from factory.store import Store
+from jobs.funnel import add_funnel
 from jobs.progress import LOGS
 from jobs.report import Report, Section
 from jobs.target import Target
@@ -51,6 +53,7 @@ def target_status(target: Target, *, measure_drift: bool = False, sizes: bool = 
     report.sections.append(_snapshots(found.refs))
     if own is not None and own.manifest is not None:
         report.sections += [*_contents(own.manifest)]
+        add_funnel(report, Snapshot.open(store, own.ref.name))
     report.sections.append(_quarantine(found.quarantine))
     report.sections.append(_runs(found.runs))
     report.sections.append(_pins(store, found, report))

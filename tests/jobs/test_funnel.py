@@ -1,0 +1,152 @@
+"""The funnel: its numbers add up, agree with what the stages measured, and no scene is silent."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from jobs.command import app
+from jobs.funnel import funnel_of
+from jobs.generate import run_generate
+from jobs.report import Report
+from jobs.workspace import published
+from schemas.config import Config, EpisodeConfig, InstructionCell, InstructionsConfig
+
+runner = CliRunner()
+
+Run = tuple[Config, Report]
+
+
+def measured(config: Config, stage: str, measure: str) -> dict[str, int]:
+    """What the commits of a stage recorded, by unit."""
+    commits = [json.loads(path.read_text()) for path in Path(config.store).glob("units/**/unit.json")]
+    return {c["unit_id"]: int(c["measures"][measure]) for c in commits if c["stage"] == stage}
+
+
+def test_numbers_add_up(made_run: Run) -> None:
+    config, _ = made_run
+    snapshot = published(config)
+    funnel = funnel_of(snapshot)
+    assert funnel is not None
+    drawn, placed = measured(config, "programs", "candidates"), measured(config, "episodes", "episodes")
+    episodes = Counter(f"replicacad/{scene}" for scene in snapshot.table("episodes")["scene_id"].to_pylist())
+    assert set(funnel.scenes) == set(drawn) == set(placed)
+    for name, flow in funnel.scenes.items():
+        assert flow.candidates == drawn[name] == sum(flow.rejected.values()) + flow.placed
+        assert flow.placed == placed[name] == episodes[name]
+        assert flow.short == max(0, flow.wanted - flow.placed)
+    for column in ("wanted", "candidates", "placed"):
+        assert sum(getattr(f, column) for f in funnel.cells.values()) == sum(
+            getattr(f, column) for f in funnel.scenes.values()
+        )
+    for counts in ("rejected", "undrawn"):
+        by_cell, by_scene = Counter(), Counter()
+        for flow in funnel.cells.values():
+            by_cell += getattr(flow, counts)
+        for flow in funnel.scenes.values():
+            by_scene += getattr(flow, counts)
+        assert by_cell == by_scene
+    assert {cell for _, cell in funnel.cells} == {"simple", "nested", "counterfactual groups"}
+    for row in snapshot.table("funnel").to_pylist():
+        assert row["candidates"] == row["rejected"] + row["placed"]
+
+
+def test_generate_and_status_tell_it(made_run: Run, tmp_path: Path) -> None:
+    config, report = made_run
+    path = tmp_path / "run.yaml"
+    path.write_text(config.model_dump_json())
+    result = runner.invoke(app, ["status", str(path), "--json"])
+    assert result.exit_code == 0, result.output
+    told = json.loads(result.stdout)["funnel"]
+    assert told == report.document["funnel"]
+    assert [scene["scene"] for scene in told["scenes"]] == ["replicacad/made_000", "replicacad/made_001"]
+    assert "Funnel" in runner.invoke(app, ["status", str(path)]).output
+
+
+def test_a_scene_that_yields_nothing_says_why(dataset: Path, configured: Callable[..., Config]) -> None:
+    nowhere = configured(dataset, episodes=EpisodeConfig(distance=(60.0, 70.0)))
+    funnel = funnel_of(published_after(nowhere))
+    assert funnel is not None
+    assert {name: why.split(":")[0] for name, why in funnel.barren.items()} == dict.fromkeys(
+        ["replicacad/made_000", "replicacad/made_001"], "no_start_in_range"
+    )
+    assert all("no start has every leaf" in why for why in funnel.barren.values())
+    narrow = configured(dataset, episodes=EpisodeConfig(island_radius=90.0))
+    funnel = funnel_of(published_after(narrow))
+    assert funnel is not None
+    for name, flow in funnel.scenes.items():
+        assert flow.candidates == 0
+        assert funnel.barren[name].startswith("no_targets: ")
+
+
+def published_after(config: Config):
+    assert run_generate(config, inline=True).exit_code == 0
+    return published(config)
+
+
+@pytest.fixture(scope="module")
+def celled(made_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Config:
+    folder = tmp_path_factory.mktemp("cells")
+    cells = [
+        InstructionCell(category="simple", moves=2, observability="O0", count=3),
+        InstructionCell(category="long_chain", composition="C0", moves=3, count=4),
+    ]
+    config = Config(
+        name="cells",
+        store=folder / "store",
+        export=folder / "export",
+        sources=({"family": "replicacad", "root": made_dataset},),
+        instructions=InstructionsConfig(per_category={"simple": 90, "chain": 4}, cells=cells),
+    )
+    assert run_generate(config, inline=True).exit_code == 0
+    return config
+
+
+def test_a_cell_is_had_or_its_shortfall_is_told(celled: Config) -> None:
+    snapshot = published(celled)
+    funnel = funnel_of(snapshot)
+    assert funnel is not None
+    cells = {cell: flow for (_, cell), flow in funnel.cells.items()}
+    assert set(cells) == {"chain", "counterfactual groups", "long_chain C0 3 moves", "simple O0 2 moves"}
+    crowded = cells["long_chain C0 3 moves"]
+    assert (crowded.candidates, crowded.short) == (0, 8), "no room has so many places apart"
+    assert set(crowded.why().split()) & {"no_targets", "no_waypoint"}
+    asked = cells["simple O0 2 moves"]
+    assert 0 < asked.placed <= asked.wanted == 6
+    rows = [
+        row for row in snapshot.table("episodes").to_pylist() if row["category"] == "simple" and row["group_id"] is None
+    ]
+    assert len(rows) == asked.placed
+    assert {(row["observability"], row["moves"]) for row in rows} == {("O0", 2)}
+
+
+def test_counterfactual_groups_are_published_whole(celled: Config) -> None:
+    rows = [json.loads(line) for p in Path(celled.export).glob("manifest/*.jsonl") for line in p.open()]
+    groups: dict[str, list] = {}
+    for row in rows:
+        if row["group_id"] is not None:
+            groups.setdefault(row["group_id"], []).append(row)
+    assert groups
+    for members in groups.values():
+        assert len(members) == 4
+        for name in ("scene_id", "split", "category", "start_position", "start_rotation", "max_steps"):
+            assert len({str(member[name]) for member in members}) == 1
+        golds = Counter(
+            member["program"]["leaves"][member["gold_leaf"]]["moves"][-1]["object_id"] for member in members
+        )
+        assert sorted(golds.values()) == [2, 2], "no object is right in more than half"
+    published_groups = {
+        (row["episode_id"], row["group_id"])
+        for row in published(celled).table("episodes").to_pylist()
+        if row["group_id"]
+    }
+    assert {(m["episode_id"], m["group_id"]) for g in groups.values() for m in g} <= published_groups
+    instructions = {
+        row["instruction_id"]: row["group_id"] for row in published(celled).table("instructions").to_pylist()
+    }
+    assert all(instructions[m["instruction_id"]] == name for name, g in groups.items() for m in g)
