@@ -32,9 +32,6 @@ TargetName = Annotated[
 RefName = Annotated[str | None, typer.Option("--ref", metavar="NAME", help="published under another name")]
 AsJson = Annotated[bool, typer.Option("--json", help="print one JSON document instead of text")]
 
-PIPE_WIDTH: Final = 160
-"""Columns of tables that are not printed on a terminal."""
-
 EXIT_CODES: Final = (
     "Exit codes: 0 done, 1 usage, 3 done with quarantined scenes or failed proofs, 4 over the failure budget."
 )
@@ -43,11 +40,11 @@ EXIT_CODES: Final = (
 @app.command(epilog=EXIT_CODES)
 def demo(
     out: Annotated[Path, typer.Option(help="folder to write to")] = Path("out/demo"),
-    scenes: Annotated[int, typer.Option(help="made apartments")] = 12,
+    scenes: Annotated[int, typer.Option(help="made apartments, over all formats")] = 12,
     seed: Annotated[int, typer.Option(help="seed of everything")] = 0,
     workers: Annotated[int | None, typer.Option(help="Ray workers; 0 runs inline")] = None,
 ) -> None:
-    """Made scenes → instructions → episodes → tables and VLN-CE files, in minutes on two cores."""
+    """Made scenes of four datasets' formats: generated, exported, proven, walked and measured, in minutes on two cores."""
     from jobs.demo import run_demo
 
     _exit(run_demo(out, scenes=scenes, seed=seed, workers=workers, console=_console()))
@@ -67,12 +64,19 @@ def samples(
 
 
 @app.command()
-def sources(config: ConfigPath, overrides: Overrides = None, as_json: AsJson = False) -> None:
-    """What is there, what is missing, and what will be skipped and why. Runs nothing."""
+def sources(
+    config: ConfigPath,
+    overrides: Overrides = None,
+    limit: Annotated[
+        int | None, typer.Option(min=1, help="read this many scenes of each source, spread evenly; all by default")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """What is there, what is missing, and what will be skipped and why. Reads scenes, runs and builds nothing."""
     from jobs.configuration import load_config
     from jobs.sources import survey
 
-    _show(survey(load_config(config, overrides or ())), as_json)
+    _show(survey(load_config(config, overrides or ()), limit=limit, console=_console(quiet=as_json)), as_json)
 
 
 @app.command()
@@ -163,13 +167,6 @@ def status(
     _show(target_status(found, measure_drift=drift, sizes=sizes), as_json)
 
 
-NavmeshRoots = Annotated[
-    list[Path] | None,
-    typer.Option("--navmesh-root", help="dataset folder with the navmeshes that the export does not ship"),
-]
-Graphs = Annotated[
-    list[Path] | None,
-    typer.Option("--connectivity", help="folder of <scan>_connectivity.json, for discrete R2R"),
 @app.command(
     epilog="The exit code is that of the verb; 130 after Ctrl-C, when the job goes on.",
     context_settings={"ignore_unknown_options": True},
@@ -199,6 +196,13 @@ def submit(
     _exit(report.exit_code)
 
 
+NavmeshRoots = Annotated[
+    list[Path] | None,
+    typer.Option("--navmesh-root", help="dataset folder with the navmeshes that the export does not ship"),
+]
+Graphs = Annotated[
+    list[Path] | None,
+    typer.Option("--connectivity", help="folder of <scan>_connectivity.json, for discrete R2R"),
 ]
 
 
@@ -282,6 +286,11 @@ def query(
         str | None, typer.Argument(metavar="SQL|NAME", help="a query over the tables and views, or one by its name")
     ] = None,
     overrides: Overrides = None,
+    ref: RefName = None,
+    listed: Annotated[bool, typer.Option("--list", help="list tables, views and named queries")] = False,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="write the rows to .parquet, .csv or .jsonl")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """DuckDB over the published tables; each has a ``source`` column from its folder."""
@@ -461,9 +470,9 @@ def _show(report: Any, as_json: bool) -> None:
     if as_json:
         sys.stdout.write(json.dumps(report.as_json(), ensure_ascii=False, sort_keys=True) + "\n")
     else:
-        console = Console()
-        # Nobody's window is that narrow: a file or a pipe has no width, and rich would take 80 columns for it.
-        (console if console.is_terminal else Console(width=PIPE_WIDTH)).print(report)
+        from jobs.report import terminal
+
+        terminal().print(report)
 
 
 def _exit(code: int) -> None:

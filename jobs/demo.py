@@ -1,4 +1,4 @@
-"""``condvln demo``: the whole job on made scenes, ending with instructions to read and where the files are."""
+"""``condvln demo``: the whole job on made scenes in four formats: generated, exported, proven and measured."""
 
 from __future__ import annotations
 
@@ -9,54 +9,92 @@ from typing import Final
 from rich.console import Console
 
 from condvln.samples import make_samples
+from jobs.evaluate import EvaluationReport, Question, evaluate_predictions, walk_split
 from jobs.generate import run_generate
-from jobs.report import Report, Section
+from jobs.report import Report, Section, terminal
 from jobs.show import show_episodes
+from jobs.verify import verify_export
 from jobs.workspace import published
-from schemas.config import Config, InstructionsConfig, RayConfig, SourceConfig
+from schemas.config import Config, Family, InstructionsConfig, RayConfig, SourceConfig, SplitsConfig
 from schemas.program import CATEGORIES
 
 __all__ = ["run_demo"]
 
-SHOWN: Final = 5
-"""Instructions printed at the end."""
+FAMILIES: Final[tuple[Family, ...]] = ("replicacad", "procthor", "mp3d", "gibson")
+"""The paper's four sources; AI2-THOR by its houses, which have no mesh, so that navmeshes are built too."""
+SHOWN: Final = 6
+"""Instructions printed, one a category."""
 PER_CATEGORY: Final = 10
 """Episodes a scene and category: enough to fill every category, few enough for two minutes."""
+AGENTS: Final = ("perfect", "nearest", "wrong-branch")
+FRACTIONS: Final = (0.5, 0.25, 0.25)
+"""So few scenes would leave a tenth of them empty."""
 
 
 def run_demo(out: Path, *, scenes: int, seed: int, workers: int | None, console: Console) -> int:
-    """Make scenes, generate, export, show. Returns the exit code.
+    """Make scenes, generate, export, show, prove, walk and evaluate. Returns the exit code.
 
+    scenes : over all families together
     workers : Ray workers; 0 runs in this process; None is one a core
     """
     began = time.monotonic()
     out = out.resolve()
-    console.print(f"making {scenes} apartments in {out / 'scenes'}", highlight=False)
-    make_samples(out / "scenes", family="replicacad", scenes=scenes, seed=seed)
+    shares = [scenes // len(FAMILIES) + (k < scenes % len(FAMILIES)) for k in range(len(FAMILIES))]
+    chosen = [(family, count) for family, count in zip(FAMILIES, shares, strict=True) if count]
+    for k, (family, count) in enumerate(chosen):
+        console.print(f"making {count} apartments as {family} in {out / 'scenes' / family}", highlight=False)
+        # Other seeds, so that no apartment is there twice in two formats.
+        make_samples(out / "scenes" / family, family=family, scenes=count, seed=seed * len(FAMILIES) + k)
     config = Config(
         name="demo",
         seed=seed,
-        store=out / "store",
+        store=str(out / "store"),
         export=out / "export",
-        sources=(SourceConfig(family="replicacad", root=out / "scenes"),),
+        sources=tuple(SourceConfig(family=family, root=out / "scenes" / family) for family, _ in chosen),
         instructions=InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, PER_CATEGORY)),
+        splits=SplitsConfig(fractions=FRACTIONS),
         ray=RayConfig(workers=workers or None),
     )
     report = run_generate(config, inline=workers == 0, console=console)
-    shown = show_episodes(config, sample=SHOWN, picture=out / "pictures")
+    printed = terminal()
+    for part in (report, show_episodes(config, sample=SHOWN, picture=out / "pictures")):
+        printed.print(part)
+    proof = verify_export(config, out / "export")
+    measured = _measure(config, out)
     snapshot = published(config)
-    tables = [(name, table.rows) for name, table in sorted(snapshot.manifest.tables.items())]
     closing = Report(
         {},
         [
             "",
-            f"tables    {out / 'store' / 'snapshots' / snapshot.snapshot_id}",
-            f"episodes  {config.export}",
-            f"pictures  {out / 'pictures'}",
+            f"tables       {out / 'store' / 'snapshots' / snapshot.snapshot_id}",
+            f"episodes     {config.export}",
+            f"predictions  {out / 'predictions'}",
+            f"pictures     {out / 'pictures'}",
             f"done in {time.monotonic() - began:.0f} s",
         ],
+        [Section("Tables", ("table", "rows"), [(n, t.rows) for n, t in sorted(snapshot.manifest.tables.items())])],
     )
-    printed = Console()
-    for part in (report, shown, Report({}, [], [Section("Tables", ("table", "rows"), [*tables])]), closing):
-        printed.print(part)
-    return report.exit_code
+    printed.print(proof.lines[0])
+    if measured is not None:
+        printed.print(measured)
+    printed.print(closing)
+    return max(report.exit_code, proof.exit_code)
+
+
+def _measure(config: Config, out: Path) -> EvaluationReport | None:
+    """Reference agents on the largest split of scenes that are not for training."""
+    assert config.export is not None
+    sizes = {
+        split: sum(1 for _ in (config.export / "manifest" / f"{split}.jsonl").open("rb"))
+        for split in ("val_unseen", "test", "train")
+    }
+    split = max(sizes, key=lambda name: (sizes[name] > 0 and name != "train", sizes[name]))
+    if not sizes[split]:
+        return None
+    roots = [source.root for source in config.sources]
+    files = [out / "predictions" / f"{agent}.json" for agent in AGENTS]
+    for agent, path in zip(AGENTS, files, strict=True):
+        walk_split(config.export, split, agent, path, roots, config.seed)
+    asked = Question(export=config.export, split=split, predictions=tuple(files), roots=tuple(roots))
+    found = evaluate_predictions(asked)
+    return EvaluationReport(found.evaluations, found.tables[:1])

@@ -4,13 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.table import Table
 from rich.text import Text
 
-__all__ = ["Report", "Section"]
+__all__ = ["PIPE_WIDTH", "Report", "Section", "terminal"]
+
+PIPE_WIDTH: Final = 160
+"""Columns of what is not printed on a terminal."""
+
+
+def terminal() -> Console:
+    """Where reports go. A file or a pipe has no width, and rich would take nobody's 80 columns for it."""
+    console = Console()
+    return console if console.is_terminal else Console(width=PIPE_WIDTH)
 
 
 @dataclass
