@@ -44,7 +44,7 @@ def demo(
     seed: Annotated[int, typer.Option(help="seed of everything")] = 0,
     workers: Annotated[int | None, typer.Option(help="Ray workers; 0 runs inline")] = None,
 ) -> None:
-    """Made scenes of four datasets' formats: generated, exported, proven, walked and measured, in minutes on two cores."""
+    """Made scenes of four datasets' formats: generated, exported, proven, walked, measured; minutes on two cores."""
     from jobs.demo import run_demo
 
     _exit(run_demo(out, scenes=scenes, seed=seed, workers=workers, console=_console()))
