@@ -20,6 +20,8 @@ _CONTEXT: Final[dict[str, Any]] = {
     "data": {"@id": "cr:data", "@type": "@json"},
     "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
     "dct": "http://purl.org/dc/terms/",
+    "equivalentProperty": "cr:equivalentProperty",
+    "examples": {"@id": "cr:examples", "@type": "@json"},
     "extract": "cr:extract",
     "field": "cr:field",
     "fileObject": "cr:fileObject",
@@ -33,11 +35,13 @@ _CONTEXT: Final[dict[str, Any]] = {
     "md5": "cr:md5",
     "parentField": "cr:parentField",
     "path": "cr:path",
+    "rai": "http://mlcommons.org/croissant/RAI/",
     "recordSet": "cr:recordSet",
     "references": "cr:references",
     "regex": "cr:regex",
     "repeated": "cr:repeated",
     "replace": "cr:replace",
+    "samplingRate": "cr:samplingRate",
     "sc": "https://schema.org/",
     "separator": "cr:separator",
     "source": "cr:source",
@@ -68,12 +72,14 @@ def croissant(report: ExportReport, name: str) -> dict[str, Any]:
     manifests = [f"manifest/{split}.jsonl" for split in SPLITS if report.episodes.get(split)]
     families = sorted({scene.split("/", 1)[0] for found in report.scenes.values() for scene in found})
     terms = [f"{SOURCES[family].name}: {SOURCES[family].terms}" for family in families if family in SOURCES]
+    credits = [SOURCES[family].credit for family in families if family in SOURCES]
     return {
         "@context": _CONTEXT,
         "@type": "sc:Dataset",
         "conformsTo": "http://mlcommons.org/croissant/1.0",
         "name": name,
         "description": "Conditional vision-and-language navigation episodes, derived from the geometry of scenes.",
+        "citeAs": "; ".join([f"{name}, snapshot {report.snapshot}", *credits]),
         "license": "; ".join(terms) or "unknown",
         "version": "1.0.0",
         "identifier": report.snapshot,

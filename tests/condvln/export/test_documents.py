@@ -57,6 +57,10 @@ def test_every_table_of_the_card_is_a_table(exported: Path) -> None:
 def test_croissant_lists_the_manifests_with_their_hashes(exported: Path, index: dict[str, Any]) -> None:
     document = json.loads((exported / "croissant.json").read_text())
     assert document["conformsTo"] == "http://mlcommons.org/croissant/1.0"
+    # every source in it is credited, and named with its terms
+    assert "Szot et al." in document["citeAs"]
+    assert document["license"].startswith("ReplicaCAD: ")
+    assert index["snapshot"] in document["citeAs"]
     files = {entry["@id"]: entry for entry in document["distribution"]}
     assert set(files) == {f"manifest/{split}.jsonl" for split in SPLITS}
     for path, entry in files.items():
