@@ -1,0 +1,345 @@
+"""What is deployed: YAML against the schemas of its kind, command lines against the command, metrics against code."""
+
+from __future__ import annotations
+
+import configparser
+import copy
+import json
+import re
+import shlex
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+import ray
+import yaml
+from typer.main import get_command
+
+from factory.ray_metrics import METRICS, RunMetrics
+from jobs.command import app
+from jobs.configuration import load_config
+from jobs.submit import VERBS
+
+ROOT = Path(__file__).parents[2]
+DEPLOY = ROOT / "deploy"
+MANIFESTS = sorted(path.relative_to(DEPLOY).as_posix() for path in DEPLOY.glob("kubernetes/*.yaml"))
+MANIFESTS += ["prometheus/podmonitor.yaml"]
+SCHEMAS = {
+    name: json.loads((Path(__file__).parent / "schemas" / f"{name}.schema.json").read_text())
+    for name in ("kubernetes", "kuberay")
+}
+COMMAND = re.compile(r"(?:^|[\s`(=/])condvln ([a-z]+ [^`\n]*?--?[^`\n]*|[a-z]+ \S+\.yaml[^`\n]*)")
+"""A command line in any of the files: a verb, then a configuration or an option."""
+
+
+def documents(path: str) -> list[dict[str, Any]]:
+    return [found for found in yaml.safe_load_all((DEPLOY / path).read_text(encoding="utf-8")) if found]
+
+
+def everything() -> list[tuple[str, dict[str, Any]]]:
+    return [(path, document) for path in MANIFESTS for document in documents(path)]
+
+
+def check(document: dict[str, Any]) -> None:
+    schema = SCHEMAS["kuberay" if document["apiVersion"].startswith("ray.io/") else "kubernetes"]
+    whole = {"$ref": f"#/definitions/{document['kind']}", "definitions": schema["definitions"]}
+    jsonschema.Draft7Validator(whole).validate(document)
+
+
+def paths(value: Any, at: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Every place of a document."""
+    yield at
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, inner in items:
+        yield from paths(inner, (*at, key))
+
+
+def get(value: Any, at: tuple[Any, ...]) -> Any:
+    for key in at:
+        value = value[key]
+    return value
+
+
+@pytest.mark.parametrize("schema", [*SCHEMAS])
+def test_the_schemas_are_schemas_and_say_where_they_are_from(schema: str) -> None:
+    jsonschema.Draft7Validator.check_schema(SCHEMAS[schema])
+    assert "API" in SCHEMAS[schema]["$comment"]
+
+
+@pytest.mark.parametrize("path", MANIFESTS)
+def test_manifests_are_of_their_kind(path: str) -> None:
+    assert documents(path)
+    for document in documents(path):
+        check(document)
+
+
+@pytest.mark.parametrize("path", [path for path in MANIFESTS if not path.endswith("config.yaml")])
+def test_a_mistyped_field_anywhere_is_found(path: str) -> None:
+    """Labels, parameters of ``ray start`` and resources are free names; everything else is fixed."""
+    free = ("labels", "matchLabels", "rayStartParams", "nodeSelector", "data", "requests", "limits")
+    for document in documents(path):
+        for at in paths(document):
+            if not at or isinstance(at[-1], int) or any(key in free for key in at[:-1]):
+                continue
+            broken = copy.deepcopy(document)
+            inner = get(broken, at[:-1])
+            inner[f"{at[-1]}x"] = inner.pop(at[-1])
+            with pytest.raises((jsonschema.ValidationError, KeyError)):
+                check(broken)
+
+
+def pods() -> Iterator[tuple[str, dict[str, Any]]]:
+    for path, document in everything():
+        for at in paths(document):
+            if at and at[-1] == "containers":
+                yield path, get(document, at[:-1])
+
+
+def test_no_container_runs_as_root_or_gains_rights() -> None:
+    found = [*pods()]
+    assert len(found) == 7
+    for _, pod in found:
+        assert pod["securityContext"]["runAsNonRoot"] is True
+        for container in pod["containers"]:
+            assert container["securityContext"]["allowPrivilegeEscalation"] is False
+            assert container["securityContext"]["capabilities"] == {"drop": ["ALL"]}
+            assert container["resources"]["limits"]["memory"]
+
+
+def test_what_is_mounted_and_referred_to_is_there() -> None:
+    kinds: dict[str, set[str]] = {}
+    for _, document in everything():
+        kinds.setdefault(document["kind"], set()).add(document["metadata"].get("name", ""))
+    for _, pod in pods():
+        assert pod["serviceAccountName"] in kinds["ServiceAccount"]
+        volumes = {volume["name"]: volume for volume in pod["volumes"]}
+        for volume in volumes.values():
+            if "configMap" in volume:
+                assert volume["configMap"]["name"] in kinds["ConfigMap"]
+            else:
+                assert volume["persistentVolumeClaim"]["claimName"] in kinds["PersistentVolumeClaim"]
+        for container in pod["containers"]:
+            assert {mount["name"] for mount in container["volumeMounts"]} <= {*volumes}
+    secrets = set(re.findall(r"kubectl create secret generic (\S+)", (DEPLOY / "kubernetes/config.yaml").read_text()))
+    text = "".join((DEPLOY / path).read_text() for path in MANIFESTS)
+    assert set(re.findall(r"(?:secretName|name): (condvln-(?:token|store))\b", text)) == secrets
+
+
+def clusters() -> Iterator[dict[str, Any]]:
+    for _, document in everything():
+        spec = document.get("spec", {})
+        for found in (spec, spec.get("rayClusterSpec"), spec.get("jobTemplate", {}).get("rayClusterSpec")):
+            if found and "headGroupSpec" in found:
+                yield found
+
+
+def test_the_head_takes_no_tasks_and_workers_come_and_go() -> None:
+    found = [*clusters()]
+    assert len(found) == 3
+    assert found[0] == found[1] == found[2]
+    for cluster in found:
+        assert cluster["headGroupSpec"]["rayStartParams"]["num-cpus"] == "0"
+        assert "nodeSelector" not in cluster["headGroupSpec"]["template"]["spec"]
+        assert cluster["enableInTreeAutoscaling"]
+        for group in cluster["workerGroupSpecs"]:
+            assert (group["minReplicas"], group["replicas"]) == (0, 0)
+            assert group["idleTimeoutSeconds"] > 0
+    (virtual,) = documents("ray/cluster.yaml")
+    assert virtual["available_node_types"]["head"]["resources"] == {"CPU": 0}
+    assert any("--num-cpus=0" in line for line in virtual["head_start_ray_commands"])
+    assert virtual["available_node_types"]["worker"]["min_workers"] == 0
+    assert "InstanceMarketOptions" not in virtual["available_node_types"]["head"]["node_config"]
+
+
+def test_the_schedules_forbid_two_at_once_where_they_can() -> None:
+    (cron,) = documents("kubernetes/cronjob.yaml")
+    assert cron["spec"]["concurrencyPolicy"] == "Forbid"
+    assert cron["spec"]["jobTemplate"]["spec"]["backoffLimit"] == 0
+    (job,) = documents("kubernetes/rayjob.yaml")
+    (nightly,) = documents("kubernetes/raycronjob.yaml")
+    assert nightly["spec"]["jobTemplate"] == job["spec"]
+
+
+def test_the_launchers_file_is_what_ray_reads() -> None:
+    schema = json.loads((Path(ray.__file__).parent / "autoscaler" / "ray-schema.json").read_text())
+    (document,) = documents("ray/cluster.yaml")
+    jsonschema.validate(document, schema)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate({**document, "max_wrokers": 1}, schema)
+    assert document["head_node_type"] in document["available_node_types"]
+
+
+def test_versions_are_those_of_the_lock() -> None:
+    lock = (ROOT / "requirements.lock").read_text()
+    (version,) = re.findall(r"^ray==(\S+)", lock, re.M)
+    assert {cluster["rayVersion"] for cluster in clusters()} == {version}
+    (own,) = re.findall(r'^version = "(\S+)"', (ROOT / "pyproject.toml").read_text(), re.M)
+    images = {container["image"] for _, pod in pods() for container in pod["containers"]}
+    images.add(documents("ray/cluster.yaml")[0]["docker"]["image"])
+    assert images == {f"condvln:{own}"}
+
+
+def test_the_configuration_is_one_and_the_same() -> None:
+    config = load_config(DEPLOY / "condvln.yaml", environment={}, check_roots=False)
+    (found,) = [d for d in documents("kubernetes/config.yaml") if d["kind"] == "ConfigMap"]
+    assert yaml.safe_load(found["data"]["condvln.yaml"]) == yaml.safe_load((DEPLOY / "condvln.yaml").read_text())
+    assert str(config.store).startswith("s3://")
+    assert all(source.root.is_absolute() for source in config.sources)
+
+
+# ---- command lines
+
+
+def command_lines() -> Iterator[tuple[str, list[str]]]:
+    """(file, words after ``condvln``) of every command line in the folder."""
+    files = [path for path in sorted(DEPLOY.rglob("*")) if path.is_file() and path.suffix != ".json"]
+    for path in files:
+        where = path.relative_to(DEPLOY).as_posix()
+        for line in path.read_text(encoding="utf-8").splitlines():
+            for found in re.findall(
+                r"(?:^|[\s`(=/])condvln ((?:[a-z]+) [^`\n]*?--?[^`\n]*|[a-z]+ \S+\.yaml[^`\n]*)", line
+            ):
+                words = shlex.split(found.split(" (")[0].split(" ||")[0].split(" >>")[0], comments=True)
+                if words and words[0] in get_command(app).commands:  # type: ignore[attr-defined]
+                    yield where, words
+    for _, document in everything():
+        for at in paths(document):
+            if at and at[-1] == "command":
+                words = get(document, at)
+                assert words[0] == "condvln"
+                yield "kubernetes/cronjob.yaml", words[1:]
+
+
+def test_every_command_line_is_understood() -> None:
+    commands = get_command(app).commands  # type: ignore[attr-defined]
+    found = [*command_lines()]
+    assert {where for where, _ in found} >= {
+        "README.md",
+        "cron/condvln",
+        "systemd/condvln-rebuild.service",
+        "ray/cluster.yaml",
+        "kubernetes/cronjob.yaml",
+        "kubernetes/rayjob.yaml",
+        "kubernetes/raycronjob.yaml",
+    }
+    for where, words in found:
+        context = commands[words[0]].make_context(words[0], words[1:])
+        assert context.params["config" if "config" in context.params else "target"], where
+        if words[0] == "submit":
+            verb = context.params["verb"]
+            assert verb in VERBS
+            commands[verb].make_context(verb, [str(context.params["config"]), *(context.params["arguments"] or ())])
+    joined = [" ".join(words) for where, words in found if where == "kubernetes/rayjob.yaml"]
+    assert any("ray.address=auto" in line for line in joined), "a job joins the cluster that it runs on"
+
+
+# ---- metrics
+
+
+def expressions() -> Iterator[str]:
+    board = json.loads((DEPLOY / "grafana" / "condvln.json").read_text())
+    for panel in board["panels"]:
+        yield from (target["expr"] for target in panel["targets"])
+    for group in documents("prometheus/alerts.yml")[0]["groups"]:
+        yield from (rule["expr"] for rule in group["rules"])
+    readme = (DEPLOY / "README.md").read_text(encoding="utf-8")
+    yield from re.findall(r"`(ray_factory_[^`]*)`", readme)
+
+
+@pytest.fixture
+def tags(monkeypatch: pytest.MonkeyPatch) -> dict[str, set[str]]:
+    """Labels of each metric, as the code declares them."""
+    found: dict[str, set[str]] = {}
+
+    class Recorded:
+        def __init__(self, name: str, description: str, tag_keys: tuple[str, ...] = (), **settings: object) -> None:
+            found[name] = {*tag_keys}
+
+    for kind in ("Counter", "Gauge", "Histogram"):
+        monkeypatch.setattr(f"ray.util.metrics.{kind}", Recorded)
+    RunMetrics()
+    return found
+
+
+def test_every_metric_and_label_exists(tags: dict[str, set[str]]) -> None:
+    """Ray puts ``ray_`` before a name; a histogram has ``_bucket``, ``_sum`` and ``_count``."""
+    assert set(tags) == set(METRICS)
+    used = set()
+    for expression in expressions():
+        names = re.findall(r"ray_(factory_[a-z_]+)(?:\{([^}]*)\})?", expression)
+        assert names, expression
+        for name, labels in names:
+            base = re.sub(r"_(bucket|sum|count)$", "", name) if "stage_seconds" in name else name
+            assert base in METRICS, name
+            used.add(base)
+            assert set(re.findall(r"(\w+)(?:=|$|,)", labels)) <= tags[base]
+        for grouping in re.findall(r"by \(([^)]*)\)", expression):
+            assert {label.strip() for label in grouping.split(",")} <= tags[base] | {"le"}, expression
+    assert used == set(METRICS), "every metric is shown somewhere"
+
+
+def test_panels_have_names_and_places_of_their_own() -> None:
+    board = json.loads((DEPLOY / "grafana" / "condvln.json").read_text())
+    panels = board["panels"]
+    assert len({panel["id"] for panel in panels}) == len({panel["title"] for panel in panels}) == len(panels)
+    taken: set[tuple[int, int]] = set()
+    for panel in panels:
+        at = panel["gridPos"]
+        cells = {(x, y) for x in range(at["x"], at["x"] + at["w"]) for y in range(at["y"], at["y"] + at["h"])}
+        assert not cells & taken
+        assert max(x for x, _ in cells) < 24
+        taken |= cells
+
+
+def test_prometheus_finds_the_rules_and_the_nodes() -> None:
+    (found,) = documents("prometheus/prometheus.yml")
+    assert all((DEPLOY / "prometheus" / name).is_file() for name in found["rule_files"])
+    (monitor,) = documents("prometheus/podmonitor.yaml")
+    port = monitor["spec"]["podMetricsEndpoints"][0]["port"]
+    for cluster in clusters():
+        for template in (cluster["headGroupSpec"], *cluster["workerGroupSpecs"]):
+            assert (
+                monitor["spec"]["selector"]["matchLabels"].items() <= template["template"]["metadata"]["labels"].items()
+            )
+            ports = {p["name"]: p["containerPort"] for p in template["template"]["spec"]["containers"][0]["ports"]}
+            assert str(ports[port]) == template["rayStartParams"]["metrics-export-port"]
+
+
+# ---- image and server
+
+
+def test_the_image_is_slim_runs_as_nobody_special_and_copies_what_is_there() -> None:
+    lines = (DEPLOY / "Dockerfile").read_text().splitlines()
+    assert all(line.startswith("FROM python:3.11-slim") for line in lines if line.startswith("FROM"))
+    users = [line.split()[1] for line in lines if line.startswith("USER")]
+    assert users == ["1000"]
+    ignored = (DEPLOY / "Dockerfile.dockerignore").read_text().split()
+    for line in lines:
+        if line.startswith("COPY") and "--from" not in line:
+            for source in line.split()[1:-1]:
+                assert (ROOT / source).exists(), source
+                assert any(rule == f"!{source}" or source.startswith(rule[1:] + "/") for rule in ignored), source
+    assert not re.search(r"(SECRET|PASSWORD|TOKEN)\s*=", (DEPLOY / "Dockerfile").read_text())
+
+
+def test_units_of_systemd_are_whole(tmp_path: Path) -> None:
+    units = {}
+    for path in sorted((DEPLOY / "systemd").iterdir()):
+        parser = configparser.ConfigParser(strict=True, interpolation=None)
+        parser.optionxform = str  # type: ignore[assignment, method-assign]
+        parser.read(path)
+        units[path.suffix] = parser
+    service, timer = units[".service"], units[".timer"]
+    assert service["Service"]["Type"] == "oneshot", "systemd starts no second one while it runs"
+    assert service["Service"]["User"] not in ("", "root")
+    assert timer["Install"]["WantedBy"] == "timers.target"
+    if shutil.which("systemd-analyze"):
+        subprocess.run(["systemd-analyze", "calendar", timer["Timer"]["OnCalendar"]], check=True, capture_output=True)
+    (line,) = [row for row in (DEPLOY / "cron" / "condvln").read_text().splitlines() if row.startswith("*")]
+    assert line.split()[5] == "condvln", "cron.d names a user"
+    started = service["Service"]["ExecStart"].split()
+    assert started == line.split(" >>")[0].split()[6:]
