@@ -2,7 +2,8 @@
 
 Scale is simulated: the driver plans, queues, takes receipts in, composes and publishes as ever, on a real store, while
 an executor makes up the receipts; so the numbers are the driver's own. Each size runs in a fresh process, for its
-memory. CONDVLN_BENCH_UNITS caps the sizes (10^6 by default).
+memory. CONDVLN_BENCH_UNITS caps the sizes (10^6 by default). CPU seconds stand beside the clock's, since they hold on a
+busy machine too. The same is measured once on an object store on loopback (moto, a process of its own), at 10^4.
 
 Overhead is measured on real work: units that hash for a fixed number of rounds (CONDVLN_BENCH_WORK_SECONDS of them, 60
 by default), after Ray is up and its workers have loaded the code. CPU seconds are those of the driver and all of Ray's
@@ -11,14 +12,20 @@ processes, so they hold on a busy machine too; the speed-up is by the clock and 
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import importlib.util
 import multiprocessing
 import os
 import resource
+import socket
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
@@ -37,6 +44,7 @@ from factory import (
     Store,
     TableSpec,
     Unit,
+    open_store,
     plan,
     run,
 )
@@ -115,11 +123,11 @@ def units(count: int, cost: float = 0.001) -> Iterator[Unit]:
 
 @dataclass(frozen=True)
 class Scale:
-    """Seconds of the three jobs at one size, and the peak memory of the process in bytes."""
+    """(seconds by the clock, CPU seconds) of the three jobs at one size, and the process's peak memory in bytes."""
 
-    first: float
-    plan: float
-    rebuild: float
+    first: tuple[float, float]
+    plan: tuple[float, float]
+    rebuild: tuple[float, float]
     peak: int
 
 
@@ -127,41 +135,74 @@ def measure_scale(count: int, store: Store | None = None) -> Scale:
     """A first run, a plan and a rebuild of the unchanged corpus."""
     with tempfile.TemporaryDirectory() as folder:
         kept = store or LocalStore(folder)
-        seconds = []
-        started = time.perf_counter()
+        times = [(time.perf_counter(), time.process_time())]
         run(pipeline(), units(count), kept, executor=Simulated())
-        seconds.append(time.perf_counter() - started)
-        started = time.perf_counter()
+        times.append((time.perf_counter(), time.process_time()))
         assert plan(pipeline(), units(count), kept).empty
-        seconds.append(time.perf_counter() - started)
-        started = time.perf_counter()
+        times.append((time.perf_counter(), time.process_time()))
         assert not run(pipeline(), units(count), kept, executor=Simulated()).published
-        seconds.append(time.perf_counter() - started)
+        times.append((time.perf_counter(), time.process_time()))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-    return Scale(seconds[0], seconds[1], seconds[2], peak)
+    first, planned, rebuilt = ((b[0] - a[0], b[1] - a[1]) for a, b in pairwise(times))
+    return Scale(first, planned, rebuilt, peak)
+
+
+AWAY: Final = 10**4
+"""Units of the measurement on an object store."""
 
 
 def scale(console: Console) -> None:
     """Print the curve."""
     most = int(os.environ.get("CONDVLN_BENCH_UNITS", 10**6))
-    table = Table(
-        "units", "first run s", "units/s", "plan s", "rebuild s", "driver MiB", title="Driver alone, simulated work"
-    )
+    columns = ("store", "units", "first run s (CPU)", "units/s (CPU)", "plan s (CPU)", "rebuild s (CPU)", "driver MiB")
+    table = Table(*columns, title="Driver alone, simulated work")
     context = multiprocessing.get_context("spawn")
     for count in (10**3, 10**4, 10**5, 10**6):
         if count > most:
             break
         with context.Pool(1) as pool:
-            found = pool.apply(measure_scale, (count,))
-        table.add_row(
-            f"{count:,}",
-            f"{found.first:.1f}",
-            f"{count / found.first:,.0f}",
-            f"{found.plan:.2f}",
-            f"{found.rebuild:.2f}",
-            f"{found.peak / 2**20:.0f}",
-        )
+            table.add_row("disk", *_row(count, pool.apply(measure_scale, (count,))))
+    if most >= AWAY and importlib.util.find_spec("moto") is not None:
+        with object_store() as store, context.Pool(1) as pool:
+            table.add_row("S3", *_row(AWAY, pool.apply(measure_scale, (AWAY, store))))
     console.print(table)
+
+
+def _row(count: int, found: Scale) -> tuple[str, ...]:
+    return (
+        f"{count:,}",
+        f"{found.first[0]:.1f} ({found.first[1]:.1f})",
+        f"{count / found.first[0]:,.0f} ({count / found.first[1]:,.0f})",
+        f"{found.plan[0]:.2f} ({found.plan[1]:.2f})",
+        f"{found.rebuild[0]:.2f} ({found.rebuild[1]:.2f})",
+        f"{found.peak / 2**20:.0f}",
+    )
+
+
+@contextlib.contextmanager
+def object_store() -> Iterator[Store]:
+    """An empty store on a server of its own process that speaks the S3 protocol."""
+    for name, value in {"ACCESS_KEY_ID": "test", "SECRET_ACCESS_KEY": "test", "DEFAULT_REGION": "us-east-1"}.items():
+        os.environ.setdefault(f"AWS_{name}", value)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    command = [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as server:
+        try:
+            import boto3
+
+            address = f"http://127.0.0.1:{port}"
+            client = boto3.client("s3", endpoint_url=address)
+            for _ in range(100):
+                try:
+                    client.create_bucket(Bucket="bench")
+                    break
+                except Exception:
+                    time.sleep(0.2)
+            yield open_store(f"s3://bench/store?endpoint={address}")
+        finally:
+            server.terminate()
 
 
 def calibrate() -> int:
