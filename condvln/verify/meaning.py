@@ -45,11 +45,11 @@ def check_meaning(row: ManifestEpisode, referents: Referents, rules: Rules, cert
 
 
 def _check_rooms(program: Program, referents: Referents, certificate: Certificate) -> None:
-    rooms = {condition.room for condition in program.conditions}
-    rooms |= {move.room for leaf in program.leaves for move in leaf.moves}
-    for room in sorted(rooms, key=lambda r: r.room_id):
-        view = referents.rooms.get(room.room_id)
-        certificate.same("room_named", room.label, None if view is None else view.label, room.room_id)
+    rooms = {(condition.room.room_id, condition.room.label) for condition in program.conditions}
+    rooms |= {(move.room.room_id, move.room.label) for leaf in program.leaves for move in leaf.moves}
+    for room_id, label in sorted(rooms):
+        view = referents.rooms.get(room_id)
+        certificate.same("room_named", label, None if view is None else view.label, room_id)
 
 
 def _check_heading(row: ManifestEpisode, reading: Reading, rules: Rules, certificate: Certificate) -> None:
