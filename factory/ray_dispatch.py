@@ -235,7 +235,8 @@ class Dispatch:
         task: Task = flight.item
         for item in task.work:
             if task.last_try:
-                message = f"out of memory with {task.memory / 2**20:.0f} MiB asked for. {error}"
+                told = str(error).split(_DETAILS)[0].strip()
+                message = f"out of memory with {task.memory / 2**20:.0f} MiB asked for. {told}"
                 yield self._driver.blame(
                     item,
                     task.until,
@@ -279,14 +280,17 @@ def _unwrapped(error: BaseException) -> tuple[BaseException, str]:
     return error, "raised"
 
 
-_KILLED: Final = re.compile(r"memory used[=:] ?([0-9.]+) ?Gi?B", re.IGNORECASE)
-"""How Ray tells what a worker held that it killed; its GB are 2^30 bytes."""
+_KILLED: Final = re.compile(r"\btask\b.*memory used[=:] ?([0-9.]+) ?Gi?B", re.IGNORECASE)
+"""How Ray tells, a line each, what the workers held that it killed; its GB are 2^30 bytes."""
+
+_DETAILS: Final = "Object store memory usage"
+"""What follows in Ray's message is about the whole machine, down to other people's command lines."""
 
 
 def _killed_rss(error: BaseException) -> int:
-    """Bytes that a worker held when Ray killed it for its memory; 0 where the message does not tell."""
-    found = _KILLED.search(str(error))
-    return int(float(found[1]) * 2**30) if found else 0
+    """Bytes that a worker held when Ray killed it for its memory, the most of those killed together; 0 if not told."""
+    found = [float(gigabytes) for gigabytes in _KILLED.findall(str(error))]
+    return int(max(found, default=0.0) * 2**30)
 
 
 def _is_system(ray: Any, error: BaseException) -> bool:

@@ -156,6 +156,38 @@ def test_readers_never_see_part_of_a_snapshot(tmp_path: Path) -> None:
     assert all(len(look) == 1 for look in seen)
 
 
+@pytest.mark.soak
+def test_readers_see_whole_snapshots_while_publishers_are_killed(tmp_path: Path) -> None:
+    """Publishers of ever other rows die at every point of publishing; a reader that polls all the while never minds."""
+    store = LocalStore(tmp_path / "store", durable=False)
+    assert in_a_process(drive, store.root, "", "", 3) == 0
+    looks: list[tuple[str, set[int]]] = []
+    failures: list[BaseException] = []
+    over = threading.Event()
+
+    def read() -> None:
+        while not over.is_set():
+            try:
+                snapshot = Snapshot.open(store)
+                # Each read compares the file with its hash in the manifest.
+                names = [row["unit"] for row in snapshot.table("numbers").to_pylist()]
+                looks.append((snapshot.snapshot_id, {names.count(name) for name in set(names)}))
+            except BaseException as error:
+                failures.append(error)
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    points = [point for point in POINTS if point.startswith("snapshot")]
+    for size, point in enumerate(points, start=4):
+        assert in_a_process(drive, store.root, point, "", size) == -signal.SIGKILL
+        assert in_a_process(drive, store.root, "", "", size) == 0
+    over.set()
+    reader.join()
+    assert failures == []
+    assert all(len(sizes) == 1 for _, sizes in looks), "all units of one look are of one size"
+    assert len({snapshot_id for snapshot_id, _ in looks}) >= 3, "the reader saw some of them come"
+
+
 def test_a_killed_quarantine_is_found_again(tmp_path: Path) -> None:
     store = LocalStore(tmp_path / "store", durable=False)
     assert in_a_process(drive_with_failure, store.root) == -signal.SIGKILL

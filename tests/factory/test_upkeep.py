@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import toys
 
-from factory import LocalStore, Snapshot, plan, run
+from factory import LocalStore, Snapshot, Store, plan, run
 from factory.report import Silence
 from factory.run_log import RunLog
 from factory.snapshot import read_ref
@@ -21,7 +21,7 @@ from schemas.errors import CorruptShardError
 LATER = time.time() + 10 * 24 * 3600
 
 
-def grow(store: LocalStore, *sizes: int) -> list[str]:
+def grow(store: Store, *sizes: int) -> list[str]:
     """Publish one snapshot for each size; returns their ids."""
     found = []
     for size in sizes:
@@ -188,7 +188,7 @@ def test_a_damaged_published_file_is_found_and_made_again(store: LocalStore) -> 
 class Rival(Silence):
     """Lets another run publish in the middle of this one."""
 
-    def __init__(self, store: LocalStore, size: int) -> None:
+    def __init__(self, store: Store, size: int) -> None:
         self.store, self.size, self.notes = store, size, list[str]()
 
     def phase(self, name: str, total: int, seconds: float) -> None:
@@ -199,7 +199,15 @@ class Rival(Silence):
         self.notes.append(message)
 
 
-def test_of_two_rebuilds_at_once_one_publishes_and_the_other_says_so(store: LocalStore) -> None:
+@pytest.fixture(params=["local", "s3"])
+def any_store(request: pytest.FixtureRequest) -> Store:
+    """An empty store on disk, and one on an object store."""
+    found: Store = request.getfixturevalue("store" if request.param == "local" else "object_store")
+    return found
+
+
+def test_of_two_rebuilds_at_once_one_publishes_and_the_other_says_so(any_store: Store) -> None:
+    store = any_store
     grow(store, 1)
     rival = Rival(store, 5)
     report = run(toys.pipeline(), [*toys.units(4), toys.unit("a/grows", 6)], store, progress=rival)
