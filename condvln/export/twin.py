@@ -90,11 +90,11 @@ def _twin(episode: dict[str, Any], text: str, vocabulary: Vocabulary | None) -> 
     return twin
 
 
-def _tokens(vocabulary: Vocabulary | None, text: str, former: list[int] | None) -> list[int]:
+def _tokens(vocabulary: Vocabulary | None, text: str, former: Any) -> list[int]:
     """Padded as the split's own instructions are, or bare where they are bare; none without a vocabulary."""
     if vocabulary is None:
         return []
-    if former and former[-1] == PAD_INDEX:
+    if isinstance(former, list) and former and former[-1] == PAD_INDEX:
         return vocabulary.padded(text, len(former))
     return vocabulary.encode(text)
 

@@ -47,7 +47,7 @@ def test_a_file_of_bare_tokens_stays_bare(exported: Path, tmp_path: Path) -> Non
 
 
 def test_what_is_amiss_is_said(exported: Path, tmp_path: Path) -> None:
-    document, _ = paths(exported)
+    document, manifest = paths(exported)
     out = tmp_path / "twin.json.gz"
     other = exported / "manifest" / "train.jsonl"
     with pytest.raises(FormatError, match=r"is not in the manifest"):
@@ -57,6 +57,11 @@ def test_what_is_amiss_is_said(exported: Path, tmp_path: Path) -> None:
         rewrite_split(tmp_path / "none", {}, out, told)
     with pytest.raises(MissingFileError):
         read_manifest(tmp_path / "none")
+    content = read(document)
+    content["episodes"][0]["instruction"]["instruction_tokens"] = 1  # no list: the twin's are bare
+    (tmp_path / "odd.json").write_text(json.dumps(content))
+    rewrite_split(tmp_path / "odd.json", read_manifest(manifest), out, told)
+    assert 0 not in read(out)["episodes"][0]["instruction"]["instruction_tokens"]
     for text in (b"{", b"{}", b'{"episodes": [{}]}', b"[1]"):
         (tmp_path / "bad.json").write_bytes(text)
         with pytest.raises(FormatError, match=r"bad\.json: not a VLN-CE split"):

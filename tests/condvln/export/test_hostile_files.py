@@ -1,0 +1,137 @@
+"""Files that anybody may hand in: whatever stands in them, the linter finds it and other readers raise one error."""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from condvln.evaluation.discrete import read_graph_episodes
+from condvln.evaluation.episode_stats import is_episode_stats, read_episode_stats
+from condvln.export.twin import read_manifest, rewrite_split
+from condvln.export.validation import CODES, validate
+from condvln.export.validation.navmeshes import EpisodeNavmeshes
+from schemas.errors import CondVLNError
+from tests.strict_loader import read
+
+ANYTHING = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers(-(2**63), 2**64)
+    | st.floats(allow_nan=False, allow_infinity=False)
+    | st.sampled_from(["", "a", "../x", "\ud7ff", "mp3d/a/a.glb", "<pad>"]),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.sampled_from(["a", "position", "path"]), inner),
+    max_leaves=6,
+)
+
+
+@pytest.fixture(scope="module")
+def documents(exported: Path) -> dict[str, Any]:
+    """A small file of each format, by its name."""
+    ansr = read(exported / "ansr" / "test" / "test.json.gz")
+    guide = read(exported / "rxr" / "test" / "test_guide.json.gz")
+    truths = read(exported / "ansr" / "test" / "test_gt.json.gz")
+    words = ansr["instruction_vocab"]["word_list"][:4]
+    few = {
+        "episodes": ansr["episodes"][:2],
+        "instruction_vocab": {"word_list": words, "stoi": {}, "num_vocab": len(words)},
+    }
+    for episode in few["episodes"]:
+        episode["instruction"]["instruction_tokens"] = [2, 3, 0]
+    names = [episode["episode_id"] for episode in few["episodes"]]
+    item = {"scan": "s", "path_id": 1, "path": ["0", "1"], "heading": 1.0, "instructions": ["Go."], "distance": 4.0}
+    return {
+        "test.json": few,
+        "test_guide.json": {"episodes": guide["episodes"][:2]},
+        "test_gt.json": {name: {**truths[name], "locations": truths[name]["locations"][:3]} for name in names},
+        "R2R_test.json": [item],
+    }
+
+
+def places(value: Any, at: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    yield at
+    inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, part in inner:
+        yield from places(part, (*at, key))
+
+
+def spoiled(document: Any, data: st.DataObject) -> Any:
+    """One value somewhere replaced by anything, or its key taken away."""
+    found = copy.deepcopy(document)
+    *path, last = data.draw(st.sampled_from([place for place in places(found) if place]))
+    at = found
+    for key in path:
+        at = at[key]
+    if data.draw(st.booleans()):
+        at[last] = data.draw(ANYTHING)
+    elif isinstance(at, dict):
+        del at[last]
+    else:
+        at.pop(last)
+    return found
+
+
+FUZZED = settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+
+
+@FUZZED
+@given(st.data())
+def test_the_linter_never_falls_over(documents: dict[str, Any], tmp_path: Path, data: st.DataObject) -> None:
+    name = data.draw(st.sampled_from(sorted(documents)))
+    for other, document in documents.items():
+        (tmp_path / other).write_text(json.dumps(document))
+    (tmp_path / name).write_text(json.dumps(spoiled(documents[name], data)))
+    for finding in validate(tmp_path):
+        assert finding.code in CODES
+        assert finding.file in documents
+        assert "\n" not in finding.line()
+
+
+@FUZZED
+@given(st.data())
+def test_the_twin_is_one_error_or_a_file_of_as_many_episodes(
+    documents: dict[str, Any], exported: Path, tmp_path: Path, data: st.DataObject
+) -> None:
+    manifest = read_manifest(exported / "manifest" / "test.jsonl")
+    document = spoiled(documents[data.draw(st.sampled_from(["test.json", "test_guide.json"]))], data)
+    source, out = tmp_path / "x.json", tmp_path / "twin.json"
+    out.unlink(missing_ok=True)
+    source.write_text(json.dumps(document))
+    with suppress(CondVLNError):
+        report = rewrite_split(source, manifest, out, lambda row: "Go there.")
+        assert len(json.loads(out.read_text())["episodes"]) == report.episodes == len(document["episodes"])
+        return
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["x.json"]
+
+
+@FUZZED
+@given(st.data())
+def test_readers_of_others_files_answer_with_one_error(tmp_path: Path, data: st.DataObject) -> None:
+    path = tmp_path / "x.json"
+    items = [{"scan": "s", "path_id": 1, "path": ["0"], "instructions": ["Go."]}]
+    path.write_text(json.dumps(spoiled(items, data)))
+    with suppress(CondVLNError):
+        assert all(isinstance(episode.path, tuple) for episode in read_graph_episodes(path))
+    stats = {"a": {"success": 1.0, "collisions": {"count": 2}}, "b": {"spl": None}}
+    path.write_text(json.dumps(spoiled(stats, data)))
+    assert is_episode_stats(path) in (True, False)
+    with suppress(CondVLNError):
+        assert all(isinstance(v, float) for row in read_episode_stats(path).values() for v in row.values())
+
+
+@FUZZED
+@given(ANYTHING, ANYTHING)
+def test_no_episode_leads_to_a_navmesh_outside(tmp_path: Path, scene: Any, info: Any) -> None:
+    (tmp_path / "manifest").mkdir(exist_ok=True)
+    (tmp_path / "manifest" / "test.jsonl").write_text('{"navmesh_sha256": "1", "navmesh": "../../etc/passwd"}\n[]\n{')
+    navmeshes = EpisodeNavmeshes(tmp_path, (tmp_path,))
+    assert navmeshes({"scene_id": scene, "info": info}) is None
+    assert navmeshes({"scene_id": scene, "info": {"navmesh_sha256": "1"}}) is None
+    assert len(navmeshes.lacking) == 1
