@@ -146,6 +146,16 @@ _QUERIES: Final = (
         """,
     ),
     NamedQuery(
+        "funnel",
+        "what was wanted of each cell, and what came of it",
+        """
+        SELECT source, cell, count(*) AS scenes, sum(wanted)::BIGINT AS wanted, sum(candidates)::BIGINT AS candidates,
+               sum(rejected)::BIGINT AS rejected, sum(placed)::BIGINT AS placed,
+               sum(greatest(wanted - placed, 0))::BIGINT AS short
+        FROM funnel GROUP BY source, cell ORDER BY ALL
+        """,
+    ),
+    NamedQuery(
         "skipped",
         "scenes that are sound and can't yield, and why",
         """
