@@ -78,7 +78,7 @@ def spoiled(document: Any, data: st.DataObject) -> Any:
     return found
 
 
-FUZZED = settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+FUZZED = settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 
 
 @FUZZED
