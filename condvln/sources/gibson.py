@@ -28,6 +28,7 @@ from condvln.sources.navmesh_choice import NavmeshChoice, choose_navmesh, shippe
 from condvln.sources.regions import in_rooms, side_regions
 from condvln.sources.scene_graph import MAX_GRAPH_BYTES, read_npz, read_scn
 from condvln.sources.scene_source import Note, SceneSource, SourceOptions
+from condvln.sources.source import MAX_OBJECTS
 from schemas.errors import ConfigError
 
 __all__ = ["GibsonSource"]
@@ -180,11 +181,13 @@ def _objects(
     items: list[SceneObject] = []
     warnings: list[SceneWarning] = []
     seen: Counter[int] = Counter()
-    for node in document["objects"].elements():
+    for node in document["objects"].entries():
         number, raw = node["id"].integer(), node["class_"].text()
         seen[number] += 1
         if seen[number] > 1:
             node.fail(f"two objects have the id {number}")
+        if len(seen) > MAX_OBJECTS:
+            node.fail(f"more than {MAX_OBJECTS} objects")
         object_id = f"{raw}_{number}"
         location, box, parent = node.get("location"), _box(node), node.get("parent_room")
         if location is None:

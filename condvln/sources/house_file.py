@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from condvln.sources.json_document import MAX_COORDINATE
+from condvln.sources.source import MAX_OBJECTS
 from schemas.errors import FormatError
 
 __all__ = ["HouseFile", "HouseObject", "HouseRegion", "Panorama", "Portal", "read_house_file"]
@@ -175,6 +176,8 @@ class _Reader:
         index = self.integer(1)
         if index in self.objects:
             self.fail(f"two objects have the index {index}")
+        if len(self.objects) == MAX_OBJECTS:
+            self.fail(f"more than {MAX_OBJECTS} objects")
         first, second = self.vector(7), self.vector(10)
         axes = np.column_stack([first, second, np.cross(first, second)])
         half_lengths = self.vector(13)

@@ -6,11 +6,13 @@ import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, NoReturn
+from typing import Any, Final, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.sources.json_arrays import TextArray, parse_large
+from condvln.sources.json_depth import nesting_depth
 from schemas.errors import FormatError
 
 __all__ = ["MAX_COORDINATE", "MAX_DEPTH", "JsonNode", "canonical_json", "parse_json"]
@@ -21,8 +23,9 @@ MAX_DEPTH = 64
 MAX_COORDINATE = 1e5
 """Metres. A building is smaller, and products of three such numbers stay exact enough in double precision."""
 
-# Takes an unclosed string to the end of the data, so that no input makes it try again from every quote.
-_STRING = re.compile(rb'"[^"\\]*(?:\\(?:.|\Z)[^"\\]*)*(?:"|\Z)', re.DOTALL)
+LARGE_BYTES: Final = 16 << 20
+"""From here on long arrays stay text until they are asked for. Real documents of one scene have under 1 MB."""
+
 _SURROGATE = re.compile(rb"\\u[dD][89a-fA-F]")
 _REMEDY = "Take the file from its dataset again, or mend the entry"
 
@@ -34,9 +37,14 @@ def parse_json(data: bytes, where: str) -> JsonNode:
     ------
     FormatError : not UTF-8 JSON, nested deeper than `MAX_DEPTH`, a key twice in one object, NaN or infinite numbers
     """
-    _check_depth(data, where)
+    # The parser's own limit depends on the call stack.
+    if data.count(b"[") + data.count(b"{") > MAX_DEPTH and (depth := nesting_depth(data)) > MAX_DEPTH:
+        raise FormatError(f"nested {depth} levels deep (at most {MAX_DEPTH})", where=where, remedy=_REMEDY)
+    large, surrogates = len(data) >= LARGE_BYTES, _SURROGATE.search(data) is not None
     try:
-        value = json.loads(data.decode("utf-8-sig"), object_pairs_hook=_unique_keys, parse_constant=_refuse_constant)
+        text = data.decode("utf-8-sig")
+        del data
+        value = parse_large(text, _DECODER) if large else _DECODER.decode(text)
     except UnicodeDecodeError as error:
         raise FormatError(
             f"not UTF-8 text ({error.reason})", where=where, place=f"byte {error.start}", remedy=_REMEDY
@@ -46,14 +54,14 @@ def parse_json(data: bytes, where: str) -> JsonNode:
         raise FormatError(f"not JSON: {error.msg}", where=where, place=place, remedy=_REMEDY) from None
     except (ValueError, RecursionError) as error:
         raise FormatError(f"not usable JSON: {error}", where=where, remedy=_REMEDY) from None
-    if _SURROGATE.search(data):
+    if surrogates:
         _check_text(value, where)
     return JsonNode(value, where, "")
 
 
 def canonical_json(value: Any) -> bytes:
     """The bytes that a part of a document is hashed by: sorted keys, no blanks, ASCII."""
-    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False).encode("ascii")
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False, default=_listed).encode("ascii")
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,11 +99,15 @@ class JsonNode:
         """Members of this object, in file order."""
         return ((key, self[key]) for key in self.object().value)
 
+    def entries(self) -> Iterator[JsonNode]:
+        """Elements of this array, one at a time: of a large document's, none but the one at hand is kept in memory."""
+        if not isinstance(self.value, (list, TextArray)):
+            self.fail(f"an array is expected, not {_kind(self.value)}")
+        return (JsonNode(v, self.where, f"{self.place}[{i}]") for i, v in enumerate(self.value))
+
     def elements(self) -> list[JsonNode]:
         """Elements of this array."""
-        if not isinstance(self.value, list):
-            self.fail(f"an array is expected, not {_kind(self.value)}")
-        return [JsonNode(v, self.where, f"{self.place}[{i}]") for i, v in enumerate(self.value)]
+        return list(self.entries())
 
     def text(self) -> str:
         """This node as text."""
@@ -135,20 +147,15 @@ class JsonNode:
         return np.array([e.number(limit) for e in elements], dtype=np.float64)
 
 
-def _check_depth(data: bytes, where: str) -> None:
-    if data.count(b"[") + data.count(b"{") <= MAX_DEPTH:
-        return
-    bare = np.frombuffer(_STRING.sub(b"", data), dtype=np.uint8)
-    opens = (bare == ord("[")) | (bare == ord("{"))
-    closes = (bare == ord("]")) | (bare == ord("}"))
-    depth = int(np.cumsum(opens.astype(np.int32) - closes.astype(np.int32), dtype=np.int32).max(initial=0))
-    if depth > MAX_DEPTH:
-        raise FormatError(f"nested {depth} levels deep (at most {MAX_DEPTH})", where=where, remedy=_REMEDY)
+def _listed(value: Any) -> list[Any]:
+    if isinstance(value, TextArray):
+        return list(value)
+    raise TypeError(f"{type(value).__name__} is no JSON")
 
 
 def _check_text(value: Any, where: str) -> None:
     try:
-        json.dumps(value, ensure_ascii=False).encode("utf-8")
+        json.dumps(value, ensure_ascii=False, default=_listed).encode("utf-8")
     except UnicodeEncodeError:
         raise FormatError("half of a surrogate pair stands alone in text", where=where, remedy=_REMEDY) from None
 
@@ -166,10 +173,20 @@ def _refuse_constant(name: str) -> NoReturn:
     raise ValueError(f"the number {name} is not allowed")
 
 
+_DECODER: Final = json.JSONDecoder(object_pairs_hook=_unique_keys, parse_constant=_refuse_constant)
+
+
 def _kind(value: Any) -> str:
     if value is None:
         return "null"
     if isinstance(value, bool):
         return "true or false"
-    names = {dict: "an object", list: "an array", str: "text", int: "a number", float: "a number"}
+    names = {
+        dict: "an object",
+        list: "an array",
+        TextArray: "an array",
+        str: "text",
+        int: "a number",
+        float: "a number",
+    }
     return names[type(value)]

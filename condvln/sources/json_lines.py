@@ -13,7 +13,7 @@ from schemas.errors import FormatError, MissingFileError
 
 __all__ = ["MAX_LINE_BYTES", "JsonLines"]
 
-MAX_LINE_BYTES: Final = 64 << 20
+MAX_LINE_BYTES: Final = 16 << 20
 """A ProcTHOR house has 80 kB."""
 
 MAX_LINES: Final = 500_000

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from condvln.scene.quaternions import from_wxyz, to_matrix
 from condvln.sources.json_document import JsonNode
+from condvln.sources.source import MAX_OBJECTS
 
 __all__ = ["Placed", "SceneInstance", "read_scene_instance"]
 
 Origin = Literal["com", "asset_local"]
 
 MAX_SCALE: Final = 1e3
-MAX_INSTANCES: Final = 100_000
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -71,8 +71,8 @@ def read_scene_instance(document: JsonNode) -> SceneInstance:
     def placed(key: str) -> tuple[Placed, ...]:
         entries = document.get(key)
         nodes = [] if entries is None else entries.elements()
-        if len(nodes) > MAX_INSTANCES:
-            document.fail(f"{len(nodes)} {key} (at most {MAX_INSTANCES})")
+        if len(nodes) > MAX_OBJECTS:
+            document.fail(f"{len(nodes)} {key} (at most {MAX_OBJECTS})")
         return tuple(_placed(node, _object_id(node, counter, seen), default) for node in nodes)
 
     return SceneInstance(

@@ -12,13 +12,16 @@ from condvln.scene import Scene
 from condvln.scene.geometry import SceneGeometry
 from schemas.errors import InputError
 
-__all__ = ["UNKNOWN_LABEL", "HashFile", "SceneHandle", "SceneInput", "Source", "hash_file"]
+__all__ = ["MAX_OBJECTS", "UNKNOWN_LABEL", "HashFile", "SceneHandle", "SceneInput", "Source", "hash_file"]
 
 HashFile: TypeAlias = Callable[[Path], tuple[int, str]]
 """Size in bytes and SHA-256 (hex) of a file; the caller may cache it."""
 
 UNKNOWN_LABEL: Final = "unknown"
 """Raw label of what its dataset does not name; catch-all, so never in text."""
+
+MAX_OBJECTS: Final = 100_000
+"""Objects of one scene. The largest real buildings have three thousand; relations grow with the square."""
 
 _READ_BYTES = 1 << 20
 

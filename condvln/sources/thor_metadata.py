@@ -12,6 +12,7 @@ from condvln.scene import OrientedBox, SceneObject, round_mm
 from condvln.scene.boxes import rounded_box
 from condvln.scene.frames import UNITY_TO_HABITAT
 from condvln.sources.json_document import JsonNode
+from condvln.sources.source import MAX_OBJECTS
 
 __all__ = ["MAX_METADATA_BYTES", "floor_outline", "read_objects", "scene_name"]
 
@@ -41,12 +42,14 @@ def read_objects(document: JsonNode, family: str) -> list[SceneObject]:
     FormatError : a wrong type, a key missing, two objects with one id
     """
     found: dict[str, SceneObject] = {}
-    for node in document["objects"].elements():
+    for node in document["objects"].entries():
         own, raw = node["objectId"].text(), node["objectType"].text()
         if not own.strip():
             node["objectId"].fail("the id is empty")
         if own in found:
             node.fail(f"two objects have the id {own!r}")
+        if len(found) == MAX_OBJECTS:
+            node.fail(f"more than {MAX_OBJECTS} objects")
         box = _box(node)
         pickable, movable = node.get("pickupable"), node.get("moveable")
         aabb = round_mm(box)
@@ -67,7 +70,7 @@ def read_objects(document: JsonNode, family: str) -> list[SceneObject]:
 
 def floor_outline(document: JsonNode) -> F64 | None:
     """(4, 2) corners (x, z) of the box around all objects of type Floor; None where there is none."""
-    boxes = [_box(node) for node in document["objects"].elements() if node["objectType"].text() == "Floor"]
+    boxes = [_box(node) for node in document["objects"].entries() if node["objectType"].text() == "Floor"]
     if not boxes:
         return None
     both = np.concatenate(boxes)[:, [0, 2]]

@@ -9,6 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from condvln.sources import json_depth, json_document
+from condvln.sources.json_arrays import TextArray
+from condvln.sources.json_depth import nesting_depth
 from condvln.sources.json_document import MAX_DEPTH, JsonNode, canonical_json, parse_json
 from schemas.errors import FormatError
 
@@ -49,6 +52,55 @@ def test_nesting_is_counted_outside_of_strings_only() -> None:
     assert parse_json(b"[" * MAX_DEPTH + b"]" * MAX_DEPTH, "f").value is not None
     with pytest.raises(FormatError, match="levels deep"):
         parse_json(b"[" * (MAX_DEPTH + 1) + b"]" * (MAX_DEPTH + 1), "f")
+
+
+bracketed = st.text('[]{}"\\\\ax,:', max_size=40).map(str.encode)
+
+
+@given(bracketed, st.integers(1, 7))
+def test_depth_is_that_of_a_plain_count(text: bytes, piece: int) -> None:
+    """Wherever the text is cut into pieces: within strings, within escapes."""
+    depth, deepest, inside, escaped = 0, 0, False, False
+    for mark in text.decode():
+        if inside:
+            inside, escaped = escaped or mark != '"', mark == "\\" and not escaped
+        else:
+            inside = mark == '"'
+            depth += (mark in "[{") - (mark in "]}")
+            deepest = max(deepest, depth)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(json_depth, "_PIECE", piece)
+        assert nesting_depth(text) == deepest
+
+
+@given(
+    documents | st.dictionaries(st.sampled_from("abcd"), st.lists(documents, max_size=4)), st.sampled_from([None, 1])
+)
+def test_large_documents_read_as_small_ones_do(document: object, indent: int | None) -> None:
+    data = json.dumps(document, indent=indent).encode()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(json_document, "LARGE_BYTES", 0)
+        large = parse_json(data, "f")
+    assert canonical_json(large.value) == canonical_json(document)
+    if isinstance(document, dict):
+        for key, value in document.items():
+            if isinstance(value, list):
+                assert isinstance(large.value[key], TextArray)
+                assert [node.value for node in large[key].elements()] == value
+                assert [node.place for node in large[key].entries()] == [f"{key}[{i}]" for i in range(len(value))]
+
+
+@given(st.binary(max_size=60) | st.text('{}[]",:\\ab019eE+-.NaInfitydu \n', max_size=60).map(str.encode))
+def test_large_and_small_refuse_the_same(data: bytes) -> None:
+    answers = []
+    for limit in (0, 1 << 30):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(json_document, "LARGE_BYTES", limit)
+            try:
+                answers.append(canonical_json(parse_json(data, "f").value))
+            except FormatError as error:
+                answers.append(error.place.encode())
+    assert answers[0] == answers[1]
 
 
 def test_an_unclosed_string_of_escapes_is_refused_in_linear_time() -> None:
