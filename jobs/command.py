@@ -350,15 +350,25 @@ def verify(
 def walk(
     export: ExportPath,
     split: SplitName,
-    agent: Annotated[str, typer.Option(help="perfect, oracle, wrong-branch, random-leaf, always-then, nearest, …")],
+    agent: Annotated[
+        str,
+        typer.Option(
+            help="perfect, oracle, wrong-branch, random-leaf, always-then, nearest, …, or your own module:Class"
+        ),
+    ],
     out: Annotated[Path, typer.Option(help="file of predictions to write (VLN-CE's format)")],
     navmesh_root: NavmeshRoots = None,
     seed: Annotated[int, typer.Option(help="seed of agents that draw")] = 0,
+    objects: Annotated[
+        Path | None, typer.Option("--objects", metavar="CONFIG", help="configuration whose objects your own agent sees")
+    ] = None,
 ) -> None:
-    """Predictions of a reference agent, walked on the navmesh with VLN-CE's actions."""
+    """Predictions of an agent, a reference or your own, walked on the navmesh with VLN-CE's actions."""
+    from jobs.configuration import load_config
     from jobs.evaluate import walk_split
 
-    _show(walk_split(export, split, agent, out, navmesh_root or (), seed), False)
+    seen = load_config(objects, check_roots=False) if objects is not None else None
+    _show(walk_split(export, split, agent, out, navmesh_root or (), seed, seen), False)
 
 
 @app.command()

@@ -22,7 +22,9 @@ from condvln.evaluation.score import Rules
 from condvln.evaluation.split import SplitOptions, evaluate_split, split_tasks
 from condvln.evaluation.tables import Table, all_tables, twin_tables
 from condvln.export.streams import atomic_stream
+from jobs.policy import eyes_of, is_policy, policy_named, walk_policy
 from jobs.report import Report
+from schemas.config import Config
 from schemas.errors import UsageError
 
 __all__ = ["EvaluationReport", "Question", "evaluate_predictions", "walk_split"]
@@ -105,11 +107,33 @@ class EvaluationReport:
         yield from (as_rich(table) for table in self.tables)
 
 
-def walk_split(export: Path, split: str, agent: str, out: Path, roots: Sequence[Path], seed: int) -> Report:
-    """Write the predictions of one reference agent, walked on the episodes' own navmeshes."""
-    chosen = agent_named(agent)
-    tasks = split_tasks(export, split)
-    count = write_predictions(out, predict_all(chosen, tasks, NavmeshFolder((export, *roots)), seed=seed))
+def walk_split(
+    export: Path,
+    split: str,
+    agent: str,
+    out: Path,
+    roots: Sequence[Path],
+    seed: int,
+    objects: Config | None = None,
+) -> Report:
+    """Write the predictions of one agent, walked on the episodes' own navmeshes.
+
+    Parameters
+    ----------
+    agent : a reference agent, or ``module:Class`` of one's own
+    objects : the configuration whose published objects one's own agent sees; without it, it sees none
+
+    Raises
+    ------
+    UsageError : no such agent, or it answers something that is no action
+    """
+    tasks, navmeshes = split_tasks(export, split), NavmeshFolder((export, *roots))
+    if is_policy(agent):
+        eyes = eyes_of(objects, navmeshes) if objects is not None else None
+        predictions = walk_policy(policy_named(agent), tasks, navmeshes, eyes)
+    else:
+        predictions = predict_all(agent_named(agent), tasks, navmeshes, seed=seed)
+    count = write_predictions(out, predictions)
     return Report({"predictions": count, "file": str(out)}, [f"{count} predictions of {agent} in {out}"])
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -120,6 +121,60 @@ def test_others_results_stand_beside_predictions(
     assert branches["theirs"]["missing"]["mean"] == pytest.approx(1 / len(tasks))
     assert branches["theirs"]["leaf_correct"]["n"] == 0
     assert {name.rsplit("_", 1)[1] for name in tables if name.startswith("leaves_")} == {"oracle"}
+
+
+AGENT = """
+class Seer:
+    def __init__(self):
+        self.seen = {}
+
+    def begin(self, observation):
+        self.turns = 0
+        self.episode = observation.episode_id
+
+    def act(self, observation):
+        self.seen.setdefault(self.episode, set()).update(observation.labels)
+        self.turns += 1
+        if self.turns == 24:
+            open("seen.txt", "a").write(" ".join(sorted(self.seen[self.episode])) + "\\n")
+        return 2 if self.turns < 24 else 0
+
+class Wild(Seer):
+    def act(self, observation):
+        return 7
+
+class Deaf:
+    pass
+"""
+
+
+def test_ones_own_agent_walks_and_sees(
+    evaluate: Any,
+    export: Path,
+    split: str,
+    made_run: tuple[Config, Report],
+    made_dataset: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.path", [*sys.path])
+    (tmp_path / "seer_agent.py").write_text(AGENT)
+    (tmp_path / "run.yaml").write_text(made_run[0].model_dump_json())
+    words = ["walk", str(export), split, "--navmesh-root", str(made_dataset), "--out", "seer.json", "--agent"]
+    result = runner.invoke(app, [*words, "seer_agent:Seer", "--objects", "run.yaml"])
+    assert result.exit_code == 0, result.output
+    # a whole turn on the spot: it sees what is about, stops where it began, and reaches nothing
+    seen = (tmp_path / "seen.txt").read_text().splitlines()
+    assert any(seen)
+    main = documents(evaluate, tmp_path / "seer.json")["main"]["rows"][0]
+    assert (main["success"]["mean"], main["path_length"]["mean"]) == (0, 0)
+    assert main["episodes"] == len(seen)
+    (tmp_path / "seen.txt").unlink()
+    assert runner.invoke(app, [*words, "seer_agent:Seer"]).exit_code == 0
+    assert not any((tmp_path / "seen.txt").read_text().split())  # without objects there is nothing to see
+    for name in ("seer_agent:Deaf", "seer_agent:Nobody", "no_such_module:A", "seer_agent:Wild", "nobody"):
+        assert runner.invoke(app, [*words, name]).exit_code != 0
 
 
 def test_plots_are_pictures(evaluate: Any, agents: dict[str, Path], tmp_path: Path) -> None:
