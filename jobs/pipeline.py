@@ -7,6 +7,7 @@ from typing import Any, Final
 
 from condvln.episodes.rules import EpisodeRules
 from condvln.instructions.config import Cell, InstructionConfig
+from condvln.instructions.counterfactuals import GROUP_SIZE
 from condvln.navigation.agent import Agent
 from condvln.relations import RelationThresholds
 from condvln.sources.registry import open_source
@@ -14,7 +15,7 @@ from condvln.sources.source import HashFile, Source
 from factory.pipeline import Pipeline, TableSpec
 from factory.unit import InputFile, Unit
 from jobs.stages import EpisodeStage, PriorsAggregate, ProgramStage, RelationStage, SceneStage, TextStage
-from schemas.config import Config, SourceConfig
+from schemas.config import Config, InstructionsConfig, SourceConfig
 from schemas.errors import ConfigError
 from schemas.tables import SORT_KEYS, TABLES
 
@@ -44,7 +45,7 @@ def build_pipeline(config: Config) -> Pipeline:
     thresholds = _mirror(RelationThresholds, config.thresholds)
     rules = _mirror(EpisodeRules, config.episodes)
     wanted = config.instructions
-    sampling = _mirror(InstructionConfig, wanted, cells=tuple(_mirror(Cell, cell) for cell in wanted.cells))
+    sampling = _sampling(wanted)
     return Pipeline(
         name="condvln",
         stages=(
@@ -83,6 +84,8 @@ def open_configured(config: Config, source: SourceConfig, hash_file: HashFile) -
 def list_units(config: Config, hash_file: HashFile) -> list[Unit]:
     """All scenes of all sources as units; one that can't even be listed is a unit with its fault."""
     units = []
+    wanted = config.instructions
+    episodes = sum(cell.count for cell in _sampling(wanted).wanted) + GROUP_SIZE * wanted.counterfactual_groups
     for source in config.sources:
         for handle in open_configured(config, source, hash_file).handles():
             payload: dict[str, Any] = {
@@ -97,7 +100,7 @@ def list_units(config: Config, hash_file: HashFile) -> list[Unit]:
                     partition=handle.family,
                     inputs=tuple(InputFile(i.path, i.size, i.sha256) for i in handle.inputs),
                     payload=payload,
-                    cost=handle.cost + SECONDS_PER_EPISODE * sum(config.instructions.per_category.values()),
+                    cost=handle.cost + SECONDS_PER_EPISODE * episodes,
                     memory=BYTES_BASE + 4 * sum(i.size for i in handle.inputs),
                     fault=handle.fault,
                 )
@@ -114,6 +117,12 @@ def list_units(config: Config, hash_file: HashFile) -> list[Unit]:
 def _agent(config: Config) -> Agent:
     agent: Agent = _mirror(Agent, config.agent)
     return agent
+
+
+def _sampling(wanted: InstructionsConfig) -> InstructionConfig:
+    cells = tuple(_mirror(Cell, cell) for cell in wanted.cells)
+    config: InstructionConfig = _mirror(InstructionConfig, wanted, cells=cells)
+    return config
 
 
 def _mirror(kind: type[Any], model: Any, **changes: Any) -> Any:

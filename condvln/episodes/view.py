@@ -44,19 +44,19 @@ class SceneView:
     def __init__(self, scene: Scene, geometry: SceneGeometry | None = None, words: Vocabulary = vocabulary) -> None:
         self._scene = scene
         self._box_number: dict[str, int] = {}
-        self._triangles: dict[str, F64] = {}
+        self._faces: dict[str, NDArray[np.int64]] = {}
         self._targets: dict[str, SightTarget] = {}
-        self._sound = geometry is not None and len(geometry.faces) > 0
-        self.approximate = not (geometry is not None and self._sound and not geometry.approximate)
-        self._occluders = self._made(geometry if self._sound else None, words)
+        self._geometry = geometry if geometry is not None and len(geometry.faces) else None
+        self.approximate = self._geometry is None or self._geometry.approximate
+        self._occluders = self._made(self._geometry, words)
 
     def _made(self, geometry: SceneGeometry | None, words: Vocabulary) -> Occluders:
         if geometry is not None and not geometry.approximate:
-            corners = geometry.vertices[geometry.faces]
-            for k, item in enumerate(self._scene.objects):
-                own = corners[geometry.owner == k]
-                if len(own):
-                    self._triangles[item.object_id] = own
+            order = np.argsort(geometry.owner, kind="stable")
+            owners, starts = np.unique(geometry.owner[order], return_index=True)
+            for owner, faces in zip(owners, np.split(geometry.faces[order], starts[1:]), strict=True):
+                if owner != STRUCTURE:
+                    self._faces[self._scene.objects[owner].object_id] = faces
             return MeshOccluders(geometry.vertices, geometry.faces)
         boxes = self._boxes(words)
         if geometry is None:
@@ -83,9 +83,9 @@ class SceneView:
         return self._targets[object_id]
 
     def _samples(self, item: SceneObject) -> F64:
-        own = self._triangles.get(item.object_id)
-        if own is not None:
-            return mesh_samples(own.reshape(-1, 3), np.arange(3 * len(own)).reshape(-1, 3))
+        own = self._faces.get(item.object_id)
+        if own is not None and self._geometry is not None:
+            return mesh_samples(self._geometry.vertices, own)
         box = _box_of(item)
         return item.center[None] if box is None else box_samples(*box)
 
