@@ -6,7 +6,7 @@ and actions by episode id, for nDTW and imitation learning).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +17,7 @@ import orjson
 from condvln.export.densify import PATH_SPACING, densify
 from condvln.export.rows import Row
 from condvln.export.streams import JsonArrayStream, atomic_stream
-from condvln.export.tokens import TOKEN_LENGTH, Vocabulary
+from condvln.export.tokens import Vocabulary
 from schemas.program import SHAPES
 
 __all__ = [
@@ -31,7 +31,6 @@ __all__ = [
     "scene_file",
     "truth_writer",
     "vlnce_episode",
-    "write_split",
 ]
 
 FORWARD: Final = 1
@@ -151,36 +150,3 @@ def truth_writer(path: Path) -> Iterator[DocumentWriter]:
     with atomic_stream(path, closing=b"}") as stream:
         stream.write(b"{")
         yield DocumentWriter(JsonArrayStream(stream))
-
-
-def write_split(
-    folder: Path,
-    split: str,
-    rows: Iterable[tuple[str, Row]],
-    vocabulary: Vocabulary,
-    *,
-    scene_patterns: Mapping[str, str] = SCENE_PATTERNS,
-    token_length: int = TOKEN_LENGTH,
-    spacing: float = PATH_SPACING,
-) -> int:
-    """Write ``<folder>/<split>/<split>.json.gz`` and ``…_gt.json.gz``.
-
-    Parameters
-    ----------
-    rows : (family, row of the episodes table) in the order of the file
-
-    Returns
-    -------
-    count : episodes written
-    """
-    count = 0
-    with (
-        document_writer(folder / split / f"{split}.json.gz", vocabulary) as episodes,
-        truth_writer(folder / split / f"{split}_gt.json.gz") as truths,
-    ):
-        for family, row in rows:
-            tokens = vocabulary.padded(row["instruction_text"], token_length)
-            episodes.add(encode(vlnce_episode(row, scene_file(family, row["scene_id"], scene_patterns), tokens)))
-            truths.add(encode(row["episode_id"]) + b":" + encode(ground_truth(row, spacing)))
-            count += 1
-    return count

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from condvln.export.rows import rows_of
 from condvln.export.tables import MemoryTables
-from condvln.export.tokens import Vocabulary
-from condvln.export.vlnce import ground_truth, scene_file, write_split
+from condvln.export.vlnce import ground_truth, scene_file
 from schemas.vlnce import GroundTruth, VlnCeDocument
 from tests.strict_loader import load_split, read
 
@@ -47,16 +46,6 @@ def test_walked_locations_come_before_the_dense_path(tables: MemoryTables) -> No
     bare = ground_truth({**row, "actions": None, "locations": None})
     assert "actions" not in bare
     assert bare["forward_steps"] == len(bare["locations"]) - 1
-
-
-def test_one_split_alone(tables: MemoryTables, tmp_path: Path) -> None:
-    rows = rows_of(tables.tables["replicacad"]["episodes"])[:9]
-    vocabulary = Vocabulary.of(row["instruction_text"] for row in rows)
-    assert write_split(tmp_path, "val", (("mp3d", row) for row in rows), vocabulary) == 9
-    loaded = load_split(tmp_path / "val" / "val.json.gz")
-    assert [episode.episode_id for episode in loaded] == [row["episode_id"] for row in rows]
-    assert loaded[0].scene_id == "data/scene_datasets/mp3d/apt_0/apt_0.glb"
-    assert set(read(tmp_path / "val" / "val_gt.json.gz")) == {row["episode_id"] for row in rows}
 
 
 def test_scene_files_by_family() -> None:
