@@ -85,9 +85,16 @@ def _strings(values: list[str]) -> Any:
     return pa.array(values, pa.string())
 
 
+def _seen(row: dict[str, Any]) -> str:
+    """The observability of an episode, O0f where all evidence is in the first view."""
+    if row.get("observability") is None:
+        return "not told"
+    return "O0f" if row["evidence_in_view"] else str(row["observability"])
+
+
 def _lines(row: dict[str, Any], tree: str) -> list[str]:
     lines = [
-        f"{row['source']}/{row['scene_id']} · {row['category']} · {row['composition']} · episode {row['episode_id']}",
+        f"{row['source']}/{row['scene_id']} · {row['category']} · {row['composition']} · {_seen(row)} · episode {row['episode_id']}",
         f"  “{row['instruction_text']}”",
         *("  " + line for line in tree.splitlines()),
     ]

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -17,9 +18,14 @@ from condvln.episodes.observability import STRAY, Observation, Observer, common_
 from condvln.episodes.placing import Prospect
 from condvln.episodes.rules import EpisodeRules
 from condvln.episodes.view import SceneView
+from condvln.navigation.agent import Agent
 from condvln.navigation.pathfinder import Pathfinder
+from condvln.navigation.sight import View, eyes_at
+from condvln.samples import make_samples
 from condvln.scene import Room, Scene, SceneObject
 from condvln.scene.geometry import STRUCTURE, SceneGeometry
+from condvln.sources.registry import open_source
+from condvln.sources.source import Source
 from schemas.program import SHAPES, Condition, Leaf, ObjectRef, Program, Qualifier, RoomRef
 from tests.condvln.episodes.floors import box, box_triangles, grid_floor, inside, surfaces_of
 
@@ -266,3 +272,43 @@ def test_a_room_that_cannot_be_stood_in_is_asked_for_all_of_its_floor() -> None:
     nowhere = dataclasses.replace(scene.rooms[0], polygon=np.array([[20, 0], [24, 0], [24, 4], [20, 4.0]]))
     points = floor_points(scene, nowhere, floor_of(scene), (0,))
     assert len(points) == FLOOR_POINTS
+
+
+NO_FLOOR = grid_floor(1, 1, lambda x, z: False)
+"""Nobody can stand in the houses here, so that all of a room's floor is asked for."""
+
+
+def walls_hide(source: Source, scene_id: str) -> None:
+    """A house's walls hide nothing of a convex room from within it, and most of what is in other rooms."""
+    scene = source.read(scene_id)
+    walled, open_plan = SceneView(scene, source.geometry(scene)), SceneView(scene)
+    assert walled.approximate
+    rng = np.random.default_rng(0)
+    elsewhere = np.zeros(2, int)
+    for room in scene.rooms:
+        points = floor_points(scene, room, NO_FLOOR, ())
+        eyes = eyes_at(points[rng.permutation(len(points))[:6]], RULES.eye_height)
+        outline = shapely.Polygon(room.polygon)
+        convex = outline.area > 0.999 * outline.convex_hull.area
+        for item in scene.objects:
+            target = walled.target(item.object_id)
+            seen, more = (view.seen(eyes, target, View(range=100.0)) for view in (walled, open_plan))
+            assert not (seen & ~more).any()
+            if item.room_id != room.room_id:
+                elsewhere += [seen.any(axis=1).sum(), more.any(axis=1).sum()]
+            elif convex:
+                np.testing.assert_array_equal(seen.any(axis=1), more.any(axis=1))
+    assert elsewhere[0] <= 0.5 * elsewhere[1]
+
+
+def test_walls_of_a_made_house_hide_its_other_rooms(tmp_path: Path) -> None:
+    make_samples(tmp_path, family="procthor", scenes=2, seed=3)
+    source = open_source("procthor", tmp_path, agent=Agent())
+    for handle in source.handles():
+        walls_hide(source, handle.scene_id)
+
+
+def test_walls_of_real_houses_hide_their_other_rooms(real_data: Path) -> None:
+    source = open_source("procthor", real_data / "procthor", agent=Agent())
+    for handle in source.handles()[:6:3]:
+        walls_hide(source, handle.scene_id)
