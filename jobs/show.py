@@ -94,7 +94,8 @@ def _seen(row: dict[str, Any]) -> str:
 
 def _lines(row: dict[str, Any], tree: str) -> list[str]:
     lines = [
-        f"{row['source']}/{row['scene_id']} · {row['category']} · {row['composition']} · {_seen(row)} · episode {row['episode_id']}",
+        f"{row['source']}/{row['scene_id']} · {row['category']} · {row['composition']} · {_seen(row)} · "
+        f"episode {row['episode_id']}",
         f"  “{row['instruction_text']}”",
         *("  " + line for line in tree.splitlines()),
     ]
