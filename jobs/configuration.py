@@ -170,7 +170,10 @@ def _resolve(config: Config, base: Path, path: Path, check_roots: bool) -> Confi
         regions = None if source.regions is None else (base / source.regions).resolve()
         if check_roots and regions is not None and not regions.exists():
             raise ConfigError(f"no such file or folder: {regions}", where=path, place=f"sources.{k}.regions")
-        sources.append(source.model_copy(update={"root": root, "regions": regions}))
+        graphs = None if source.connectivity is None else (base / source.connectivity).resolve()
+        if check_roots and graphs is not None and not graphs.is_dir():
+            raise ConfigError(f"no such folder: {graphs}", where=path, place=f"sources.{k}.connectivity")
+        sources.append(source.model_copy(update={"root": root, "regions": regions, "connectivity": graphs}))
     return config.model_copy(
         update={
             "sources": tuple(sources),

@@ -22,7 +22,7 @@ from schemas.config import Config
 from schemas.errors import ConfigError, CorruptShardError, StoreError
 from schemas.program import Program
 
-__all__ = ["add_viewpoints", "built_navmeshes", "export_snapshot_of", "run_export"]
+__all__ = ["add_viewpoints", "built_navmeshes", "export_snapshot_of", "graphs_of", "run_export"]
 
 
 _CONNECTIVITY: Final = "connectivity"
@@ -62,7 +62,7 @@ def export_snapshot_of(config: Config) -> Report:
         ),
         oracle_texts=_linear_text(**texts),
         navmeshes=built_navmeshes(config, snapshot),
-        graphs=_graphs(config),
+        graphs=graphs_of(config),
         former=_former(config, snapshot),
     )
     rows = [(split, len(done.scenes[split]), count) for split, count in done.episodes.items()]
@@ -84,7 +84,7 @@ def export_snapshot_of(config: Config) -> Report:
 def add_viewpoints(report: Report, config: Config, snapshot: Snapshot) -> None:
     """Place the instructions of scans without a mesh on their viewpoint graphs, where there are such, and say so."""
     assert config.export is not None
-    graphs = _graphs(config)
+    graphs = graphs_of(config)
     if not graphs:
         return
     tables = FolderTables(snapshot_folder(config.store, snapshot))
@@ -128,9 +128,10 @@ def _former(config: Config, snapshot: Snapshot) -> FolderTables | None:
     return FolderTables(folder)
 
 
-def _graphs(config: Config) -> GraphFolder:
-    """Connectivity of Matterport3D scans, where the dataset's folder holds it."""
-    return GraphFolder(*(source.root / _CONNECTIVITY for source in config.sources if source.family == "mp3d"))
+def graphs_of(config: Config) -> GraphFolder:
+    """Connectivity of Matterport3D scans, where the configuration names it or the dataset's folder holds it."""
+    sources = [source for source in config.sources if source.family == "mp3d"]
+    return GraphFolder(*(source.connectivity or source.root / _CONNECTIVITY for source in sources))
 
 
 def built_navmeshes(config: Config, snapshot: Snapshot) -> NavmeshBytes:

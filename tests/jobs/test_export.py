@@ -7,13 +7,17 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+
 from condvln.export.changelog import CHANGELOG
 from condvln.export.streams import read_unpacked
-from jobs.export import export_snapshot_of
+from jobs.configuration import load_config
+from jobs.export import export_snapshot_of, graphs_of
 from jobs.generate import run_generate
 from jobs.report import Report
 from jobs.validate import validate_files
 from schemas.config import Config, InstructionsConfig, SplitsConfig
+from schemas.errors import ConfigError
 from schemas.program import CATEGORIES, SHAPES
 
 
@@ -36,6 +40,23 @@ def test_shards_groups_and_shortfalls_are_the_configurations(made_run: tuple[Con
     (section,) = [section for section in report.sections if section.title == "Cells that are short"]
     assert len(section.rows) == sum(cell["shortfall"] > 0 for cell in short) > 0
     assert any("cells are short" in line for line in report.lines)
+
+
+def test_connectivity_is_where_the_configuration_says(tmp_path: Path) -> None:
+    source = {"family": "mp3d", "root": "scans", "connectivity": "graphs"}
+    path = tmp_path / "run.yaml"
+    path.write_text(json.dumps({"name": "a", "store": "store", "sources": [source]}))
+    (tmp_path / "scans" / "connectivity").mkdir(parents=True)
+    with pytest.raises(ConfigError, match=r"sources\.0\.connectivity"):
+        load_config(path, environment={})
+    (tmp_path / "graphs").mkdir()
+    for folder, scan in (("graphs", "a"), ("scans/connectivity", "b")):
+        (tmp_path / folder / f"{scan}_connectivity.json").write_text("[]")
+    config = load_config(path, environment={})
+    assert list(graphs_of(config)) == ["a"]
+    (bare,) = config.sources
+    sources = (bare.model_copy(update={"connectivity": None}),)
+    assert list(graphs_of(config.model_copy(update={"sources": sources}))) == ["b"]
 
 
 def test_a_second_snapshot_tells_what_moved(
