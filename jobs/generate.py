@@ -16,10 +16,11 @@ from factory.run import run
 from factory.unit import Unit
 from jobs.export import add_viewpoints, export_snapshot_of
 from jobs.funnel import add_funnel
-from jobs.pipeline import build_pipeline, list_units
+from jobs.listing import listed_units
+from jobs.pipeline import build_pipeline
 from jobs.progress import LoggedRun, RunProgress
 from jobs.report import Report, Section
-from jobs.workspace import file_hashes, git_revision, hasher, local_state, open_store, published
+from jobs.workspace import git_revision, local_state, open_store, published
 from schemas.config import Config
 
 __all__ = ["add_export", "bring_up_to_date", "run_generate", "run_report"]
@@ -38,12 +39,9 @@ def run_generate(
 ) -> Report:
     """Bring the published snapshot up to date with the sources, and the export with the snapshot."""
     console = console or Console(stderr=True)
-    hashes = file_hashes(config)
-    units = list_units(config, hasher(hashes))
-    hashes.save()
     done = bring_up_to_date(
         config,
-        units,
+        listed_units(config),
         inline=inline,
         retry_quarantined=retry_quarantined,
         renew_priors=renew_priors,

@@ -6,9 +6,10 @@ from dataclasses import asdict
 from typing import Any, Final
 
 from factory.run import plan
-from jobs.pipeline import build_pipeline, list_units
+from jobs.listing import listed_units
+from jobs.pipeline import build_pipeline
 from jobs.report import Report, Section
-from jobs.workspace import file_hashes, hasher, open_store
+from jobs.workspace import open_store
 from schemas.config import Config
 
 __all__ = ["make_plan"]
@@ -19,10 +20,7 @@ SHOWN: Final = 40
 
 def make_plan(config: Config) -> Report:
     """The plan of `config` against what is published under its name."""
-    hashes = file_hashes(config)
-    units = list_units(config, hasher(hashes))
-    hashes.save()
-    found = plan(build_pipeline(config), units, open_store(config), config.name)
+    found = plan(build_pipeline(config), listed_units(config), open_store(config), config.name)
     entries = [asdict(entry) for entry in found.entries]
     document: dict[str, Any] = {
         "counts": dict(found.counts),

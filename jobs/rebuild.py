@@ -20,7 +20,7 @@ from factory.store import Store
 from factory.sweep import sweep
 from jobs.report import Report
 from jobs.watch import Watch
-from jobs.workspace import file_hashes, hasher, local_state, open_store
+from jobs.workspace import local_state, open_store
 from schemas.config import Config
 
 __all__ = ["run_rebuild"]
@@ -71,11 +71,10 @@ def _rebuild(
     # The science is loaded only now: looking whether anything changed does not need it.
     from factory.run import plan
     from jobs.generate import add_export, bring_up_to_date, run_report
-    from jobs.pipeline import build_pipeline, list_units
+    from jobs.listing import listed_units
+    from jobs.pipeline import build_pipeline
 
-    hashes = file_hashes(config)
-    units = list_units(config, hasher(hashes))
-    hashes.save()
+    units = listed_units(config)
     renew = ("priors",) if renew_priors else ()
     found = plan(build_pipeline(config), units, store, config.name, retry_quarantined=retry_quarantined, renew=renew)
     done = bring_up_to_date(

@@ -12,7 +12,7 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,7 +24,7 @@ from schemas.canonical import digest
 from schemas.config import Config
 from schemas.unit import Hash64
 
-__all__ = ["Memory", "Watch"]
+__all__ = ["Memory", "Watch", "code_digest", "look"]
 
 SETTLED_SECONDS: Final = 2.0
 """A file younger than this may change again within the same tick of a coarse clock."""
@@ -57,12 +57,12 @@ class Watch:
         self._config = config
         self._store = store
         self._path = state / f".rebuild-{config.name}.json"
-        self._youngest = 0
-        self._code = _code()
+        code = code_digest()
         document = config.model_dump(mode="json")
         roots = [path for source in config.sources for path in (source.root, source.regions) if path is not None]
-        self._inputs = digest([document, self._code, [*self._stats(roots)]])
-        self._exported = digest([self._code, {k: v for k, v in document.items() if k not in ("ray", "keep", "store")}])
+        files, self._settled = look(roots)
+        self._inputs = digest([document, code, files])
+        self._exported = digest([code, {k: v for k, v in document.items() if k not in ("ray", "keep", "store")}])
         self.memory = self._remembered()
 
     def _remembered(self) -> Memory | None:
@@ -85,11 +85,9 @@ class Watch:
 
     def remember(self, snapshot_id: str | None, quarantined: int) -> None:
         """A rebuild is complete."""
-        # A file touched just now may change once more without showing it: then the next rebuild looks at contents.
-        settled = time.time() - self._youngest / 1e9 >= SETTLED_SECONDS
         exported = None if self._config.export is None else digest([snapshot_id, self._exported])
         memory = Memory(
-            inputs=self._inputs if settled else UNSETTLED,
+            inputs=self._inputs if self._settled else UNSETTLED,
             outputs=self._outputs(),
             exported=exported,
             quarantined=quarantined,
@@ -123,41 +121,49 @@ class Watch:
             return None
         return [index.get("snapshot"), found]
 
-    def _stats(self, roots: Iterable[Path]) -> Iterator[list[Any]]:
-        """[path, size, mtime_ns] of every file at or below `roots`, sorted; links are followed, each folder once."""
-        seen: set[tuple[int, int]] = set()
-        for root in roots:
-            found: list[list[Any]] = []
-            stack = [str(root)]
-            if root.is_file():
-                stat = root.stat()
-                found.append([str(root), stat.st_size, stat.st_mtime_ns])
-                stack = []
-            while stack:
-                try:
-                    folder = stack.pop()
-                    stat = os.stat(folder)
-                    if (stat.st_dev, stat.st_ino) in seen:
-                        continue
-                    seen.add((stat.st_dev, stat.st_ino))
-                    entries = [*os.scandir(folder)]
-                except OSError:
-                    found.append([folder, -1, 0])
-                    continue
-                for entry in entries:
-                    try:
-                        if entry.is_dir():
-                            stack.append(entry.path)
-                        else:
-                            stat = entry.stat()
-                            self._youngest = max(self._youngest, stat.st_mtime_ns)
-                            found.append([entry.path, stat.st_size, stat.st_mtime_ns])
-                    except OSError:
-                        found.append([entry.path, -1, 0])
-            yield from sorted(found)
+
+def look(roots: Iterable[Path]) -> tuple[list[list[Any]], bool]:
+    """([path, size, mtime_ns] of every file at or below `roots`, whether none was touched just now).
+
+    Sorted within each root; links are followed, each folder once. A file touched just now may change once more without
+    showing it, where clocks are coarse.
+    """
+    found: list[list[Any]] = []
+    seen: set[tuple[int, int]] = set()
+    for root in roots:
+        files = [_stat(str(root))] if not root.is_dir() else []
+        stack = [str(root)] if root.is_dir() else []
+        while stack:
+            folder = stack.pop()
+            try:
+                stat = os.stat(folder)
+                entries = [*os.scandir(folder)]
+            except OSError:
+                files.append([folder, -1, 0])
+                continue
+            if (stat.st_dev, stat.st_ino) in seen:
+                continue
+            seen.add((stat.st_dev, stat.st_ino))
+            for entry in entries:
+                if entry.is_dir():
+                    stack.append(entry.path)
+                else:
+                    files.append(_stat(entry))
+        found += sorted(files)
+    youngest = max((file[2] for file in found), default=0)
+    return found, time.time() - youngest / 1e9 >= SETTLED_SECONDS
 
 
-def _code() -> str:
+def _stat(file: str | os.DirEntry[str]) -> list[Any]:
+    path = file if isinstance(file, str) else file.path
+    try:
+        stat = os.stat(path) if isinstance(file, str) else file.stat()
+    except OSError:
+        return [path, -1, 0]
+    return [path, stat.st_size, stat.st_mtime_ns]
+
+
+def code_digest() -> str:
     """Digest of this program's own files: their times say nothing, since every image is built anew."""
     state = hashlib.sha256()
     for package in _PACKAGES:

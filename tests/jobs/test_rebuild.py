@@ -109,7 +109,7 @@ def test_nothing_to_do_ends_at_once_and_says_so(corpus: Config, monkeypatch: pyt
         report = rebuild(corpus)
         assert (report.exit_code, report.document["changed"]) == (0, False)
         assert said in report.lines[0]
-        monkeypatch.setattr("jobs.pipeline.list_units", None)
+        monkeypatch.setattr("jobs.listing.listed_units", None)
     after = {path: data for path, data in files(folder_of(corpus)).items() if not path.startswith(".")}
     assert after == before, "neither record nor log"
 

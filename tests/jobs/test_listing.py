@@ -1,0 +1,98 @@
+"""Scenes are listed again when, and only when, a file of theirs may have changed."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import jobs.listing
+from condvln.sources.source import hash_file
+from jobs.listing import listed_units
+from jobs.pipeline import list_units
+from schemas.config import AgentConfig, Config, SplitsConfig
+
+
+@pytest.fixture
+def config(dataset: Path, configured: Callable[..., Config]) -> Config:
+    settle(dataset)
+    return configured(dataset)
+
+
+@pytest.fixture
+def listings(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """One entry for each time that the sources are really listed."""
+    found: list[int] = []
+
+    def counted(*arguments: object) -> object:
+        units = list_units(*arguments)  # type: ignore[arg-type]
+        found.append(len(units))
+        return units
+
+    monkeypatch.setattr(jobs.listing, "list_units", counted)
+    return found
+
+
+def settle(folder: Path, age: float = 60.0) -> None:
+    for path in folder.rglob("*"):
+        os.utime(path, (time.time() - age, time.time() - age))
+
+
+def test_what_is_remembered_is_what_would_be_listed(config: Config, listings: list[int]) -> None:
+    expected = list_units(config, hash_file)
+    assert [listed_units(config) for _ in range(3)] == [expected] * 3
+    assert listings == [2]
+
+
+def test_any_change_lists_again(config: Config, dataset: Path, listings: list[int]) -> None:
+    scene = dataset / "configs" / "scenes" / "made_001.scene_instance.json"
+    listed_units(config)
+    # Other bytes of the same size, another time.
+    document = json.loads(scene.read_text())
+    document["object_instances"].pop()
+    text = json.dumps(document)
+    scene.write_text(text.ljust(scene.stat().st_size))
+    os.utime(scene, (time.time() - 30, time.time() - 30))
+    assert listed_units(config) == list_units(config, hash_file)
+    scene.rename(scene.with_suffix(".away"))
+    assert len(listed_units(config)) == 1
+    scene.with_suffix(".away").rename(scene)
+    # The memory holds one state, and this one is not it.
+    assert len(listed_units(config)) == 2
+    assert listings == [2, 2, 1, 2]
+    # What the units depend on counts; what they don't, does not.
+    listed_units(config.model_copy(update={"splits": SplitsConfig(seed=9)}))
+    assert len(listings) == 4
+    listed_units(config.model_copy(update={"agent": AgentConfig(radius=0.2)}))
+    assert len(listings) == 5
+
+
+def test_a_file_touched_just_now_is_not_trusted(config: Config, dataset: Path, listings: list[int]) -> None:
+    settle(dataset, age=0.0)
+    listed_units(config)
+    listed_units(config)
+    assert len(listings) == 2
+
+
+def test_scenes_that_can_not_be_listed_are_looked_at_every_time(
+    config: Config, dataset: Path, listings: list[int]
+) -> None:
+    scene = dataset / "configs" / "scenes" / "made_001.scene_instance.json"
+    scene.write_bytes(scene.read_bytes()[:100])
+    settle(dataset)
+    for _ in range(2):
+        assert [unit.fault is None for unit in listed_units(config)] == [True, False]
+    assert len(listings) == 2
+
+
+@pytest.mark.parametrize("damage", [b"", b"{", b'{"inputs": 1}', b"null", b"\xff"])
+def test_a_damaged_memory_is_none(config: Config, listings: list[int], damage: bytes) -> None:
+    expected = listed_units(config)
+    (memory,) = Path(str(config.store)).glob(".listing-*.json")
+    memory.write_bytes(damage)
+    assert listed_units(config) == expected
+    assert len(listings) == 2
