@@ -32,6 +32,7 @@ from condvln.export.tokens import TOKEN_LENGTH, Vocabulary
 from condvln.export.vlnce import SCENE_PATTERNS
 from condvln.export.writer import ExportWriter, Layout
 from schemas.config import SplitsConfig
+from schemas.errors import InputError, StoreError
 
 __all__ = ["INDEX", "ExportConfig", "NavmeshBytes", "export_snapshot", "exported_snapshot"]
 
@@ -172,9 +173,12 @@ def _formerly(
     published = PublishedEpisodes.of_export(out) if exported else None
     if former is None or (exported and former.id != exported):
         return published, None
-    _, splits_of, generated = _choose(former, config, SceneTable(former, None))
-    if published is None:
-        published = PublishedEpisodes.of_rows(former.id, _chosen_rows(former, splits_of))
+    try:
+        _, splits_of, generated = _choose(former, config, SceneTable(former, None))
+        if published is None:
+            published = PublishedEpisodes.of_rows(former.id, _chosen_rows(former, splits_of))
+    except (StoreError, InputError):  # it held no episodes, or is damaged: that is no reason not to export this one
+        return published, None
     return published, generated
 
 

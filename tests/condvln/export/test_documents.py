@@ -196,6 +196,16 @@ def test_a_fresh_folder_tells_what_moved_since_the_snapshot_before(tmp_path: Pat
     assert not (tmp_path / "same" / CHANGELOG).exists()
 
 
+def test_a_former_snapshot_that_says_nothing_is_no_obstacle(tmp_path: Path) -> None:
+    first = made_snapshot({"replicacad": SCENES})
+    none = changed(first, "none", lambda table, row: table == "scenes")
+    export_snapshot(first, tmp_path / "fresh", former=none)
+    assert not (tmp_path / "fresh" / CHANGELOG).exists()
+    export_snapshot(first, tmp_path / "old")
+    export_snapshot(second(first), tmp_path / "old", former=replace(none, id="made"))
+    assert "their scene is gone" in (tmp_path / "old" / CHANGELOG).read_text()
+
+
 def test_generation_and_choice_are_told_apart(tmp_path: Path) -> None:
     first = made_snapshot({"replicacad": SCENES})
     export_snapshot(first, tmp_path)
