@@ -54,6 +54,16 @@ def test_habitats_own_sample(real_data: Path) -> None:
     assert room_at(index, 15, -3, 0) is None
 
 
+def test_the_documentations_example_is_one(repository: Path) -> None:
+    text = (repository / "docs" / "zones.md").read_text(encoding="utf-8")
+    example = text.split("```json\n")[1].split("```")[0]
+    read = read_regions(parse_json(example.encode(), "zones.md")["region_annotations"], "user", "replicacad")
+    assert [(r.room_id, r.label, r.floor_y, r.ceiling_y, r.annotation) for r in read] == [
+        ("kitchen", "kitchen", 0.0, 2.5, "user"),
+        ("living_room", "living room", 0.0, 2.5, "user"),
+    ]
+
+
 def test_the_smaller_of_two_rooms_holds_the_point() -> None:
     index = RegionIndex(rooms(region("a hall", (0, 0), (10, 10)), region("closet", (1, 1), (3, 3))))
     assert room_at(index, 2, 1, 2) == "closet"
