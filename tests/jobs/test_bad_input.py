@@ -178,7 +178,10 @@ def test_scenes_that_yield_nothing_export_nothing_and_say_so(
         path.write_text(json.dumps(document))
     report = run_generate(configured(dataset, export=tmp_path / "export"), inline=True)
     assert report.exit_code == 0
-    assert any("nothing is exported" in line for line in report.lines)
+    assert any("no episodes on a navmesh to export" in line for line in report.lines)
+    assert [scene["why"] for scene in report.document["funnel"]["scenes"]] == [
+        "no object: nothing to relate or to choose between"
+    ] * 2
     assert not (tmp_path / "export").exists()
 
 
