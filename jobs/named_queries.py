@@ -156,6 +156,16 @@ _QUERIES: Final = (
         """,
     ),
     NamedQuery(
+        "funnel",
+        "of the candidates of each category and cell: how many were wanted, placed, and turned down in placing",
+        """
+        SELECT category, cell, sum(wanted)::BIGINT AS wanted, sum(candidates)::BIGINT AS candidates,
+               sum(placed)::BIGINT AS placed, sum(rejected)::BIGINT AS rejected,
+               round(sum(placed) / nullif(sum(candidates), 0), 3) AS share_placed
+        FROM funnel GROUP BY category, cell ORDER BY category, cell
+        """,
+    ),
+    NamedQuery(
         "skipped",
         "scenes that are sound and can't yield, and why",
         """
