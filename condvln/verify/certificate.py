@@ -66,7 +66,7 @@ FACTS: Final[Mapping[str, str]] = {
     "split_leakage": "a scene belongs to one group of splits",
     "program_leakage": "a program of a scene stands in one split",
     "program_once": "a program of a scene has one start, outside of counterfactual groups",
-    "group": "episodes of a counterfactual group share all but one condition's truth and the places of two leaves",
+    "group": "a counterfactual group is whole, and shares all but one condition's truth and the places of two leaves",
     "readable": "the row and its scene can be read",
 }
 """Every kind of fact that is checked."""

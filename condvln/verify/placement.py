@@ -300,10 +300,13 @@ class _Groups:
             if row.group_id is not None:
                 self._words.setdefault(row.group_id, []).append(len(row.instruction_text.split()))
 
-    def words(self, row: ManifestEpisode) -> tuple[int, bool]:
-        """Words that decide a row's budget; whether an unpublished member of its group may have more."""
-        own = [len(row.instruction_text.split())] if row.group_id is None else self._words[row.group_id]
-        return max(own), row.group_id is not None and len(own) < GROUP_SIZE
+    def words(self, row: ManifestEpisode, certificate: Certificate) -> int:
+        """Words that decide a row's budget."""
+        if row.group_id is None:
+            return len(row.instruction_text.split())
+        members = self._words[row.group_id]
+        certificate.same("group", GROUP_SIZE, len(members), f"members of {row.group_id}")
+        return max(members)
 
 
 def _check_budget(
@@ -322,11 +325,8 @@ def _check_budget(
         steps = max(steps, len(route.actions))
     ceiling, per_word = rules.episodes.max_steps, rules.episodes.steps_per_word
     certificate.holds("budget", 2 * steps <= ceiling, f"at most {ceiling}", 2 * steps, "twice the actions")
-    words, perhaps_more = groups.words(row)
-    found = min(ceiling, max(per_word * words, 2 * steps))
-    by_words = row.max_steps == ceiling or (row.max_steps < ceiling and row.max_steps % per_word == 0)
-    longer = perhaps_more and found < row.max_steps and by_words
-    certificate.holds("budget", longer or row.max_steps == found, row.max_steps, found)
+    words = per_word * groups.words(row, certificate)
+    certificate.same("budget", row.max_steps, min(ceiling, max(words, 2 * steps)))
 
 
 def _are_close(one: Sequence[Sequence[float]], other: Sequence[Sequence[float]]) -> bool:

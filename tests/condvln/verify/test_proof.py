@@ -59,6 +59,15 @@ def test_an_object_moved_in_the_source_refutes_every_episode_that_goes_to_it(mad
                     assert not certificate.proven
 
 
+def test_a_group_that_lacks_a_member_is_refuted(made_export) -> None:
+    run = next(run for run in made_export.runs if any(row.manifest.group_id for row in run.rows))
+    gone = next(row for row in run.rows if row.manifest.group_id)
+    left = dataclasses.replace(run, rows=[row for row in run.rows if row is not gone])
+    for row, certificate in zip(left.rows, prove(made_export, left, made_export.scenes[run.scene_id]), strict=True):
+        of_group = row.manifest.group_id == gone.manifest.group_id
+        assert ("group" in {d.fact for d in certificate.disagreements}) == of_group
+
+
 def test_obstacles_and_grounds_are_those_of_the_generator(made_export) -> None:
     rng = np.random.default_rng(1)
     for run in made_export.runs:
