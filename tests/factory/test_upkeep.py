@@ -83,6 +83,22 @@ def test_a_sweep_spares_every_ref_and_other_pins(store: LocalStore) -> None:
     assert run(toys.pipeline(), toys.units(4), store, "nightly").stages == {}
 
 
+def test_records_and_logs_of_the_latest_runs_stay(store: LocalStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("factory.sweep.RUNS_KEPT", 2)
+    names = [f"2026010{day}T000000Z-x" for day in (3, 1, 4, 2)]
+    for name in names:
+        store.write(f"runs/{name}.json", b"{}")
+        store.write(f"logs/{name}.jsonl", b"{}")
+    sweep(store, grace=3600.0)
+    assert len([*store.list("logs")]) == 4, "they are young"
+    sweep(store, now=LATER)
+    assert sorted(entry.path for entry in store.list("")) == [
+        f"{kind}/{day}T000000Z-x.{ending}"
+        for kind, ending in (("logs", "jsonl"), ("runs", "json"))
+        for day in ("20260103", "20260104")
+    ]
+
+
 def test_a_sweep_takes_what_killed_writers_left(store: LocalStore) -> None:
     grow(store, 1)
     left = store.root / "units" / "count" / ".tmp-0123"
