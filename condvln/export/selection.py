@@ -80,7 +80,8 @@ def select(pool: Pool, config: SplitsConfig) -> Selection:
             }
             for source, block in blocks.items():
                 blocks[source] = _with_fitting_groups(pool, block)
-                selection.left_out[_NO_ROOM] += len(block) - len(blocks[source])
+                if len(blocks[source]) < len(block):
+                    selection.left_out[_NO_ROOM] += len(block) - len(blocks[source])
             quotas = _quotas(pool, blocks, config.per_cell)
             wanted = _wanted(pool, quotas, config.per_cell)
             for source, block in blocks.items():

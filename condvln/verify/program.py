@@ -20,6 +20,7 @@ def check_program(row: ManifestEpisode, certificate: Certificate) -> None:
     moves = len(program.leaves[row.gold_leaf].moves) if 0 <= row.gold_leaf < len(program.leaves) else None
     found = (program.category, _depth(program, 0), _chain(program), _composition(program), moves)
     certificate.same("axes", claimed, found)
+    _check_evidence(row, certificate)
     goals = [leaf.moves[-1].object_id for leaf in program.leaves]
     visited = [[move.object_id for move in leaf.moves] for leaf in program.leaves]
     certificate.holds("distinct_goals", len(set(goals)) == len(goals), "different goals", goals)
@@ -33,6 +34,23 @@ def check_program(row: ManifestEpisode, certificate: Certificate) -> None:
         for j, other in enumerate(program.conditions[:k]):
             apart = not (_follows(condition, other) or _follows(other, condition))
             certificate.holds("independent_conditions", apart, "independent", f"condition {j}", f"condition {k}")
+
+
+def _check_evidence(row: ManifestEpisode, certificate: Certificate) -> None:
+    """Evidence is told of the conditions that the gold route asks, and the worst of it is the observability.
+
+    Whether it is seen from there takes rays, which are not cast again.
+    """
+    if row.observability is None:
+        certificate.same("axes", row.evidence, None, "evidence")
+        return
+    evidence = row.evidence or ()
+    claimed = (row.observability, row.evidence_in_view, [place.condition for place in evidence])
+    worst = max((place.observability for place in evidence), default=None)
+    asked = sorted(row.program.route()[0])
+    certificate.same("axes", claimed, (worst, all(place.in_view for place in evidence), asked), "evidence")
+    early = [place.condition for place in evidence if place.in_view and place.observability != "O0"]
+    certificate.holds("axes", not early, "in the first view only what is seen from the start", early, "evidence")
 
 
 def _depth(program: Program, at: int) -> int:
