@@ -173,7 +173,11 @@ def _resolve(config: Config, base: Path, path: Path, check_roots: bool) -> Confi
         graphs = None if source.connectivity is None else (base / source.connectivity).resolve()
         if check_roots and graphs is not None and not graphs.is_dir():
             raise ConfigError(f"no such folder: {graphs}", where=path, place=f"sources.{k}.connectivity")
-        sources.append(source.model_copy(update={"root": root, "regions": regions, "connectivity": graphs}))
+        houses = None if source.houses is None else (base / source.houses).resolve()
+        if check_roots and houses is not None and not houses.is_dir():
+            raise ConfigError(f"no such folder: {houses}", where=path, place=f"sources.{k}.houses")
+        beside = {"root": root, "regions": regions, "connectivity": graphs, "houses": houses}
+        sources.append(source.model_copy(update=beside))
     return config.model_copy(
         update={
             "sources": tuple(sources),

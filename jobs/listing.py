@@ -25,7 +25,12 @@ __all__ = ["listed_units"]
 def listed_units(config: Config) -> list[Unit]:
     """As ``list_units``, from the memory where no file below the sources' folders changed since."""
     path = local_state(config.store) / f".listing-{config.name}.json"
-    roots = [found for source in config.sources for found in (source.root, source.regions) if found is not None]
+    roots = [
+        found
+        for source in config.sources
+        for found in (source.root, source.regions, source.houses)
+        if found is not None
+    ]
     files, settled = look(roots)
     document = config.model_dump(mode="json", exclude={"store", "export", "splits", "ray", "keep"})
     inputs = digest([document, code_digest(), files])

@@ -77,6 +77,7 @@ def open_configured(config: Config, source: SourceConfig, hash_file: HashFile) -
         exclude=source.exclude,
         agent=_agent(config),
         regions=source.regions,
+        houses=source.houses,
         hash_file=hash_file,
     )
 
@@ -93,6 +94,7 @@ def list_units(config: Config, hash_file: HashFile) -> list[Unit]:
                 "root": str(source.root),
                 "scene_id": handle.scene_id,
                 "regions": None if source.regions is None else str(source.regions),
+                "houses": None if source.houses is None else str(source.houses),
             }
             units.append(
                 Unit(

@@ -72,16 +72,15 @@ def _navmeshes_table(scene_id: str, data: bytes | None) -> pa.Table:
 
 
 @lru_cache(maxsize=8)
-def _source(family: str, root: str, regions: str | None, agent: Agent) -> Source:
+def _source(family: str, root: str, regions: str | None, houses: str | None, agent: Agent) -> Source:
     """One reader a process and dataset: its shared files are read once."""
-    return open_source(family, Path(root), agent=agent, regions=None if regions is None else Path(regions))
+    side, house_folder = (None if path is None else Path(path) for path in (regions, houses))
+    return open_source(family, Path(root), agent=agent, regions=side, houses=house_folder)
 
 
 def _source_of(unit: Unit, agent: Agent) -> Source:
-    regions = unit.payload.get("regions")
-    return _source(
-        str(unit.payload["family"]), str(unit.payload["root"]), None if regions is None else str(regions), agent
-    )
+    regions, houses = (None if path is None else str(path) for path in map(unit.payload.get, ("regions", "houses")))
+    return _source(str(unit.payload["family"]), str(unit.payload["root"]), regions, houses, agent)
 
 
 def _scene(unit: Unit, tables: Tables) -> Scene:

@@ -59,7 +59,12 @@ class Watch:
         self._path = state / f".rebuild-{config.name}.json"
         code = code_digest()
         document = config.model_dump(mode="json")
-        roots = [path for source in config.sources for path in (source.root, source.regions) if path is not None]
+        roots = [
+            path
+            for source in config.sources
+            for path in (source.root, source.regions, source.houses)
+            if path is not None
+        ]
         files, self._settled = look(roots)
         self._inputs = digest([document, code, files])
         self._exported = digest([code, {k: v for k, v in document.items() if k not in ("ray", "keep", "store")}])

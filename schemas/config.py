@@ -42,6 +42,9 @@ class SourceConfig(Document):
     scenes: tuple[str, ...] = Field(("*",), description="scene ids or patterns with * and ?")
     exclude: tuple[str, ...] = Field((), description="scene ids or patterns left out")
     regions: Path | None = Field(None, description="side file or folder of user-drawn room zones")
+    houses: Path | None = Field(
+        None, description="procthor only: folder of the house JSON, where root is Habitat's scene dataset of them"
+    )
     connectivity: Path | None = Field(
         None, description="folder of <scan>_connectivity.json for discrete R2R; by default connectivity/ of the dataset"
     )

@@ -2,7 +2,14 @@
 
 from condvln.samples.apartment import make_layout
 from condvln.samples.layout import Door, Furniture, Layout, Room, Yaw
-from condvln.samples.maker import FAMILIES, SampleReport, make_layouts, make_samples, write_replicacad
+from condvln.samples.maker import (
+    FAMILIES,
+    SampleReport,
+    make_layouts,
+    make_samples,
+    write_ai2thor_hab,
+    write_replicacad,
+)
 
 __all__ = [
     "FAMILIES",
@@ -15,5 +22,6 @@ __all__ = [
     "make_layout",
     "make_layouts",
     "make_samples",
+    "write_ai2thor_hab",
     "write_replicacad",
 ]

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from condvln.samples.ai2thor_hab import ai2thor_hab_files
 from condvln.samples.apartment import make_layout
 from condvln.samples.floor_mesh import NavmeshEngine
 from condvln.samples.floor_plan import MAX_ROOMS, MIN_ROOMS
@@ -20,7 +21,7 @@ from condvln.samples.thor_metadata import ithor_files, robothor_files
 from condvln.seeding import stable_hash
 from schemas.errors import UsageError
 
-__all__ = ["FAMILIES", "SampleReport", "make_layouts", "make_samples", "write_replicacad"]
+__all__ = ["FAMILIES", "SampleReport", "make_layouts", "make_samples", "write_ai2thor_hab", "write_replicacad"]
 
 Writer = Callable[[Mapping[str, Layout]], Iterator[tuple[str, bytes]]]
 
@@ -79,6 +80,12 @@ def make_samples(folder: Path, family: str = "replicacad", scenes: int = 12, see
 def write_replicacad(folder: Path, layouts: Mapping[str, Layout], navmesh: NavmeshEngine = "polygons") -> SampleReport:
     """Write `layouts`, by scene name, as a ReplicaCAD dataset; errors as in `make_samples`."""
     return _write(folder, "replicacad", layouts, replicacad_files(layouts, navmesh))
+
+
+def write_ai2thor_hab(folder: Path, layouts: Mapping[str, Layout]) -> SampleReport:
+    """Write `layouts` as ProcTHOR in Habitat's form, ``hab/``, with their houses, ``houses/``; errors as in
+    `make_samples`."""
+    return _write(folder, "procthor", layouts, ai2thor_hab_files(layouts))
 
 
 def _n_rooms(seed: int, k: int) -> int:

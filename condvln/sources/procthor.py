@@ -77,7 +77,7 @@ class ProcthorSource(SceneSource):
         """One house; see `Source.read`."""
         house, ledger = self.house(scene_id), InputLedger()
         database = self._assets()
-        rooms = self._rooms(house)
+        rooms = self.rooms(house)
         if self.options.regions is not None:
             rooms = side_regions(self.options.regions, [scene_id], self.family, ledger) or rooms
         kinds = {o.object_id: database.asset(o.asset_id, ledger) for o in house.objects}
@@ -114,16 +114,25 @@ class ProcthorSource(SceneSource):
         ------
         InputError : as `read`
         """
+        name, data = self.record(scene_id)
+        return read_house(parse_json(data, str(self.root / name)))
+
+    def record(self, scene_id: str) -> tuple[str, bytes]:
+        """Where a house stands (path relative to the root, with ``#line`` in a file of lines), and its JSON.
+
+        Raises
+        ------
+        InputError : there is no such house, or its file can't be read
+        """
         files = self._files()
         if (scene_id, ".json") in files:
             path = files[scene_id, ".json"]
-            return read_house(parse_json(self.files.read(path, MAX_LINE_BYTES), str(self.root / path)))
+            return path, self.files.read(path, MAX_LINE_BYTES)
         named = _LINE.match(scene_id)
         for suffix in (".jsonl", ".jsonl.gz"):
             if named is not None and (named["stem"], suffix) in files:
                 path = files[named["stem"], suffix]
-                line = self._lines(path).line(int(named["number"]))
-                return read_house(parse_json(line, f"{self.root / path}#{named['number']}"))
+                return f"{path}#{named['number']}", self._lines(path).line(int(named["number"]))
         raise self.not_there(scene_id)
 
     def _files(self) -> dict[tuple[str, str], str]:
@@ -165,7 +174,8 @@ class ProcthorSource(SceneSource):
         candidates = shipped_navmeshes(self.files, scene_id, self.options.navmesh)
         choose_navmesh(self.files, candidates, self.options.agent, self.options.hash_file, ledger)
 
-    def _rooms(self, house: House) -> tuple[Room, ...]:
+    def rooms(self, house: House) -> tuple[Room, ...]:
+        """A house's rooms; FormatError where a floor's outline crosses itself."""
         tops = {wall.room_id: 0.0 for wall in house.walls}
         for wall in house.walls:
             tops[wall.room_id] = max(tops[wall.room_id], wall.top)

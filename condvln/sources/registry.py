@@ -11,6 +11,7 @@ from condvln.sources.gibson import GibsonSource
 from condvln.sources.ithor import IthorSource
 from condvln.sources.mp3d import Mp3dSource
 from condvln.sources.procthor import ProcthorSource
+from condvln.sources.procthor_habitat import ProcthorHabitatSource
 from condvln.sources.replicacad import ReplicaCadSource
 from condvln.sources.robothor import RobothorSource
 from condvln.sources.scene_choice import SceneChoice
@@ -40,6 +41,7 @@ def open_source(
     agent: Agent | None = None,
     navmesh: str | None = None,
     regions: Path | None = None,
+    houses: Path | None = None,
     hash_file: HashFile = hash_file,
 ) -> Source:
     """The dataset of a family under `root`.
@@ -50,6 +52,7 @@ def open_source(
     agent : whose navmesh is wanted; Habitat's default agent where None
     navmesh : folder of navmeshes, relative to `root`, to look in before any other
     regions : side file or folder of user-drawn room zones
+    houses : folder of ProcTHOR's house JSON, where `root` is Habitat's scene dataset of them (ai2thor-hab)
     hash_file : size and SHA-256 of a file
 
     Raises
@@ -65,4 +68,14 @@ def open_source(
             remedy="Download the dataset, or set the source's 'root' to the folder it stands in",
         )
     choice = SceneChoice(tuple(scenes), tuple(exclude))
-    return FAMILIES[family](root, SourceOptions(choice, agent or Agent(), navmesh, regions, hash_file))
+    options = SourceOptions(choice, agent or Agent(), navmesh, regions, hash_file)
+    if houses is None:
+        return FAMILIES[family](root, options)
+    if family != ProcthorHabitatSource.family:
+        raise ConfigError(
+            f"the source of family {family!r} names houses, which only ProcTHOR has",
+            remedy="Remove the source's 'houses', or set its 'family' to procthor",
+        )
+    if not houses.is_dir():
+        raise ConfigError("the folder of houses is not there", where=houses, remedy="Mend the source's 'houses'")
+    return ProcthorHabitatSource(root, options, houses)

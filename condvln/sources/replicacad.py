@@ -8,7 +8,7 @@ apartment is one room.
 from __future__ import annotations
 
 import posixpath
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -33,7 +33,7 @@ from condvln.sources.scene_instance import SceneInstance, read_scene_instance
 from condvln.sources.scene_source import Note, SceneSource, SourceOptions
 from condvln.sources.source import UNKNOWN_LABEL
 
-__all__ = ["ReplicaCadSource"]
+__all__ = ["Assembly", "ReplicaCadSource"]
 
 F64 = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ FLOOR_BAND: Final = 0.15
 
 
 @dataclass(frozen=True, eq=False)
-class _Assembly:
+class Assembly:
     """A scene with everything but its geometry."""
 
     bodies: list[Body]
@@ -79,7 +79,7 @@ class ReplicaCadSource(SceneSource):
             raise self.not_there(scene_id)
         assembly = self._assemble(dataset, scene_id, path, InputLedger())
         objects = [self._object(body) for body in assembly.bodies]
-        rooms = assembly.regions or (_whole_scene(objects, self.family),)
+        rooms = self._rooms(scene_id, assembly, objects)
         objects, lost = in_rooms(objects, rooms)
         unnamed = {o.room_id for o in objects if o.raw_label == UNKNOWN_LABEL}
         return Scene(
@@ -98,7 +98,7 @@ class ReplicaCadSource(SceneSource):
         """The meshes of the stage and of all objects; see `Source.geometry`. None where the stage's is not there."""
         return assembled_geometry(self._meshes, scene)
 
-    def _assemble(self, dataset: SceneDataset, scene_id: str, path: str, ledger: InputLedger) -> _Assembly:
+    def _assemble(self, dataset: SceneDataset, scene_id: str, path: str, ledger: InputLedger) -> Assembly:
         ledger.file(path)
         instance = read_scene_instance(dataset.document(path))
         lexicon, annotated = read_descriptors(dataset, posixpath.basename(scene_id), instance.semantics, ledger)
@@ -112,7 +112,11 @@ class ReplicaCadSource(SceneSource):
             if instance.stage is not None:
                 names.append(posixpath.basename(instance.stage.template))
             regions = side_regions(self.options.regions, names, self.family, ledger) or regions
-        return _Assembly(bodies, stage, regions, navmesh, [*reader.warnings, *said, *navmesh.warnings])
+        return Assembly(bodies, stage, regions, navmesh, [*reader.warnings, *said, *navmesh.warnings])
+
+    def _rooms(self, scene_id: str, assembly: Assembly, objects: Sequence[SceneObject]) -> tuple[Room, ...]:
+        """Rooms of a scene whose objects are in none yet: its regions, else the whole of it."""
+        return assembly.regions or (_whole_scene(objects, self.family),)
 
     def _navmesh(
         self, dataset: SceneDataset, scene_name: str, instance: SceneInstance, ledger: InputLedger
@@ -174,7 +178,7 @@ def _box_in_first(parts: tuple[MeshPart, ...], meshes: list[F64]) -> F64:
     )
 
 
-def _whole_scene(objects: list[SceneObject], family: str) -> Room:
+def _whole_scene(objects: Sequence[SceneObject], family: str) -> Room:
     """The one room of a scene whose source knows none."""
     boxes = np.array([o.aabb for o in objects if o.aabb is not None]).reshape(-1, 2, 3)
     bottoms, tops = boxes[:, 0, 1], boxes[:, 1, 1]
