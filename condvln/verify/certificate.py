@@ -34,7 +34,7 @@ FACTS: Final[Mapping[str, str]] = {
     "witnesses": "the things that make a condition true",
     "gold_leaf": "leaf that the text and the scene lead to",
     # program
-    "axes": "depth, chain, composition and moves; evidence is placed for the conditions of the gold route, the worst decides",
+    "axes": "depth, chain, composition, moves; evidence has places for what the gold route asks, the worst decides",
     "distinct_goals": "no two leaves have one goal, no leaf visits a thing twice",
     "condition_matters": "under some truths of the others, each condition changes the goal",
     "independent_conditions": "no condition's truth follows from its own words or from another's",
