@@ -9,13 +9,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import PolyCollection
-from matplotlib.figure import Figure
 from rich.console import Console
 
-from condvln.navigation.build import build_scene_navmesh
-from condvln.navigation.build.compare import compare_navmeshes
 from condvln.navigation.navmesh_file import read_navmesh, write_navmesh
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.settings import NavMeshSettings
@@ -50,6 +45,9 @@ def settings_of(pairs: Sequence[str]) -> NavMeshSettings:
 
 def build(mesh: Path, out: Path, settings: NavMeshSettings, profile: str, console: Console) -> Report:
     """The navmesh that Habitat would build of `mesh`, written to `out`."""
+    # Here and below: who asks for one verb waits for what that verb needs, not for the others' libraries.
+    from condvln.navigation.build import build_scene_navmesh
+
     navmesh = build_scene_navmesh(
         mesh, settings, profile, report=lambda stage: console.print(stage, highlight=False, markup=False)
     )
@@ -90,6 +88,8 @@ def info(path: Path) -> Report:
 
 def compare(first: Path, second: Path) -> Report:
     """Where two navmeshes part: the first stage of the build whose result differs. Exit code 3 when they differ."""
+    from condvln.navigation.build.compare import compare_navmeshes
+
     found = compare_navmeshes(read_navmesh(first), read_navmesh(second))
     if found is None:
         return Report({"equal": True}, ["equal, byte for byte"])
@@ -99,6 +99,10 @@ def compare(first: Path, second: Path) -> Report:
 
 def picture(path: Path, out: Path) -> Report:
     """A top-down PNG of a navmesh, each island in a colour of its own."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.collections import PolyCollection
+    from matplotlib.figure import Figure
+
     pathfinder = Pathfinder.load(path)
     tile = pathfinder.navmesh.tile
     corners = [tile.verts[poly["verts"][: poly["vert_count"]]] for poly in tile.polys]
