@@ -20,7 +20,12 @@ from jobs.report import Report
 from schemas.config import Config
 
 GOLDEN = Path(__file__).parent / "golden_stages.json"
-MACHINE = {"machine": platform.machine(), "numpy": np.__version__}
+SIMD = np.show_config("dicts").get("SIMD Extensions", {})
+MACHINE = {
+    "machine": platform.machine(),
+    "numpy": np.__version__,
+    "simd": sorted([*SIMD.get("baseline", ()), *SIMD.get("found", ())]),
+}
 """Rows hold distances in full doubles; another instruction set or library may round their last bit differently."""
 
 
