@@ -67,6 +67,7 @@ def test_a_verb_runs_there_its_log_comes_here_and_its_exit_code_is_ours(server: 
     assert "the store is a folder" in said
     # A second time the same configuration is not shipped again.
     puts = [asked for asked in server.asked if asked[0] == "PUT"]  # type: ignore[attr-defined]
+    server.instead = "true"  # type: ignore[attr-defined]
     submit(server, path, "status")
     assert [asked for asked in server.asked if asked[0] == "PUT"] == puts  # type: ignore[attr-defined]
 
@@ -75,6 +76,7 @@ def test_what_is_shipped_is_the_configuration_as_it_counts_here(
     server: object, path: Path, made_run: tuple[Config, Report], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("CONDVLN_SEED", "5")
+    server.instead = "true"  # type: ignore[attr-defined]
     report, _ = submit(server, path, "status", overrides=["ray.deadline_seconds=7"])
     job = report.document["job"]
     monkeypatch.delenv("CONDVLN_SEED")
@@ -92,20 +94,21 @@ def test_a_failing_job_ends_with_its_own_code(server: object, path: Path) -> Non
     report, said = submit(server, path, "query", ["SELECT * FROM nothing"])
     assert (report.exit_code, report.document["status"]) == (1, "FAILED")
     assert "Tables: scenes" in said
-    server.hidden = True  # type: ignore[attr-defined]
+    server.hidden, server.instead = True, "exit 1"  # type: ignore[attr-defined]
     report, _ = submit(server, path, "query", ["SELECT * FROM nothing"])
     assert report.exit_code == 1
     assert "failed with exit code 1" in report.lines[-1]
 
 
 @pytest.mark.parametrize("code", [3, 4])
-def test_codes_beyond_one_are_passed_on(server: object, path: Path, code: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("jobs.submit.entrypoint", lambda verb, arguments: f"echo stopped; exit {code}")
+def test_codes_beyond_one_are_passed_on(server: object, path: Path, code: int) -> None:
+    server.instead = f"echo stopped; exit {code}"  # type: ignore[attr-defined]
     report, said = submit(server, path, "rebuild")
     assert (report.exit_code, said.splitlines()[-1]) == (code, "stopped")
 
 
 def test_an_id_is_followed_and_not_submitted_twice(server: object, path: Path) -> None:
+    server.instead = "echo snapshot"  # type: ignore[attr-defined]
     started, _ = submit(server, path, "status", job="nightly", follow=False)
     assert (started.exit_code, started.document["status"]) == (0, "SUBMITTED")
     followed, said = submit(server, path, "status", job="nightly")
@@ -129,7 +132,7 @@ def test_interrupted_the_job_goes_on(server: object, path: Path, monkeypatch: py
     def interrupt(seconds: float) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("jobs.submit.entrypoint", lambda verb, arguments: "sleep 0.2; echo done > here")
+    server.instead = "sleep 0.2; echo done > here"  # type: ignore[attr-defined]
     monkeypatch.setattr("time.sleep", interrupt)
     report, _ = submit(server, path, "rebuild")
     assert report.exit_code == 130
