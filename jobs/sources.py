@@ -44,7 +44,7 @@ def survey(config: Config, *, limit: int | None = None, console: Console | None 
             task = progress.add_task(f"reading {source.family}", total=min(len(handles), limit or len(handles)))
             found = survey_source(opened, handles, limit=limit, tick=partial(progress.advance, task))
         inputs = {i.path: i.size for handle in handles for i in handle.inputs}
-        kinds = look_for(source.family, source.root)
+        kinds = look_for(source.family, source.root, source.houses)
         document.append(
             {
                 "family": source.family,

@@ -13,6 +13,9 @@ from typing import Final, Literal
 __all__ = ["Download", "Found", "downloads", "look_for"]
 
 _TABLE: Final = "downloads.csv"
+HABITAT_PROCTHOR: Final = "ai2thor-hab"
+"""What the table calls ProcTHOR in Habitat's form; not a family of its own."""
+
 MAX_COUNTED: Final = 1_000_000
 """Files counted of one kind: a survey of a disk that is not a dataset must end."""
 
@@ -63,10 +66,19 @@ def downloads(family: str) -> tuple[Download, ...]:
     return tuple(sorted(found, key=lambda d: d.need != "required"))
 
 
-def look_for(family: str, root: Path) -> list[Found]:
-    """What of a family's dataset is in a folder; opens nothing."""
+def look_for(family: str, root: Path, houses: Path | None = None) -> list[Found]:
+    """What of a family's dataset is in a folder; opens nothing.
+
+    houses : the folder of the house JSON, where `root` holds Habitat's scenes of ProcTHOR
+    """
+    if houses is not None:
+        return [*look_for(HABITAT_PROCTHOR, root), *_look(downloads("procthor")[:1], houses)]
+    return _look(downloads(family), root)
+
+
+def _look(kinds: tuple[Download, ...], root: Path) -> list[Found]:
     found = []
-    for download in downloads(family):
+    for download in kinds:
         paths = {path for pattern in download.patterns for path in islice(root.glob(pattern), MAX_COUNTED)}
         found.append(Found(download, len(paths)))
     return found

@@ -16,6 +16,7 @@ from condvln.labels import vocabulary
 from condvln.relations import CANONICAL, relate_room
 from condvln.samples import make_layouts, make_samples, write_ai2thor_hab
 from condvln.scene import RoomArrays, Scene
+from condvln.sources.downloads import look_for
 from condvln.sources.registry import open_source
 from condvln.sources.source import Source
 from jobs.generate import run_generate
@@ -126,6 +127,17 @@ def test_scenes_without_houses_are_not_listed(folder: Path) -> None:
         (scenes / "ProcTHOR-Train-0.scene_instance.json").read_bytes()
     )
     assert len(joined(folder).handles()) == SCENES
+
+
+def test_nothing_is_missing_that_is_not_needed(folder: Path) -> None:
+    (folder / "houses/asset-database.json").unlink()
+    found = look_for("procthor", folder / "hab", folder / "houses")
+    assert [(f.download.holds, f.files) for f in found if f.download.need == "required" and not f.files] == []
+    assert {f.download.holds: f.files for f in found}["houses"] == 1
+    assert {f.download.holds: f.files for f in found}["scene instances"] == SCENES
+    assert len(joined(folder).read("ProcTHOR-Train-0").rooms) > 1
+    (folder / HOUSES).unlink()
+    assert {f.download.holds: f.files for f in look_for("procthor", folder / "hab", folder / "houses")}["houses"] == 0
 
 
 def test_what_is_refused(folder: Path) -> None:
