@@ -189,11 +189,9 @@ class _Checker:
 
     def look_out(self, obstacles: Obstacles) -> None:
         """Note which of the points lie off the floor, and which in what stands on it."""
-        walks = self.walks
-        blocked = obstacles.holding(np.array(walks.positions).reshape(-1, 3))
+        blocked = obstacles.holding(self.walks.points)
         self._inside = {p: name for p, name in enumerate(blocked) if name is not None}
-        moved = zip(walks.sideways, walks.upwards, strict=True)
-        self._astray = {p for p, (sideways, upwards) in enumerate(moved) if not max(sideways, upwards) <= ON_FLOOR}
+        self._astray = set(np.flatnonzero(~(self.walks.moved <= ON_FLOOR)).tolist())
 
     # -- what comes out ------------------------------------------------------------------------------------------------
 

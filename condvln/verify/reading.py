@@ -98,12 +98,12 @@ def read(text: str, code: str = "en") -> Reading:
         It has none, or more than one.
     """
     reader = _Reader(phrasebook(code), text)
-    found = set(reader.readings())
+    found = list(reader.readings())
     if not found:
         raise Unreadable(f"no reading; it breaks off before {reader.rest()!r}")
-    if len(found) > 1:
-        raise Unreadable(f"{len(found)} readings: it could be meant in as many ways")
-    conditions, moves, heading = found.pop()
+    if any(other != found[0] for other in found[1:]):
+        raise Unreadable(f"{len(set(found))} readings: it could be meant in as many ways")
+    conditions, moves, heading = found[0]
     return Reading(conditions, moves, heading)
 
 

@@ -22,8 +22,8 @@ class Walks:
 
     Attributes
     ----------
-    positions : the noted points, by index
-    sideways, upwards : metres that snapping moves each point; NaN where nothing is near
+    positions : the noted points, by index; points (n, 3) : the same
+    moved (n,) : metres that snapping moves each point, sideways or upwards; NaN where nothing is near
     islands, island_radii : each point's island, -1 for none, and that one's radius in metres
     """
 
@@ -34,8 +34,8 @@ class Walks:
         self._lengths: list[float] = []
         self._ways: list[tuple[float, tuple[Point, ...]]] = []
         self.positions: list[Point] = []
-        self.sideways: list[float] = []
-        self.upwards: list[float] = []
+        self.points: F64 = np.empty((0, 3))
+        self.moved: F64 = np.empty(0)
         self.islands: list[int] = []
         self.island_radii: list[float] = []
 
@@ -54,10 +54,9 @@ class Walks:
     def ask(self, pathfinder: Pathfinder) -> None:
         """Have everything answered."""
         self.positions = list(self._index)
-        points = np.array(self.positions).reshape(-1, 3)
+        points = self.points = np.array(self.positions).reshape(-1, 3)
         moved = np.asarray(pathfinder.snap_points(points), dtype=np.float64) - points
-        self.sideways = np.hypot(moved[:, 0], moved[:, 2]).tolist()
-        self.upwards = np.abs(moved[:, 1]).tolist()
+        self.moved = np.maximum(np.hypot(moved[:, 0], moved[:, 2]), np.abs(moved[:, 1]))
         self.islands = pathfinder.get_islands(points).tolist()
         radii = {k: pathfinder.island_radius(k) if k >= 0 else 0.0 for k in set(self.islands)}
         self.island_radii = [radii[k] for k in self.islands]
