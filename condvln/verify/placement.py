@@ -46,7 +46,7 @@ class _Leaf:
     away, here : of its goals, metres from the object, and whether all are on its floor and in its room; empty if there
     is no such object
     direct : from the start to the goals; final : from the last stop to the goals; first : from the start to the
-    subgoals; around : from the goal nearest to the object to all; legs : from stop to stop
+    subgoals; around : from each goal nearest to the object to all; legs : from stop to stop
     """
 
     leaf: EpisodeLeaf
@@ -57,7 +57,7 @@ class _Leaf:
     direct: tuple[int, ...]
     final: tuple[int, ...]
     first: tuple[int, ...]
-    around: tuple[int, ...]
+    around: tuple[tuple[int, ...], ...]
     legs: tuple[int, ...]
 
 
@@ -173,7 +173,9 @@ class _Checker:
         stops = (start, *subgoals, goals[0])
         direct = tuple([pair(start, goal) for goal in goals])
         away, here = self.reach.around(leaf.object_id, leaf.goals)
-        nearest = goals[away.index(min(away))] if away else goals[0]
+        # Several may be nearest to within the rounding of two ways to measure; walls are asked from each.
+        least = min(away, default=0.0) + ROUNDING
+        nearest = [goal for goal, metres in zip(goals, away or (0.0,), strict=False) if metres <= least]
         return _Leaf(
             leaf=leaf,
             away=away,
@@ -183,7 +185,7 @@ class _Checker:
             direct=direct,
             final=tuple([pair(stops[-2], goal) for goal in goals]) if subgoals else direct,
             first=tuple([pair(start, subgoal) for subgoal in subgoals]),
-            around=tuple([pair(nearest, goal) for goal in goals]),
+            around=tuple([tuple([pair(one, goal) for goal in goals]) for one in nearest]),
             legs=tuple([self.walks.leg(one, other) for one, other in pairwise(stops)]),
         )
 
@@ -232,7 +234,7 @@ class _Checker:
         self._check_near(leaf.object_id, leaf.goals, placed.away, placed.here, certificate, name)
         around = self.reach.half_round(leaf.object_id)
         if around is not None:
-            walk = max(self.walks.metres(placed.around))
+            walk = min(max(self.walks.metres(ways)) for ways in placed.around)
             certificate.holds("goal_side", walk <= around + DETOUR + ROUNDING, around + DETOUR, walk, name)
         most = self.rules.goal_points
         certificate.holds("goal_side", len(leaf.goals) <= most, most, len(leaf.goals), name)
