@@ -83,7 +83,9 @@ class FolderTables:
         if not parts:
             raise MissingFileError("no part of this table is there", where=folder, remedy="Generate the snapshot again")
         for file in sorted(parts, key=_first_scene):
-            yield from file.iter_batches(BATCH_ROWS, columns=None if columns is None else list(columns))
+            wanted = None if columns is None else list(columns)
+            # On one thread: Arrow's pool, left with work as the process ends, has aborted processes on busy machines.
+            yield from file.iter_batches(BATCH_ROWS, columns=wanted, use_threads=False)
 
 
 def _opened(path: Path) -> pq.ParquetFile:
@@ -94,7 +96,7 @@ def _opened(path: Path) -> pq.ParquetFile:
 
 
 def _first_scene(file: pq.ParquetFile) -> str:
-    for batch in file.iter_batches(1, columns=["scene_id"]):
+    for batch in file.iter_batches(1, columns=["scene_id"], use_threads=False):
         return str(batch.column(0)[0])
     return ""
 
