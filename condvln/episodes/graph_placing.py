@@ -87,7 +87,7 @@ class GraphPlacer:
         """
         stops = [tuple(self._stop(move.object_id) for move in leaf.moves) for leaf in program.leaves]
         goals = [route[-1] for route in stops]
-        if any(self._between(one, other) < REACH for one, other in combinations(goals, 2)):
+        if any(self._graph.viewpoint_distance(one, other) < REACH for one, other in combinations(goals, 2)):
             raise NotOnGraph("leaves_too_close")
         if any(one == other for route in stops for one, other in pairwise(route)):
             raise NotOnGraph("one_viewpoint")
@@ -102,19 +102,19 @@ class GraphPlacer:
         raise NotOnGraph("no_start_in_range")
 
     def _leaves(self, start: str, stops: list[tuple[str, ...]], goals: list[str]) -> tuple[GraphLeaf, ...] | None:
+        between = self._graph.viewpoint_distance
+        direct = [between(start, goal) for goal in goals]
+        if not all(REACH <= metres <= FARTHEST for metres in direct) or any(start == route[0] for route in stops):
+            return None
         found = []
-        for route, goal in zip(stops, goals, strict=True):
-            direct = self._between(start, goal)
-            if not REACH <= direct <= FARTHEST or start == route[0]:
+        for route, goal, metres in zip(stops, goals, direct, strict=True):
+            legs = [*pairwise((start, *route))]
+            if not all(np.isfinite(between(one, other)) for one, other in legs):
                 return None
-            path = [start]
-            for stop in route:
-                path += self._graph.viewpoint_path(path[-1], stop)[1:]
-                if path[-1] != stop:
-                    return None
+            path = (start, *(name for one, other in legs for name in self._graph.viewpoint_path(one, other)[1:]))
             if any(other in path for other in goals if other != goal):
                 return None
-            found.append(GraphLeaf(route, tuple(path), direct, self._graph.path_length(path)))
+            found.append(GraphLeaf(route, path, metres, sum(between(one, other) for one, other in legs)))
         return tuple(found)
 
     def _stop(self, object_id: str) -> str:
@@ -122,9 +122,6 @@ class GraphPlacer:
         if found is None:
             raise NotOnGraph("object_without_viewpoint")
         return found
-
-    def _between(self, one: str, other: str) -> float:
-        return self._graph.geodesic_distance(self._graph.position(one), self._graph.position(other))
 
     def _find(self, item: SceneObject) -> str | None:
         here = self._in_room.get(item.room_id)

@@ -10,6 +10,7 @@ import hashlib
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -107,10 +108,9 @@ class GraphEpisodes:
     def _scans(self) -> list[str]:
         """Scans with a graph and without a navmesh."""
         try:
-            batches = self.tables.batches("scenes", FAMILY, ("scene_id", "navmesh_path"))
-            rows = [row for batch in batches for row in rows_of(batch)]
-        except (MissingFileError, KeyError):
-            return []
+            rows = rows_of(self._whole["scenes"].select(["scene_id", "navmesh_path"]))
+        except KeyError:
+            return []  # tables in memory without this family
         return sorted(row["scene_id"] for row in rows if row["navmesh_path"] is None and row["scene_id"] in self.graphs)
 
     def _scene(self, scan: str) -> Scene:
@@ -118,11 +118,19 @@ class GraphEpisodes:
         return scene_from_tables(tables, Path(), family=FAMILY)
 
     def _table(self, name: str, scan: str) -> pa.Table:
-        try:
-            found = pa.Table.from_batches(self.tables.batches(name, FAMILY), TABLES[name])
-        except MissingFileError:
-            return TABLES[name].empty_table()
+        found = self._whole[name]
         return found.filter(pc.equal(found["scene_id"], scan))
+
+    @cached_property
+    def _whole(self) -> dict[str, pa.Table]:
+        """The tables asked for scan by scan, read once: a hundred scans hold some ten thousand instructions."""
+        found = {}
+        for name in ("scenes", "rooms", "objects", "instructions"):
+            try:
+                found[name] = pa.Table.from_batches(self.tables.batches(name, FAMILY), TABLES[name])
+            except MissingFileError:
+                found[name] = TABLES[name].empty_table()
+        return found
 
 
 def _row(

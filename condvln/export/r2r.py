@@ -52,11 +52,7 @@ def r2r_episode(row: Row, graph: GraphPathfinder) -> dict[str, Any] | str:
 
 def _too_near(graph: GraphPathfinder, start: str, ends: list[str]) -> str | None:
     """R2R's evaluator judges by 3 m for all: nearer leaves would both count as reached."""
-
-    def between(one: str, other: str) -> float:
-        path = graph.viewpoint_path(one, other)
-        return graph.path_length(path) if path else math.inf
-
+    between = graph.viewpoint_distance
     if any(between(one, other) < ERROR_MARGIN for one, other in combinations(ends, 2)):
         return f"two leaves within {ERROR_MARGIN:g} m on the graph"
     if any(between(start, end) < ERROR_MARGIN for end in ends):

@@ -186,6 +186,10 @@ class GraphPathfinder:
         lost = (first == NOWHERE) | (second == NOWHERE)
         return np.where(lost, np.inf, self._lengths[first, second]).astype(np.float32)
 
+    def viewpoint_distance(self, start: str, end: str) -> float:
+        """Metres along the shortest path between two viewpoints; infinite where there is none."""
+        return float(self._lengths[self._index(start), self._index(end)])
+
     def viewpoint_path(self, start: str, end: str) -> list[str]:
         """Names along the shortest path between two viewpoints; empty where there is none."""
         return [self.graph.ids[number] for number in self._chain(self._index(start), self._index(end))]

@@ -80,7 +80,9 @@ def _count(survey: Survey, source: Source, scene: Scene) -> None:
     survey.with_extent += sum(item.box is not None or item.radius is not None for item in scene.objects)
     survey.warnings.update(warning.code for warning in scene.warnings)
     survey.unmapped.update(
-        item.raw_label for item in scene.objects if not _known(vocabulary.is_mapped, item.raw_label, scene.family)
+        item.raw_label
+        for item in scene.objects
+        if item.raw_label != UNKNOWN_LABEL and not vocabulary.is_mapped(item.raw_label, scene.family)
     )
     survey.unmapped_rooms.update(
         room.raw_label for room in scene.rooms if room.annotation != "scene" and _unknown_room(room.raw_label, scene)
@@ -92,10 +94,6 @@ def _count(survey: Survey, source: Source, scene: Scene) -> None:
     if origin == "none":
         why = "no navmesh, and neither mesh nor walls to build one from: instructions without episodes"
         survey.skipped.append((scene.scene_id, why))
-
-
-def _known(is_mapped: Callable[[str, str], bool], raw: str, family: str) -> bool:
-    return raw == UNKNOWN_LABEL or is_mapped(raw, family)
 
 
 def _unknown_room(raw: str, scene: Scene) -> bool:

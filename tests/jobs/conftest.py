@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import secrets
 import shutil
 from collections.abc import Callable, Iterator
@@ -11,6 +12,7 @@ import pytest
 
 from condvln.samples import make_samples
 from factory.store import open_store
+from jobs.export import export_snapshot_of
 from jobs.generate import run_generate
 from jobs.report import Report
 from jobs.workspace import CACHE_VARIABLE
@@ -42,6 +44,22 @@ def made_run(made_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> tu
     """The configuration and report of a clean run over the made dataset; read only."""
     config = configuration(tmp_path_factory.mktemp("clean"), made_dataset)
     return config, run_generate(config, inline=True)
+
+
+@pytest.fixture(scope="module")
+def export(made_run: tuple[Config, Report], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An export of the made dataset, one a module."""
+    config, _ = made_run
+    out = tmp_path_factory.mktemp("export")
+    export_snapshot_of(config.model_copy(update={"export": out}))
+    return out
+
+
+@pytest.fixture(scope="module")
+def split(export: Path) -> str:
+    """The split with most episodes."""
+    counts: dict[str, int] = json.loads((export / "export.json").read_text())["episodes"]
+    return max(counts, key=lambda name: counts[name])
 
 
 @pytest.fixture

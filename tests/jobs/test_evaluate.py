@@ -13,27 +13,10 @@ from typer.testing import CliRunner
 
 from condvln.evaluation.split import split_tasks
 from jobs.command import app
-from jobs.export import export_snapshot_of
 from jobs.report import Report
 from schemas.config import Config
 
 runner = CliRunner()
-
-
-@pytest.fixture(scope="module")
-def export(made_run: tuple[Config, Report], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An export of the made dataset, all of it in one split or two."""
-    config, _ = made_run
-    out = tmp_path_factory.mktemp("export")
-    export_snapshot_of(config.model_copy(update={"export": out}))
-    return out
-
-
-@pytest.fixture(scope="module")
-def split(export: Path) -> str:
-    """The split with most episodes."""
-    counts: dict[str, int] = json.loads((export / "export.json").read_text())["episodes"]
-    return max(counts, key=lambda name: counts[name])
 
 
 @pytest.fixture(scope="module")

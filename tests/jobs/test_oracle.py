@@ -14,31 +14,12 @@ from typer.testing import CliRunner
 from condvln.export.snapshot import ExportConfig, export_snapshot
 from condvln.export.streams import read_unpacked
 from jobs.command import app
-from jobs.export import export_snapshot_of
 from jobs.oracle import oracle_split
-from jobs.report import Report
 from jobs.validate import validate_files
-from schemas.config import Config
 from schemas.errors import FormatError, MissingFileError, UsageError
 from tests.made_snapshot import made_snapshot
 
 runner = CliRunner()
-
-
-@pytest.fixture(scope="module")
-def export(made_run: tuple[Config, Report], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An export of the made dataset."""
-    config, _ = made_run
-    out = tmp_path_factory.mktemp("export")
-    export_snapshot_of(config.model_copy(update={"export": out}))
-    return out
-
-
-@pytest.fixture(scope="module")
-def split(export: Path) -> str:
-    """The split with most episodes."""
-    counts: dict[str, int] = json.loads((export / "export.json").read_text())["episodes"]
-    return max(counts, key=lambda name: counts[name])
 
 
 def read(path: Path) -> Any:

@@ -12,21 +12,9 @@ from typer.testing import CliRunner
 
 from condvln.export.streams import read_unpacked
 from jobs.command import app
-from jobs.export import export_snapshot_of
-from jobs.report import Report
 from jobs.validate import validate_files
-from schemas.config import Config
 
 runner = CliRunner()
-
-
-@pytest.fixture(scope="module")
-def export(made_run: tuple[Config, Report], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An export of the made dataset."""
-    config, _ = made_run
-    out = tmp_path_factory.mktemp("export")
-    export_snapshot_of(config.model_copy(update={"export": out}))
-    return out
 
 
 def split_of(export: Path) -> Path:
