@@ -8,21 +8,20 @@ from typing import Final, TypedDict
 from condvln.export.graph_episodes import GraphEpisodes
 from condvln.export.graphs import GraphFolder
 from condvln.export.rows import Row
-from condvln.export.scene_table import NavmeshBytes
 from condvln.export.snapshot import ExportConfig, export_snapshot, exported_snapshot
 from condvln.export.tables import FolderTables
 from condvln.export.viewpoints import FOLDER, write_viewpoints
 from factory.snapshot import Snapshot, read_manifest, read_ref
 from jobs.bias import add_bias
+from jobs.built_navmeshes import built_navmeshes
 from jobs.oracle import linear_text
-from jobs.pipeline import build_pipeline
 from jobs.report import Report, Section
 from jobs.workspace import published, snapshot_folder
 from schemas.config import Config
-from schemas.errors import ConfigError, CorruptShardError, StoreError
+from schemas.errors import ConfigError, StoreError
 from schemas.program import Program
 
-__all__ = ["add_viewpoints", "built_navmeshes", "export_snapshot_of", "graphs_of", "run_export"]
+__all__ = ["add_viewpoints", "export_snapshot_of", "graphs_of", "run_export"]
 
 
 _CONNECTIVITY: Final = "connectivity"
@@ -132,19 +131,3 @@ def graphs_of(config: Config) -> GraphFolder:
     """Connectivity of Matterport3D scans, where the configuration names it or the dataset's folder holds it."""
     sources = [source for source in config.sources if source.family == "mp3d"]
     return GraphFolder(*(source.connectivity or source.root / _CONNECTIVITY for source in sources))
-
-
-def built_navmeshes(config: Config, snapshot: Snapshot) -> NavmeshBytes:
-    """The navmeshes that the units of a snapshot were built with, by source and row of the scenes table."""
-    pipeline = build_pipeline(config)
-
-    def navmesh(source: str, row: Row) -> bytes | None:
-        if not row["navmesh_built"]:
-            return None
-        try:
-            kept = snapshot.unit_table(f"{source}/{row['scene_id']}", pipeline, "navmeshes")
-        except CorruptShardError:
-            return None  # the export bars the scene and says why
-        return kept["data"][0].as_py() if kept.num_rows else None
-
-    return navmesh

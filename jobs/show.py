@@ -13,7 +13,7 @@ from condvln.navigation.navmesh_file import NavMeshFile, parse_navmesh, read_nav
 from condvln.scene import Scene
 from condvln.scene.tables import scene_from_tables
 from factory.snapshot import Snapshot
-from jobs.pipeline import build_pipeline
+from jobs.built_navmeshes import built_navmeshes
 from jobs.report import Report
 from jobs.tree import program_tree
 from jobs.workspace import published
@@ -131,10 +131,13 @@ def _draw(config: Config, snapshot: Snapshot, row: dict[str, Any], tree: str, fo
 
 def _navmesh(config: Config, snapshot: Snapshot, scenes: list[Scene]) -> NavMeshFile:
     """The navmesh of a scene that may lie in any of its family's folders, or was built and kept."""
+    kept = built_navmeshes(config, snapshot)
     for scene in scenes:
-        if scene.navmesh is not None and scene.navmesh.built:
-            kept = snapshot.unit_table(f"{scene.family}/{scene.scene_id}", build_pipeline(config), "navmeshes")
-            return parse_navmesh(kept["data"][0].as_py(), scene.navmesh.path)
-        if scene.navmesh is not None and (scene.root / scene.navmesh.path).is_file():
+        if scene.navmesh is None:
+            continue
+        built = kept(scene.family, {"scene_id": scene.scene_id, "navmesh_built": scene.navmesh.built})
+        if built is not None:
+            return parse_navmesh(built, scene.navmesh.path)
+        if (scene.root / scene.navmesh.path).is_file():
             return read_navmesh(scene.root / scene.navmesh.path)
     raise UsageError("the navmesh of this scene is not there", remedy="Pictures need the source's files.")
