@@ -22,7 +22,7 @@ Bools = NDArray[np.bool_]
 _STRUCTURE_KIND: Final = "structure"
 
 FIRST_LOOKS: Final = 8
-"""Every so manieth sample is tried before all are."""
+"""One sample in so many is tried before all are."""
 
 
 class SceneView:
