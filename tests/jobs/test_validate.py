@@ -12,7 +12,11 @@ from typer.testing import CliRunner
 
 from condvln.export.streams import read_unpacked
 from jobs.command import app
+from jobs.export import export_snapshot_of
+from jobs.report import Report
 from jobs.validate import validate_files
+from jobs.verify import verify_export
+from schemas.config import Config
 
 runner = CliRunner()
 
@@ -125,3 +129,14 @@ def test_nothing_checked_is_no_success(tmp_path: Path) -> None:
     for words in (["export", "--validate", str(tmp_path)], ["export", "--validate", str(tmp_path / "no")], ["export"]):
         result = runner.invoke(app, words)
         assert result.exit_code != 0
+
+
+def test_certificates_beside_the_episodes_are_no_episodes(
+    made_run: tuple[Config, Report], tmp_path: Path, made_dataset: Path
+) -> None:
+    config, _ = made_run
+    export_snapshot_of(config.model_copy(update={"export": tmp_path}))
+    before = validate_files(tmp_path, [made_dataset])
+    assert verify_export(config, tmp_path).exit_code == 0
+    assert (tmp_path / "certificates" / "summary.json").is_file()
+    assert validate_files(tmp_path, [made_dataset]).as_json() == before.as_json()

@@ -27,6 +27,8 @@ _TRUTH: Final = "_gt"
 _SHARDS: Final = "content"
 # Files of an export, and of the tools around one, that hold no episodes.
 _OTHERS: Final = ("export.json", "croissant.json", "embeddings.json.gz")
+_CERTIFICATES: Final = "certificates"
+"""Where ``condvln verify`` leaves its proofs and their summary."""
 
 _GROUPS: Final = {"train": "train", "val_seen": "train", "joint_train_envdrop": "train", "envdrop": "train"}
 """Splits that may share scenes; every other split is a group of its own."""
@@ -111,7 +113,8 @@ def _joined(split: Document, shard: Document, file: str) -> Iterator[Finding]:
 
 def _files_below(path: Path) -> list[Path]:
     found = [file for file in sorted(path.rglob("*")) if file.name.endswith(_SUFFIXES) and file.is_file()]
-    return [file for file in found if file.name not in _OTHERS and not file.name.startswith(".")]
+    episodes = [file for file in found if file.parent.name != _CERTIFICATES]
+    return [file for file in episodes if file.name not in _OTHERS and not file.name.startswith(".")]
 
 
 def _is_truth(file: Path) -> bool:
