@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from typing import Any, Final
 
 from rich.console import Console
@@ -122,7 +123,11 @@ def _executor(config: Config, inline: bool, say: Callable[[str], None]) -> Itera
         return
     from factory.ray_executor import RayExecutor
 
-    with RayExecutor(workers=config.ray.workers, address=config.ray.address) as ray:
+    # Ray tells of lost nodes on standard output, in the middle of a line if need be; that one is the report's.
+    with (
+        redirect_stdout(sys.stderr),
+        RayExecutor(workers=config.ray.workers, address=config.ray.address) as ray,
+    ):
         # A cluster is asked for its own sake; on this machine Ray must pay for its own start.
         yield ray if config.ray.address else AutoExecutor(ray, say=say)
 

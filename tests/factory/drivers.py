@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import random
 import sys
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import toys
 
@@ -17,6 +19,7 @@ from factory.executor import Executor
 from factory.ray_executor import RayExecutor
 
 COUNT = 60
+LOSER = "loses a node"
 
 
 def corpus(log: str = "", seconds: float = 0.0) -> list[toys.Unit]:
@@ -35,6 +38,13 @@ def main() -> None:
     parser.add_argument("--log", default="")
     parser.add_argument("--seconds", type=float, default=0.0)
     options = parser.parse_args()
+    with contextlib.redirect_stdout(sys.stderr):  # Ray writes of a lost node to standard output, until the very end
+        document = drive(options)
+    sys.stdout.write(json.dumps(document) + "\n")
+
+
+def drive(options: argparse.Namespace) -> dict[str, Any]:
+    """The run itself."""
     units = corpus(options.log, options.seconds)
     if options.shuffle:
         random.Random(options.shuffle).shuffle(units)
@@ -46,7 +56,14 @@ def main() -> None:
     report = run(toys.pipeline(), units, open_store(options.store), executor=executor, part_bytes=2000)
     if isinstance(executor, RayExecutor):
         executor.close()
-    json.dump({"id": report.snapshot_id, "exit": report.exit_code, "stages": dict(report.stages)}, sys.stdout)
+    if options.nodes:
+        import ray
+
+        for thread in threading.enumerate():
+            if thread.name == LOSER:
+                thread.join()
+        ray.shutdown()  # and with it the thread that writes
+    return {"id": report.snapshot_id, "exit": report.exit_code, "stages": dict(report.stages)}
 
 
 def cluster(nodes: int, lose: Path | None) -> Executor:
@@ -66,7 +83,7 @@ def cluster(nodes: int, lose: Path | None) -> Executor:
         found.add_node(num_cpus=1)
 
     if lose is not None:
-        threading.Thread(target=watch, args=(lose,), daemon=True).start()
+        threading.Thread(target=watch, args=(lose,), name=LOSER, daemon=True).start()
     return RayExecutor(address=found.address)
 
 

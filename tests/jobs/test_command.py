@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from factory.ray_executor import RayExecutor
 from jobs.command import app
 from jobs.configuration import load_config
 from jobs.reference import FILE, command_paths, reference
@@ -97,6 +98,20 @@ def test_published_snapshot_is_seen_by_every_verb(made_run: tuple[Config, Report
     assert again == shown[:1]
     status = verb("status", path)
     assert status["ref"]["snapshot_id"] == report.document["snapshot_id"]
+
+
+def test_what_ray_says_is_not_in_the_report(
+    made_run: tuple[Config, Report], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def enter(executor: RayExecutor) -> RayExecutor:
+        print("(raylet) Raylet is terminated.")  # as Ray does on standard output when a node is lost
+        return executor
+
+    monkeypatch.setattr(RayExecutor, "__enter__", enter)
+    result = runner.invoke(app, ["generate", str(written(made_run[0], tmp_path)), "--json"])
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["snapshot_id"] == made_run[1].document["snapshot_id"]
+    assert "(raylet) Raylet is terminated." in result.stderr
 
 
 def test_a_wrong_query_names_the_tables(made_run: tuple[Config, Report], tmp_path: Path) -> None:
