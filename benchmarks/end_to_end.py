@@ -18,10 +18,10 @@ from rich.table import Table
 from condvln.navigation.compiled import warm_up
 from condvln.samples import make_samples
 from factory.executor import Executor, InlineExecutor
+from factory.local_store import LocalStore
 from factory.ray_executor import RayExecutor
 from factory.run import run
 from factory.snapshot import Snapshot
-from factory.store import LocalStore
 from jobs.configuration import load_config
 from jobs.pipeline import build_pipeline, list_units
 from jobs.workspace import file_hashes, hasher

@@ -4,8 +4,10 @@ It knows nothing of what the units are. ``jobs`` makes a ``Pipeline`` and lists 
 would do, ``run`` does it and publishes a ``Snapshot``.
 """
 
+from factory.address import open_store
 from factory.executor import Executor, InlineExecutor
 from factory.files import FileHashes, hash_file
+from factory.local_store import LocalStore
 from factory.pipeline import Pipeline, TableSpec
 from factory.plan import Plan, PlanEntry
 from factory.receipt import Failure, Receipt
@@ -13,7 +15,7 @@ from factory.report import FailureBudget, Progress, RunReport
 from factory.run import plan, run
 from factory.snapshot import Snapshot
 from factory.stage import Aggregate, Stage, StageOutput
-from factory.store import LocalStore, Store, open_store
+from factory.store import Store
 from factory.unit import InputFile, Unit
 
 __all__ = [

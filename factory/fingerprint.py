@@ -11,10 +11,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
+from factory.local_store import LocalStore
 from factory.pipeline import Pipeline
 from factory.run import run
 from factory.snapshot import Snapshot
-from factory.store import LocalStore
 from factory.unit import Unit
 from schemas.errors import ProofError
 

@@ -16,8 +16,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
+from factory.local_store import LocalStore
 from factory.snapshot import Snapshot
-from factory.store import LocalStore
 from schemas.errors import CorruptShardError, StoreError
 from schemas.snapshot import PartRecord
 

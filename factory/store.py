@@ -1,28 +1,18 @@
-"""Where files are kept: one small interface, and local disk.
+"""Where files are kept: one small interface, which a folder (``local_store``) and a bucket (``object_store``) share.
 
 A path is relative, with '/' between folders. A file is there whole or not at all; ``create`` and ``swap`` are the two
-conditional writes that publishing rests on. The object store has the same interface (``factory.object_store``).
+conditional writes that publishing rests on.
 """
 
 from __future__ import annotations
 
-import contextlib
-import errno
-import fcntl
 import hashlib
-import os
-import secrets
-import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from schemas.errors import PathEscapeError, PublishConflictError, StoreError
-
-__all__ = ["Entry", "LocalStore", "Store", "open_store", "token_of"]
-
-_FULL = {errno.ENOSPC, errno.EDQUOT}
+__all__ = ["Entry", "Store", "token_of"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,180 +87,3 @@ class Store(Protocol):
 def token_of(data: bytes) -> str:
     """The token of a file's content, for ``Store.swap``."""
     return hashlib.sha256(data).hexdigest()
-
-
-def open_store(address: str | Path) -> Store:
-    """The store at ``address``: a folder, or ``s3://bucket/prefix[?endpoint=…&region=…]``."""
-    if isinstance(address, str) and "://" in address:
-        from factory.object_store import ObjectStore
-
-        return ObjectStore.from_url(address)
-    return LocalStore(address)
-
-
-class LocalStore:
-    """A folder on local disk (or a network disk that has ``flock``).
-
-    Files are written beside their place, flushed, and renamed; the folder is flushed after that. ``durable=False``
-    leaves out the flushes: safe against killed processes, not against power cuts.
-    """
-
-    _TEMPORARY = ".tmp-"
-
-    def __init__(self, root: str | Path, *, durable: bool = True) -> None:
-        self.root = Path(root).absolute()
-        self.durable = durable
-
-    @property
-    def url(self) -> str:
-        return str(self.root)
-
-    @property
-    def lists_cheaply(self) -> bool:
-        return True
-
-    def _at(self, path: str) -> Path:
-        parts = path.split("/")
-        if path.startswith("/") or "\0" in path or any(part in ("", ".", "..") for part in parts):
-            raise PathEscapeError("not a path inside the store", where=path)
-        return self.root.joinpath(*parts)
-
-    def read(self, path: str) -> bytes:
-        with self._errors(path):
-            return self._at(path).read_bytes()
-
-    def exists(self, path: str) -> bool:
-        return self._at(path).is_file()
-
-    def write(self, path: str, data: Any, *, settle: bool = True) -> None:
-        place = self._at(path)
-        with self._errors(path), self._temporary(place, data) as temporary:
-            os.replace(temporary, place)
-        if settle:
-            self._flush(place.parent)
-
-    def create(self, path: str, data: Any) -> bool:
-        place = self._at(path)
-        with self._errors(path), self._temporary(place, data) as temporary:
-            try:
-                os.link(temporary, place)
-            except FileExistsError:
-                return False
-        self._flush(place.parent)
-        return True
-
-    def swap(self, path: str, data: Any, token: str | None) -> None:
-        place = self._at(path)
-        with self._errors(path):
-            place.parent.mkdir(parents=True, exist_ok=True)
-        # flock is released when its holder dies, so a killed publisher blocks nobody.
-        lock = os.open(place.parent / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX)
-            now = token_of(place.read_bytes()) if place.exists() else None
-            if now != token:
-                raise PublishConflictError("it was moved by another publisher", where=path, remedy="Run again.")
-            self.write(path, data)
-        finally:
-            os.close(lock)
-
-    def copy(self, source: str, target: str) -> None:
-        place = self._at(target)
-        with self._errors(target):
-            place.parent.mkdir(parents=True, exist_ok=True)
-            temporary = place.parent / f"{self._TEMPORARY}{secrets.token_hex(8)}"
-            try:
-                try:
-                    os.link(self._at(source), temporary)
-                except OSError as error:
-                    if isinstance(error, FileNotFoundError) or error.errno in _FULL:
-                        raise
-                    shutil.copyfile(self._at(source), temporary)  # no hard links here
-                # A link has the age of its source; to a sweep it must look as young as it is.
-                os.utime(temporary)
-                os.replace(temporary, place)
-            finally:
-                # Renaming a link onto the same file does nothing, and would leave the temporary name.
-                temporary.unlink(missing_ok=True)
-        self._flush(place.parent)
-
-    def list(self, prefix: str) -> Iterator[Entry]:
-        folder = self._at(prefix) if prefix else self.root
-        stack = [folder]
-        while stack:
-            try:
-                entries = [*os.scandir(stack.pop())]
-            except (FileNotFoundError, NotADirectoryError):
-                continue
-            for entry in entries:
-                if entry.is_dir(follow_symlinks=False):
-                    stack.append(Path(entry.path))
-                elif not entry.name.startswith("."):
-                    with contextlib.suppress(FileNotFoundError):  # deleted meanwhile
-                        stat = entry.stat()
-                        yield Entry(
-                            os.path.relpath(entry.path, self.root).replace(os.sep, "/"), stat.st_size, stat.st_mtime
-                        )
-
-    def delete(self, path: str) -> None:
-        place = self._at(path)
-        with self._errors(path):
-            place.unlink(missing_ok=True)
-            # Empty folders are swept away on the way up; a sibling may be writing, and then rmdir refuses.
-            for folder in place.parents:
-                if folder == self.root:
-                    break
-                try:
-                    folder.rmdir()
-                except OSError:
-                    break
-
-    def local_path(self, path: str) -> Path | None:
-        return self._at(path)
-
-    def unfinished(self) -> Iterator[Path]:
-        """Files that a killed writer left behind."""
-        yield from self.root.rglob(f"{self._TEMPORARY}*")
-
-    @contextlib.contextmanager
-    def _temporary(self, place: Path, data: Any) -> Iterator[Path]:
-        temporary = place.parent / f"{self._TEMPORARY}{secrets.token_hex(8)}"
-        for attempt in range(3):
-            place.parent.mkdir(parents=True, exist_ok=True)
-            try:
-                handle = open(temporary, "xb")  # noqa: SIM115 - closed below
-                break
-            except FileNotFoundError:
-                # A sibling swept the empty folder away between the two calls.
-                if attempt == 2:
-                    raise
-        try:
-            with handle:
-                handle.write(data)
-                handle.flush()
-                if self.durable:
-                    os.fsync(handle.fileno())
-            yield temporary
-        finally:
-            temporary.unlink(missing_ok=True)
-
-    def _flush(self, folder: Path) -> None:
-        if not self.durable:
-            return
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
-
-    @contextlib.contextmanager
-    def _errors(self, path: str) -> Iterator[None]:
-        try:
-            yield
-        except FileNotFoundError:
-            raise
-        except OSError as error:
-            remedy = "Free some space and run again; what was committed stays." if error.errno in _FULL else ""
-            raise StoreError(
-                f"the store failed: {error.strerror or error}", where=f"{self.url}/{path}", remedy=remedy
-            ) from error

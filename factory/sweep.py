@@ -19,8 +19,9 @@ import pyarrow as pa
 from pydantic import ValidationError
 
 from factory.index import Index, failed_keys
+from factory.local_store import LocalStore
 from factory.snapshot import read_manifest, read_ref
-from factory.store import Entry, LocalStore, Store
+from factory.store import Entry, Store
 from schemas.errors import CorruptShardError
 from schemas.snapshot import Pin, Published
 

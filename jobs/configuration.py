@@ -10,7 +10,7 @@ from typing import Any, Final
 import yaml
 from pydantic import ValidationError
 
-from factory.store import open_store
+from factory.address import open_store
 from schemas.config import Config
 from schemas.errors import ConfigError, UsageError
 

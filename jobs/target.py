@@ -6,8 +6,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from factory.address import open_store
 from factory.snapshot import Snapshot
-from factory.store import Store, open_store
+from factory.store import Store
 from jobs.configuration import load_config
 from jobs.workspace import snapshot_folder
 from schemas.config import Config

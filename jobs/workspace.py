@@ -9,11 +9,11 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from factory.address import open_store as open_address
 from factory.files import FileHashes
 from factory.local_copy import local_copy
 from factory.snapshot import Snapshot
 from factory.store import Store
-from factory.store import open_store as open_address
 from schemas.config import Config
 
 if TYPE_CHECKING:  # a rebuild that finds nothing to do loads no science

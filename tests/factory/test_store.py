@@ -13,8 +13,9 @@ from pathlib import Path
 import pytest
 
 from factory import LocalStore, Store
+from factory.address import open_store
 from factory.object_store import ObjectStore
-from factory.store import open_store, token_of
+from factory.store import token_of
 from schemas.errors import PathEscapeError, PublishConflictError, StoreError, TransientIOError, UsageError
 
 Make = Callable[[], Store]

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from condvln.samples import make_samples
-from factory.store import open_store
+from factory.address import open_store
 from jobs.export import export_snapshot_of
 from jobs.generate import run_generate
 from jobs.report import Report

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from factory.store import LocalStore
+from factory.local_store import LocalStore
 from jobs.command import app
 from jobs.generate import run_generate
 from jobs.plan import make_plan

@@ -1,0 +1,18 @@
+"""The address of a store, as a configuration or a command line gives it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from factory.local_store import LocalStore
+from factory.object_store import ObjectStore
+from factory.store import Store
+
+__all__ = ["open_store"]
+
+
+def open_store(address: str | Path) -> Store:
+    """The store at ``address``: a folder, or ``s3://bucket/prefix[?endpoint=…&region=…]``."""
+    if isinstance(address, str) and "://" in address:
+        return ObjectStore.from_url(address)
+    return LocalStore(address)
