@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 from condvln.export.rows import Row, rows_of
 from condvln.export.tables import SnapshotTables
+from condvln.sources.gibson import GibsonSource, verified_twin
 
 __all__ = ["NavmeshBytes", "SceneTable"]
 
@@ -41,6 +42,9 @@ class SceneTable:
                 reasons[scene] = "its scene has no navmesh"
             elif self._is_shipped(row) and self.navmesh(source, scene) is None:
                 reasons[scene] = "the navmesh built for its scene is missing or changed"
+            elif source == GibsonSource.family and verified_twin(scene) in self._rows[source]:
+                # The kinds of annotation are drawn apart: one building could stand in two splits.
+                reasons[scene] = "its building is there by its verified annotation"
         return reasons
 
     def navmesh(self, source: str, scene: str) -> bytes | None:

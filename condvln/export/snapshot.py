@@ -49,7 +49,7 @@ class ExportConfig:
 
     splits: SplitsConfig = field(default_factory=SplitsConfig)
     scene_patterns: Mapping[str, str] = field(default_factory=lambda: dict(SCENE_PATTERNS))
-    """``scene_id`` by family, with ``{family}`` and ``{scene}``; the entry ``""`` serves the others."""
+    """``scene_id`` by family, with ``{family}``, ``{scene}`` and ``{name}``; the entry ``""`` serves the others."""
     token_length: int = TOKEN_LENGTH
     path_spacing: float = PATH_SPACING
     """Metres between ground-truth locations at most, where no walked locations are known."""

@@ -6,6 +6,7 @@ and actions by episode id, for nDTW and imitation learning).
 
 from __future__ import annotations
 
+import posixpath
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -36,15 +37,16 @@ __all__ = [
 FORWARD: Final = 1
 """Index of the forward action in ground-truth actions: STOP 0, FORWARD 1, LEFT 2, RIGHT 3."""
 
-SCENE_PATTERNS: Final[Mapping[str, str]] = {"": "{family}/{scene}/{scene}.glb"}
+SCENE_PATTERNS: Final[Mapping[str, str]] = {"": "{family}/{scene}/{name}.glb", "gibson": "{family}/{name}/{name}.glb"}
 """``scene_id`` by family, below the folder ``scene_datasets``; the entry without a name serves the families not
-listed."""
+listed. ``{name}`` is the scene's id without its folder: the verified and the automated annotation of one of Gibson's
+buildings are of one mesh."""
 
 
 def scene_file(family: str, scene: str, patterns: Mapping[str, str] = SCENE_PATTERNS) -> str:
     """``scene_id`` of a VLN-CE episode: the path of the scene's mesh below the folder of scene datasets."""
     pattern = patterns.get(family) or patterns.get("") or SCENE_PATTERNS[""]
-    return pattern.format(family=family, scene=scene)
+    return pattern.format(family=family, scene=scene, name=posixpath.basename(scene))
 
 
 def gold(row: Row) -> Row:

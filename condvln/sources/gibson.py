@@ -31,7 +31,7 @@ from condvln.sources.scene_source import Note, SceneSource, SourceOptions
 from condvln.sources.source import MAX_OBJECTS
 from schemas.errors import ConfigError
 
-__all__ = ["GibsonSource"]
+__all__ = ["GibsonSource", "verified_twin"]
 
 F64 = NDArray[np.float64]
 
@@ -130,6 +130,12 @@ class GibsonSource(SceneSource):
                     kind = next((k for k in (VERIFIED, AUTOMATED) if k in folder.lower()), None)
                     found[name if kind is None else f"{kind}/{name}"] = path
         return dict(sorted(found.items()))
+
+
+def verified_twin(scene_id: str) -> str | None:
+    """The id that the same building has by its verified annotation; None where this is that one."""
+    kind, _, name = scene_id.rpartition("/")
+    return None if kind == VERIFIED else f"{VERIFIED}/{name}"
 
 
 def _box(node: JsonNode) -> F64 | None:

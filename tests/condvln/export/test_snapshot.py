@@ -245,6 +245,21 @@ def test_episodes_that_can_not_be_published_are_counted(tables: MemoryTables, tm
     assert not published & {ids[0], ids[1], ids[3]}
 
 
+def test_of_a_building_annotated_twice_the_verified_one_is_published(tmp_path: Path) -> None:
+    """Both are of one mesh; the official list knows a building by its name alone."""
+    buildings = ["automated/Allensville", "automated/Beechwood", "verified/Allensville", "verified/Darden"]
+    report = export_snapshot(made_snapshot({"gibson": buildings}), tmp_path)
+    assert report.left_out["its building is there by its verified annotation"] == 72
+    published = {scene for found in report.scenes.values() for scene in found}
+    assert published == {"gibson/automated/Beechwood", "gibson/verified/Allensville", "gibson/verified/Darden"}
+    assert {f"gibson/{name}" for name in ("verified/Allensville", "automated/Beechwood")} <= {*report.scenes["train"]}
+    assert report.scenes["val_unseen"] == ["gibson/verified/Darden"]
+    episodes = [e for split in SPLITS for e in read(tmp_path / "vlnce" / split / f"{split}.json.gz")["episodes"]]
+    assert {e["scene_id"] for e in episodes} == {
+        f"gibson/{name}/{name}.glb" for name in ("Allensville", "Beechwood", "Darden")
+    }
+
+
 def test_built_navmeshes_are_shipped_and_scenes_without_one_left_out(tables: MemoryTables, tmp_path: Path) -> None:
     data = b"navmesh"
 

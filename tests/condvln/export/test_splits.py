@@ -35,6 +35,8 @@ def test_official_lists_are_the_published_ones(real_data: Path) -> None:
         ("mp3d", "2azQ1b91cZZ", "val_unseen"),
         ("mp3d", "2t7WUuJeko7", "test"),
         ("gibson", "Allensville", "train"),
+        ("gibson", "verified/Allensville", "train"),
+        ("gibson", "automated/Allensville", "train"),
         ("ithor", "FloorPlan1", "train"),
         ("ithor", "FloorPlan20_physics", "train"),
         ("ithor", "FloorPlan21", "val_unseen"),

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
+
 from condvln.export.rows import rows_of
 from condvln.export.tables import MemoryTables
 from condvln.export.vlnce import ground_truth, scene_file
@@ -53,3 +55,23 @@ def test_scene_files_by_family() -> None:
     assert scene_file("gibson", "Oyens", patterns) == "gibson/Oyens.glb"
     assert scene_file("gibson", "Oyens") == "gibson/Oyens/Oyens.glb"
     assert scene_file("replicacad", "apt_0", patterns) == "replicacad/apt_0/apt_0.glb"
+
+
+@pytest.mark.parametrize(
+    ("family", "scene", "path"),
+    [
+        ("mp3d", "17DRP5sb8fy", "mp3d/17DRP5sb8fy/17DRP5sb8fy.glb"),
+        ("gibson", "Oyens", "gibson/Oyens/Oyens.glb"),
+        ("gibson", "verified/Oyens", "gibson/Oyens/Oyens.glb"),
+        ("gibson", "automated/Oyens", "gibson/Oyens/Oyens.glb"),
+        ("replicacad", "v3_sc0_staging_00", "replicacad/v3_sc0_staging_00/v3_sc0_staging_00.glb"),
+        ("procthor", "train-7", "procthor/train-7/train-7.glb"),
+        ("procthor", "10k/train-7", "procthor/10k/train-7/train-7.glb"),
+        ("procthor", "ProcTHOR-Train-7", "procthor/ProcTHOR-Train-7/ProcTHOR-Train-7.glb"),
+        ("ithor", "FloorPlan207", "ithor/FloorPlan207/FloorPlan207.glb"),
+        ("robothor", "FloorPlan_Val1_1", "robothor/FloorPlan_Val1_1/FloorPlan_Val1_1.glb"),
+    ],
+)
+def test_scene_files_are_where_stock_loaders_have_them(family: str, scene: str, path: str) -> None:
+    """A mesh in a folder of its own name, one folder below the dataset's; of one building there is one mesh."""
+    assert scene_file(family, scene) == path
