@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from typing import Any, Final
 
 from condvln.sources.json_document import JsonNode
-from schemas.errors import FormatError
 
 __all__ = ["MAX_TRIANGLES", "geometry_tree"]
 
@@ -37,7 +36,6 @@ _UNREADABLE: Final = frozenset(
         "EXT_mesh_gpu_instancing",
     }
 )
-_REMEDY = "Take the file from its dataset again"
 
 Tree = dict[str, Any]
 
@@ -56,7 +54,7 @@ class _GeometryTree:
     def __init__(self, root: JsonNode, binary_size: int) -> None:
         self.root = root.object()
         self.binary_size = binary_size
-        self.lists = {key: _elements(root, key) for key in ("scenes", "nodes", "meshes", "accessors", "bufferViews")}
+        self.lists = {key: root.array(key) for key in ("scenes", "nodes", "meshes", "accessors", "bufferViews")}
         self.views: list[Tree] = []
         self.accessors: list[Tree] = []
         self.accessor_of: dict[tuple[int, str], int] = {}
@@ -66,12 +64,12 @@ class _GeometryTree:
         self.spanned = 0
 
     def tree(self) -> Tree:
-        for node in _elements(self.root, "extensionsRequired"):
+        for node in self.root.array("extensionsRequired"):
             if node.text() in _UNREADABLE:
-                _fail(node, f"geometry under the extension {node.text()} can't be read", "Export it uncompressed")
+                node.fail(f"geometry under the extension {node.text()} can't be read", "Export it uncompressed")
         nodes = self._nodes()
         if not self.meshes:
-            _fail(self.root, "the file holds no triangles")
+            self.root.fail("the file holds no triangles")
         return {
             "asset": {"version": "2.0"},
             "scene": 0,
@@ -93,44 +91,42 @@ class _GeometryTree:
             index, parent, depth = waiting.pop()
             source = self.lists["nodes"][index]
             if index in seen:
-                _fail(source, "the node hangs from two parents or from itself")
+                source.fail("the node hangs from two parents or from itself")
             if depth > MAX_NODE_DEPTH or len(reached) >= MAX_NODES:
-                _fail(source, f"more than {MAX_NODES} nodes, or nested more than {MAX_NODE_DEPTH} deep")
+                source.fail(f"more than {MAX_NODES} nodes, or nested more than {MAX_NODE_DEPTH} deep")
             seen.add(index)
             own = len(reached)
             node: Tree = {"name": f"node{own}", **_transform(source)}
             mesh = source.get("mesh")
             if mesh is not None:
-                at = self._mesh(_index(mesh, self.lists["meshes"]))
+                at = self._mesh(mesh.index(len(self.lists["meshes"])))
                 if at is not None:
                     node["mesh"] = at
                     triangles += self.triangles_of[at]
                     if triangles > MAX_TRIANGLES:
-                        _fail(source, f"more than {MAX_TRIANGLES} triangles")
+                        source.fail(f"more than {MAX_TRIANGLES} triangles")
             if parent is not None:
                 reached[parent][0].setdefault("children", []).append(own)
             reached.append((node, parent))
-            children = [_index(c, self.lists["nodes"]) for c in _elements(source, "children")]
+            children = [c.index(len(self.lists["nodes"])) for c in source.array("children")]
             waiting.extend((child, own, depth + 1) for child in reversed(children))
         return reached
 
     def _roots(self) -> list[int]:
         nodes = self.lists["nodes"]
         if len(nodes) > MAX_NODES:
-            _fail(self.root, f"more than {MAX_NODES} nodes")
+            self.root.fail(f"more than {MAX_NODES} nodes")
         if self.lists["scenes"]:
             chosen = self.root.get("scene")
-            scene = self.lists["scenes"][_index(chosen, self.lists["scenes"]) if chosen is not None else 0]
-            return [_index(n, nodes) for n in _elements(scene, "nodes")][::-1]
-        children = {_index(c, nodes) for node in nodes for c in _elements(node, "children")}
+            scene = self.lists["scenes"][chosen.index(len(self.lists["scenes"])) if chosen is not None else 0]
+            return [n.index(len(nodes)) for n in scene.array("nodes")][::-1]
+        children = {c.index(len(nodes)) for node in nodes for c in node.array("children")}
         return [i for i in range(len(nodes)) if i not in children][::-1]
 
     def _mesh(self, index: int) -> int | None:
         """Index of a mesh in the reduced tree; None where it has no triangles."""
         if index not in self.mesh_of:
-            primitives = [
-                p for source in _elements(self.lists["meshes"][index], "primitives") for p in self._drawn(source)
-            ]
+            primitives = [p for source in self.lists["meshes"][index].array("primitives") for p in self._drawn(source)]
             self.mesh_of[index] = len(self.meshes) if primitives else None
             if primitives:
                 self.triangles_of[len(self.meshes)] = sum(count for _, count in primitives)
@@ -141,11 +137,11 @@ class _GeometryTree:
         """A primitive and its number of triangles, where it is made of triangles."""
         for name, _ in source["extensions"].items() if "extensions" in source else ():
             if name in _UNREADABLE:
-                _fail(source, f"geometry under the extension {name} can't be read", "Export it uncompressed")
+                source.fail(f"geometry under the extension {name} can't be read", "Export it uncompressed")
         mode_node = source.get("mode")
         mode = _TRIANGLES if mode_node is None else mode_node.integer()
         if mode == _FAN:
-            _fail(source, "triangle fans can't be read", "Export it as plain triangles")
+            source.fail("triangle fans can't be read", "Export it as plain triangles")
         position = source["attributes"].get("POSITION")
         if mode not in (_TRIANGLES, _STRIP) or position is None:
             return
@@ -157,34 +153,34 @@ class _GeometryTree:
             primitive["indices"] = self._accessor(indices, "SCALAR")
             corners = int(self.accessors[primitive["indices"]]["count"])
         if mode == _TRIANGLES and corners % 3:
-            _fail(source, f"{corners} corners make no whole triangles")
+            source.fail(f"{corners} corners make no whole triangles")
         if corners >= 3 and vertices:
             yield primitive, corners // 3 if mode == _TRIANGLES else corners - 2
 
     def _accessor(self, node: JsonNode, kind: str) -> int:
         """Index of an accessor in the reduced tree, with a view of its own."""
-        index = _index(node, self.lists["accessors"])
+        index = node.index(len(self.lists["accessors"]))
         if (index, kind) not in self.accessor_of:
             source = self.lists["accessors"][index]
             if "sparse" in source:
-                _fail(source, "sparse accessors can't be read", "Export it with plain accessors")
+                source.fail("sparse accessors can't be read", "Export it with plain accessors")
             component = source["componentType"].integer()
             if source["type"].text() != kind or (component == _FLOAT) != (kind == "VEC3"):
-                _fail(source, f"type {source['type'].text()} of component {component} does not serve here")
+                source.fail(f"type {source['type'].text()} of component {component} does not serve here")
             if component not in _COMPONENT_BYTES:
-                _fail(source, f"component type {component} does not serve here")
+                source.fail(f"component type {component} does not serve here")
             item = _COMPONENT_BYTES[component] * (3 if kind == "VEC3" else 1)
             count = _count(source["count"])
-            view = self.lists["bufferViews"][_index(source["bufferView"], self.lists["bufferViews"])]
+            view = self.lists["bufferViews"][source["bufferView"].index(len(self.lists["bufferViews"]))]
             start, length, stride = self._view(view)
             offset = _count_or(source, "byteOffset", 0)
             step = stride or item
             if count and offset + (count - 1) * step + item > length:
-                _fail(source, f"{count} items of {item} bytes do not fit into the view's {length} bytes")
+                source.fail(f"{count} items of {item} bytes do not fit into the view's {length} bytes")
             span = (count - 1) * step + item if count else 0
             self.spanned += span
             if self.spanned > MAX_OVERLAP * self.binary_size:
-                _fail(source, f"accessors read the same bytes more than {MAX_OVERLAP} times")
+                source.fail(f"accessors read the same bytes more than {MAX_OVERLAP} times")
             own: Tree = {"buffer": 0, "byteOffset": start + offset, "byteLength": span}
             if stride:
                 own["byteStride"] = stride
@@ -203,19 +199,19 @@ class _GeometryTree:
 
     def _view(self, view: JsonNode) -> tuple[int, int, int]:
         """Start, length and stride (0: none) of a buffer view in the binary chunk, in bytes."""
-        buffers = _elements(self.root, "buffers")
-        buffer = buffers[_index(view["buffer"], buffers)]
+        buffers = self.root.array("buffers")
+        buffer = buffers[view["buffer"].index(len(buffers))]
         if view["buffer"].integer() != 0 or "uri" in buffer:
-            _fail(buffer, "geometry outside the file's own binary chunk can't be read", "Export it as one GLB file")
+            buffer.fail("geometry outside the file's own binary chunk can't be read", "Export it as one GLB file")
         start, length, stride = (
             _count_or(view, "byteOffset", 0),
             _count(view["byteLength"]),
             _count_or(view, "byteStride", 0),
         )
         if stride and not 4 <= stride <= MAX_STRIDE:
-            _fail(view, f"a stride of {stride} bytes (4 to {MAX_STRIDE} are possible)")
+            view.fail(f"a stride of {stride} bytes (4 to {MAX_STRIDE} are possible)")
         if start + length > self.binary_size:
-            _fail(view, f"bytes {start} to {start + length} are claimed, the binary chunk has {self.binary_size}")
+            view.fail(f"bytes {start} to {start + length} are claimed, the binary chunk has {self.binary_size}")
         return start, length, stride
 
 
@@ -228,32 +224,16 @@ def _transform(node: JsonNode) -> Tree:
         if key in node:
             kept[key] = node[key].vector(length, MAX_SCALE).tolist()
     if "rotation" in kept and not sum(q * q for q in kept["rotation"]) > 0.5:
-        _fail(node["rotation"], "the quaternion is no rotation")
+        node["rotation"].fail("the quaternion is no rotation")
     return kept
-
-
-def _elements(node: JsonNode, key: str) -> list[JsonNode]:
-    member = node.get(key)
-    return [] if member is None else member.elements()
-
-
-def _index(node: JsonNode, of: list[JsonNode]) -> int:
-    value = node.integer()
-    if not 0 <= value < len(of):
-        _fail(node, f"the index {value} is not among {len(of)}")
-    return value
 
 
 def _count(node: JsonNode) -> int:
     value = node.integer()
     if value < 0:
-        _fail(node, f"{value} is no count")
+        node.fail(f"{value} is no count")
     return value
 
 
 def _count_or(node: JsonNode, key: str, default: int) -> int:
     return _count(node[key]) if key in node else default
-
-
-def _fail(node: JsonNode, what: str, remedy: str = _REMEDY) -> None:
-    raise FormatError(what, where=node.where, place=node.place, remedy=remedy)

@@ -72,9 +72,9 @@ class JsonNode:
     where: str
     place: str
 
-    def fail(self, what: str) -> NoReturn:
+    def fail(self, what: str, remedy: str = _REMEDY) -> NoReturn:
         """Raise a FormatError about this node."""
-        raise FormatError(what, where=self.where, place=self.place or "top level", remedy=_REMEDY)
+        raise FormatError(what, where=self.where, place=self.place or "top level", remedy=remedy)
 
     def object(self) -> JsonNode:
         """This node, known to be an object."""
@@ -109,6 +109,11 @@ class JsonNode:
         """Elements of this array."""
         return list(self.entries())
 
+    def array(self, key: str) -> list[JsonNode]:
+        """Elements of a member that is an array; none where it is absent or null."""
+        member = self.get(key)
+        return [] if member is None else member.elements()
+
     def text(self) -> str:
         """This node as text."""
         if not isinstance(self.value, str):
@@ -129,6 +134,13 @@ class JsonNode:
         if not abs(value) < 1 << 53 or value != int(value):
             self.fail(f"a whole number below 2^53 is expected, not {value!r:.40}")
         return int(value)
+
+    def index(self, count: int) -> int:
+        """This node as an index into `count` things."""
+        value = self.integer()
+        if not 0 <= value < count:
+            self.fail(f"the index {value} is not among {count}")
+        return value
 
     def number(self, limit: float = MAX_COORDINATE) -> float:
         """This node as a finite number of at most `limit` in size."""

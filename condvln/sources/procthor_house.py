@@ -233,6 +233,5 @@ def _collect(node: JsonNode, parent: str | None, into: list[HouseObject]) -> Non
             kinematic=kinematic is not None and kinematic.boolean(),
         )
     )
-    children = node.get("children")
-    for child in () if children is None else children.elements():
+    for child in node.array("children"):
         _collect(child, own, into)

@@ -198,8 +198,7 @@ class SceneDataset:
             for pattern in patterns.elements():
                 found |= self._search(kind, extension, pattern)
         index.entries = [_Entry(posixpath.basename(_stem(p, *_KINDS[kind], *_ASSETS)), p) for p in sorted(found)]
-        configs = section.get("configs")
-        for made in configs.elements() if configs is not None else ():
+        for made in section.array("configs"):
             handle = made.get("template_handle") or made.get("original_file")
             if handle is None:
                 made.fail("an entry needs 'template_handle' or 'original_file'")

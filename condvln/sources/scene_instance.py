@@ -69,8 +69,7 @@ def read_scene_instance(document: JsonNode) -> SceneInstance:
     seen: set[str] = set()
 
     def placed(key: str) -> tuple[Placed, ...]:
-        entries = document.get(key)
-        nodes = [] if entries is None else entries.elements()
+        nodes = document.array(key)
         if len(nodes) > MAX_OBJECTS:
             document.fail(f"{len(nodes)} {key} (at most {MAX_OBJECTS})")
         return tuple(_placed(node, _object_id(node, counter, seen), default) for node in nodes)

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from condvln.sources.json_document import JsonNode
-from schemas.errors import FormatError
 
 __all__ = ["Image", "MaterialReader", "shifted"]
 
@@ -54,8 +53,7 @@ class MaterialReader:
         self.lost = 0
         self._number: dict[tuple[str, int], int | None] = {}
         self._copied = 0
-        asked = root.get("extensionsRequired")
-        self._asked = set() if asked is None else {node.text() for node in asked.elements()}
+        self._asked = {node.text() for node in root.array("extensionsRequired")}
 
     def material(self, node: JsonNode) -> int:
         """Number of a material, which `node` names by its index in the file.
@@ -64,16 +62,12 @@ class MaterialReader:
         ------
         FormatError : an index out of range, a wrong type, bytes that are not there
         """
-        index = _index(node, self._list("materials"))
+        index = node.index(len(self._root.array("materials")))
         if ("materials", index) not in self._number:
-            made = self._material(self._list("materials")[index])
+            made = self._material(self._root.array("materials")[index])
             self._number["materials", index] = len(self.materials)
             self.materials.append(made)
         return self._number["materials", index] or 0
-
-    def _list(self, key: str) -> list[JsonNode]:
-        member = self._root.get(key)
-        return [] if member is None else member.elements()
 
     def _material(self, source: JsonNode) -> Tree:
         made: Tree = {}
@@ -128,9 +122,9 @@ class MaterialReader:
         return made
 
     def _texture(self, node: JsonNode) -> int | None:
-        index = _index(node, self._list("textures"))
+        index = node.index(len(self._root.array("textures")))
         if ("textures", index) not in self._number:
-            source = self._list("textures")[index]
+            source = self._root.array("textures")[index]
             made = self._image_of(source)
             if made is None:
                 self.lost += 1
@@ -159,9 +153,9 @@ class MaterialReader:
 
     def _image(self, node: JsonNode) -> int | None:
         """Number of an image whose bytes stand in the file; None for one that is elsewhere."""
-        index = _index(node, self._list("images"))
+        index = node.index(len(self._root.array("images")))
         if ("images", index) not in self._number:
-            source = self._list("images")[index]
+            source = self._root.array("images")[index]
             inside = source.get("bufferView") is not None
             self._number["images", index] = len(self.images) if inside else None
             if inside:
@@ -175,8 +169,8 @@ class MaterialReader:
         return mime
 
     def _bytes(self, node: JsonNode) -> bytes:
-        views = self._list("bufferViews")
-        view = views[_index(node, views)]
+        views = self._root.array("bufferViews")
+        view = views[node.index(len(views))]
         start = view["byteOffset"].integer() if "byteOffset" in view else 0
         length = view["byteLength"].integer()
         if view["buffer"].integer() != 0 or min(start, length) < 0 or start + length > len(self._binary):
@@ -187,9 +181,9 @@ class MaterialReader:
         return self._binary[start : start + length]
 
     def _sampler(self, node: JsonNode) -> int:
-        index = _index(node, self._list("samplers"))
+        index = node.index(len(self._root.array("samplers")))
         if ("samplers", index) not in self._number:
-            source = self._list("samplers")[index]
+            source = self._root.array("samplers")[index]
             self._number["samplers", index] = len(self.samplers)
             self.samplers.append({k: _one_of(source[k], values) for k, values in _SAMPLER.items() if k in source})
         return self._number["samplers", index] or 0
@@ -219,16 +213,4 @@ def _one_of(node: JsonNode, known: frozenset[int]) -> int:
     value = node.integer()
     if value not in known:
         node.fail(f"{value} is none of {', '.join(map(str, sorted(known)))}")
-    return value
-
-
-def _index(node: JsonNode, of: list[JsonNode]) -> int:
-    value = node.integer()
-    if not 0 <= value < len(of):
-        raise FormatError(
-            f"the index {value} is not among {len(of)}",
-            where=node.where,
-            place=node.place,
-            remedy="Take the file from its dataset again",
-        )
     return value

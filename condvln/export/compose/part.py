@@ -16,11 +16,9 @@ from condvln.export.compose.material import MaterialReader
 from condvln.sources.glb import glb_chunks
 from condvln.sources.gltf_tree import geometry_tree
 from condvln.sources.json_document import JsonNode
-from schemas.errors import FormatError
 
 __all__ = ["Accessor", "GlbPart", "Node", "Primitive", "read_part"]
 
-_REMEDY: Final = "Take the file from its dataset again"
 _TYPES: Final = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
 _WIDTHS: Final = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _KINDS: Final = {
@@ -104,12 +102,12 @@ class _Copier:
         self.part = GlbPart(look=self.look)
         self.mesh_of: dict[int, int | None] = {}
         self.accessor_of: dict[tuple[int, str], int] = {}
-        nodes = self._list("nodes")
+        nodes = self.root.array("nodes")
         roots = self._roots(nodes)
         # Parents come before their children, so that nothing recurses.
         order, at = list(roots), 0
         while at < len(order):
-            order += [c.integer() for c in _array(nodes[order[at]], "children")]
+            order += [c.integer() for c in nodes[order[at]].array("children")]
             at += 1
         number = {old: new for new, old in enumerate(order)}
         for old in order:
@@ -119,26 +117,23 @@ class _Copier:
                 Node(
                     _transform(own),
                     None if mesh is None else self._mesh(mesh.integer()),
-                    tuple(number[c.integer()] for c in _array(own, "children")),
+                    tuple(number[c.integer()] for c in own.array("children")),
                 )
             )
         self.part.roots = tuple(number[r] for r in roots)
         assert len(order) == len(tree["nodes"])
 
-    def _list(self, key: str) -> list[JsonNode]:
-        return _array(self.root, key)
-
     def _roots(self, nodes: list[JsonNode]) -> list[int]:
-        scenes = self._list("scenes")
+        scenes = self.root.array("scenes")
         if scenes:
             chosen = self.root.get("scene")
-            return [n.integer() for n in _array(scenes[0 if chosen is None else chosen.integer()], "nodes")]
-        below = {c.integer() for node in nodes for c in _array(node, "children")}
+            return [n.integer() for n in scenes[0 if chosen is None else chosen.integer()].array("nodes")]
+        below = {c.integer() for node in nodes for c in node.array("children")}
         return [n for n in range(len(nodes)) if n not in below]
 
     def _mesh(self, index: int) -> int | None:
         if index not in self.mesh_of:
-            found = [p for p in map(self._primitive, _array(self._list("meshes")[index], "primitives")) if p]
+            found = [p for p in map(self._primitive, self.root.array("meshes")[index].array("primitives")) if p]
             self.mesh_of[index] = len(self.part.meshes) if found else None
             if found:
                 self.part.meshes.append(found)
@@ -154,7 +149,7 @@ class _Copier:
         vertices = self.part.accessors[kept["POSITION"]].count
         for name, at in kept.items():
             if self.part.accessors[at].count != vertices:
-                _fail(attributes[name], f"{self.part.accessors[at].count} entries for {vertices} vertices")
+                attributes[name].fail(f"{self.part.accessors[at].count} entries for {vertices} vertices")
         indices_node = source.get("indices")
         indices = None if indices_node is None else self._accessor(indices_node, "indices")
         corners = vertices
@@ -163,16 +158,16 @@ class _Copier:
             corners = own.count
             named = np.frombuffer(own.data, np.dtype(_TYPES[own.component]).newbyteorder("<"))
             if corners and int(named.max()) >= vertices:
-                _fail(indices_node, f"a face names the vertex {int(named.max())} of {vertices}")
+                indices_node.fail(f"a face names the vertex {int(named.max())} of {vertices}")
         if corners < 3 or not vertices:
             return None
         material = source.get("material")
         return Primitive(mode, kept, indices, None if material is None else self.look.material(material))
 
     def _accessor(self, node: JsonNode, name: str) -> int:
-        index = _index(node, self._list("accessors"))
+        index = node.index(len(self.root.array("accessors")))
         if (index, name) not in self.accessor_of:
-            source = self._list("accessors")[index]
+            source = self.root.array("accessors")[index]
             kind, component = source["type"].text(), source["componentType"].integer()
             kinds = ("SCALAR",) if name == "indices" else _KINDS[name]
             normal = source.get("normalized")
@@ -182,12 +177,12 @@ class _Copier:
                 component in _INDEX_TYPES if name == "indices" else floats or (normalized and component in (5121, 5123))
             )
             if kind not in kinds or not fits or (name in ("POSITION", "NORMAL", "TANGENT") and not floats):
-                _fail(source, f"type {kind} of component {component} does not serve as {name}")
+                source.fail(f"type {kind} of component {component} does not serve as {name}")
             packed = self._packed(source, component, _WIDTHS[kind])
             bounds: tuple[tuple[float, ...], ...] = ((), ())
             if name == "POSITION":
                 if not np.isfinite(packed).all():
-                    _fail(source, "a vertex is not finite")
+                    source.fail("a vertex is not finite")
                 ends = (packed.min(axis=0), packed.max(axis=0)) if len(packed) else (np.zeros(3), np.zeros(3))
                 bounds = tuple(tuple(float(v) for v in end) for end in ends)
             self.accessor_of[index, name] = len(self.part.accessors)
@@ -199,7 +194,7 @@ class _Copier:
     def _packed(self, source: JsonNode, component: int, width: int) -> NDArray[Any]:
         """The numbers of an accessor, (count, width), without the gaps between them."""
         if "sparse" in source:
-            _fail(source, "sparse accessors can't be read", "Export it with plain accessors")
+            source.fail("sparse accessors can't be read", "Export it with plain accessors")
         dtype = np.dtype(_TYPES[component]).newbyteorder("<")
         count, view = source["count"].integer(), self._view(source)
         offset = _or(source, "byteOffset", 0)
@@ -208,18 +203,18 @@ class _Copier:
         start, length = _or(view, "byteOffset", 0), view["byteLength"].integer()
         sound = min(count, offset, start, length, step) >= 0 and start + length <= len(self.binary)
         if not sound or (count and offset + (count - 1) * step + item > length):
-            _fail(source, f"{count} items of {item} bytes do not fit into the view")
+            source.fail(f"{count} items of {item} bytes do not fit into the view")
         self.copied += count * item
         if self.copied > MAX_COPIES * len(self.binary):
-            _fail(source, f"accessors read the same bytes more than {MAX_COPIES} times")
+            source.fail(f"accessors read the same bytes more than {MAX_COPIES} times")
         rows = np.ndarray((count, width), dtype, self.binary, start + offset, (step, dtype.itemsize))
         return np.ascontiguousarray(rows)
 
     def _view(self, source: JsonNode) -> JsonNode:
-        views = self._list("bufferViews")
-        view = views[_index(source["bufferView"], views)]
+        views = self.root.array("bufferViews")
+        view = views[source["bufferView"].index(len(views))]
         if view["buffer"].integer() != 0:
-            _fail(view, "numbers outside the file's own binary chunk can't be read", "Export it as one GLB file")
+            view.fail("numbers outside the file's own binary chunk can't be read", "Export it as one GLB file")
         return view
 
 
@@ -229,21 +224,5 @@ def _transform(node: JsonNode) -> dict[str, list[float]]:
     return {key: node[key].vector(lengths[key], 1e6).tolist() for key in keys if key in node}
 
 
-def _array(node: JsonNode, key: str) -> list[JsonNode]:
-    member = node.get(key)
-    return [] if member is None else member.elements()
-
-
-def _index(node: JsonNode, of: list[JsonNode]) -> int:
-    value = node.integer()
-    if not 0 <= value < len(of):
-        _fail(node, f"the index {value} is not among {len(of)}")
-    return value
-
-
 def _or(node: JsonNode, key: str, default: int) -> int:
     return node[key].integer() if key in node else default
-
-
-def _fail(node: JsonNode, what: str, remedy: str = _REMEDY) -> None:
-    raise FormatError(what, where=node.where, place=node.place, remedy=remedy)

@@ -17,9 +17,10 @@ from condvln.export.compose.part import Accessor, GlbPart, Primitive
 from condvln.sources.glb import MAX_GLB_BYTES
 from schemas.errors import InputError
 
-__all__ = ["GENERATOR", "GlbWriter"]
+__all__ = ["GENERATOR", "GlbWriter", "is_composed"]
 
 GENERATOR: Final = "condvln compose"
+_ASSET: Final = {"version": "2.0", "generator": GENERATOR}
 
 _HEADER, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 _VERTICES, _INDICES = 34962, 34963
@@ -28,6 +29,12 @@ _TRIANGLES: Final = 4
 
 Tree = dict[str, Any]
 F64 = NDArray[np.float64]
+
+
+def is_composed(start: bytes) -> bool:
+    """Was the file that begins with these bytes, a few hundred or all, written here?"""
+    text = start[_HEADER.size + _CHUNK.size :]
+    return start[:4] == b"glTF" and text.startswith(json.dumps({"asset": _ASSET}, separators=(",", ":"))[:-1].encode())
 
 
 class GlbWriter:
@@ -117,7 +124,7 @@ class GlbWriter:
         InputError : it is larger than any that we read
         """
         tree: Tree = {
-            "asset": {"version": "2.0", "generator": GENERATOR},
+            "asset": _ASSET,
             "scene": 0,
             "scenes": [{"nodes": [0]}],
             **{key: found for key, found in self._lists.items() if found},

@@ -168,9 +168,19 @@ def test_a_wrong_type_is_refused(text: str, ask: str) -> None:
         getattr(node, ask)()
 
 
+def test_an_index_is_among_what_it_counts() -> None:
+    node = parse_json(b'{"at": [0, 2, 3, -1]}', "f")
+    first, second, *outside = node.array("at")
+    assert (first.index(3), second.index(3)) == (0, 2)
+    for wrong in outside:
+        with pytest.raises(FormatError, match=f"at.*the index {wrong.value} is not among 3"):
+            wrong.index(3)
+
+
 def test_null_counts_as_absent_for_optional_members_only() -> None:
     node = parse_json(b'{"a": null}', "f")
     assert node.get("a") is None
     assert node.get("b") is None
+    assert node.array("a") == node.array("b") == []
     with pytest.raises(FormatError, match="a: text is expected, not null"):
         node["a"].text()
