@@ -178,10 +178,19 @@ def _resolve(config: Config, base: Path, path: Path, check_roots: bool) -> Confi
             raise ConfigError(f"no such folder: {houses}", where=path, place=f"sources.{k}.houses")
         beside = {"root": root, "regions": regions, "connectivity": graphs, "houses": houses}
         sources.append(source.model_copy(update=beside))
-    return config.model_copy(
-        update={
-            "sources": tuple(sources),
-            "store": _store(config.store, base, path),
-            "export": None if config.export is None else (base / config.export).resolve(),
-        }
-    )
+    store = _store(config.store, base, path)
+    export = None if config.export is None else (base / config.export).resolve()
+    _apart(store, export, [source.root for source in sources], path)
+    return config.model_copy(update={"sources": tuple(sources), "store": store, "export": export})
+
+
+def _apart(store: Path | str, export: Path | None, roots: Sequence[Path], path: Path) -> None:
+    """What is written stands apart: a store inside a dataset would be one of its changes at every rebuild."""
+    written = [(key, folder) for key, folder in (("store", store), ("export", export)) if isinstance(folder, Path)]
+    for k, (key, folder) in enumerate(written):
+        for other, taken in (*((f"sources.{j}.root", root) for j, root in enumerate(roots)), *written[:k]):
+            # A dataset may stand below (as in a folder that holds all of a run), and so may the store of an export.
+            if folder == taken or taken in folder.parents:
+                raise ConfigError(
+                    f"{folder} is in {other}, {taken}", where=path, place=key, remedy="Give it a folder of its own."
+                )

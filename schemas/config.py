@@ -7,9 +7,9 @@ folders fail at once. Relative paths count from the folder of the configuration 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from schemas.base import Document, Finite
 from schemas.episode import Composition
@@ -32,14 +32,27 @@ __all__ = [
 Family = Literal["replicacad", "procthor", "ithor", "robothor", "mp3d", "gibson"]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0, le=1)]
+Wanted = Annotated[int, Field(ge=0, le=10_000)]
+"""Episodes wanted of one scene: no scene has room for more, and candidates of all of them are held in memory."""
 
 
-class SourceConfig(Document):
+class Section(Document):
+    """A part of the configuration. YAML's yes and no are not taken for 1 and 0."""
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _yes_is_no_number(cls, value: Any, info: ValidationInfo) -> Any:
+        if isinstance(value, bool) and cls.model_fields[info.field_name or ""].annotation is not bool:
+            raise ValueError("true and false are no values of this key")
+        return value
+
+
+class SourceConfig(Section):
     """One dataset on disk."""
 
     family: Family
     root: Path = Field(description="folder of the dataset")
-    scenes: tuple[str, ...] = Field(("*",), description="scene ids or patterns with * and ?")
+    scenes: tuple[str, ...] = Field(("*",), min_length=1, description="scene ids or patterns with * and ?")
     exclude: tuple[str, ...] = Field((), description="scene ids or patterns left out")
     regions: Path | None = Field(None, description="side file or folder of user-drawn room zones")
     houses: Path | None = Field(
@@ -49,17 +62,24 @@ class SourceConfig(Document):
         None, description="folder of <scan>_connectivity.json for discrete R2R; by default connectivity/ of the dataset"
     )
 
+    @model_validator(mode="after")
+    def _keys_of_one_family(self) -> SourceConfig:
+        for key, family in (("houses", "procthor"), ("connectivity", "mp3d")):
+            if getattr(self, key) is not None and self.family != family:
+                raise ValueError(f"{key} is a key of {family} sources, and this one is {self.family}")
+        return self
 
-class AgentConfig(Document):
+
+class AgentConfig(Section):
     """The agent the navmesh must fit; Habitat's and VLN-CE's defaults."""
 
     radius: Positive = Field(0.1, description="metres")
     height: Positive = Field(1.5, description="metres")
     max_climb: Positive = Field(0.2, description="metres")
-    max_slope: Positive = Field(45.0, description="degrees")
+    max_slope: Positive = Field(45.0, le=90, description="degrees")
 
 
-class Thresholds(Document):
+class Thresholds(Section):
     """Where relations begin and end: emitted, usable as true in text, usable as false in text. Metres and degrees."""
 
     near: Positive = 1.0
@@ -78,7 +98,7 @@ class Thresholds(Document):
     sector_true: Positive = Field(15.0, description="degrees from the sector's centre")
     sector_false: Positive = 30.0
     sector_horizontal_true: Positive = Field(0.5, description="least horizontal distance for compass words in text")
-    level: Positive = Field(22.5, description="elevation below which a pair is level, degrees")
+    level: Positive = Field(22.5, lt=90, description="elevation below which a pair is level, degrees")
     degenerate_horizontal: Positive = Field(0.1, description="horizontal distance below which direction means little")
     surface_within: Positive = Field(1.15, description="AABB distance up to which the surface distance is asked")
 
@@ -98,20 +118,20 @@ class Thresholds(Document):
         return self
 
 
-class InstructionCell(Document):
+class InstructionCell(Section):
     """A cell of the axes, and how many episodes of it are wanted a scene; what is not given may be anything."""
 
     category: Category
     composition: Composition | None = None
     observability: Literal["O0f", "O0", "O1", "O2"] | None = Field(None, description="O0f: O0 within the first view")
     moves: int | None = Field(None, ge=1, le=3, description="moves of every leaf")
-    count: int = Field(ge=1)
+    count: int = Field(ge=1, le=10_000)
 
 
-class InstructionsConfig(Document):
+class InstructionsConfig(Section):
     """What is sampled of each scene."""
 
-    per_category: dict[Category, int] = Field(
+    per_category: dict[Category, Wanted] = Field(
         default_factory=lambda: dict.fromkeys(CATEGORIES, 20), description="episodes wanted a scene"
     )
     cells: tuple[InstructionCell, ...] = Field(
@@ -120,9 +140,10 @@ class InstructionsConfig(Document):
     counterfactual_groups: int = Field(
         2,
         ge=0,
+        le=1000,
         description="groups of four a scene, besides: one start, a condition's truth and two leaves exchanged",
     )
-    candidates_per_episode: int = Field(8, ge=1, description="candidates drawn for each episode wanted")
+    candidates_per_episode: int = Field(8, ge=1, le=1000, description="candidates drawn for each episode wanted")
     moves: tuple[Share, Share, Share] = Field((0.4, 0.4, 0.2), description="shares of leaves with 1, 2, 3 moves")
     label_cap: Share = Field(0.15, description="no label is the target of more than this share of a scene's leaves")
     presence_false_share: Share = Field(
@@ -147,7 +168,7 @@ class InstructionsConfig(Document):
         return self
 
 
-class EpisodeConfig(Document):
+class EpisodeConfig(Section):
     """Rules of starts, goals and paths. Metres."""
 
     success_distance_single_room: Positive = 0.5
@@ -157,11 +178,11 @@ class EpisodeConfig(Document):
     distance: tuple[Finite, Finite] = (2.0, 30.0)
     leaf_gap: Positive = Field(0.5, description="leaves lie at least 2 success distances plus this apart")
     goal_reach: Positive = Field(0.5, description="goal points lie at most this far from the object's box")
-    goal_points: int = Field(8, ge=1, description="most goal points of an object")
+    goal_points: int = Field(8, ge=1, le=1000, description="most goal points of an object")
     goal_reach_at_most: Positive = Field(1.0, description="where nothing nearer can be stood on")
-    starts: int = Field(96, ge=1, description="starts drawn a scene, shared by its programs")
+    starts: int = Field(96, ge=1, le=100_000, description="starts drawn a scene, shared by its programs")
     starts_per_program: int = Field(24, ge=1, description="starts tried before a program is given up")
-    path_spacing: Positive = Field(0.25, description="spacing of the dense reference path")
+    path_spacing: Positive = Field(0.25, ge=0.001, description="spacing of the dense reference path")
     max_steps: int = Field(500, ge=1, description="step budget's ceiling (VLN-CE's)")
     steps_per_word: int = Field(10, ge=1)
     sight_range: Positive = Field(5.0, description="how far an agent sees; decides the observability axis")
@@ -169,8 +190,16 @@ class EpisodeConfig(Document):
     floor_seen: Share = Field(0.8, description="share of a room's floor that must be seen to know what is not there")
     object_seen: Share = Field(0.05, description="share of an object's surface that must be seen to know it is there")
 
+    @model_validator(mode="after")
+    def _distances_are_ranges(self) -> EpisodeConfig:
+        for name in ("distance_single_room", "distance"):
+            least, most = getattr(self, name)
+            if not 0 <= least < most:
+                raise ValueError(f"{name}: [{least:g}, {most:g}] is no range of distances; write [least, most]")
+        return self
 
-class SplitsConfig(Document):
+
+class SplitsConfig(Section):
     """How the pool becomes splits; families with official lists keep to them."""
 
     seed: int = 0
@@ -189,8 +218,14 @@ class SplitsConfig(Document):
         "warn", description="what an export does when a guess that sees nothing beats chance; fail = exit code 3"
     )
 
+    @model_validator(mode="after")
+    def _fractions_sum_to_one(self) -> SplitsConfig:
+        if abs(sum(self.fractions) - 1.0) > 1e-9:
+            raise ValueError("fractions: the three shares must sum to 1")
+        return self
 
-class RayConfig(Document):
+
+class RayConfig(Section):
     """How a run is spread out."""
 
     workers: int | None = Field(None, ge=1, description="none = every core")
@@ -199,7 +234,7 @@ class RayConfig(Document):
     deadline_seconds: Positive = Field(1800.0, description="wall time one scene may take")
 
 
-class KeepConfig(Document):
+class KeepConfig(Section):
     """What the sweep after a rebuild leaves in the store: nothing that a ref names ever goes."""
 
     sweep: bool = Field(True, description="whether a rebuild that published removes what no ref needs")
@@ -207,10 +242,12 @@ class KeepConfig(Document):
     grace_hours: float = Field(24.0, ge=0, allow_inf_nan=False, description="nothing younger is removed, needed or not")
 
 
-class Config(Document):
+class Config(Section):
     """One run: sources in, tables and splits out."""
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", description="name of the published ref")]
+    name: Annotated[
+        str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=100, description="name of the published ref")
+    ]
     seed: int = 0
     store: Path | str = Field(
         description="units, snapshots and refs: a folder, or s3://bucket/prefix[?endpoint=…&region=…]"
