@@ -261,22 +261,52 @@ def oracle(
     _show(oracle_split(export, split, file=file, out=out, seed=seed), as_json)
 
 
-@app.command()
+@app.command(epilog=EXIT_CODES)
 def compose(
     config: ConfigPath,
-    scene: Annotated[str, typer.Argument(metavar="SCENE", help="scene id; FAMILY/ID where several sources have it")],
-    out: Annotated[Path, typer.Argument(metavar="OUT.glb", help="file to write; its navmesh goes beside it")],
+    scene: Annotated[
+        str | None, typer.Argument(metavar="SCENE", help="scene id; FAMILY/ID where several sources have it")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Argument(metavar="OUT.glb", help="file to write; its navmesh goes beside it")
+    ] = None,
+    every: Annotated[
+        Path | None,
+        typer.Option(
+            "--all",
+            metavar="DIR",
+            help="instead of one: every scene of the export (of the sources where none is), each at the path below DIR "
+            "that its episodes name; DIR is the loader's data/scene_datasets",
+        ),
+    ] = None,
     own_navmesh: Annotated[
-        bool, typer.Option("--own-navmesh", help="write the dataset's own navmesh, on which episodes were placed")
+        bool,
+        typer.Option(
+            "--own-navmesh",
+            help="write the navmesh of the episodes: the dataset's own; with --all also one that the export keeps",
+        ),
     ] = False,
     overrides: Overrides = None,
     as_json: AsJson = False,
 ) -> None:
     """One GLB and its navmesh from a scene's parts, as loaders need that open a scene by a single file."""
-    from jobs.compose import compose as compose_scene
     from jobs.configuration import load_config
 
-    _show(compose_scene(load_config(config, overrides or ()), scene, out, own_navmesh=own_navmesh), as_json)
+    loaded = load_config(config, overrides or ())
+    if every is not None and scene is None:
+        from jobs.compose_all import compose_all
+
+        report = compose_all(loaded, every, own_navmesh=own_navmesh, console=_console(quiet=as_json))
+    elif every is None and scene is not None and out is not None:
+        from jobs.compose import compose as compose_scene
+
+        report = compose_scene(loaded, scene, out, own_navmesh=own_navmesh)
+    else:
+        raise UsageError(
+            "either one scene is composed, or all are", remedy="Say compose CONFIG SCENE OUT.glb, or CONFIG --all DIR."
+        )
+    _show(report, as_json)
+    _exit(report.exit_code)
 
 
 @app.command()

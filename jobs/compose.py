@@ -20,9 +20,10 @@ from jobs.report import Report
 from schemas.config import Config
 from schemas.errors import ConfigError, UsageError
 
-__all__ = ["compose"]
+__all__ = ["NAVMESH", "compose", "refuse_export", "shipped_navmesh", "write_changed"]
 
 SUFFIX: Final = ".glb"
+NAVMESH: Final = ".navmesh"
 SHOWN: Final = 5
 """Objects that are left out are named up to here; ``--json`` has all of them."""
 
@@ -38,31 +39,68 @@ def compose(config: Config, scene_id: str, out: Path, *, own_navmesh: bool = Fal
 
     Raises
     ------
-    UsageError : no source, or more than one, has such a scene; `out` is no .glb file; the dataset ships no navmesh
+    UsageError : no source, or more than one, has such a scene; `out` is no .glb file, or lies in the export; the
+        dataset ships no navmesh
     InputError : the scene can't be read, or has no surfaces
     """
     if out.suffix != SUFFIX:
         raise UsageError(f"{out} is no {SUFFIX} file", place="OUT.glb", remedy=f"Name it {out.name}{SUFFIX}.")
+    refuse_export(config.export, out.parent)
     source, name = _found(config, scene_id)
     scene = source.read(name)
-    shipped = _shipped(scene) if own_navmesh else None
-    composed = compose_scene(scene, source.geometry(scene), Agent(**config.agent.model_dump()))
-    walked = composed.navmesh if shipped is None else shipped
-    navmesh = out.with_suffix(".navmesh")
-    # The navmesh first: a loader that finds a scene finds its navmesh too.
-    for path, data in ((navmesh, walked.to_bytes()), (out, composed.glb)):
-        with atomic_stream(path) as stream:
-            stream.write(data)
-    return _report(scene, composed, walked, out, navmesh)
-
-
-def _shipped(scene: Scene) -> NavMeshFile:
-    if scene.navmesh is None:
+    shipped = shipped_navmesh(scene) if own_navmesh else None
+    if own_navmesh and shipped is None:
         raise UsageError(
             f"the dataset ships no navmesh of {scene.family}/{scene.scene_id}",
             place="--own-navmesh",
             remedy="Leave it out: the navmesh that is built then is the one of the episodes, too.",
         )
+    composed = compose_scene(scene, source.geometry(scene), Agent(**config.agent.model_dump()))
+    walked = composed.navmesh if shipped is None else shipped
+    navmesh = out.with_suffix(NAVMESH)
+    # The navmesh first: a loader that finds a scene finds its navmesh too.
+    write_changed(navmesh, walked.to_bytes())
+    write_changed(out, composed.glb)
+    return _report(scene, composed, walked, out, navmesh)
+
+
+def refuse_export(export: Path | None, folder: Path) -> None:
+    """Composed scenes hold meshes of their datasets, and what is published never does.
+
+    Raises
+    ------
+    UsageError : `folder` is the export's, or lies in it
+    """
+    if export is not None and folder.resolve().is_relative_to(export.resolve()):
+        raise UsageError(
+            f"{folder} lies in the export {export}, which is there to be published, and never with meshes",
+            remedy="Choose a folder outside of it, such as the loader's data/scene_datasets.",
+        )
+
+
+def write_changed(path: Path, data: bytes) -> bool:
+    """Write a file, whole or not at all; False where the very bytes are there already.
+
+    Raises
+    ------
+    StoreError : the disk refused
+    """
+    if path.is_file() and path.stat().st_size == len(data) and path.read_bytes() == data:
+        return False
+    with atomic_stream(path) as stream:
+        stream.write(data)
+    return True
+
+
+def shipped_navmesh(scene: Scene) -> NavMeshFile | None:
+    """The navmesh that the dataset ships for a scene, as its source chose it; None where there is none.
+
+    Raises
+    ------
+    InputError : it can't be read
+    """
+    if scene.navmesh is None:
+        return None
     files = DatasetRoot(scene.root)
     return parse_navmesh(files.read(scene.navmesh.path, MAX_FILE_BYTES), str(files.folder / scene.navmesh.path))
 

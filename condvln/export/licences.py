@@ -8,11 +8,16 @@ __all__ = ["SOURCES", "SourceLicence"]
 
 
 class SourceLicence(NamedTuple):
-    """Terms of one source dataset."""
+    """Terms of one source dataset.
+
+    composed : its scenes come in parts, which the terms let a user put together on a disk of his own; a scan is one
+        file already, and its users agree to terms with its owner
+    """
 
     name: str
     terms: str
     credit: str
+    composed: bool = False
 
 
 SOURCES: Final[dict[str, SourceLicence]] = {
@@ -20,6 +25,7 @@ SOURCES: Final[dict[str, SourceLicence]] = {
         "ReplicaCAD",
         "Creative Commons Attribution 4.0 (some object models non-commercial)",
         "Szot et al., Habitat 2.0: Training Home Assistants to Rearrange their Habitat, NeurIPS 2021",
+        composed=True,
     ),
     "mp3d": SourceLicence(
         "Matterport3D",
@@ -35,12 +41,19 @@ SOURCES: Final[dict[str, SourceLicence]] = {
         "ProcTHOR-10K",
         "Apache-2.0 (asset database); the houses state none",
         "Deitke et al., ProcTHOR: Large-Scale Embodied AI Using Procedural Generation, NeurIPS 2022",
+        composed=True,
     ),
     "ithor": SourceLicence(
-        "AI2-THOR (iTHOR)", "Apache-2.0", "Kolve et al., AI2-THOR: An Interactive 3D Environment for Visual AI, 2017"
+        "AI2-THOR (iTHOR)",
+        "Apache-2.0",
+        "Kolve et al., AI2-THOR: An Interactive 3D Environment for Visual AI, 2017",
+        composed=True,
     ),
     "robothor": SourceLicence(
-        "RoboTHOR", "Apache-2.0", "Deitke et al., RoboTHOR: An Open Simulation-to-Real Embodied AI Platform, CVPR 2020"
+        "RoboTHOR",
+        "Apache-2.0",
+        "Deitke et al., RoboTHOR: An Open Simulation-to-Real Embodied AI Platform, CVPR 2020",
+        composed=True,
     ),
 }
 """By family."""

@@ -14,10 +14,10 @@ from condvln.scene import NavmeshFile, Scene, SceneWarning
 from condvln.scene.geometry import SceneGeometry
 from schemas.errors import InputError
 
-__all__ = ["with_built_navmesh"]
+__all__ = ["built_path", "with_built_navmesh"]
 
 
-def _path(family: str, scene_id: str) -> str:
+def built_path(family: str, scene_id: str) -> str:
     """Path of a scene's built navmesh in an export, '/'-separated."""
     return f"navmeshes/{family}/{quote(scene_id, safe='')}.navmesh"
 
@@ -49,7 +49,7 @@ def with_built_navmesh(scene: Scene, geometry: SceneGeometry, agent: Agent) -> t
         return replace(scene, warnings=_sorted((*kept, warning))), None
     data = built.to_bytes()
     file = NavmeshFile(
-        path=_path(scene.family, scene.scene_id),
+        path=built_path(scene.family, scene.scene_id),
         sha256=hashlib.sha256(data).hexdigest(),
         built=True,
         fits=True,

@@ -1,0 +1,251 @@
+"""``condvln compose --all``: every scene that an export names, each at the path that its episodes name."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import orjson
+from rich.console import Console
+
+from condvln.export.compose import compose_scene, is_composed
+from condvln.export.licences import SOURCES
+from condvln.export.snapshot import INDEX
+from condvln.export.streams import read_unpacked
+from condvln.export.vlnce import scene_file
+from condvln.navigation.agent import Agent
+from condvln.navigation.navmesh_file import NavMeshFile
+from condvln.scene import Scene
+from condvln.sources.dataset_root import DatasetRoot
+from condvln.sources.navmesh_build import built_path
+from condvln.sources.source import Source, hash_file
+from jobs.compose import NAVMESH, refuse_export, shipped_navmesh, write_changed
+from jobs.pipeline import open_configured
+from jobs.progress import RunProgress
+from jobs.report import Report
+from schemas.config import Config
+from schemas.errors import FormatError, InputError, MissingFileError
+
+__all__ = ["compose_all"]
+
+SECONDS: Final = 0.1
+"""What composing a scene may take, for the first guess at the whole; a drawn house takes half of it."""
+_START: Final = 4096
+"""Bytes of a file that tell who wrote it."""
+
+Name = tuple[str, str]
+"""Family and scene id."""
+
+
+def compose_all(config: Config, folder: Path, *, own_navmesh: bool = False, console: Console | None = None) -> Report:
+    """Write ``<folder>/<scene_id>`` and its navmesh for every scene of the export, or of the sources if there is none.
+
+    Families of single-file scans are left alone: loaders take their own files. A scene whose files are there already,
+    byte for byte, is left as it is; one that can't be composed is told and passed over, and the report's exit code is
+    then InputError's. One scene at a time is in memory.
+
+    Parameters
+    ----------
+    folder : the loader's folder of scene datasets, ``scenes_dir``
+    own_navmesh : write the navmesh on which the scene's episodes were placed, the dataset's or the one that the export
+        keeps, where there is one
+
+    Raises
+    ------
+    UsageError : `folder`, or a path in it, leads into the export
+    FormatError : the export's own record is damaged
+    StoreError : the disk refused
+    """
+    refuse_export(config.export, folder)
+    export = _Export.read(config.export) if config.export is not None else None
+    known = _known(config)
+    wanted = export.scenes if export is not None else sorted(known)
+    families = {family for family, _ in wanted} if export is not None else {source.family for source in config.sources}
+    done = _Done(single_files=sorted(family for family in families if not _composed(family)))
+    paths = DatasetRoot(folder)
+    targets = {
+        name: paths.join("", scene_file(*name), where=str(folder), place="/".join(name))
+        for name in wanted
+        if _composed(name[0])
+    }
+    for parent in dict.fromkeys((folder / target).parent for target in targets.values()):
+        refuse_export(config.export, parent)
+    writer = _Writer(folder, known, Agent(**config.agent.model_dump()), export, own_navmesh)
+    with RunProgress(console or Console(stderr=True, quiet=True)) as progress:
+        progress.phase("compose", len(targets), SECONDS * len(targets))
+        for name, target in targets.items():
+            try:
+                done.entries.append(writer.write(name, target))
+            except InputError as error:
+                # Not the error itself: it holds on to the frames that it came through, and they to the scene.
+                done.failures["/".join(name)] = str(error)
+            progress.step()
+    return _report(done, folder, "of the sources" if export is None else f"of the export in {export.folder}")
+
+
+def _composed(family: str) -> bool:
+    return family in SOURCES and SOURCES[family].composed
+
+
+def _known(config: Config) -> dict[Name, Source | InputError]:
+    """Every scene of the sources that are composed, with its reader, or with what keeps it from being read."""
+    known: dict[Name, Source | InputError] = {}
+    hashed = cache(hash_file)  # scenes share most of their files
+    for one in config.sources:
+        if _composed(one.family):
+            source = open_configured(config, one, hashed)
+            for handle in source.handles():
+                fault = None if handle.fault is None else handle.fault.with_traceback(None)
+                known.setdefault((handle.family, handle.scene_id), fault or source)
+    return known
+
+
+@dataclass(frozen=True)
+class _Export:
+    """What an export tells of its scenes.
+
+    scenes : of all splits, sorted
+    hashes : SHA-256 of its files by path
+    """
+
+    folder: Path
+    scenes: list[Name]
+    hashes: dict[str, str]
+
+    @classmethod
+    def read(cls, folder: Path) -> _Export | None:
+        """By its own record; None where nothing is exported yet."""
+        where = folder / INDEX
+        if not where.exists():
+            return None
+        try:
+            index = orjson.loads(read_unpacked(where))
+            names = {str(scene) for found in index["scenes"].values() for scene in found}
+            hashes = {str(path): str(entry["sha256"]) for path, entry in index["files"].items()}
+        except (orjson.JSONDecodeError, KeyError, TypeError, AttributeError) as error:
+            raise FormatError(f"no record of an export ({error})", where=where, remedy="Export again") from None
+        return cls(folder, sorted((family, scene) for family, _, scene in (n.partition("/") for n in names)), hashes)
+
+    def navmesh(self, scene: Scene) -> bytes | None:
+        """The navmesh that was built for a scene's episodes; None where the export keeps none.
+
+        Raises
+        ------
+        InputError : it is no longer the one of the episodes
+        """
+        path = built_path(scene.family, scene.scene_id)
+        if path not in self.hashes:
+            return None
+        data = (self.folder / path).read_bytes() if (self.folder / path).is_file() else b""
+        if hashlib.sha256(data).hexdigest() != self.hashes[path]:
+            raise InputError(
+                "the navmesh of the scene's episodes is missing or changed",
+                where=self.folder / path,
+                remedy="Export again, or leave --own-navmesh out",
+            )
+        return data
+
+
+@dataclass
+class _Writer:
+    """Writes scenes, and remembers none."""
+
+    folder: Path
+    known: dict[Name, Source | InputError]
+    agent: Agent
+    export: _Export | None
+    own_navmesh: bool
+
+    def write(self, name: Name, target: str) -> dict[str, Any]:
+        """What was written of one scene, and what is to be said of it."""
+        out = self.folder / target
+        _refuse_strangers(out)
+        source = self.known.get(name)
+        if source is None:
+            raise MissingFileError(
+                "no source has this scene", remedy="Mend the configuration's 'sources', or generate and export again"
+            )
+        if isinstance(source, InputError):
+            raise source
+        scene = source.read(name[1])
+        composed = compose_scene(scene, source.geometry(scene), self.agent)
+        navmesh, origin = self._navmesh(scene, composed.navmesh)
+        # The navmesh first: a loader that finds a scene finds its navmesh too.
+        changed = [write_changed(out.with_suffix(NAVMESH), navmesh), write_changed(out, composed.glb)]
+        return {
+            "scene": "/".join(name),
+            "scene_id": target,
+            "bytes": len(composed.glb),
+            "navmesh": origin,
+            "written": any(changed),
+            "left_out": len(composed.left_out),
+            "textures_left_out": composed.textures_left_out,
+        }
+
+    def _navmesh(self, scene: Scene, built: NavMeshFile) -> tuple[bytes, str]:
+        """The bytes of the navmesh that goes beside the scene, and whose it is."""
+        if self.own_navmesh:
+            shipped = shipped_navmesh(scene)
+            if shipped is not None:
+                return shipped.to_bytes(), "dataset"
+            kept = self.export.navmesh(scene) if self.export is not None else None
+            if kept is not None:
+                return kept, "export"
+        return built.to_bytes(), "built"
+
+
+def _refuse_strangers(out: Path) -> None:
+    """What somebody else put there is not ours to overwrite: it may be the only copy."""
+    ours = not out.exists()
+    if out.is_file():
+        with out.open("rb") as stream:
+            ours = is_composed(stream.read(_START))
+    if not ours:
+        raise InputError(
+            "a file is there that condvln compose did not write: it is left as it is",
+            where=out,
+            remedy="Remove it, or choose another folder",
+        )
+
+
+@dataclass
+class _Done:
+    """What came of all scenes, and the families whose scenes are one file each anyway."""
+
+    single_files: list[str]
+    entries: list[dict[str, Any]] = field(default_factory=list)
+    failures: dict[str, str] = field(default_factory=dict)
+
+
+def _report(done: _Done, folder: Path, origin: str) -> Report:
+    written = sum(entry["written"] for entry in done.entries)
+    total = len(done.entries) + len(done.failures)
+    document: dict[str, Any] = {
+        "folder": str(folder),
+        "scenes": total,
+        "written": written,
+        "unchanged": len(done.entries) - written,
+        "failed": [{"scene": scene, "message": message} for scene, message in done.failures.items()],
+        "single_files": done.single_files,
+        "composed": done.entries,
+    }
+    lines = [
+        f"{folder}: {total} scenes {origin}: {written} written, {document['unchanged']} as they were, "
+        f"{len(done.failures)} that can't be composed"
+    ]
+    lines += [f"{scene}: {message.removeprefix(f'{scene}: ')}" for scene, message in done.failures.items()]
+    lines += [
+        f"{SOURCES[family].name if family in SOURCES else family} comes as one file a scene: put its own files at "
+        f"{folder / scene_file(family, '<scene>')}"
+        for family in done.single_files
+    ]
+    for key, what in (("left_out", "objects whose surfaces are not known"), ("textures_left_out", "textures")):
+        some = [entry[key] for entry in done.entries if entry[key]]
+        if some:
+            lines.append(f"left out: {sum(some)} {what}, of {len(some)} scenes")
+    if done.entries:
+        lines.append(f"Episodes name these files: set the loader's scenes_dir (SCENES_DIR) to {folder}/")
+    return Report(document, lines, exit_code=InputError.exit_code if done.failures else 0)
