@@ -118,7 +118,7 @@ def run(
     When another run publishes under ``ref`` meanwhile, that one stands, and the report's message says so. Raises
     ``StoreError`` when the store refuses (what was committed stays), ``KeyboardInterrupt`` on Ctrl-C and on SIGTERM.
     """
-    with _terminable():
+    with _terminable() as stop:
         return _Run(
             pipeline=pipeline,
             store=store,
@@ -133,22 +133,28 @@ def run(
             revision=revision,
             part_bytes=part_bytes,
             faults=faults,
+            stop=stop,
         ).go(units)
 
 
 @contextlib.contextmanager
-def _terminable() -> Iterator[None]:
-    """Let SIGTERM stop a run as Ctrl-C does: tasks are cancelled, Ray is shut down by its owner."""
+def _terminable() -> Iterator[threading.Event]:
+    """Let SIGTERM stop a run as Ctrl-C does: tasks are cancelled, Ray is shut down by its owner.
+
+    The event is set as well: what is raised inside a callback of C code may be printed and forgotten there.
+    """
+    stopped = threading.Event()
     if threading.current_thread() is not threading.main_thread():
-        yield
+        yield stopped
         return
 
     def stop(signum: int, frame: FrameType | None) -> None:
+        stopped.set()
         raise KeyboardInterrupt
 
     before = signal.signal(signal.SIGTERM, stop)
     try:
-        yield
+        yield stopped
     finally:
         signal.signal(signal.SIGTERM, before)
 
@@ -168,6 +174,7 @@ class _Run:
     revision: str
     part_bytes: int
     faults: str
+    stop: threading.Event
     report: RunReport = field(default_factory=RunReport)
     failed: set[tuple[str, str]] = field(default_factory=set)
     """(stage, key) of what failed in this run: a later pass does not try it again."""
@@ -287,6 +294,8 @@ class _Run:
                 self._count(receipt)
                 self.progress.unit(receipt)
                 self._within_budget()
+                if self.stop.is_set():
+                    raise KeyboardInterrupt
                 yield receipt
         finally:
             close = getattr(receipts, "close", None)

@@ -3,6 +3,7 @@
 The same code runs inline and inside a Ray task. What happens to an error:
 
 * ``TransientIOError`` from a stage: tried again, with growing pauses, then quarantined;
+* a stop (``KeyboardInterrupt``), though compiled code handed it on as another error: no fault of the unit, raised;
 * ``MemoryError``: handed back once, so that the driver tries again with twice the memory, then quarantined;
 * the store refusing (``StoreError``, no space left): no fault of the unit, so it is raised and ends the run;
 * anything else from a stage: quarantined at once with its traceback.
@@ -142,7 +143,8 @@ class Worker:
         except (StoreError, TransientIOError):
             raise
         except Exception as error:
-            raise _Failed(_cause(error), error, 1) from error
+            original = _original(error)
+            raise _Failed(_cause(original), original, 1) from error
 
     def _known_failure(self, stage: Stage, key: StageKey, attempt: int) -> Failure | None:
         """What stands against trying: an older record, or, when an earlier attempt died, one of this very run."""
@@ -216,7 +218,8 @@ class Worker:
                     ) from error
                 raise _Failed("error", error, attempt) from error
             except (Exception, SystemExit) as error:
-                raise _Failed(_cause(error), error, attempt) from error
+                original = _original(error)
+                raise _Failed(_cause(original), original, attempt) from error
         raise AssertionError("unreachable")
 
     def _checked(self, stage: Stage, output: StageOutput) -> dict[str, pa.Table]:
@@ -339,6 +342,17 @@ class Worker:
             message=record.message[:300],
             attempts=record.attempts,
         )
+
+
+def _original(error: BaseException) -> BaseException:
+    """What a signal's handler raised while compiled code ran, which numba's dispatcher hands on as the cause of a
+    ``SystemError``; else the error itself. Raises ``KeyboardInterrupt`` again.
+    """
+    while isinstance(error, SystemError) and error.__cause__ is not None:
+        error = error.__cause__
+    if isinstance(error, KeyboardInterrupt):
+        raise error
+    return error
 
 
 def _cause(error: BaseException) -> Cause:

@@ -318,6 +318,22 @@ def test_a_hanging_unit_meets_its_deadline(store: LocalStore) -> None:
     assert [(name, f.cause) for name, f in report.failures] == [("a/hang", "deadline")]
 
 
+def test_a_deadline_that_strikes_in_compiled_code_is_one(store: LocalStore) -> None:
+    report = run(toys.pipeline(), [*toys.units(3), toys.unit("a/hang", trouble="compiled-hang")], store, deadline=1.0)
+    assert [(name, f.cause, f.exception) for name, f in report.failures] == [("a/hang", "deadline", "DeadlineError")]
+
+
+@pytest.mark.parametrize("trouble", ["compiled-stop", "swallowed-stop"])
+def test_a_stop_is_no_fault_of_the_unit_it_strikes(store: LocalStore, trouble: str) -> None:
+    """Wherever SIGTERM arrives, the run ends, and a sound unit does not end in quarantine."""
+    units = [toys.unit("a/struck", 4, trouble=trouble, cost=9.0), *toys.units(6)]
+    with pytest.raises(KeyboardInterrupt):
+        run(toys.pipeline(), units, store)
+    assert [*Commits(store).quarantined()] == []
+    assert not (store.root / "refs").exists()
+    assert run(toys.pipeline(), [toys.unit("a/struck", 4), *toys.units(6)], store).exit_code == 0
+
+
 def test_no_space_ends_the_run_and_keeps_what_is_committed(store: LocalStore, tmp_path: Path) -> None:
     units = toys.units(6)
     with pytest.raises(StoreError, match="space"):

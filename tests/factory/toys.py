@@ -5,9 +5,11 @@ Imported by path (``toys`` is put on ``sys.path`` by conftest), so that Ray's wo
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import itertools
 import os
+import signal
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -55,6 +57,15 @@ def misbehave(unit: Unit) -> None:
         raise MemoryError
     if what == "hang":
         time.sleep(3600)
+    if what in ("compiled-hang", "compiled-stop"):
+        # As numba hands on what a signal's handler raised while compiled code ran.
+        try:
+            signal.raise_signal(signal.SIGTERM) if what == "compiled-stop" else time.sleep(3600)
+        except BaseException as error:
+            raise SystemError("<kernel> returned a result with an exception set") from error
+    if what == "swallowed-stop":  # an exception in __del__ or in a callback of C code is printed and forgotten
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
     if what == "lock":  # one call of compiled code that keeps the interpreter locked and never returns
         sum(itertools.repeat(0))
     if what == "hog":
