@@ -53,11 +53,10 @@ def run_submit(
 ) -> Report:
     """Submit, and follow until the end unless told not to. The report's exit code is the job's.
 
-    arguments : further words of the verb's command line
+    verb, arguments : one of `VERBS`, and further words of its command line; the caller has checked them
     job : submission id; a job that is there under it already is followed, not submitted twice
     say : gets the job's output as it comes
     """
-    _check(verb, config, arguments)
     resolved = load_config(config, overrides, check_roots=False)
     server = RayJobs(address)
     version = server.version()
@@ -93,28 +92,6 @@ def run_submit(
 def entrypoint(verb: str, arguments: Sequence[str] = ()) -> str:
     """The command line of a job: it joins the cluster that it runs on."""
     return shlex.join(["condvln", verb, SHIPPED, *arguments, "--set", "ray.address=auto"])
-
-
-def _check(verb: str, config: Path, arguments: Sequence[str]) -> None:
-    """A command line that is wrong is told here, not by a job after it has waited for a node."""
-    import typer
-    from typer.main import get_command
-
-    from jobs.command import app
-
-    if verb not in VERBS:
-        raise UsageError(f"{verb!r} can't be submitted", remedy=f"These can: {', '.join(VERBS)}.")
-    command = get_command(app).commands[verb]  # type: ignore[attr-defined]
-    try:
-        command.make_context(verb, [str(config), *arguments])
-    except typer.Exit:
-        raise UsageError(f"--help of {verb} is for this machine", remedy=f"condvln {verb} --help") from None
-    except Exception as error:
-        # The library's own errors, whose class depends on its version (it brings its own copy of click, or not).
-        told = getattr(error, "format_message", None)
-        if told is None:
-            raise
-        raise UsageError(f"{verb} {shlex.join(arguments)}: {told()}", remedy=f"See condvln {verb} --help.") from None
 
 
 def _document(config: Config) -> bytes:

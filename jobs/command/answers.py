@@ -1,0 +1,33 @@
+"""What a verb says: its report on standard output, as text or JSON, and its exit code."""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Any
+
+import typer
+from rich.console import Console
+
+__all__ = ["answer", "console", "leave"]
+
+
+def console(quiet: bool = False) -> Console:
+    """Where progress is told: standard error, so that a report can be read by a program."""
+    return Console(stderr=True, quiet=quiet)
+
+
+def answer(report: Any, as_json: bool) -> None:
+    """Print a report: for a person, or as one line of JSON."""
+    if as_json:
+        sys.stdout.write(json.dumps(report.as_json(), ensure_ascii=False, sort_keys=True) + "\n")
+    else:
+        from jobs.report import terminal
+
+        terminal().print(report)
+
+
+def leave(code: int) -> None:
+    """End with this exit code; go on where it is 0."""
+    if code:
+        raise typer.Exit(code)

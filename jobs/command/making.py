@@ -1,0 +1,99 @@
+"""Verbs that make a dataset: its scenes where there are none, the plan, the run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from jobs.command.answers import answer, console, leave
+from jobs.command.options import AsJson, ConfigPath, Inline, Overrides, RenewPriors, RetryQuarantined
+
+__all__ = ["demo", "generate", "plan", "rebuild", "samples"]
+
+
+def demo(
+    out: Annotated[Path, typer.Option(help="folder to write to")] = Path("out/demo"),
+    scenes: Annotated[int, typer.Option(help="made apartments, over all formats")] = 12,
+    seed: Annotated[int, typer.Option(help="seed of everything")] = 0,
+    workers: Annotated[int | None, typer.Option(help="Ray workers; 0 runs inline")] = None,
+) -> None:
+    """Made scenes of four datasets' formats: generated, exported, proven, walked, measured; minutes on two cores."""
+    from jobs.demo import run_demo
+
+    leave(run_demo(out, scenes=scenes, seed=seed, workers=workers, console=console()))
+
+
+def samples(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="folder to write the dataset to")],
+    family: Annotated[str, typer.Option(help="native format of the scenes")] = "replicacad",
+    scenes: Annotated[int, typer.Option(min=1, help="how many")] = 12,
+    seed: Annotated[int, typer.Option(help="scene k of a seed is the same however many are made")] = 0,
+) -> None:
+    """Write whole made scenes in a family's native format."""
+    from jobs.samples import write_samples
+
+    write_samples(folder, family=family, scenes=scenes, seed=seed, console=console())
+
+
+def plan(config: ConfigPath, overrides: Overrides = None, as_json: AsJson = False) -> None:
+    """The difference between the published snapshot and the sources, with its cost. Runs nothing."""
+    from jobs.configuration import load_config
+    from jobs.plan import make_plan
+
+    answer(make_plan(load_config(config, overrides or ())), as_json)
+
+
+def generate(
+    config: ConfigPath,
+    overrides: Overrides = None,
+    inline: Inline = False,
+    retry_quarantined: RetryQuarantined = False,
+    priors: RenewPriors = False,
+    as_json: AsJson = False,
+) -> None:
+    """Run the plan and publish a snapshot; write the export where the configuration names one."""
+    from jobs.configuration import load_config
+    from jobs.generate import run_generate
+
+    report = run_generate(
+        load_config(config, overrides or ()),
+        inline=inline,
+        retry_quarantined=retry_quarantined,
+        renew_priors=priors,
+        console=console(quiet=as_json),
+    )
+    answer(report, as_json)
+    leave(report.exit_code)
+
+
+def rebuild(
+    config: ConfigPath,
+    overrides: Overrides = None,
+    if_changed: Annotated[
+        bool, typer.Option("--if-changed", help="end at once when no file changed, by names, sizes and times")
+    ] = False,
+    priors: RenewPriors = False,
+    retry_quarantined: RetryQuarantined = False,
+    verify: Annotated[
+        bool, typer.Option("--verify", help="read every published file again and mend those that are damaged")
+    ] = False,
+    inline: Inline = False,
+    as_json: AsJson = False,
+) -> None:
+    """The scheduled form of generate: plan, run what changed, publish, export, sweep. Nothing to do exits 0."""
+    from jobs.configuration import load_config
+    from jobs.rebuild import run_rebuild
+
+    report = run_rebuild(
+        load_config(config, overrides or ()),
+        if_changed=if_changed,
+        renew_priors=priors,
+        retry_quarantined=retry_quarantined,
+        verify=verify,
+        inline=inline,
+        console=console(quiet=as_json),
+    )
+    answer(report, as_json)
+    leave(report.exit_code)

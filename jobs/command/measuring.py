@@ -1,0 +1,108 @@
+"""Verbs that prove an export, walk it and measure predictions."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from jobs.command.answers import answer, leave
+from jobs.command.options import AsJson, ConfigPath, ExportPath, Graphs, NavmeshRoots, Overrides, SplitName
+from schemas.errors import UsageError
+
+__all__ = ["evaluate", "verify", "walk"]
+
+
+def verify(
+    config: ConfigPath,
+    export: Annotated[
+        Path | None, typer.Option("--export", metavar="DIR", help="export to prove; by default the configuration's")
+    ] = None,
+    overrides: Overrides = None,
+    as_json: AsJson = False,
+) -> None:
+    """Independent proof of every published episode, from its text and the raw source files."""
+    from jobs.configuration import load_config
+    from jobs.verify import verify_export
+
+    loaded = load_config(config, overrides or ())
+    folder = export or loaded.export
+    if folder is None:
+        raise UsageError("no export folder is named", place="export", remedy="Set export: FOLDER, or say --export DIR.")
+    report = verify_export(loaded, folder)
+    answer(report, as_json)
+    leave(report.exit_code)
+
+
+def walk(
+    export: ExportPath,
+    split: SplitName,
+    agent: Annotated[
+        str,
+        typer.Option(
+            help="perfect, oracle, wrong-branch, random-leaf, always-then, nearest, …, or your own module:Class"
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="file of predictions to write (VLN-CE's format)")],
+    navmesh_root: NavmeshRoots = None,
+    seed: Annotated[int, typer.Option(help="seed of agents that draw")] = 0,
+    objects: Annotated[
+        Path | None, typer.Option("--objects", metavar="CONFIG", help="configuration whose objects your own agent sees")
+    ] = None,
+) -> None:
+    """Predictions of an agent, a reference or your own, walked on the navmesh with VLN-CE's actions."""
+    from jobs.configuration import load_config
+    from jobs.evaluate import walk_split
+
+    seen = load_config(objects, check_roots=False) if objects is not None else None
+    answer(walk_split(export, split, agent, out, navmesh_root or (), seed, seen), False)
+
+
+def evaluate(
+    export: ExportPath,
+    split: SplitName,
+    predictions: Annotated[list[Path], typer.Argument(metavar="P...", help="a file an agent, named after it")],
+    navmesh_root: NavmeshRoots = None,
+    distance: Annotated[str, typer.Option(help="geodesic, or euclidean as the paper's authors measure")] = "geodesic",
+    radius: Annotated[list[float] | None, typer.Option(help="success distance of a sweep; may be repeated")] = None,
+    assume_stop: Annotated[bool, typer.Option("--assume-stop", help="take the last pose as STOP")] = False,
+    oracle: Annotated[
+        list[Path] | None,
+        typer.Option("--oracle", help="predictions of the same agent on the oracle twin; once for each P, in order"),
+    ] = None,
+    connectivity: Graphs = None,
+    scores: Annotated[Path | None, typer.Option(help="file for one JSON line an episode")] = None,
+    csv: Annotated[Path | None, typer.Option("--csv", metavar="DIR", help="folder for one CSV file a table")] = None,
+    plots: Annotated[
+        Path | None, typer.Option("--plots", metavar="DIR", help="folder for SR, BSA and CSR against depth and chain")
+    ] = None,
+    latex: Annotated[bool, typer.Option("--latex", help="print LaTeX tables (booktabs)")] = False,
+    markdown: Annotated[bool, typer.Option("--markdown", help="print Markdown tables")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Metrics of agents' predictions: SR, SPL, nDTW, BSA, CSR, which branch was taken, and how sure it all is."""
+    from jobs.evaluate import Question, evaluate_predictions
+
+    if distance not in ("geodesic", "euclidean"):
+        raise UsageError(f"--distance {distance!r}", remedy="Say geodesic or euclidean.")
+    asked = Question(
+        export,
+        split,
+        tuple(predictions),
+        tuple(oracle or ()),
+        roots=tuple(navmesh_root or ()),
+        connectivity=tuple(connectivity or ()),
+        euclidean=distance == "euclidean",
+        radii=tuple(radius or ()),
+        assume_stop=assume_stop,
+    )
+    report = evaluate_predictions(asked)
+    for target, write in ((scores, report.write_scores), (csv, report.write_csv), (plots, report.write_plots)):
+        if target is not None:
+            write(target)
+    if latex or markdown:
+        sys.stdout.write(report.as_latex() if latex else report.as_markdown())
+    else:
+        answer(report, as_json)

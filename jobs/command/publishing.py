@@ -1,0 +1,115 @@
+"""Verbs that write what agents and loaders take: exports, their twins, composed scenes."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from jobs.command.answers import answer, console, leave
+from jobs.command.options import AsJson, ConfigPath, ExportPath, Graphs, NavmeshRoots, Overrides, SplitName
+from schemas.errors import UsageError
+
+__all__ = ["compose", "export", "oracle"]
+
+
+def export(
+    config: Annotated[Path | None, typer.Argument(metavar="CONFIG", help="YAML configuration of the run")] = None,
+    validate: Annotated[
+        Path | None,
+        typer.Option(
+            "--validate", metavar="PATH", help="lint VLN-CE, ANSR-v1, RxR and R2R files instead, ours or a stranger's"
+        ),
+    ] = None,
+    navmesh_root: NavmeshRoots = None,
+    connectivity: Graphs = None,
+    overrides: Overrides = None,
+    as_json: AsJson = False,
+) -> None:
+    """Published snapshot → splits, ground truth and manifests; or a linter of such files (exit code 3 on errors)."""
+    if validate is not None:
+        from jobs.validate import validate_files
+
+        found = validate_files(validate, navmesh_root or (), connectivity or ())
+        if as_json:
+            answer(found, as_json)
+        else:
+            sys.stdout.write(found.as_text())
+        leave(found.exit_code)
+        return
+    if config is None:
+        raise UsageError("neither a configuration nor --validate", remedy="Say condvln export CONFIG.")
+    from jobs.configuration import load_config
+    from jobs.export import run_export
+
+    report = run_export(load_config(config, overrides or (), check_roots=False))
+    answer(report, as_json)
+    leave(report.exit_code)
+
+
+def oracle(
+    export: ExportPath,
+    split: SplitName,
+    file: Annotated[
+        Path | None,
+        typer.Option("--file", help="VLN-CE, ANSR-v1 or RxR file of these episodes; by default the stock one"),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="by default oracle/SPLIT/SPLIT.json.gz of the export")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="seed of the words; by default the export's own")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """The oracle-linear twin of a split: the right branch alone, all else as it is."""
+    from jobs.oracle import oracle_split
+
+    answer(oracle_split(export, split, file=file, out=out, seed=seed), as_json)
+
+
+def compose(
+    config: ConfigPath,
+    scene: Annotated[
+        str | None, typer.Argument(metavar="SCENE", help="scene id; FAMILY/ID where several sources have it")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Argument(metavar="OUT.glb", help="file to write; its navmesh goes beside it")
+    ] = None,
+    every: Annotated[
+        Path | None,
+        typer.Option(
+            "--all",
+            metavar="DIR",
+            help="instead of one: every scene of the export (of the sources where none is), each at the path below DIR "
+            "that its episodes name; DIR is the loader's data/scene_datasets",
+        ),
+    ] = None,
+    own_navmesh: Annotated[
+        bool,
+        typer.Option(
+            "--own-navmesh",
+            help="write the navmesh of the episodes: the dataset's own; with --all also one that the export keeps",
+        ),
+    ] = False,
+    overrides: Overrides = None,
+    as_json: AsJson = False,
+) -> None:
+    """One GLB and its navmesh from a scene's parts, as loaders need that open a scene by a single file."""
+    from jobs.configuration import load_config
+
+    loaded = load_config(config, overrides or ())
+    if every is not None and scene is None:
+        from jobs.compose_all import compose_all
+
+        report = compose_all(loaded, every, own_navmesh=own_navmesh, console=console(quiet=as_json))
+    elif every is None and scene is not None and out is not None:
+        from jobs.compose import compose as compose_scene
+
+        report = compose_scene(loaded, scene, out, own_navmesh=own_navmesh)
+    else:
+        raise UsageError(
+            "either one scene is composed, or all are", remedy="Say compose CONFIG SCENE OUT.glb, or CONFIG --all DIR."
+        )
+    answer(report, as_json)
+    leave(report.exit_code)

@@ -1,0 +1,86 @@
+"""Verbs that read what is there: sources, stores, published tables, episodes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from jobs.command.answers import answer, console
+from jobs.command.options import AsJson, ConfigPath, Overrides, RefName, TargetName
+from schemas.errors import UsageError
+
+__all__ = ["query", "show", "sources", "status"]
+
+
+def sources(
+    config: ConfigPath,
+    overrides: Overrides = None,
+    limit: Annotated[
+        int | None, typer.Option(min=1, help="read this many scenes of each source, spread evenly; all by default")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """What is there, what is missing, and what will be skipped and why. Reads scenes, runs and builds nothing."""
+    from jobs.configuration import load_config
+    from jobs.sources import survey
+
+    answer(survey(load_config(config, overrides or ()), limit=limit, console=console(quiet=as_json)), as_json)
+
+
+def status(
+    target: TargetName,
+    overrides: Overrides = None,
+    ref: RefName = None,
+    drift: Annotated[
+        bool, typer.Option("--drift", help="measure how far the priors are from what is published; reads every scene")
+    ] = False,
+    sizes: Annotated[bool, typer.Option("--sizes", help="list every file and add up the bytes")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Snapshots and refs, what is quarantined and why, the last runs, and the drift of the priors."""
+    from jobs.status import target_status
+    from jobs.target import find_target
+
+    found = find_target(target, overrides or (), ref)
+    answer(target_status(found, measure_drift=drift, sizes=sizes), as_json)
+
+
+def query(
+    target: TargetName,
+    sql: Annotated[
+        str | None, typer.Argument(metavar="SQL|NAME", help="a query over the tables and views, or one by its name")
+    ] = None,
+    overrides: Overrides = None,
+    ref: RefName = None,
+    listed: Annotated[bool, typer.Option("--list", help="list tables, views and named queries")] = False,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="write the rows to .parquet, .csv or .jsonl")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """DuckDB over the published tables; each has a ``source`` column from its folder."""
+    from jobs.query import list_queries, query_target
+    from jobs.target import find_target
+
+    found = find_target(target, overrides or (), ref)
+    if not listed and sql is None:
+        raise UsageError("nothing is asked", place="SQL", remedy="Give a query or the name of one; --list tells them.")
+    answer(list_queries() if listed or sql is None else query_target(found, sql, out), as_json)
+
+
+def show(
+    config: ConfigPath,
+    episode: Annotated[str | None, typer.Argument(metavar="ID", help="episode id")] = None,
+    sample: Annotated[int | None, typer.Option(min=1, help="show this many, spread over categories")] = None,
+    picture: Annotated[Path | None, typer.Option(help="folder for a top-down picture of each")] = None,
+    overrides: Overrides = None,
+    as_json: AsJson = False,
+) -> None:
+    """Episodes: text, tree, truths, paths, and a top-down picture."""
+    from jobs.configuration import load_config
+    from jobs.show import show_episodes
+
+    loaded = load_config(config, overrides or (), check_roots=picture is not None)
+    answer(show_episodes(loaded, episode=episode, sample=sample, picture=picture), as_json)
