@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from condvln.sources.gltf_tree import geometry_tree
 from condvln.sources.json_document import MAX_COORDINATE, JsonNode, parse_json
-from schemas.errors import FormatError
+from schemas.errors import DeadlineError, FormatError
 
 __all__ = ["MAX_GLB_BYTES", "GlbGeometry", "glb_chunks", "glb_scene", "read_glb"]
 
@@ -28,6 +28,8 @@ MAX_GLB_BYTES: Final = 1 << 29
 _HEADER = struct.Struct("<4sII")
 _CHUNK = struct.Struct("<I4s")
 _REMEDY = "Take the file from its dataset again"
+_NOT_OF_THE_FILE = (MemoryError, DeadlineError)
+"""Faults that may strike in any library and say nothing against the bytes it reads."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -53,6 +55,8 @@ def read_glb(data: bytes, where: str) -> GlbGeometry:
     scene = glb_scene(data, where)
     try:
         parts = [_part(scene, name) for name in sorted(scene.graph.nodes_geometry)]
+    except _NOT_OF_THE_FILE:
+        raise
     except Exception as error:  # trimesh lets through whatever its parts raise
         raise _undecodable(error, where) from None
     return _joined(parts, where)
@@ -74,6 +78,8 @@ def glb_scene(data: bytes, where: str) -> trimesh.Scene:
         return trimesh.load_scene(
             io.BytesIO(_packed(tree, binary)), file_type="glb", skip_materials=True, process=False
         )
+    except _NOT_OF_THE_FILE:
+        raise
     except Exception as error:  # trimesh lets through whatever its parts raise
         raise _undecodable(error, where) from None
 

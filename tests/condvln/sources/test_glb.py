@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 from condvln.sources.glb import read_glb
 from condvln.sources.gltf_tree import MAX_NODE_DEPTH
-from schemas.errors import FormatError
+from schemas.errors import DeadlineError, FormatError
 
 Tree = dict[str, Any]
 
@@ -308,6 +308,18 @@ def test_a_bomb_of_overlapping_accessors_is_refused() -> None:
     tree["meshes"][0]["primitives"] += [{"attributes": {"POSITION": i}, "indices": 1} for i in range(2, 52)]
     with pytest.raises(FormatError, match="the same bytes more than 4 times"):
         read_glb(glb(tree), "bomb.glb")
+
+
+@pytest.mark.parametrize("fault", [MemoryError("no room"), DeadlineError("it ran longer than its deadline of 9 s")])
+def test_a_fault_that_is_not_of_the_file_is_not_told_as_one(
+    fault: Exception, glb_of_box: Callable[..., bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: Any, **__: Any) -> None:
+        raise fault
+
+    monkeypatch.setattr(trimesh, "load_scene", fail)
+    with pytest.raises(type(fault)):
+        read_glb(glb_of_box((1.0, 1.0, 1.0)), "a.glb")
 
 
 def test_textures_are_left_behind(monkeypatch: pytest.MonkeyPatch) -> None:
