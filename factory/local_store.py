@@ -18,6 +18,8 @@ from schemas.errors import PathEscapeError, PublishConflictError, StoreError
 __all__ = ["LocalStore"]
 
 _FULL = {errno.ENOSPC, errno.EDQUOT}
+_NO_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK}
+"""What file systems without hard links answer (FAT, many that are mounted from elsewhere)."""
 
 
 class LocalStore:
@@ -58,8 +60,8 @@ class LocalStore:
         place = self._at(path)
         with self._errors(path), self._temporary(place, data) as temporary:
             os.replace(temporary, place)
-        if settle:
-            self._flush(place.parent)
+            if settle:
+                self._flush(place.parent)
 
     def create(self, path: str, data: Any) -> bool:
         place = self._at(path)
@@ -68,28 +70,28 @@ class LocalStore:
                 os.link(temporary, place)
             except FileExistsError:
                 return False
-        self._flush(place.parent)
+            except OSError as error:
+                if error.errno not in _NO_LINKS:
+                    raise
+                with self._locked(place.parent):
+                    if place.exists():
+                        return False
+                    os.replace(temporary, place)
+            self._flush(place.parent)
         return True
 
     def swap(self, path: str, data: Any, token: str | None) -> None:
         place = self._at(path)
-        with self._errors(path):
-            place.parent.mkdir(parents=True, exist_ok=True)
-        # flock is released when its holder dies, so a killed publisher blocks nobody.
-        lock = os.open(place.parent / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX)
+        with self._errors(path), self._locked(place.parent):
             now = token_of(place.read_bytes()) if place.exists() else None
             if now != token:
                 raise PublishConflictError("it was moved by another publisher", where=path, remedy="Run again.")
             self.write(path, data)
-        finally:
-            os.close(lock)
 
     def copy(self, source: str, target: str) -> None:
         place = self._at(target)
         with self._errors(target):
-            place.parent.mkdir(parents=True, exist_ok=True)
+            self._make(place.parent)
             temporary = place.parent / f"{self._TEMPORARY}{secrets.token_hex(8)}"
             try:
                 try:
@@ -104,7 +106,7 @@ class LocalStore:
             finally:
                 # Renaming a link onto the same file does nothing, and would leave the temporary name.
                 temporary.unlink(missing_ok=True)
-        self._flush(place.parent)
+            self._flush(place.parent)
 
     def list(self, prefix: str) -> Iterator[Entry]:
         folder = self._at(prefix) if prefix else self.root
@@ -148,7 +150,7 @@ class LocalStore:
     def _temporary(self, place: Path, data: Any) -> Iterator[Path]:
         temporary = place.parent / f"{self._TEMPORARY}{secrets.token_hex(8)}"
         for attempt in range(3):
-            place.parent.mkdir(parents=True, exist_ok=True)
+            self._make(place.parent)
             try:
                 handle = open(temporary, "xb")  # noqa: SIM115 - closed below
                 break
@@ -165,6 +167,28 @@ class LocalStore:
             yield temporary
         finally:
             temporary.unlink(missing_ok=True)
+
+    @contextlib.contextmanager
+    def _locked(self, folder: Path) -> Iterator[None]:
+        """Alone among those that lock `folder`. flock goes with its holder: a killed publisher blocks nobody."""
+        self._make(folder)
+        lock = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            yield
+        finally:
+            os.close(lock)
+
+    def _make(self, folder: Path) -> None:
+        """Make a folder; its name, and those of new ones above it, outlast a power cut as the files in it do."""
+        new = []
+        at = folder
+        while not at.exists():
+            new.append(at)
+            at = at.parent
+        folder.mkdir(parents=True, exist_ok=True)
+        for made in new:
+            self._flush(made.parent)
 
     def _flush(self, folder: Path) -> None:
         if not self.durable:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import pickle
 import secrets
@@ -136,6 +137,52 @@ def test_a_store_travels_to_workers(make: Make) -> None:
     store = make()
     store.write("a", b"1")
     assert pickle.loads(pickle.dumps(store)).read("a") == b"1"
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="the name of an open file is told by Linux only")
+def test_a_file_outlasts_a_power_cut_with_every_folder_above_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flushed: list[Path] = []
+    monkeypatch.setattr(os, "fsync", lambda handle: flushed.append(Path(os.readlink(f"/proc/self/fd/{handle}"))))
+    store = LocalStore(tmp_path / "new" / "store")
+    store.write("units/ab/unit.json", b"{}")
+    folders = {tmp_path, *(tmp_path / "new").rglob("*"), tmp_path / "new"} - {tmp_path / "new/store/units/ab/unit.json"}
+    assert {path for path in flushed if path.is_dir()} == folders
+    file = next(at for at, path in enumerate(flushed) if ".tmp-" in path.name)
+    assert flushed[file + 1 :] == [tmp_path / "new/store/units/ab"], "the name comes after the bytes"
+    flushed.clear()
+    store.write("units/ab/unit.json", b"{}")
+    assert len(flushed) == 2
+
+
+@pytest.mark.parametrize("code", [errno.EPERM, errno.EOPNOTSUPP])
+def test_a_disk_without_hard_links_is_one_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(os, "link", refuse)
+    store = LocalStore(tmp_path)
+    assert store.create("a/x", b"first")
+    assert not store.create("a/x", b"second")
+    store.copy("a/x", "b/y")
+    assert (store.read("a/x"), store.read("b/y")) == (b"first", b"first")
+    assert {entry.path for entry in store.list("")} == {"a/x", "b/y"}
+    assert [*store.unfinished()] == []
+
+
+def test_a_lock_that_may_not_be_taken_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Made by root, say, and now another user publishes."""
+    real = os.open
+
+    def guarded(path: object, *rest: int) -> int:
+        if Path(str(path)).name == ".lock":
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        return real(path, *rest)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(os, "open", guarded)
+    with pytest.raises(StoreError, match=r"refs/m.*Permission denied"):
+        LocalStore(tmp_path).swap("refs/m", b"x", None)
 
 
 def test_unfinished_writes_are_not_listed(tmp_path: Path) -> None:
