@@ -22,11 +22,15 @@ SHOWN: Final = (("success", "SR"), ("bsa", "BSA"), ("csr", "CSR"))
 _AXES: Final = ("depth", "chain")
 _SHIFT: Final = 0.06
 """Agents stand beside each other by this share of a unit of the axis, so that their intervals can be told apart."""
+_MARGIN: Final = 4.0
+"""Percent below 0 and above 100 that are drawn, so that the marks of the best and the worst are whole."""
+_MARKERS: Final = "os^Dv<>pX*P"
+"""One more than there are colours: agents keep apart where colours repeat, and in print without any."""
 
 
 def axis_figure(evaluations: Sequence[Evaluation], axis: str, *, seed: int = 0) -> Figure:
     """One panel a measure, one line an agent; percent with 95 % intervals."""
-    figure = Figure(figsize=(3.4 * len(SHOWN), 3.0), layout="constrained")
+    figure = Figure(figsize=(3.4 * len(SHOWN) + 1.6, 3.0), layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(1, len(SHOWN), sharey=True, squeeze=False)[0]
     keys = tuple(key for key, _ in SHOWN)
@@ -40,17 +44,20 @@ def axis_figure(evaluations: Sequence[Evaluation], axis: str, *, seed: int = 0) 
                 100 * np.array([getattr(row.estimates[key], name) for row in rows]) for name in ("mean", "low", "high")
             )
             bars = np.nan_to_num(np.vstack([means - low, high - means])).clip(min=0)
-            panel.errorbar(places, means, yerr=bars, marker="o", capsize=3, label=label)
+            marker = _MARKERS[number % len(_MARKERS)]
+            panel.errorbar(places, means, yerr=bars, marker=marker, markersize=5, capsize=3, label=label)
     for panel, (_, heading) in zip(panels, SHOWN, strict=True):
         _dress(panel, axis, heading, evaluations)
-    panels[-1].legend(frameon=False, fontsize="small")
+    handles, labels = panels[0].get_legend_handles_labels()
+    # Beside the panels, not in one: there it would hide what it explains.
+    figure.legend(handles, labels, loc="outside right upper", frameon=False, fontsize="small")
     return figure
 
 
 def _dress(panel: Any, axis: str, heading: str, evaluations: Sequence[Evaluation]) -> None:
     panel.set_title(heading)
     panel.set_xlabel(axis)
-    panel.set_ylim(0, 100)
+    panel.set_ylim(-_MARGIN, 100 + _MARGIN)
     values = {value for evaluation in evaluations for value in evaluation.axes[axis] if value is not None}
     panel.set_xticks(sorted(values))
     panel.grid(axis="y", alpha=0.3)

@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -137,6 +138,23 @@ def test_json_and_csv_hold_the_same_unrounded_numbers(tables: list[Table]) -> No
                 assert row[key] == ("" if mean is None else str(mean))
                 if isinstance(value, dict):
                     assert row[f"{key}_n"] == str(value["n"])
+
+
+def test_nothing_of_a_plot_is_hidden(evaluations: list[Evaluation]) -> None:
+    agents = [replace(evaluations[0], agent=f"agent {number} of nine") for number in range(9)]
+    figure = axis_figure(agents, "chain")
+    figure.draw_without_rendering()
+    (legend,) = figure.legends
+    assert len(legend.get_texts()) == 9
+    assert figure.bbox.containsx(legend.get_window_extent().x1)
+    for panel in figure.axes:
+        assert panel.get_legend() is None
+        assert not panel.get_window_extent().overlaps(legend.get_window_extent())
+        # The mark of a perfect agent stands whole within the panel.
+        low, high = panel.transAxes.inverted().transform(panel.transData.transform([(1, 0), (1, 100)]))[:, 1]
+        assert 0.02 < low < high < 0.98
+    marks = [line.get_marker() for line in figure.axes[0].get_lines() if len(line.get_xdata()) > 1]
+    assert len({mark for mark in marks if mark not in ("_", "None")}) == 9
 
 
 def test_plots_show_the_means_and_repeat(evaluations: list[Evaluation], tmp_path: Path) -> None:
