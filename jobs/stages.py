@@ -161,7 +161,7 @@ class PriorsAggregate(Aggregate):
 
     plausible_share: float
     name: str = "priors"
-    version: int = 1
+    version: int = 2
     after: str = "scene"
     tables: tuple[str, ...] = ("rooms", "objects")
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from condvln.scene.layouts import layout_of
 from schemas.errors import FormatError
 from schemas.program import SHAPES, Category
 
@@ -39,11 +40,15 @@ class GlimpsedLeaf:
 
 @dataclass(frozen=True, slots=True)
 class Glimpse:
-    """An episode without its scene; ``scene`` is but the name that episodes of one scene share."""
+    """An episode without its scene; ``scene`` is but the name that episodes of one scene share.
+
+    layout : name of what its scene is a staging of, which words may well tell; empty where it is none
+    """
 
     episode_id: str
     source: str
     scene: str
+    layout: str
     category: Category
     group: str | None
     text: str
@@ -65,6 +70,7 @@ class Glimpse:
                 episode_id=row["episode_id"],
                 source=row["source"],
                 scene=f"{row['source']}/{row['scene_id']}",
+                layout=layout_of(row["scene_id"]),
                 category=row["category"],
                 group=row["group_id"],
                 text=row["instruction_text"],

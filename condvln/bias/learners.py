@@ -128,6 +128,19 @@ def _likeliest(
     return int(np.argmax(scores))
 
 
+def _in_layout(learner: Learner) -> Learner:
+    """One learner a layout, who sees but stagings of it, and guesses at no scene that is none."""
+
+    def guesser(glimpses: Sequence[Glimpse]) -> Guesses:
+        guesses = np.full(len(glimpses), NO_GUESS, dtype=np.int64)
+        for layout in sorted({glimpse.layout for glimpse in glimpses} - {""}):
+            mine = np.array([k for k, glimpse in enumerate(glimpses) if glimpse.layout == layout])
+            guesses[mine] = learner([glimpses[k] for k in mine])
+        return guesses
+
+    return guesser
+
+
 def _regression(words: Words) -> Learner:
     """Multinomial logistic regression, one a category."""
 
@@ -197,10 +210,13 @@ def _cues(glimpse: Glimpse) -> Iterator[str]:
         yield from (f"leaf {k} by {label}" for label in leaf.labels[:-1])
 
 
+_whole_statement = _prior(lambda asked: (asked.label, asked.room, asked.predicate, asked.anchor))
+
 LEARNED: Final[Mapping[str, Learner]] = {
     "majority leaf": majority_leaf,
     "label and room": _prior(lambda asked: (asked.label, asked.room)),
-    "whole statement": _prior(lambda asked: (asked.label, asked.room, asked.predicate, asked.anchor)),
+    "whole statement": _whole_statement,
+    "statement in its layout": _in_layout(_whole_statement),
     "bag of words": _regression(_text_words),
     "words in place": _regression(_cues),
 }

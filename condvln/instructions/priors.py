@@ -2,7 +2,9 @@
 
 They are a unit of their own, made in a first pass and pinned. Of the labels a scene reads yes/no bits; of the
 statements, how evenly they divide the rooms of its types, so that a statement whose truth the words alone foretell
-("a pillow near the bed") is asked rarely, and as often where it is false as where it is true.
+("a pillow near the bed") is asked rarely, and as often where it is false as where it is true. Where a scene is one of
+many stagings of a layout, only those are counted: a statement that is true throughout one layout and false throughout
+another divides the pool evenly, and is foretold by whoever knows the layout.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from condvln.instructions.statements import statement_truths
 from condvln.labels import vocabulary
 from condvln.relations import relate_room, text_facts
 from condvln.scene import Room, RoomArrays, Scene, SceneObject
+from condvln.scene.layouts import layout_of
 from schemas.canonical import JSON
 
 __all__ = ["PRIORS", "LabelPriors", "PriorBits", "Statement"]
@@ -33,6 +36,7 @@ Statement = tuple[str, str, str, str]
 
 PRIORS: Final = pa.schema(
     [
+        pa.field("layout", pa.string(), nullable=False),
         pa.field("room_type", pa.string(), nullable=False),
         pa.field("label", pa.string(), nullable=False),
         pa.field("predicate", pa.string(), nullable=False),
@@ -41,7 +45,8 @@ PRIORS: Final = pa.schema(
         pa.field("n_false", pa.int64(), nullable=False),
     ]
 )
-"""In how many rooms of a type a statement is usable as true and as false.
+"""In how many rooms of a type a statement is usable as true and as false, by layout (empty: of scenes that
+are no stagings).
 
 A row with an empty label counts the rooms of a type. One with an empty predicate is the presence of a label, false in
 rooms of which it can be claimed: another room of the same scene has it, and no word for it fits anything here.
@@ -56,7 +61,10 @@ MERGE_ROWS: Final = 200_000
 ANCHOR_SIZE: Final = InstructionConfig().anchor_size
 """Metres; the default, so that priors don't depend on a run's configuration."""
 
-_KEYS: Final = ("room_type", "label", "predicate", "anchor")
+STAGINGS: Final = 8
+"""Rooms of a type from which the counts of a layout stand for themselves; fewer say too little of what varies in it."""
+
+_KEYS: Final = ("layout", "room_type", "label", "predicate", "anchor")
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +73,8 @@ class PriorBits:
 
     plausible : per room type, labels seen in enough rooms of that type
     varies : those of them that enough rooms of the type lack as well, so that their presence says something
-    counts : rooms in which a statement is true and in which it is false; statements never seen are not there
+    counts : rooms in which a statement is true and in which it is false, of the scene's layout where there are enough
+        of them; statements never seen are not there
     """
 
     plausible: Mapping[str, frozenset[str]]
@@ -96,12 +105,14 @@ class LabelPriors:
     @classmethod
     def of_scene(cls, scene: Scene, share: float = PLAUSIBLE_SHARE) -> LabelPriors:
         """Counts of one scene, its objects taken as boxes."""
-        return cls(_of_rooms([(room, scene.arrays(room.room_id)) for room in scene.rooms]), share)
+        boxes = [(room, scene.arrays(room.room_id)) for room in scene.rooms]
+        return cls(_of_rooms(layout_of(scene.scene_id), boxes), share)
 
     @classmethod
     def of_tables(cls, rooms: pa.Table, objects: pa.Table, share: float = PLAUSIBLE_SHARE) -> LabelPriors:
         """Counts of the ``rooms`` and ``objects`` tables of any number of scenes of one family."""
-        return cls(tuple(part for boxes in _boxes(rooms, objects) for part in _of_rooms(boxes)), share)
+        scenes = _boxes(rooms, objects)
+        return cls(tuple(part for name, boxes in scenes for part in _of_rooms(layout_of(name), boxes)), share)
 
     @classmethod
     def merged(cls, parts: Iterable[LabelPriors], share: float = PLAUSIBLE_SHARE) -> LabelPriors:
@@ -137,22 +148,37 @@ class LabelPriors:
         if scene.single_room:
             related = pc.or_(related, pc.equal(self._counts["predicate"], ""))
         read = pc.and_(pc.is_in(self._counts["room_type"], pa.array(types, pa.string())), related)
-        columns = self._counts.filter(read).to_pydict().values()
-        found = {
-            (t, label, predicate, anchor): (n, m) for t, label, predicate, anchor, n, m in zip(*columns, strict=True)
-        }
-        rooms = {t: found.pop((t, "", "", ""), (0, 0))[0] for t in types}
-        presence = {(t, x): n for (t, x, predicate, _), (n, _) in found.items() if not predicate}
-        if scene.single_room:
-            # Absence can then be claimed of whatever other scenes have.
-            found.update({(t, x, "", ""): (n, rooms[t] - n) for (t, x), n in presence.items()})
+        rows = self._counts.filter(read)
+        pooled = _by_statement(rows)
+        layout = layout_of(scene.scene_id)
+        own = _by_statement(rows.filter(pc.equal(rows["layout"], layout))) if layout else {}
+        rooms = {t: pooled.pop((t, "", "", ""), (0, 0))[0] for t in types}
+        presence = {(t, x): n for (t, x, predicate, _), (n, _) in pooled.items() if not predicate}
         plausible = {key for key, n in presence.items() if n >= self.share * rooms[key[0]]}
         varies = {key for key in plausible if rooms[key[0]] - presence[key] >= self.share * rooms[key[0]]}
+        staged = {t: own.pop((t, "", "", ""), (0, 0))[0] for t in types}
+        counts: dict[Statement, tuple[int, int]] = {}
+        for t in types:
+            near, total = (own, staged[t]) if staged[t] >= STAGINGS else (pooled, rooms[t])
+            counts.update({key: seen for key, seen in near.items() if key[0] == t})
+            if scene.single_room:
+                # Absence can then be claimed of whatever other scenes have.
+                there = {x: near.get((t, x, "", ""), (0, 0))[0] for of, x in presence if of == t}
+                counts.update({(t, x, "", ""): (n, total - n) for x, n in there.items()})
         return PriorBits(
             plausible={t: frozenset(x for of, x in plausible if of == t) for t in types},
             varies={t: frozenset(x for of, x in varies if of == t) for t in types},
-            counts=found,
+            counts=counts,
         )
+
+
+def _by_statement(rows: pa.Table) -> dict[Statement, tuple[int, int]]:
+    """Counts of each statement, summed over layouts."""
+    found: dict[Statement, tuple[int, int]] = {}
+    for _, t, label, predicate, anchor, n, m in zip(*rows.to_pydict().values(), strict=True):
+        true, false = found.get((t, label, predicate, anchor), (0, 0))
+        found[t, label, predicate, anchor] = (true + n, false + m)
+    return found
 
 
 def _summed(parts: Sequence[pa.Table]) -> pa.Table:
@@ -161,15 +187,16 @@ def _summed(parts: Sequence[pa.Table]) -> pa.Table:
     return sums.sort_by([(key, "ascending") for key in _KEYS]).cast(PRIORS)
 
 
-def _of_rooms(boxes: Sequence[tuple[Room, RoomArrays]]) -> tuple[pa.Table, ...]:
+def _of_rooms(layout: str, boxes: Sequence[tuple[Room, RoomArrays]]) -> tuple[pa.Table, ...]:
     """Counts of each room of one scene."""
     labels = [set(arrays.labels) for _, arrays in boxes]
     return tuple(
-        _of_room(room, arrays, set().union(*labels[:k], *labels[k + 1 :])) for k, (room, arrays) in enumerate(boxes)
+        _of_room(layout, room, arrays, set().union(*labels[:k], *labels[k + 1 :]))
+        for k, (room, arrays) in enumerate(boxes)
     )
 
 
-def _of_room(room: Room, arrays: RoomArrays, elsewhere: set[str]) -> pa.Table:
+def _of_room(layout: str, room: Room, arrays: RoomArrays, elsewhere: set[str]) -> pa.Table:
     here = set(arrays.labels)
     absent = {label for label in elsewhere if not here & vocabulary.overlapping(label)}
     parts = [_rows(["", *here], "", "", [1] * (1 + len(here)), 0), _rows(list(absent), "", "", 0, [1] * len(absent))]
@@ -182,24 +209,26 @@ def _of_room(room: Room, arrays: RoomArrays, elsewhere: set[str]) -> pa.Table:
             true, false = truths.true[rows, columns], truths.false[rows, columns]
             parts.append(_rows(labels, truths.predicate, anchors, true, false))
     joined = pa.concat_tables(parts)
-    return joined.set_column(0, PRIORS.field("room_type"), pa.repeat(room.label, joined.num_rows))
+    for at, value in enumerate((layout, room.label)):
+        joined = joined.set_column(at, PRIORS.field(at), pa.repeat(value, joined.num_rows))
+    return joined
 
 
 def _rows(labels: Any, predicate: str, anchors: Any, true: Any, false: Any) -> pa.Table:
-    """Rows of counts, their room type left open; a single value stands for a column of it."""
+    """Rows of counts, their layout and room type left open; a single value stands for a column of it."""
     n = len(labels)
 
     def column(values: Any, kind: pa.DataType) -> pa.Array:
         return pa.repeat(pa.scalar(values, kind), n) if isinstance(values, str | int) else pa.array(values).cast(kind)
 
-    kinds = [pa.string()] * 4 + [pa.int64()] * 2
-    values = ["", labels, predicate, anchors, true, false]
+    kinds = [pa.string()] * 5 + [pa.int64()] * 2
+    values = ["", "", labels, predicate, anchors, true, false]
     columns = [column(value, kind) for value, kind in zip(values, kinds, strict=True)]
     return pa.table(dict(zip(PRIORS.names, columns, strict=True)), schema=PRIORS)
 
 
-def _boxes(rooms: pa.Table, objects: pa.Table) -> Iterator[list[tuple[Room, RoomArrays]]]:
-    """Rooms and their objects as boxes, scene by scene, from their tables."""
+def _boxes(rooms: pa.Table, objects: pa.Table) -> Iterator[tuple[str, list[tuple[Room, RoomArrays]]]]:
+    """(scene id, rooms and their objects as boxes), scene by scene, from their tables."""
     held: dict[tuple[str, str], list[SceneObject]] = {}
     wanted = ["scene_id", "room_id", "object_id", "raw_label", "label", "center", "aabb_min", "aabb_max", "radius"]
     for row in objects.select(wanted).to_pylist():
@@ -229,7 +258,7 @@ def _boxes(rooms: pa.Table, objects: pa.Table) -> Iterator[list[tuple[Room, Room
         )
         arrays = RoomArrays.of(room.room_id, held.get((row["scene_id"], row["room_id"]), []))
         scenes.setdefault(row["scene_id"], []).append((room, arrays))
-    yield from scenes.values()
+    yield from scenes.items()
 
 
 def _point(value: Mapping[str, float]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:

@@ -1,14 +1,15 @@
-"""Manifest rows whose gold leaf is drawn fairly, or leaks as a test wants it to."""
+"""Manifest rows whose gold leaf is drawn fairly, or leaks as a test wants it to; and rows of sampled programs."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 
 from condvln.bias.learners import leaf_truths
+from condvln.instructions import ProgramSampler, instruction_id, render
 from schemas.program import SHAPES, Category
 
 LABELS = ("lamp", "sofa", "bed", "stool", "sink", "desk", "plant", "towel", "mirror", "clock", "rug", "oven")
@@ -72,3 +73,29 @@ def made_rows() -> Callable[..., list[dict[str, Any]]]:
         return rows
 
     return make
+
+
+RowsOf = Callable[[ProgramSampler], Iterator[dict[str, Any]]]
+
+
+@pytest.fixture(scope="session")
+def rows_of() -> RowsOf:
+    """Manifest rows, without places, of all that a sampler draws."""
+
+    def made(sampler: ProgramSampler) -> Iterator[dict[str, Any]]:
+        scene = sampler.scene
+        for category in sampler.config.per_category:
+            for k, program in enumerate(sampler.candidates(category)):
+                yield {
+                    "episode_id": f"{scene.scene_id} {category} {k}",
+                    "source": scene.family,
+                    "scene_id": scene.scene_id,
+                    "category": category,
+                    "group_id": None,
+                    "instruction_text": render(program, 0, instruction_id(scene.family, scene.scene_id, program)),
+                    "program": program.model_dump(mode="json"),
+                    "leaves": [{"geodesic_distance": 0.0, "route_length": 0.0}] * len(program.leaves),
+                    "gold_leaf": program.gold_leaf(),
+                }
+
+    return made

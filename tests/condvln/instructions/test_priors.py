@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import random
+from collections import Counter
+from dataclasses import replace
 
 import pytest
 
 from condvln.instructions import LabelPriors
-from condvln.instructions.priors import PRIORS
+from condvln.instructions.priors import PRIORS, STAGINGS
 from condvln.labels import vocabulary
+from condvln.scene import Scene
 from condvln.scene.tables import scene_tables
 
 
@@ -26,7 +29,9 @@ def test_order_and_grouping_do_not_matter(scenes) -> None:
         grouped = [LabelPriors.merged(shuffled[:cut]), LabelPriors.merged(shuffled[cut:])]
         assert LabelPriors.merged(grouped).table().equals(whole)
     assert whole.schema.equals(PRIORS)
-    keys = list(zip(*(whole[c].to_pylist() for c in ("room_type", "label", "predicate", "anchor")), strict=True))
+    keys = list(
+        zip(*(whole[c].to_pylist() for c in ("layout", "room_type", "label", "predicate", "anchor")), strict=True)
+    )
     assert keys == sorted(set(keys))
 
 
@@ -91,3 +96,35 @@ def test_the_document_changes_with_what_is_read_and_only_then(scenes, make_scene
     more = LabelPriors.merged([priors, LabelPriors.of_scene(make_scene(78))])
     assert more.bits(scenes[0]).document() != document
     assert LabelPriors.from_table(priors.table()).bits(scenes[0]).document() == document
+
+
+@pytest.mark.parametrize("rooms", [("apartment",), ("kitchen", "bedroom")], ids=["one room", "two rooms"])
+def test_a_staging_reads_the_counts_of_its_layout(make_scene, rooms: tuple[str, ...]) -> None:
+    def made(name: str, count: int, seed: int) -> list[Scene]:
+        scenes = [make_scene(seed + k, rooms, 7) for k in range(count)]
+        return [replace(scene, scene_id=name.format(k)) for k, scene in enumerate(scenes)]
+
+    stagings = made("v3_sc0_staging_{:02}", STAGINGS, 0)
+    others = made("v3_sc1_staging_{:02}", STAGINGS - 1, 100) + made("apt_{}", 5, 200)
+    priors = LabelPriors.merged(map(LabelPriors.of_scene, [*stagings, *others]))
+    pooled = LabelPriors.merged(
+        LabelPriors.of_scene(replace(scene, scene_id=f"apt_{k}")) for k, scene in enumerate([*stagings, *others])
+    )
+    alone = LabelPriors.merged(map(LabelPriors.of_scene, stagings))
+    for scene in stagings:
+        found = priors.bits(scene)
+        # What is plausible is a matter of all scenes, what is foretold one of the layout.
+        assert (found.plausible, found.varies) == (pooled.bits(scene).plausible, pooled.bits(scene).varies)
+        own = alone.bits(scene).counts
+        assert {key: seen for key, seen in found.counts.items() if seen[0] or key[2]} == {
+            key: seen for key, seen in own.items() if seen[0] or key[2]
+        }
+        if scene.single_room:
+            # A label that no staging holds is known to be lacking in all of them.
+            labels = Counter(label for s in stagings for label in {o.label for o in s.objects})
+            everywhere = {o.label for s in [*stagings, *others] for o in s.objects}
+            presence = {key[1]: seen for key, seen in found.counts.items() if not key[2]}
+            assert presence == {label: (labels[label], STAGINGS - labels[label]) for label in everywhere}
+    for scene in others:
+        # Too few stagings, or none at all.
+        assert priors.bits(scene) == pooled.bits(scene)

@@ -1,0 +1,91 @@
+"""Stagings of few layouts: counted over all of them a statement seems open, and is foretold in each layout."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from condvln.bias import judge
+from condvln.bias.report import ALL
+from condvln.instructions import InstructionConfig, LabelPriors, ProgramSampler
+from condvln.relations import TextFacts, relate_scene, text_facts
+from condvln.scene import Room, Scene, SceneObject, round_mm
+from schemas.program import Category
+
+LABELS = (
+    "sofa", "bed", "table", "chair", "stool", "lamp", "sink", "refrigerator", "plant", "desk", "television", "bicycle",
+    "cabinet", "picture", "rug", "trash can", "bench", "wardrobe",
+)  # fmt: skip
+STAGINGS = 10
+MOVED = 3
+"""Labels that stand elsewhere in each staging; all others stand where their layout has them."""
+SIDE = 7.0
+CATEGORIES: tuple[Category, ...] = ("simple", "chain")
+
+
+def staging(layout: int, number: int) -> Scene:
+    """An apartment of one room."""
+    places = np.random.default_rng([0, layout]).uniform(0.0, SIDE, (len(LABELS), 2))
+    rng = np.random.default_rng([1, layout, number])
+    places[:MOVED] = rng.uniform(0.0, SIDE, (MOVED, 2))
+    objects = []
+    for label, (x, z) in zip(LABELS, places, strict=True):
+        box = round_mm(np.array([[x - 0.3, 0.0, z - 0.3], [x + 0.3, 0.8, z + 0.3]]))
+        objects.append(SceneObject(label, "r0", label, label, round_mm(box.mean(axis=0)), aabb=box))
+    return Scene(
+        family="made",
+        scene_id=f"v3_sc{layout}_staging_{number:02}",
+        root=Path("."),
+        rooms=(Room("r0", "apartment", "apartment", 0, 0.0, 2.5, None, "scene", True),),
+        objects=tuple(objects),
+    )
+
+
+@pytest.fixture(scope="module")
+def scenes() -> list[tuple[Scene, dict[str, TextFacts]]]:
+    made = [staging(layout, number) for layout in range(2) for number in range(STAGINGS)]
+    return [(scene, {room: text_facts(found) for room, found in relate_scene(scene).items()}) for scene in made]
+
+
+@pytest.fixture(scope="module")
+def priors(scenes) -> LabelPriors:
+    return LabelPriors.merged(LabelPriors.of_scene(scene) for scene, _ in scenes)
+
+
+@pytest.fixture(scope="module")
+def over_all(priors: LabelPriors) -> LabelPriors:
+    """The same counts, without the layout that each was made in."""
+    table = priors.table()
+    nameless = table.set_column(0, table.schema.field(0), pa.repeat("", table.num_rows))
+    return LabelPriors.merged([LabelPriors.from_table(nameless)])
+
+
+def sampled(scenes, priors: LabelPriors, rows_of) -> list[dict[str, Any]]:
+    config = InstructionConfig(per_category=dict.fromkeys(CATEGORIES, 20), candidates_per_episode=1)
+    return [
+        row
+        for scene, facts in scenes
+        for row in rows_of(ProgramSampler(scene, facts, priors.bits(scene), config, seed=0))
+    ]
+
+
+def test_what_a_layout_foretells_is_found(scenes, over_all: LabelPriors, rows_of) -> None:
+    rows = sampled(scenes, over_all, rows_of)
+    report = judge(rows)
+    assert {finding.guesser for finding in report.beaten} == {"statement in its layout"}
+    (found,) = [f for f in report.beaten if f.category == ALL]
+    assert found.accuracy > found.chance + 0.15
+    # By other names the same scenes are no stagings, and who mixes them up learns nothing.
+    assert judge([{**row, "scene_id": f"{row['scene_id']} b"} for row in rows]).passed
+
+
+def test_counted_within_a_layout_nothing_is_foretold(scenes, priors: LabelPriors, rows_of) -> None:
+    rows = sampled(scenes, priors, rows_of)
+    report = judge(rows)
+    assert report.passed, report.verdict()
+    assert report.episodes == len(rows) == 2 * STAGINGS * 20 * len(CATEGORIES)
+    assert {f.category for f in report.findings if f.guesser == "statement in its layout"} == {ALL, *CATEGORIES}
