@@ -7,7 +7,7 @@ from typing import Final
 
 import yaml
 
-from condvln.export.licences import SOURCES
+from condvln.export.licences import SOURCES, composed_sources
 from condvln.export.report import ExportReport
 from condvln.export.splits import SPLITS
 
@@ -26,6 +26,7 @@ def dataset_card(report: ExportReport, name: str) -> str:
         _introduction(report),
         "## Files",
         _FILES,
+        _meshes(report),
         "## Episodes",
         _counts(report),
         "## Balance",
@@ -86,8 +87,22 @@ _FILES: Final = """\
 | `configs/` | configuration files for VLN-CE, habitat-lab, Open-Nav, VLN-Zero, NaVid and NaVILA |
 | `export.json` | counts per cell, what was left out and why, SHA-256 of every file |
 
-Scene meshes are not included: get them from their sources and put them below `data/scene_datasets/`. Positions are
-metres in Habitat's frame (+Y up, −Z north), quaternions `[x, y, z, w]`."""
+Positions are metres in Habitat's frame (+Y up, −Z north), quaternions `[x, y, z, w]`."""
+
+
+def _meshes(report: ExportReport) -> str:
+    text = (
+        "Scene meshes are not included: get them from their sources and put them below `data/scene_datasets/`, each "
+        "at the path that `scene_id` names."
+    )
+    composed = composed_sources(scene for found in report.scenes.values() for scene in found)
+    if composed:
+        text += (
+            f" Of {', '.join(composed)}, which come in parts, `condvln compose CONFIG --all data/scene_datasets` makes "
+            "these files on your own disk, each with its navmesh; with `--own-navmesh` it is the very one on which the "
+            "episodes were placed."
+        )
+    return text
 
 
 def _counts(report: ExportReport) -> str:

@@ -13,6 +13,7 @@ from typing import Any, Final
 
 import yaml
 
+from condvln.export.licences import composed_sources
 from condvln.export.report import ExportReport
 from condvln.export.splits import SPLITS
 
@@ -52,8 +53,12 @@ def consumer_files(report: ExportReport) -> dict[str, str]:
     }
     if not any("oracle/" in name for name in report.files):
         del files["configs/vlnce/condvln_oracle_task.yaml"]
-    note = _note(radius, mixed)
-    return {path: note + yaml.safe_dump(document, sort_keys=False) for path, document in files.items()}
+    composed = composed_sources(scene for found in report.scenes.values() for scene in found)
+    texts = {}
+    for path, document in files.items():
+        root = _VLN_ZERO.root if path.startswith("configs/vln_zero/") else ""
+        texts[path] = _note(root, radius, mixed, composed) + yaml.safe_dump(document, sort_keys=False)
+    return texts
 
 
 def _success_distance(report: ExportReport) -> tuple[float, bool]:
@@ -83,9 +88,12 @@ _OPEN_NAV: Final = _AnsrAgent("", 0.25, 15, 20, ("HIGHTOLOW",))
 _VLN_ZERO: Final = _AnsrAgent("VLN_CE/", 1.0, 30, 500)
 
 
-def _note(radius: float, mixed: bool) -> str:
-    lines = [
-        f"# Link the export as {LINK} and put scene meshes below {_SCENES}.",
+def _note(root: str, radius: float, mixed: bool, composed: list[str]) -> str:
+    lines = [f"# Link the export as {root}{LINK} and put scene meshes below {root}{_SCENES}."]
+    if composed:
+        lines.append(f"# Of {', '.join(composed)}, which come in parts,")
+        lines.append(f"# `condvln compose CONFIG --all {root}{_SCENES}` puts every scene where its episodes name it.")
+    lines += [
         "# Name the task file as BASE_TASK_CONFIG_PATH in your agent's own experiment file. Its cameras are stock",
         "# VLN-CE's: keep your own where your agent has others.",
     ]

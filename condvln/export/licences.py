@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Final, NamedTuple
 
-__all__ = ["SOURCES", "SourceLicence"]
+__all__ = ["SOURCES", "SourceLicence", "composed_sources"]
 
 
 class SourceLicence(NamedTuple):
@@ -57,3 +58,10 @@ SOURCES: Final[dict[str, SourceLicence]] = {
     ),
 }
 """By family."""
+
+
+def composed_sources(scenes: Iterable[str]) -> list[str]:
+    """Names of the datasets that some scenes (``<family>/<scene>``) are of and that ``condvln compose`` puts together,
+    sorted by family."""
+    families = sorted({scene.partition("/")[0] for scene in scenes})
+    return [SOURCES[family].name for family in families if family in SOURCES and SOURCES[family].composed]

@@ -283,3 +283,26 @@ def test_an_export_that_can_not_be_read_is_no_former_export(tmp_path: Path) -> N
     for split in SPLITS:
         (tmp_path / "manifest" / f"{split}.jsonl").write_text("{")
     assert PublishedEpisodes.of_export(tmp_path) is None
+
+
+def test_files_tell_the_command_that_puts_scenes_where_they_look(exported: Path, tmp_path: Path) -> None:
+    """Of scans there is none: they are files already."""
+    export_snapshot(made_snapshot({"mp3d": ["17DRP5sb8fy"]}, per_category=2), tmp_path)
+    told = 0
+    for path in sorted((exported / "configs").rglob("*.yaml")):
+        text = path.read_text()
+        document = yaml.safe_load(text)
+        dataset = document.get("DATASET") or document.get("habitat", {}).get("dataset", {})
+        scenes = dataset.get("SCENES_DIR") or dataset.get("scenes_dir")
+        command = "condvln compose CONFIG --all "
+        assert text.count(command) == 1
+        assert "ReplicaCAD" in text
+        if scenes is not None:  # experiments name a task file, which names the folder
+            assert f"`{command}{scenes}`" in text
+            assert f"put scene meshes below {scenes}." in text
+            told += 1
+    assert told == 8
+    assert [p for p in sorted((tmp_path / "configs").rglob("*.yaml")) if "compose" in p.read_text()] == []
+    assert "`condvln compose CONFIG --all data/scene_datasets`" in (exported / "README.md").read_text()
+    assert "compose" not in (tmp_path / "README.md").read_text()
+    assert "at the path that `scene_id` names" in (tmp_path / "README.md").read_text()
