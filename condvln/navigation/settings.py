@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from condvln.navigation.agent import Agent
+
 __all__ = ["NavMeshSettings"]
 
 # Slack when comparing settings, as Habitat compares them: float32 in the file against a decimal in a configuration.
@@ -48,6 +50,17 @@ class NavMeshSettings:
     filter_walkable_low_height_spans: bool = True
     include_static_objects: bool = False
     """Objects with static motion are part of the floor plan."""
+
+    @classmethod
+    def furnished(cls, agent: Agent) -> NavMeshSettings:
+        """For this agent, with the scene's objects as part of the floor plan: they stand in its way."""
+        return cls(
+            agent_height=agent.height,
+            agent_radius=agent.radius,
+            agent_max_climb=agent.max_climb,
+            agent_max_slope=agent.max_slope,
+            include_static_objects=True,
+        )
 
     def fits(self, agent_radius: float, agent_height: float, climb: float, slope: float) -> bool:
         """Was this navmesh built for an agent of these sizes (metres; slope in degrees)?"""

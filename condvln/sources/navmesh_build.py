@@ -34,16 +34,9 @@ def with_built_navmesh(scene: Scene, geometry: SceneGeometry, agent: Agent) -> t
     geometry : the scene's surfaces
     agent : whom the navmesh must fit
     """
-    settings = NavMeshSettings(
-        agent_height=agent.height,
-        agent_radius=agent.radius,
-        agent_max_climb=agent.max_climb,
-        agent_max_slope=agent.max_slope,
-        include_static_objects=True,
-    )
     kept = tuple(warning for warning in scene.warnings if warning.code != "no_navmesh")
     try:
-        built: NavMeshFile = build_navmesh(geometry.vertices, geometry.faces, settings)
+        built: NavMeshFile = build_navmesh(geometry.vertices, geometry.faces, NavMeshSettings.furnished(agent))
     except InputError as error:
         warning = SceneWarning("navmesh_not_built", "navmesh", error.what)
         return replace(scene, warnings=_sorted((*kept, warning))), None

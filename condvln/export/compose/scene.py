@@ -160,11 +160,4 @@ def _colour(label: str) -> Colour:
 
 def _navmesh(glb: bytes, scene: Scene, agent: Agent) -> NavMeshFile:
     vertices, faces = glb_triangles(glb, f"{scene.family}/{scene.scene_id}, composed", Z_UP)
-    settings = NavMeshSettings(
-        agent_height=agent.height,
-        agent_radius=agent.radius,
-        agent_max_climb=agent.max_climb,
-        agent_max_slope=agent.max_slope,
-        include_static_objects=True,
-    )
-    return build_navmesh(vertices, faces, settings)
+    return build_navmesh(vertices, faces, NavMeshSettings.furnished(agent))
