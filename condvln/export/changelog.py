@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -192,36 +192,39 @@ def changes_between(
         changes.note(changes.changed, "Changed", reason, str(new.names[int(to[row])]))
     changes.kept = len(at) - sum(changes.changed.values())
     for row in np.setdiff1d(np.arange(len(new)), to, assume_unique=True).tolist():
-        reason = _why_added(new, row, former.navmeshes, before)
+        reason = _why_alone(_ADDED, new, row, former.navmeshes, before)
         changes.note(changes.added, "Added", reason, str(new.names[row]))
     for row in np.setdiff1d(np.arange(len(former)), at, assume_unique=True).tolist():
-        reason = _why_dropped(former, row, new.navmeshes, now)
+        reason = _why_alone(_DROPPED, former, row, new.navmeshes, now)
         changes.note(changes.dropped, "Dropped", reason, str(former.names[row]))
     return changes
 
 
-def _why_added(new: PublishedEpisodes, row: int, others: Mapping[str, str], before: Generated | None) -> str:
-    told = before.reason(int(new.ids[row])) if before is not None else None
-    if told is not None:
-        return f"was left out before: {told or 'beyond the balance'}"
-    scene = new.scenes[new.scene[row]]
-    if scene not in others:
-        return "their scene is new"
-    if others[scene] != new.navmeshes[scene]:
-        return "the navmesh of their scene changed"
-    return "newly generated" if before is not None else "generated or chosen otherwise in a scene that stayed"
+class _Words(NamedTuple):
+    """How the reasons read for episodes that stand in one of two exports only."""
+
+    left_out: str
+    scene: str
+    generated: str
 
 
-def _why_dropped(former: PublishedEpisodes, row: int, others: Mapping[str, str], now: Generated | None) -> str:
-    told = now.reason(int(former.ids[row])) if now is not None else None
+_ADDED: Final = _Words("was left out before", "their scene is new", "newly generated")
+_DROPPED: Final = _Words("left out now", "their scene is gone", "no longer generated")
+
+
+def _why_alone(
+    words: _Words, own: PublishedEpisodes, row: int, navmeshes: Mapping[str, str], other: Generated | None
+) -> str:
+    """Why an episode stands in its own export only; navmeshes and generated episodes are those of the other one."""
+    told = other.reason(int(own.ids[row])) if other is not None else None
     if told is not None:
-        return f"left out now: {told or 'beyond the balance'}"
-    scene = former.scenes[former.scene[row]]
-    if scene not in others:
-        return "their scene is gone"
-    if others[scene] != former.navmeshes[scene]:
+        return f"{words.left_out}: {told or 'beyond the balance'}"
+    scene = own.scenes[own.scene[row]]
+    if scene not in navmeshes:
+        return words.scene
+    if navmeshes[scene] != own.navmeshes[scene]:
         return "the navmesh of their scene changed"
-    return "no longer generated" if now is not None else "generated or chosen otherwise in a scene that stayed"
+    return words.generated if other is not None else "generated or chosen otherwise in a scene that stayed"
 
 
 def with_entry(changelog: str, changes: Changes) -> str:
