@@ -20,6 +20,20 @@ from tests.condvln.evaluation import plain
 from tests.condvln.evaluation.conftest import OpenPlain, task_with
 
 OPEN = OpenPlain()
+SHARES = (
+    "success",
+    "oracle_success",
+    "spl",
+    "spl_route",
+    "ndtw",
+    "sdtw",
+    "cls",
+    "bsa",
+    "csr",
+    "bsa_all",
+    "csr_all",
+)
+"""Measures that are 1 for a perfect walk and 0 for none."""
 coordinate = st.one_of(
     st.floats(-4, 4, allow_nan=False).map(lambda v: round(v, 3)), st.integers(-6, 6).map(lambda n: n / 2), st.just(60.0)
 )
@@ -142,19 +156,7 @@ def scored(prediction: Prediction | None, rules: Rules | None = None, **changes:
 def test_a_perfect_walk() -> None:
     reference = np.stack([np.arange(13) / 4, np.zeros(13), np.zeros(13)], axis=1)
     found = scored(walk(*reference), reference=reference)
-    for name in (
-        "success",
-        "oracle_success",
-        "spl",
-        "spl_route",
-        "ndtw",
-        "sdtw",
-        "cls",
-        "bsa",
-        "csr",
-        "bsa_all",
-        "csr_all",
-    ):
+    for name in SHARES:
         assert getattr(found, name) == pytest.approx(1.0), name
     assert found.navigation_error == 0
     assert found.steps == 12
@@ -215,19 +217,7 @@ def test_missing_and_empty_are_failures(prediction: Prediction | None) -> None:
     found = scored(prediction)
     assert found.missing == 1
     assert found.navigation_error == 3.0
-    for name in (
-        "success",
-        "oracle_success",
-        "spl",
-        "spl_route",
-        "ndtw",
-        "sdtw",
-        "cls",
-        "bsa",
-        "csr",
-        "bsa_all",
-        "csr_all",
-    ):
+    for name in SHARES:
         assert getattr(found, name) == 0, name
     assert math.isnan(scored(prediction, gold=1).bsa)
 
