@@ -23,6 +23,7 @@ class Task:
     attempt : how many times these units were given out, this one included
     last_try : running out of memory quarantines
     memory : estimated bytes at the peak
+    alone : nothing else of the run may be at work on its node, so that what happens there is its own doing
     """
 
     work: tuple[Work, ...]
@@ -30,6 +31,7 @@ class Task:
     attempt: int = 1
     last_try: bool = False
     memory: int = 0
+    alone: bool = False
 
     @property
     def seconds(self) -> float:

@@ -2,7 +2,7 @@
 
 Ray itself retries nothing here. A dead worker or node gives its units back, one by one from then on, so that the one
 which kills workers is found; after ``SYSTEM_TRIES`` it is quarantined. Running out of memory gives a unit one more try
-with twice the memory.
+with twice the memory and a node to itself: Ray may end whoever came last for what another holds.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ class Dispatch:
         self._flying: dict[Any, tuple[_Flight, float]] = {}
         self._metrics = RunMetrics()
         self._again: deque[_Flight] = deque()
-        self._cpus, self._memory = 0.0, 0.0
+        self._cpus, self._memory, self._node_cpus = 0.0, 0.0, 1
         self._looked = -1e9
         # Only the driver's side of a worker: it never runs a stage.
         self._driver = Worker(context)
@@ -158,7 +158,8 @@ class Dispatch:
                 while self._again and len(self._flying) < self._room():
                     flight = self._again.popleft()
                     asked = self._bounded(memory(flight.item))
-                    remote = self._remote.options(num_cpus=1, memory=asked, max_retries=0)
+                    cpus = self._node_cpus if isinstance(flight.item, Task) and flight.item.alone else 1
+                    remote = self._remote.options(num_cpus=cpus, memory=asked, max_retries=0)
                     reference = remote.remote(self._name, self._shipped, flight.item)
                     self._flying[reference] = (flight, time.monotonic())
                 self._metrics.in_flight(len(self._flying))
@@ -191,6 +192,9 @@ class Dispatch:
             self._cpus = self._ray.cluster_resources().get("CPU", 0.0)  # type: ignore[no-untyped-call]
             nodes = [node for node in self._ray.nodes() if node["Alive"]]  # type: ignore[no-untyped-call]
             self._memory = max((node["Resources"].get("memory", 0.0) for node in nodes), default=0.0)
+            cpus = [int(node["Resources"].get("CPU", 0.0)) for node in nodes]
+            # The smallest node's, which every node can give.
+            self._node_cpus = min((count for count in cpus if count), default=1)
         return max(int(self._cpus * TASKS_PER_CPU), self._least)
 
     def _bounded(self, memory: float) -> int:
@@ -250,8 +254,8 @@ class Dispatch:
                 self._more_memory(flight, replace(task, work=(item,), memory=item.memory))
 
     def _more_memory(self, flight: _Flight, task: Task) -> None:
-        """Once more, alone, with twice the memory."""
-        doubled = replace(task, attempt=task.attempt + 1, last_try=True, memory=2 * task.memory)
+        """Once more, with nothing else on its node, with twice the memory."""
+        doubled = replace(task, attempt=task.attempt + 1, last_try=True, memory=2 * task.memory, alone=True)
         self._again.append(_Flight(doubled, flight.tries, flight.nodes))
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -17,6 +16,7 @@ import toys
 
 from factory import LocalStore, Snapshot, Store, open_store, run
 from factory.object_store import ObjectStore
+from tests.ending import kill_driver
 
 
 def drive(*arguments: str) -> dict[str, Any]:
@@ -93,9 +93,7 @@ def test_killed_and_resumed(
     while len([*log.iterdir()]) < 12:
         assert driver.poll() is None
         time.sleep(0.02)
-    os.kill(driver.pid, signal.SIGKILL)
-    driver.wait()
-    time.sleep(3.0)  # Ray's processes notice that their driver is gone
+    kill_driver(driver)
     done = {path.name for path in log.iterdir()}
     found = drive(address, f"--log={log}", *way)
     assert found["id"] == expected[0]

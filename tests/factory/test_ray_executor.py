@@ -13,10 +13,11 @@ import time
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import pytest
 import toys
+from ray.remote_function import RemoteFunction
 
 from factory import InlineExecutor, LocalStore, run
 from factory.auto_executor import AutoExecutor
@@ -90,6 +91,26 @@ def test_a_unit_that_kills_its_worker_is_found_and_the_others_go_on(
         assert runs == 1 or path.name.split(".")[0] in ("a_poison", "a_unlucky", "a_greedy", "a_glutton")
     sound = [unit for unit in units if unit.unit_id not in causes]
     assert run(toys.pipeline(), sound, LocalStore(tmp_path / "other", durable=False)).snapshot_id == report.snapshot_id
+
+
+def test_who_ran_out_of_memory_gets_a_node_to_itself(
+    executor: RayExecutor, store: LocalStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What another unit beside it holds must not cost a unit its last try."""
+    asked: list[int] = []
+    options = RemoteFunction.options
+
+    def watched(function: RemoteFunction, **settings: Any) -> Any:
+        asked.append(settings["num_cpus"])
+        return options(function, **settings)
+
+    executor.start()
+    monkeypatch.setattr(RemoteFunction, "options", watched)
+    units = [*toys.units(6), toys.unit("a/greedy", trouble=f"memory-once:{tmp_path / 'once'}")]
+    report = run(toys.pipeline(), units, store, executor=executor)
+    assert report.exit_code == 0
+    assert asked.count(executor.workers) == 1
+    assert {*asked} == {1, executor.workers}
 
 
 def test_a_deadline_holds_in_a_worker(executor: RayExecutor, store: LocalStore) -> None:
@@ -181,14 +202,14 @@ def test_a_stopped_driver_takes_its_ray_along(tmp_path: Path, how: signal.Signal
     # A shell's background job is born deaf to SIGINT, and so are its children; this driver listens.
     listen = partial(signal.signal, signal.SIGINT, signal.default_int_handler)
     driver = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=listen)
-    while len([*log.iterdir()]) < 6:
+    while len(traces := [text for path in log.iterdir() if (text := path.read_text())]) < 6:
         assert driver.poll() is None
         time.sleep(0.05)
-    workers = {int(path.read_text().split()[0]) for path in log.iterdir()}
+    workers = {int(text.split()[0]) for text in traces}
     driver.send_signal(how)
-    _, errors = driver.communicate(timeout=60)
+    _, errors = driver.communicate(timeout=200)
     assert "KeyboardInterrupt" in errors
-    for _ in range(100):
+    for _ in range(600):
         if not any(os.path.exists(f"/proc/{pid}") for pid in workers):
             break
         time.sleep(0.1)
@@ -200,8 +221,8 @@ def test_a_unit_that_ray_kills_for_its_memory_gets_one_more_try(tmp_path: Path) 
     import psutil
 
     memory = psutil.virtual_memory()
-    if memory.available < 8 << 30:
-        pytest.skip("needs 8 GiB of free memory")
+    if memory.available < 10 << 30:
+        pytest.skip("needs 10 GiB of free memory")
     script = f"""
 import toys, json
 from factory import LocalStore, run
@@ -211,8 +232,8 @@ with RayExecutor(workers=2) as executor:
     report = run(toys.pipeline(), units, LocalStore({str(tmp_path / "store")!r}), executor=executor)
 print(json.dumps([(name, f.stage, f.cause, f.message) for name, f in report.failures]))
 """
-    # Ray kills when the whole machine is above a share; ours is two gigabytes above what is in use now.
-    share = (memory.total - memory.available + (2 << 30)) / memory.total
+    # Ray kills when the whole machine is above a share; ours is far enough above what is in use for the others here.
+    share = (memory.total - memory.available + (5 << 30)) / memory.total
     environment = {**os.environ, "RAY_memory_usage_threshold": f"{share:.3f}", "RAY_memory_monitor_refresh_ms": "50"}
     done = subprocess.run(
         [sys.executable, "-c", script], env=environment, capture_output=True, text=True, timeout=300, check=False

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import subprocess
 import sys
 import time
@@ -15,6 +13,7 @@ import yaml
 from condvln.samples import make_samples
 from jobs.configuration import load_config
 from jobs.generate import run_generate
+from tests.ending import kill_driver
 
 SCENES = 8
 
@@ -51,9 +50,7 @@ def test_killed_driver(way: str, tmp_path: Path) -> None:
         deadline = time.monotonic() + 120
         while committed(tmp_path, "killed") < 1 and time.monotonic() < deadline:
             time.sleep(0.005)
-        os.kill(driver.pid, signal.SIGKILL)
-        driver.wait()
-    time.sleep(2 if way == "ray" else 0)  # workers notice that their driver is gone
+        kill_driver(driver)
     before = committed(tmp_path, "killed")
     assert 1 <= before < SCENES, "the kill came in time"
     assert not (tmp_path / "killed-store" / "refs").exists() or not list((tmp_path / "killed-store" / "refs").iterdir())
