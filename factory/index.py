@@ -196,7 +196,8 @@ class Index:
         pq.write_table(table, sink, compression="zstd", compression_level=1, row_group_size=131_072)
         data = sink.getvalue()
         found = hashlib.sha256(data).hexdigest()[:32]
-        store.create(Index.path(found), data)
+        # Not create(): one of this name that is damaged must not stay.
+        store.write(Index.path(found), data)
         return found
 
     def __len__(self) -> int:

@@ -56,7 +56,8 @@ class Pins:
         """Keep ``table`` and pin it; returns its hash."""
         found, _ = logical_hash(table)
         self._faults.reach("pin-before-table")
-        self._commits.store.create(SharedTables.path(aggregate.name, found), parquet_bytes(table))
+        # Not create(): one of this name that is damaged must not stay.
+        self._commits.store.write(SharedTables.path(aggregate.name, found), parquet_bytes(table))
         self._faults.reach("pin-before-pin")
         pinned = PinnedTable(version=aggregate.version, hash=found, rows=table.num_rows, units=units)
         self.pin = Pin(tables={**self.pin.tables, aggregate.name: pinned})

@@ -4,7 +4,8 @@ Kept for each ref are its snapshot and the ones before it, ``keep`` in all, with
 these list, the shared tables they were made with or that are pinned, and the quarantine of what they list; and the
 records of the latest runs. Everything else that was last written before the grace period goes; a unit is unmade from
 its ``unit.json``, a snapshot from its manifest, so that nobody takes what is left for whole. Should a run be using an
-old unit at that very moment, it finds the unit damaged and makes it again.
+old unit at that very moment, it finds the unit damaged and makes it again. Where the index or the manifest of a kept
+state can't be read, nobody knows what it needs, and no unit goes.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from pydantic import ValidationError
 
 from factory.index import Index, failed_keys
 from factory.local_store import LocalStore
-from factory.snapshot import read_manifest, read_ref
+from factory.snapshot import manifest_path, read_manifest, read_ref
 from factory.store import Entry, Store
 from schemas.errors import CorruptShardError
 from schemas.snapshot import Pin, Published
@@ -38,12 +39,16 @@ _KINDS: Final = ("snapshots", "indexes", "units", "aggregates", "quarantine", "r
 
 @dataclass
 class SweepReport:
-    """What went (or would go): files and bytes by folder; and ids of snapshots that stay and go."""
+    """What went (or would go): files and bytes by folder; and ids of snapshots that stay and go.
+
+    unreadable : indexes and manifests of kept states that are gone or damaged: because of them no unit went
+    """
 
     files: Counter[str] = field(default_factory=Counter)
     bytes: Counter[str] = field(default_factory=Counter)
     kept: tuple[str, ...] = ()
     removed: tuple[str, ...] = ()
+    unreadable: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -55,6 +60,7 @@ class _Live:
     quarantine: frozenset[tuple[str, str]]
     runs: frozenset[str]
     logs: frozenset[str]
+    unreadable: tuple[str, ...]
 
 
 def sweep(
@@ -69,15 +75,18 @@ def sweep(
     """
     before = (time.time() if now is None else now) - grace
     live = _live(store, max(keep, 1))
-    report = SweepReport(kept=tuple(sorted(live.snapshots)))
+    report = SweepReport(kept=tuple(sorted(live.snapshots)), unreadable=live.unreadable)
     gone = set()
     for kind in _KINDS:
         for folder, entries in _whole(store, kind, before):
             if _is_live(kind, folder, live):
                 continue
             if kind == "snapshots":
-                # Someone may have published it again since we looked.
-                if not dry_run and folder in _live(store, max(keep, 1)).snapshots:
+                # Someone may have published it again since we looked, or be about to: its manifest is young then.
+                if not dry_run and (
+                    any(entry.modified >= before for entry in store.list(f"snapshots/{folder}"))
+                    or folder in _live(store, max(keep, 1)).snapshots
+                ):
                     continue
                 gone.add(folder)
             for entry in entries:
@@ -113,16 +122,19 @@ def _live(store: Store, keep: int) -> _Live:
     units: set[tuple[str, str]] = set()
     quarantine: set[tuple[str, str]] = set()
     aggregates: set[tuple[str, str]] = set()
+    unreadable = []
     for state in states:
         try:
             index = Index.read(store, state.index).table
+            units |= {*_keys(index)}
+            quarantine |= failed_keys(index)
         except CorruptShardError:
-            continue
-        units |= {*_keys(index)}
-        quarantine |= failed_keys(index)
+            unreadable.append(Index.path(state.index))
         manifest = read_manifest(store, state.snapshot_id)
         if manifest is not None:
             aggregates |= {*manifest.aggregates.items()}
+        else:
+            unreadable.append(manifest_path(state.snapshot_id))
     for entry in store.list("pins"):
         try:
             pin = Pin.model_validate_json(store.read(entry.path))
@@ -137,6 +149,7 @@ def _live(store: Store, keep: int) -> _Live:
         quarantine=frozenset(quarantine),
         runs=_latest(store, "runs"),
         logs=_latest(store, "logs"),
+        unreadable=tuple(unreadable),
     )
 
 
@@ -172,6 +185,8 @@ def _is_live(kind: str, name: str, live: _Live) -> bool:
         return name in live.snapshots
     if kind == "indexes":
         return name.removesuffix(".parquet") in live.indexes
+    if live.unreadable and kind in ("units", "aggregates", "quarantine"):
+        return True
     if kind == "units":
         return (parts[0], parts[2]) in live.units
     if kind in ("aggregates", "quarantine"):

@@ -118,6 +118,9 @@ def _sweep(config: Config, store: Store, report: Report) -> None:
     report.document["swept"] = {"files": files, "bytes": size, "snapshots": list(swept.removed)}
     if files:
         report.lines.append(f"swept {files} files, {size / 2**20:.1f} MiB, {len(swept.removed)} snapshots")
+    if swept.unreadable:
+        report.document["swept"]["unreadable"] = list(swept.unreadable)
+        report.lines.append(f"no unit was swept, since what needs them can't be read: {', '.join(swept.unreadable)}")
 
 
 def _nothing(said: str, quarantined: int = 0, done: RunReport | None = None) -> Report:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import threading
 import time
 from pathlib import Path
@@ -16,7 +17,7 @@ from factory.run_log import RunLog
 from factory.snapshot import read_ref
 from factory.status import drift, store_status
 from factory.sweep import sweep
-from schemas.errors import CorruptShardError
+from schemas.errors import CorruptShardError, StoreError
 
 LATER = time.time() + 10 * 24 * 3600
 
@@ -81,6 +82,37 @@ def test_a_sweep_spares_every_ref_and_other_pins(store: LocalStore) -> None:
     assert set(done.kept) == {first, last}
     assert Snapshot.open(store, "nightly").table("squares").num_rows
     assert run(toys.pipeline(), toys.units(4), store, "nightly").stages == {}
+
+
+@pytest.mark.parametrize("damage", ["index", "manifest"])
+@pytest.mark.parametrize("gone", [False, True])
+def test_a_sweep_takes_no_unit_where_it_cannot_know_what_is_needed(store: LocalStore, damage: str, gone: bool) -> None:
+    grow(store, 1, 2)
+    ref, _ = read_ref(store, "main")
+    assert ref is not None
+    path = f"indexes/{ref.index}.parquet" if damage == "index" else f"snapshots/{ref.snapshot_id}/manifest.json"
+    if gone:
+        store.delete(path)
+    else:
+        store.write(path, store.read(path)[:-7])
+    before = {entry.path for entry in store.list("") if entry.path.startswith(("units/", "aggregates/"))}
+    done = sweep(store, keep=1, now=LATER)
+    assert done.unreadable == (path,)
+    assert before <= {entry.path for entry in store.list("")}
+    assert run(toys.pipeline(), [*toys.units(4), toys.unit("a/grows", 2)], store).stages == {}, "nothing is made again"
+    assert sweep(store, keep=1, now=LATER).unreadable == ()
+
+
+def test_a_snapshot_about_to_be_published_again_is_young(store: LocalStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Killed before it moved the ref: the manifest that it found there must not go under the next try."""
+    ids = grow(store, 1, 2, 3)
+    before = time.time() + 1000
+    for entry in store.list(f"snapshots/{ids[0]}"):
+        os.utime(store.root / entry.path, (0, 0))
+    with pytest.raises(StoreError, match="injected"):
+        run(toys.pipeline(), [*toys.units(4), toys.unit("a/grows", 1)], store, faults="snapshot-before-ref=full")
+    assert sweep(store, keep=1, grace=500.0, now=time.time() + 100).removed == ()
+    assert set(sweep(store, keep=1, grace=500.0, now=before).removed) == set(ids[:2])
 
 
 def test_records_and_logs_of_the_latest_runs_stay(store: LocalStore, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -182,6 +214,18 @@ def test_the_log_has_a_line_for_each_unit(store: LocalStore, tmp_path: Path) -> 
         "units",
         "files",
     ]
+
+
+def test_a_damaged_pinned_table_is_mended_as_its_error_says(store: LocalStore) -> None:
+    grow(store, 1)
+    (entry,) = store.list("aggregates")
+    store.write(entry.path, store.read(entry.path)[:-7])
+    with pytest.raises(StoreError, match="--priors"):
+        grow(store, 2)
+    changed = [*toys.units(4), toys.unit("a/grows", 1, content="other")]
+    assert run(toys.pipeline(), changed, store, renew=["total"]).exit_code == 0
+    assert {found.path for found in store.list("aggregates")} == {entry.path}, "the same rows have the same name"
+    assert plan(toys.pipeline(), changed, store).empty
 
 
 def test_a_damaged_published_file_is_found_and_made_again(store: LocalStore) -> None:
