@@ -1,0 +1,132 @@
+"""Bad input in a scene dataset: one error that names the file, for that scene only."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from condvln.sources.registry import open_source
+from schemas.errors import ConfigError, FormatError, MissingFileError, PathEscapeError
+from tests.condvln.sources.replicacad_reading import faults, read
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"translation": [0, math.nan, 0]}, "NaN is not allowed"),
+        ({"translation": [0, math.inf, 0]}, "Infinity is not allowed"),
+        ({"translation": "here"}, "an array is expected, not text"),
+        ({"translation": [0, 1]}, "3 numbers are expected, not 2"),
+        ({"translation": [0, 1, 1e9]}, "beyond ±100000"),
+        ({"rotation": [0, 0, 0, 0]}, "is no rotation"),
+        ({"rotation": [1, 0, 0]}, "4 numbers are expected"),
+        ({"template_name": 7}, "text is expected, not a number"),
+        ({"uniform_scale": 0}, "a scale is zero"),
+        ({"motion_type": True}, "text is expected, not true or false"),
+    ],
+)
+def test_a_broken_entry_is_this_scenes_fault_alone(made: Any, change: dict[str, Any], message: str) -> None:
+    made.write_scene("sound")
+    made.scene["object_instances"][1] |= change
+    made.write_scene()
+    fault = faults(made)
+    assert fault["sound"] is None
+    assert isinstance(fault["flat"], FormatError)
+    with pytest.raises(FormatError, match=message) as caught:
+        read(made)
+    assert caught.value.where.endswith("configs/scenes/flat.scene_instance.json")
+    assert caught.value.remedy
+    assert len(read(made, "sound").objects) == 4
+
+
+@pytest.mark.parametrize(
+    "text",
+    [b"", b"{", b"[]", b'{"object_instances": {}}', b'{"object_instances": [], "object_instances": []}', b"\xff"],
+)
+def test_a_broken_scene_file_is_its_fault_alone(made: Any, text: bytes) -> None:
+    made.write_scene("sound")
+    made.write("configs/scenes/flat.scene_instance.json", text)
+    fault = faults(made)
+    assert isinstance(fault["flat"], FormatError)
+    assert fault["sound"] is None
+
+
+def test_a_missing_lexicon_names_it_and_the_mend_suffices(made: Any) -> None:
+    lexicon = made.root / "configs/ssd/lexicon.json"
+    kept = lexicon.read_bytes()
+    lexicon.unlink()
+    source = made.source()
+    (handle,) = source.handles()
+    assert isinstance(handle.fault, MissingFileError)
+    assert "configs/ssd/lexicon.json" in str(handle.fault)
+    assert handle.fault.remedy.startswith("Download it again")
+    with pytest.raises(MissingFileError):
+        source.read("flat")
+    lexicon.write_bytes(kept)
+    assert source.handles()[0].fault is None
+    assert len(source.read("flat").objects) == 4
+
+
+def test_a_truncated_mesh_is_refused_and_the_mend_suffices(made: Any) -> None:
+    file = made.root / "objects/table_01.glb"
+    kept = file.read_bytes()
+    file.write_bytes(kept[:-100])
+    source = made.source()
+    with pytest.raises(FormatError, match="the header claims") as caught:
+        source.read("flat")
+    assert caught.value.where == str(file)
+    file.write_bytes(kept)
+    assert len(source.read("flat").objects) == 4
+
+
+@pytest.mark.parametrize("value", ["../../../secret.glb", "/etc/passwd", "../../../../../../etc/passwd.glb"])
+@pytest.mark.parametrize("key", ["render_asset", "collision_asset"])
+def test_a_path_out_of_the_root_is_refused(made: Any, key: str, value: str) -> None:
+    (made.root / "objects/table_01.glb").unlink()
+    config = {"render_asset": "../../objects/table_01.glb", "semantic_id": 1, key: value}
+    made.json("configs/objects/table_01.object_config.json", config)
+    with pytest.raises(PathEscapeError) as caught:
+        read(made)
+    assert caught.value.where.endswith("table_01.object_config.json")
+    assert caught.value.place == key
+
+
+def test_a_symlink_out_of_the_root_is_refused(made: Any, tmp_path: Path) -> None:
+    file = made.root / "objects/table_01.glb"
+    (tmp_path / "outside.glb").write_bytes(file.read_bytes())
+    file.unlink()
+    file.symlink_to(tmp_path / "outside.glb")
+    with pytest.raises(PathEscapeError, match="symbolic link"):
+        read(made)
+
+
+def test_links_of_a_urdf_stay_inside(made: Any) -> None:
+    urdf = made.root / "urdf/fridge/fridge.urdf"
+    urdf.write_bytes(urdf.read_bytes().replace(b"door.glb", b"../../../door.glb"))
+    with pytest.raises(PathEscapeError, match="climbs out") as caught:
+        read(made)
+    assert caught.value.place == "link door"
+
+
+def test_a_search_path_beside_the_dataset_is_not_followed(made: Any) -> None:
+    robots = made.root.parent / "robots"
+    robots.mkdir()
+    (robots / "fetch.urdf").write_text("not xml")
+    assert read(made).warnings == ()
+
+
+def test_a_root_that_is_none_is_one_clear_error(made: Any, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="is not there") as caught:
+        open_source("replicacad", tmp_path / "nowhere")
+    assert "nowhere" in caught.value.where
+    with pytest.raises(ConfigError, match="0 files"):
+        open_source("replicacad", tmp_path)
+    with pytest.raises(ConfigError, match="unknown source family 'x'"):
+        open_source("x", made.root)
+    os.link(made.root / "made.scene_dataset_config.json", made.root / "b.scene_dataset_config.json")
+    with pytest.raises(ConfigError, match="2 files"):
+        made.source()
