@@ -48,7 +48,7 @@ class Executor(Protocol):
         ...
 
     def run(self, context: RunContext, tasks: Iterable[Task]) -> Iterator[Receipt]:
-        """Work ``tasks`` off. Closing the iterator stops what is under way; what is committed stays."""
+        """Work ``tasks`` off. Closing the iterator hands out nothing more; what is committed stays."""
         ...
 
     def pack(self, context: RunContext, jobs: Iterable[PackJob]) -> Iterator[Packed]:
