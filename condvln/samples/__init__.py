@@ -4,6 +4,7 @@ from condvln.samples.apartment import make_layout
 from condvln.samples.layout import Door, Furniture, Layout, Room, Yaw
 from condvln.samples.maker import (
     FAMILIES,
+    FORMS,
     SampleReport,
     make_layouts,
     make_samples,
@@ -13,6 +14,7 @@ from condvln.samples.maker import (
 
 __all__ = [
     "FAMILIES",
+    "FORMS",
     "Door",
     "Furniture",
     "Layout",

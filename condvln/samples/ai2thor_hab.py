@@ -19,7 +19,11 @@ from condvln.samples.native_labels import native_labels
 from condvln.samples.procthor import procthor_files
 from condvln.samples.replicacad import LEXICON, replicacad_files
 
-__all__ = ["ai2thor_hab_files"]
+__all__ = ["HOUSES", "SCENES", "ai2thor_hab_files"]
+
+SCENES: Final = "hab"
+HOUSES: Final = "houses"
+"""The two folders."""
 
 SCENES_A_FOLDER: Final = 100
 DECIMALS: Final = 6
@@ -31,7 +35,7 @@ _LEFT_OUT: Final = ("navmeshes", "configs/semantics/")
 def ai2thor_hab_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, bytes]]:
     """All files: path relative to the folder that holds both, and bytes. Layout k is ``ProcTHOR-Train-<k>``."""
     for path, content in procthor_files(layouts):
-        yield f"houses/{path.replace('houses.', 'train.')}", content
+        yield f"{HOUSES}/{path.replace('houses.', 'train.')}", content
     named = {f"ProcTHOR-Train-{k}": in_house_frame(layout) for k, layout in enumerate(layouts.values())}
     for path, content in replicacad_files(named):
         if path.startswith(_LEFT_OUT):
@@ -46,7 +50,7 @@ def ai2thor_hab_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, byte
             content = _lexicon(content)
         elif path.endswith(".ao_config.json"):
             content = _articulated(path.split("/")[1])
-        yield f"hab/{path}", content
+        yield f"{SCENES}/{path}", content
 
 
 def in_house_frame(layout: Layout) -> Layout:

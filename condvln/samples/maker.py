@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from condvln.samples.ai2thor_hab import ai2thor_hab_files
+from condvln.samples.ai2thor_hab import HOUSES, SCENES, ai2thor_hab_files
 from condvln.samples.apartment import make_layout
 from condvln.samples.floor_mesh import NavmeshEngine
 from condvln.samples.floor_plan import MAX_ROOMS, MIN_ROOMS
@@ -21,7 +21,15 @@ from condvln.samples.thor_metadata import ithor_files, robothor_files
 from condvln.seeding import stable_hash
 from schemas.errors import UsageError
 
-__all__ = ["FAMILIES", "SampleReport", "make_layouts", "make_samples", "write_ai2thor_hab", "write_replicacad"]
+__all__ = [
+    "FAMILIES",
+    "FORMS",
+    "SampleReport",
+    "make_layouts",
+    "make_samples",
+    "write_ai2thor_hab",
+    "write_replicacad",
+]
 
 Writer = Callable[[Mapping[str, Layout]], Iterator[tuple[str, bytes]]]
 
@@ -35,15 +43,24 @@ FAMILIES: Final[dict[str, Writer]] = {
 }
 """Writers by source family: layouts by scene name to files by path."""
 
+HABITAT_PROCTHOR: Final = "ai2thor-hab"
+FORMS: Final[dict[str, Writer]] = {**FAMILIES, HABITAT_PROCTHOR: ai2thor_hab_files}
+"""Writers of all that can be made: the families, and ProcTHOR in Habitat's form, which is of family procthor."""
+
 SEED_BITS: Final = 63
 
 
 @dataclass(frozen=True, slots=True)
 class SampleReport:
-    """What was written: scene names with their numbers of rooms and objects, files and bytes."""
+    """What was written: scene names with their numbers of rooms and objects, files and bytes.
+
+    family : of the source that reads it
+    parts : the folders that a configuration's source names, by key
+    """
 
     folder: Path
     family: str
+    parts: Mapping[str, Path]
     scenes: tuple[str, ...]
     rooms: int
     objects: int
@@ -60,21 +77,21 @@ def make_layouts(scenes: int, seed: int) -> dict[str, Layout]:
 
 
 def make_samples(folder: Path, family: str = "replicacad", scenes: int = 12, seed: int = 0) -> SampleReport:
-    """Write `scenes` made apartments to `folder` in the native format of `family`.
+    """Write `scenes` made apartments to `folder` in the native format of `family`, or in one of the other forms.
 
     The bytes depend on (family, scenes, seed) alone. A folder that holds the same files already is left as it is.
 
     Raises
     ------
-    UsageError : no such family, no scenes asked for, or the folder holds something else
+    UsageError : no such form, no scenes asked for, or the folder holds something else
     """
-    if family not in FAMILIES:
-        known = ", ".join(sorted(FAMILIES))
+    if family not in FORMS:
+        known = ", ".join(sorted(FORMS))
         raise UsageError(f"no samples of a family {family!r}", place="family", remedy=f"Choose one of: {known}.")
     if scenes < 1:
         raise UsageError(f"{scenes} scenes were asked for", place="scenes", remedy="Ask for at least one.")
     layouts = make_layouts(scenes, seed)
-    return _write(folder, family, layouts, FAMILIES[family](layouts))
+    return _write(folder, family, layouts, FORMS[family](layouts))
 
 
 def write_replicacad(folder: Path, layouts: Mapping[str, Layout], navmesh: NavmeshEngine = "polygons") -> SampleReport:
@@ -85,7 +102,7 @@ def write_replicacad(folder: Path, layouts: Mapping[str, Layout], navmesh: Navme
 def write_ai2thor_hab(folder: Path, layouts: Mapping[str, Layout]) -> SampleReport:
     """Write `layouts` as ProcTHOR in Habitat's form, ``hab/``, with their houses, ``houses/``; errors as in
     `make_samples`."""
-    return _write(folder, "procthor", layouts, ai2thor_hab_files(layouts))
+    return _write(folder, HABITAT_PROCTHOR, layouts, ai2thor_hab_files(layouts))
 
 
 def _n_rooms(seed: int, k: int) -> int:
@@ -96,7 +113,7 @@ def _n_rooms(seed: int, k: int) -> int:
 
 
 def _write(
-    folder: Path, family: str, layouts: Mapping[str, Layout], content_of: Iterator[tuple[str, bytes]]
+    folder: Path, form: str, layouts: Mapping[str, Layout], content_of: Iterator[tuple[str, bytes]]
 ) -> SampleReport:
     files = {folder / path: content for path, content in content_of}
     # Nothing is written before all that is there has been found to belong.
@@ -108,9 +125,11 @@ def _write(
         if file not in there:
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_bytes(content)
+    joined = form == HABITAT_PROCTHOR
     return SampleReport(
         folder=folder,
-        family=family,
+        family="procthor" if joined else form,
+        parts={"root": folder / SCENES, "houses": folder / HOUSES} if joined else {"root": folder},
         scenes=tuple(layouts),
         rooms=sum(len(layout.rooms) for layout in layouts.values()),
         objects=sum(len(layout.furniture) for layout in layouts.values()),

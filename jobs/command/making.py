@@ -27,14 +27,21 @@ def demo(
 
 def samples(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="folder to write the dataset to")],
-    family: Annotated[str, typer.Option(help="native format of the scenes")] = "replicacad",
+    family: Annotated[
+        str,
+        typer.Option(
+            help="native format of the scenes: gibson, ithor, mp3d, procthor, replicacad, robothor, or ai2thor-hab, "
+            "ProcTHOR in Habitat's form with the houses for its rooms"
+        ),
+    ] = "replicacad",
     scenes: Annotated[int, typer.Option(min=1, help="how many")] = 12,
     seed: Annotated[int, typer.Option(help="scene k of a seed is the same however many are made")] = 0,
+    as_json: AsJson = False,
 ) -> None:
-    """Write whole made scenes in a family's native format."""
+    """Write whole made scenes in a family's native format, and tell the source to configure."""
     from jobs.samples import write_samples
 
-    write_samples(folder, family=family, scenes=scenes, seed=seed, console=console())
+    answer(write_samples(folder, family=family, scenes=scenes, seed=seed), as_json)
 
 
 def plan(config: ConfigPath, overrides: Overrides = None, as_json: AsJson = False) -> None:

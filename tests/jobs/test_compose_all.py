@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 
 from condvln.export.splits import SPLITS
 from condvln.navigation.pathfinder import Pathfinder
-from condvln.samples import make_layouts, make_samples, write_ai2thor_hab, write_replicacad
+from condvln.samples import make_layouts, make_samples, write_replicacad
 from jobs import compose_all as module
 from jobs.command import app
 from jobs.compose_all import compose_all
@@ -51,14 +51,11 @@ class Made:
 
 
 def source_of(form: str, folder: Path, scenes: int = SCENES) -> SourceConfig:
-    if form == "ai2thor-hab":
-        write_ai2thor_hab(folder, make_layouts(scenes, SEED))
-        return SourceConfig(family="procthor", root=folder / "hab", houses=folder / "houses")
     if form == "replicacad":
-        write_replicacad(folder, make_layouts(scenes, SEED), navmesh="recast")
+        report = write_replicacad(folder, make_layouts(scenes, SEED), navmesh="recast")
     else:
-        make_samples(folder, form, scenes, SEED)
-    return SourceConfig(family=form, root=folder)  # type: ignore[arg-type]
+        report = make_samples(folder, form, scenes, SEED)
+    return SourceConfig(family=report.family, **report.parts)  # type: ignore[arg-type]
 
 
 def config_of(folder: Path, *sources: SourceConfig) -> Config:

@@ -14,7 +14,7 @@ import pytest
 
 from condvln.labels import vocabulary
 from condvln.relations import CANONICAL, relate_room
-from condvln.samples import FAMILIES, Layout, make_layouts, make_samples
+from condvln.samples import FAMILIES, FORMS, Layout, make_layouts, make_samples
 from condvln.samples.native_labels import native_labels
 from condvln.samples.thor_metadata import FLOOR_PLANS
 from condvln.scene import RoomArrays
@@ -34,7 +34,7 @@ def layouts() -> dict[str, Layout]:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     base = tmp_path_factory.mktemp("families")
-    for family in FAMILIES:
+    for family in FORMS:
         make_samples(base / family, family=family, scenes=SCENES, seed=SEED)
     return base
 
@@ -46,8 +46,8 @@ def _digests(folder: Path) -> dict[str, str]:
 
 def test_bytes_repeat_in_another_process_with_another_hash_seed(folder: Path, tmp_path: Path) -> None:
     code = (
-        "import sys, pathlib; from condvln.samples import FAMILIES, make_samples\n"
-        "for family in reversed(FAMILIES):\n"
+        "import sys, pathlib; from condvln.samples import FORMS, make_samples\n"
+        "for family in reversed(FORMS):\n"
         f"    make_samples(pathlib.Path(sys.argv[1]) / family, family, {SCENES}, {SEED})"
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=True, env={**os.environ, "PYTHONHASHSEED": "77"})
