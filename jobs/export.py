@@ -16,7 +16,7 @@ from jobs.bias import add_bias
 from jobs.built_navmeshes import built_navmeshes
 from jobs.oracle import linear_text
 from jobs.report import Report, Section
-from jobs.workspace import published, snapshot_folder
+from jobs.workspace import graph_folders, published, snapshot_folder
 from schemas.config import Config
 from schemas.errors import ConfigError, StoreError
 from schemas.program import Program
@@ -24,7 +24,6 @@ from schemas.program import Program
 __all__ = ["add_viewpoints", "export_snapshot_of", "graphs_of", "run_export"]
 
 
-_CONNECTIVITY: Final = "connectivity"
 _COMPARED: Final = ("episodes", "instructions", "scenes")
 _PROGRAM: Final = ("category", "conditions", "branches", "leaves")
 
@@ -129,5 +128,4 @@ def _former(config: Config, snapshot: Snapshot) -> FolderTables | None:
 
 def graphs_of(config: Config) -> GraphFolder:
     """Connectivity of Matterport3D scans, where the configuration names it or the dataset's folder holds it."""
-    sources = [source for source in config.sources if source.family == "mp3d"]
-    return GraphFolder(*(source.connectivity or source.root / _CONNECTIVITY for source in sources))
+    return GraphFolder(*graph_folders(config))

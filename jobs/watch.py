@@ -19,6 +19,7 @@ from typing import Any, Final
 from factory.commits import Commits
 from factory.snapshot import read_manifest, read_ref
 from factory.store import Store
+from jobs.workspace import graph_folders
 from schemas.base import Document
 from schemas.canonical import digest
 from schemas.config import Config
@@ -65,9 +66,14 @@ class Watch:
             for path in (source.root, source.regions, source.houses)
             if path is not None
         ]
-        files, self._settled = look(roots)
-        self._inputs = digest([document, code, files])
-        self._exported = digest([code, {k: v for k, v in document.items() if k not in ("ray", "keep", "store")}])
+        files, files_settled = look(roots)
+        # No scene is made of these, but the export is.
+        graphs, graphs_settled = look(graph_folders(config))
+        self._settled = files_settled and graphs_settled
+        self._inputs = digest([document, code, files, graphs])
+        self._exported = digest(
+            [code, {k: v for k, v in document.items() if k not in ("ray", "keep", "store")}, graphs]
+        )
         self.memory = self._remembered()
 
     def _remembered(self) -> Memory | None:

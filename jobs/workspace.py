@@ -23,6 +23,7 @@ __all__ = [
     "CACHE_VARIABLE",
     "file_hashes",
     "git_revision",
+    "graph_folders",
     "hasher",
     "local_state",
     "open_store",
@@ -32,6 +33,9 @@ __all__ = [
 
 HASHES: Final = ".hashes.sqlite"
 """Memory of input hashes, in the local state of a store; losing it costs time only."""
+
+CONNECTIVITY: Final = "connectivity"
+"""Folder of viewpoint graphs in a dataset of Matterport3D scans."""
 
 CACHE_VARIABLE: Final = "CONDVLN_CACHE"
 """Folder for what this machine keeps of stores that are elsewhere; ``~/.cache/condvln`` without it."""
@@ -58,6 +62,12 @@ def published(config: Config) -> Snapshot:
 def snapshot_folder(address: Path | str, snapshot: Snapshot, tables: Iterable[str] | None = None) -> Path:
     """The snapshot as a folder on this disk, fetched (only `tables`, if named) where the store is elsewhere."""
     return local_copy(snapshot, local_state(address), tables)
+
+
+def graph_folders(config: Config) -> list[Path]:
+    """Where connectivity of Matterport3D scans may be: as the configuration says, else in the dataset's folder."""
+    sources = [source for source in config.sources if source.family == "mp3d"]
+    return [source.connectivity or source.root / CONNECTIVITY for source in sources]
 
 
 def file_hashes(config: Config) -> FileHashes:

@@ -20,6 +20,7 @@ from jobs.progress import RunProgress
 from jobs.rebuild import run_rebuild
 from jobs.report import Report
 from jobs.status import report_status
+from jobs.watch import Watch
 from jobs.workspace import CACHE_VARIABLE, open_store
 from schemas.config import Config, InstructionsConfig, KeepConfig, SourceConfig, SplitsConfig
 
@@ -285,3 +286,26 @@ def test_an_object_store_holds_and_exports_the_same(
     assert "no file changed" in rebuild(away).lines[0]
     assert len([*open_store(away).list("logs")]) == len([*open_store(away).list("runs")]) == 1
     assert not [*(tmp_path / "cache").rglob("*.jsonl")], "the log moved to the store"
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_an_export_does_not_outlast_the_graphs_it_was_made_of(tmp_path: Path, beside: bool) -> None:
+    """Connectivity is no input of a scene: only the export reads it, wherever it stands."""
+    graphs = tmp_path / ("graphs" if beside else "dataset/connectivity")
+    for folder in (graphs, tmp_path / "dataset", tmp_path / "export", tmp_path / "state"):
+        folder.mkdir(parents=True, exist_ok=True)
+    (graphs / "a_connectivity.json").write_text("[]")
+    (tmp_path / "export" / "export.json").write_text('{"files": {}, "snapshot": "s"}')
+    settle(tmp_path)
+    source = SourceConfig(family="mp3d", root=tmp_path / "dataset", connectivity=graphs if beside else None)
+    config = Config(name="x", store=tmp_path / "store", export=tmp_path / "export", sources=(source,))
+
+    def watch() -> Watch:
+        return Watch(config, open_store(config), tmp_path / "state")
+
+    watch().remember("s", 0)
+    assert watch().unchanged
+    assert watch().export_stands("s")
+    (graphs / "a_connectivity.json").write_text("[[]]")
+    assert not watch().unchanged
+    assert not watch().export_stands("s")
