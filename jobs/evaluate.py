@@ -41,6 +41,8 @@ class Question:
     roots : folders of datasets with the navmeshes that the export does not ship
     connectivity : folders of ``<scan>_connectivity.json``, for paths over viewpoints
     radii : success distances of a sweep, metres
+    oracle_radius : distance of OSR, metres, where it is larger than the success distance; none for that
+    fast_dtw : nDTW by VLN-CE's approximation
     """
 
     export: Path
@@ -52,6 +54,8 @@ class Question:
     euclidean: bool = False
     radii: tuple[float, ...] = ()
     assume_stop: bool = False
+    oracle_radius: float | None = None
+    fast_dtw: bool = False
 
 
 class EvaluationReport:
@@ -150,10 +154,17 @@ def evaluate_predictions(asked: Question) -> EvaluationReport:
             f"{len(asked.oracle)} files of predictions on the oracle twin for {len(asked.predictions)} agents",
             remedy="Say --oracle once for each agent, in the same order.",
         )
-    wrong = [radius for radius in asked.radii if not (math.isfinite(radius) and radius > 0)]
-    if wrong:
-        raise UsageError(f"--radius {wrong[0]:g}", remedy="Success distances are positive numbers of metres.")
-    rules = Rules(distance="euclidean" if asked.euclidean else "geodesic")
+    said = [("--radius", radius) for radius in asked.radii]
+    if asked.oracle_radius is not None:
+        said.append(("--oracle-radius", asked.oracle_radius))
+    for option, radius in said:
+        if not (math.isfinite(radius) and radius > 0):
+            raise UsageError(f"{option} {radius:g}", remedy="Success distances are positive numbers of metres.")
+    rules = Rules(
+        distance="euclidean" if asked.euclidean else "geodesic",
+        oracle_success_distance=asked.oracle_radius,
+        fast_dtw=asked.fast_dtw,
+    )
     options = SplitOptions(rules, asked.radii, asked.roots, asked.assume_stop, asked.connectivity)
     evaluations, tasks = evaluate_split(asked.export, asked.split, asked.predictions, options)
     tables = all_tables(evaluations, tasks)

@@ -8,6 +8,7 @@ from typing import Any
 import pyarrow.compute as pc
 
 from condvln.episodes.picture import draw_episode
+from condvln.export.axes import observability_class
 from condvln.instructions.tables import programs_from_table
 from condvln.navigation.navmesh_file import NavMeshFile, parse_navmesh, read_navmesh
 from condvln.scene import Scene
@@ -89,7 +90,7 @@ def _seen(row: dict[str, Any]) -> str:
     """The observability of an episode, O0f where all evidence is in the first view."""
     if row.get("observability") is None:
         return "not told"
-    return "O0f" if row["evidence_in_view"] else str(row["observability"])
+    return str(observability_class(row["observability"], row["evidence_in_view"]))
 
 
 def _lines(row: dict[str, Any], tree: str) -> list[str]:

@@ -121,34 +121,35 @@ class GroupAccuracy:
     """Counterfactual groups: episodes that differ in what is true, and so in where to go.
 
     ``all_right`` is the share of groups in which every episode succeeded: an agent that ignores the condition gets at
-    best one of each. ``single`` is the mean success of the same episodes.
+    best one of each. ``single`` is the mean success of the same episodes. Intervals draw scenes, as everywhere.
     """
 
     groups: int
     episodes: int
-    all_right: float
-    all_leaves_right: float
-    single: float
+    all_right: Estimate
+    all_leaves_right: Estimate
+    single: Estimate
 
 
-def group_accuracy(evaluation: Evaluation) -> GroupAccuracy:
+def group_accuracy(evaluation: Evaluation, *, seed: int = 0) -> GroupAccuracy:
     """Over the groups of which at least two episodes are in the split."""
     members: dict[str, list[int]] = defaultdict(list)
     for row, group in enumerate(evaluation.group_ids):
         if group is not None:
             members[group].append(row)
     rows = [group for group in members.values() if len(group) > 1]
-    if not rows:
-        return GroupAccuracy(0, 0, float("nan"), float("nan"), float("nan"))
     success, leaf = evaluation.scores["success"], evaluation.scores["leaf_correct"]
-    all_leaves = [float(leaf[group].all()) if not np.isnan(leaf[group]).any() else np.nan for group in rows]
+    scenes = evaluation.axes["scene"].astype(str)
+    # A group is of one scene.
+    of_groups = scenes[[group[0] for group in rows]]
     flat = [row for group in rows for row in group]
+
+    def share(scores: npt.NDArray[np.float64]) -> Estimate:
+        # All are right where the worst is; one that nobody knows leaves the group unknown.
+        return estimate(np.array([scores[group].min() for group in rows]), of_groups, seed=seed)
+
     return GroupAccuracy(
-        len(rows),
-        len(flat),
-        float(np.mean([success[group].all() for group in rows])),
-        float(np.mean(all_leaves)),
-        float(success[flat].mean()),
+        len(rows), len(flat), share(success), share(leaf), estimate(success[flat], scenes[flat], seed=seed)
     )
 
 

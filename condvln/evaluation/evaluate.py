@@ -19,7 +19,18 @@ from schemas.errors import FormatError
 
 __all__ = ["AXES", "SWEPT", "Evaluation", "evaluate"]
 
-AXES: Final = ("source", "scene", "category", "depth", "chain", "composition", "observability", "moves")
+AXES: Final = (
+    "source",
+    "scene",
+    "category",
+    "depth",
+    "chain",
+    "composition",
+    "observability",
+    "moves",
+    "route",
+    "words",
+)
 """Columns by which scores are grouped."""
 
 SWEPT: Final = ("success", "oracle_success", "spl", "bsa_all", "csr_all", "leaf_correct")

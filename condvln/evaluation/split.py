@@ -59,7 +59,8 @@ def evaluate_split(
 
     Raises
     ------
-    UsageError : two files of one name; paths in space and over viewpoints in one call
+    UsageError : two files of one name; paths in space and over viewpoints in one call; rules of paths in space for
+        paths over viewpoints
     InputError : from the readers
     """
     options = options or SplitOptions()
@@ -68,6 +69,11 @@ def evaluate_split(
         raise UsageError("two prediction files have one name", remedy="Agents are named after their files: rename one")
     discrete = [not is_episode_stats(path) and detect_format(path) == "r2r" for path in predictions]
     if all(discrete):
+        if options.rules != Rules() or options.assume_stop:
+            raise UsageError(
+                "paths over viewpoints are judged by R2R's rules alone",
+                remedy="Leave out what is said of distances, of nDTW and of STOP.",
+            )
         return _evaluate_discrete(export, split, dict(zip(names, predictions, strict=True)), options)
     if any(discrete):
         raise UsageError(

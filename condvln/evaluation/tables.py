@@ -17,7 +17,7 @@ from condvln.evaluation.aggregate import (
     summary,
     sweep_summary,
 )
-from condvln.evaluation.evaluate import SWEPT, Evaluation
+from condvln.evaluation.evaluate import AXES, SWEPT, Evaluation
 from condvln.evaluation.task import Task
 
 __all__ = [
@@ -133,7 +133,7 @@ def main_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Table:
 def axis_table(
     evaluations: Sequence[Evaluation], *axes: str, columns: Sequence[Column] = MAIN_COLUMNS, seed: int = 0
 ) -> Table:
-    """Results by one axis or several: category, depth, chain, composition, observability, moves, scene."""
+    """Results by one axis or several of :data:`~condvln.evaluation.evaluate.AXES`."""
     return _grouped("by_" + "_".join(axes), f"Results by {' and '.join(axes)}", evaluations, axes, columns, seed)
 
 
@@ -155,7 +155,7 @@ def sweep_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Table:
     return Table("sweep", "Success distance swept", columns, rows, blocks=1)
 
 
-def group_table(evaluations: Sequence[Evaluation]) -> Table:
+def group_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Table:
     """Counterfactual groups: right in every episode of the group, or only now and then?"""
     columns = (
         _AGENT,
@@ -167,9 +167,10 @@ def group_table(evaluations: Sequence[Evaluation]) -> Table:
     )
     rows = []
     for evaluation in evaluations:
-        found = group_accuracy(evaluation)
-        values = (found.groups, found.episodes, found.all_right, found.all_leaves_right, found.single)
-        rows.append((Cell(evaluation.agent), *map(Cell, values)))
+        found = group_accuracy(evaluation, seed=seed)
+        estimates = (found.all_right, found.all_leaves_right, found.single)
+        cells = (Cell(e.mean, e.low, e.high, e.n, e.total) for e in estimates)
+        rows.append((Cell(evaluation.agent), Cell(found.groups), Cell(found.episodes), *cells))
     return Table("groups", "Counterfactual groups", columns, tuple(rows))
 
 
@@ -259,7 +260,7 @@ _CONDITIONAL: Final = " (conditions)"
 def all_tables(evaluations: Sequence[Evaluation], tasks: Sequence[Task], *, seed: int = 0) -> list[Table]:
     """Everything that one evaluation has to say; nothing is said by an axis that nobody knows."""
     tables = [main_table(evaluations, seed=seed), branch_table(evaluations, seed=seed)]
-    for axis in ("category", "depth", "chain", "composition", "observability", "moves"):
+    for axis in AXES[2:]:  # source has the main table, scene would fill pages
         if any(value is not None for evaluation in evaluations for value in evaluation.axes[axis]):
             tables.append(axis_table(evaluations, axis, seed=seed))
     if any(evaluation.sweep for evaluation in evaluations):
@@ -267,7 +268,7 @@ def all_tables(evaluations: Sequence[Evaluation], tasks: Sequence[Task], *, seed
     tables.append(divergence_table(evaluations, tasks))
     tables += [table for evaluation in evaluations for table in confusion_tables(evaluation)]
     if any(group is not None for evaluation in evaluations for group in evaluation.group_ids):
-        tables.append(group_table(evaluations))
+        tables.append(group_table(evaluations, seed=seed))
     if len(evaluations) > 1:
         tables.append(comparison_table(evaluations, seed=seed))
     return [table for table in tables if table.rows]

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from pydantic import ValidationError
 
 from condvln.evaluation.json_entries import entries, json_lines, parsed
+from condvln.export.axes import observability_class, route_class, words_class
 from condvln.export.densify import densify
 from schemas.errors import FormatError
 from schemas.evaluation import ManifestEpisode
@@ -40,7 +41,8 @@ class Task:
 
     Attributes
     ----------
-    axes : the episode's place in the tables: source, scene, category, depth, chain, composition, observability, moves
+    axes : the episode's place in the tables: source, scene, category, depth, chain, composition, observability,
+        moves, and the classes of the route's length and of the number of words
     reference : (r, 3) dense locations of the gold route
     success_distance : τ, metres
     """
@@ -86,8 +88,10 @@ def task_of(row: ManifestEpisode, locations: Points | None = None) -> Task:
         "depth": row.depth,
         "chain": row.chain,
         "composition": row.composition,
-        "observability": row.observability,
+        "observability": observability_class(row.observability, row.evidence_in_view),
         "moves": row.moves,
+        "route": route_class(row.route_length),
+        "words": words_class(row.words),
     }
     return Task(
         row.episode_id,

@@ -15,7 +15,18 @@ __all__ = ["dataset_card"]
 
 _SIZES: Final = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
 _LARGEST: Final = "1M<n<10M"
-_AXES: Final = ("category", "composition", "observability", "moves", "success_distance", "source")
+_AXES: Final = (
+    "category",
+    "depth",
+    "chain",
+    "composition",
+    "observability",
+    "moves",
+    "route",
+    "words",
+    "success_distance",
+    "source",
+)
 
 
 def dataset_card(report: ExportReport, name: str) -> str:

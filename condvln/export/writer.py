@@ -11,6 +11,7 @@ from typing import Any, Final
 from urllib.parse import quote
 
 from condvln.export.ansr import ansr_bytes
+from condvln.export.axes import observability_class, route_class, words_class
 from condvln.export.manifest import manifest_row
 from condvln.export.oracle import OracleText, oracle_episode, oracle_text_of
 from condvln.export.r2r import Graphs, r2r_episode
@@ -30,6 +31,7 @@ from condvln.export.vlnce import (
     truth_writer,
     vlnce_episode,
 )
+from schemas.program import SHAPES
 
 __all__ = ["ExportWriter", "Layout"]
 
@@ -206,8 +208,12 @@ class ExportWriter:
             ("source", source),
             ("category", row["category"]),
             ("composition", row["composition"]),
-            ("observability", row["observability"] or "not told"),
+            ("depth", SHAPES[row["category"]].depth),
+            ("chain", SHAPES[row["category"]].chain),
+            ("observability", observability_class(row["observability"], row["evidence_in_view"]) or "not told"),
             ("moves", row["moves"]),
+            ("route", route_class(row["route_length"])),
+            ("words", words_class(row["words"])),
             ("success_distance", row["success_distance"]),
         ):
             counts = shape.setdefault(key, {})

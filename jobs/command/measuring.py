@@ -67,6 +67,10 @@ def evaluate(
     navmesh_root: NavmeshRoots = None,
     distance: Annotated[str, typer.Option(help="geodesic, or euclidean as the paper's authors measure")] = "geodesic",
     radius: Annotated[list[float] | None, typer.Option(help="success distance of a sweep; may be repeated")] = None,
+    oracle_radius: Annotated[
+        float | None, typer.Option(help="distance of OSR where it is larger than the success distance (VLN-CE's: 3)")
+    ] = None,
+    fast_dtw: Annotated[bool, typer.Option("--fast-dtw", help="nDTW by VLN-CE's approximation")] = False,
     assume_stop: Annotated[bool, typer.Option("--assume-stop", help="take the last pose as STOP")] = False,
     oracle: Annotated[
         list[Path] | None,
@@ -97,6 +101,8 @@ def evaluate(
         euclidean=distance == "euclidean",
         radii=tuple(radius or ()),
         assume_stop=assume_stop,
+        oracle_radius=oracle_radius,
+        fast_dtw=fast_dtw,
     )
     report = evaluate_predictions(asked)
     for target, write in ((scores, report.write_scores), (csv, report.write_csv), (plots, report.write_plots)):

@@ -169,6 +169,16 @@ def test_plots_are_pictures(evaluate: Any, agents: dict[str, Path], tmp_path: Pa
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("words", [("--radius", "0"), ("--radius", "nan"), ("--distance", "taxi")])
+def test_osr_and_ndtw_as_stock_vlnce_has_them(evaluate: Any, agents: dict[str, Path]) -> None:
+    (ours,) = documents(evaluate, agents["wrong-branch"])["main"]["rows"]
+    (stock,) = documents(evaluate, agents["wrong-branch"], "--oracle-radius", 1000, "--fast-dtw")["main"]["rows"]
+    assert stock["oracle_success"]["mean"] == 1 > ours["oracle_success"]["mean"]
+    assert stock["ndtw"]["mean"] < ours["ndtw"]["mean"]  # an approximation from above, of a distance
+    assert {key for key in ours if ours[key] != stock[key]} == {"oracle_success", "ndtw"}
+
+
+@pytest.mark.parametrize(
+    "words", [("--radius", "0"), ("--radius", "nan"), ("--oracle-radius", "-1"), ("--distance", "taxi")]
+)
 def test_wrong_usage(evaluate: Any, agents: dict[str, Path], words: tuple[str, str]) -> None:
     assert evaluate(agents["oracle"], *words).exit_code != 0

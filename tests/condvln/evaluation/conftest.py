@@ -99,6 +99,8 @@ def task_with(
         "observability_approximate": None,
         "evidence": None,
         "moves": 1 + len(leaves[gold].get("subgoals", [])),
+        "route": "00–05 m",
+        "words": "000–039",
     }
     values = {
         "episode_id": "e",

@@ -20,6 +20,7 @@ from condvln.evaluation.aggregate import (
 from condvln.evaluation.branching import decisions, first_divergence
 from condvln.evaluation.evaluate import Evaluation, evaluate
 from condvln.evaluation.predictions import Prediction
+from condvln.evaluation.statistics import estimate
 from condvln.evaluation.task import Task
 from schemas.errors import UsageError
 from schemas.program import CATEGORIES, SHAPES
@@ -39,7 +40,7 @@ def fleet(seed: int = 0, count: int = 120) -> list[Task]:
             for a in np.arange(leaves) * 2 * np.pi / leaves
         ]
         task = task_with(around, gold, category=category, episode_id=f"e{number}")
-        axes = {**task.axes, "scene": f"made/{number % 3}", "observability": (None, "O0", "O1")[number % 3]}
+        axes = {**task.axes, "scene": f"made/{number // 2 % 3}", "observability": (None, "O0", "O1")[number % 3]}
         group = f"g{number // 2}" if number % 4 < 2 else None
         tasks.append(replace(task, axes=axes, group_id=group))
     return tasks
@@ -109,23 +110,36 @@ def test_groups_need_every_member_right(tasks: list[Task], choice: dict[str, int
     result = group_accuracy(found)
     assert result.groups == len(groups) == 30
     assert result.episodes == 60
-    assert result.all_right == result.all_leaves_right == np.mean([all(g) for g in groups.values()])
-    assert result.single == np.mean([right for g in groups.values() for right in g])
+    assert result.all_right == result.all_leaves_right
+    assert result.all_right.mean == np.mean([all(g) for g in groups.values()])
+    assert (result.all_right.n, result.single.n) == (result.groups, result.episodes)
+    # Groups of one scene are no more independent than its episodes: the interval draws scenes.
+    members = {g: [row for row, name in enumerate(found.group_ids) if name == g] for g in groups}
+    right = np.array([found.scores["success"][rows].all() for rows in members.values()], dtype=float)
+    scenes = [found.axes["scene"][rows[0]] for rows in members.values()]
+    expected = estimate(right, scenes)
+    assert (result.all_right.low, result.all_right.high, result.all_right.scenes) == (
+        expected.low,
+        expected.high,
+        expected.scenes,
+    )
+    assert result.single.mean == np.mean([right for g in groups.values() for right in g])
     alone = replace(found, group_ids=tuple(f"g{i}" for i in range(len(found))))
     assert group_accuracy(alone).groups == 0
 
 
 def test_ignoring_the_condition_gets_no_counterfactual_pair_right(tasks: list[Task]) -> None:
     always = evaluate(tasks, choosing(tasks, {t.episode_id: 0 for t in tasks}), lambda task: OpenPlain())
-    assert group_accuracy(always).all_right == 0
-    assert group_accuracy(always).single == 0.5
+    assert group_accuracy(always).all_right.mean == 0
+    assert group_accuracy(always).single.mean == 0.5
 
 
 def test_where_no_leaf_is_known_none_is_right(found: Evaluation) -> None:
     unknown = np.full(len(found), np.nan)
     theirs = replace(found, scores={**found.scores, "leaf_correct": unknown})
     result = group_accuracy(theirs)
-    assert np.isnan(result.all_leaves_right)
+    assert np.isnan(result.all_leaves_right.mean)
+    assert (result.all_leaves_right.n, result.all_leaves_right.total) == (0, result.groups)
     assert result.all_right == group_accuracy(found).all_right
     assert leaf_confusion(theirs) == {}
 

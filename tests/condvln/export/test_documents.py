@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import pyarrow as pa
 import pytest
 import yaml
 
+from condvln.export.axes import route_class, words_class
 from condvln.export.changelog import CHANGELOG, Changes, PublishedEpisodes, changes_between, with_entry
 from condvln.export.consumers import LINK
 from condvln.export.snapshot import export_snapshot
@@ -42,6 +44,22 @@ def test_the_card_opens_with_metadata_that_names_the_files(exported: Path, index
     for reason in index["left_out"]:
         assert reason in body
     assert index["snapshot"] in body
+
+
+def test_every_axis_is_counted(exported: Path, index: dict[str, Any]) -> None:
+    """Depth, chain, composition, observability and horizon (moves, length, words), each over every episode."""
+    body = (exported / "README.md").read_text()
+    for split, episodes in index["episodes"].items():
+        rows = [json.loads(line) for line in (exported / "manifest" / f"{split}.jsonl").read_text().splitlines()]
+        shape = index["shapes"][split]
+        for axis in ("depth", "chain", "composition", "observability", "moves", "route", "words"):
+            assert sum(shape[axis].values()) == episodes
+            assert all(f"| {axis}: {value} |" in body for value in shape[axis])
+        assert shape["depth"] == {str(k): n for k, n in Counter(row["depth"] for row in rows).items()}
+        assert shape["words"] == Counter(words_class(row["words"]) for row in rows)
+        assert shape["route"] == Counter(route_class(row["route_length"]) for row in rows)
+        at_once = sum(row["observability"] == "O0" and row["evidence_in_view"] for row in rows)
+        assert shape["observability"].get("O0f", 0) == at_once
 
 
 def test_every_table_of_the_card_is_a_table(exported: Path) -> None:
