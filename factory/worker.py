@@ -13,21 +13,20 @@ from __future__ import annotations
 
 import errno
 import time
-import traceback
 from collections.abc import Mapping
-from datetime import datetime, timezone
 from typing import Final
 
 import pyarrow as pa
 
 from factory import machine
 from factory.chain import Chain, SharedTables, receipt_of
-from factory.commits import LISTING, Commits
+from factory.commits import Commits
 from factory.context import RunContext
 from factory.deadline import Deadline
 from factory.faults import FaultPlan
 from factory.key import Keyer, StageKey
 from factory.pipeline import plain_name
+from factory.quarantine import Failed, Quarantine, failed_by
 from factory.receipt import Failure, Receipt, Status
 from factory.rows import canonical_table, logical_hash
 from factory.stage import Stage, StageOutput
@@ -35,28 +34,16 @@ from factory.unit import Unit, Work
 from schemas.canonical import digest
 from schemas.errors import (
     CorruptShardError,
-    DeadlineError,
-    InputError,
     StageError,
     StoreError,
     TransientIOError,
 )
-from schemas.unit import Cause, KeyParts, QuarantineRecord, TableRecord, UnitCommit
+from schemas.unit import Cause, KeyParts, TableRecord, UnitCommit
 
 __all__ = ["Worker"]
 
 PENDING: Final = "0" * 64
 """Stands for a file's hash until the file is written."""
-
-
-class _Failed(Exception):
-    """A stage failed and its unit goes to quarantine."""
-
-    def __init__(self, cause: Cause, error: BaseException, attempts: int) -> None:
-        super().__init__(str(error))
-        self.cause = cause
-        self.error = error
-        self.attempts = attempts
 
 
 class Worker:
@@ -70,6 +57,7 @@ class Worker:
         self.pipeline = context.pipeline
         self.faults = FaultPlan.parse(context.faults) if context.faults else FaultPlan.from_environment()
         self.commits = Commits(context.store, self.faults)
+        self.quarantine = Quarantine(context, self.commits)
         self.keyer = Keyer(context.pipeline)
         self.shared = SharedTables(self.commits, context.shared)
 
@@ -80,7 +68,8 @@ class Worker:
         last_try : running out of memory quarantines it, rather than handing it back
         """
         if unit.fault is not None:
-            return self._refused(unit, fingerprint, unit.fault)
+            failure = self.quarantine.refuse(unit, unit.fault)
+            return Receipt(unit.unit_id, unit.partition, "quarantined", "", fingerprint, (), failure)
         self._deadline = Deadline(self.context.deadline, may_exit=self._may_exit)
         for _ in range(len(self.pipeline.stages) + 1):
             chain = Chain(self.pipeline, self.keyer, self.commits, self.shared, unit)
@@ -105,7 +94,7 @@ class Worker:
                 key = self._key(chain)
                 commit = self.commits.find(stage.name, key.hex)
                 if commit is None:
-                    failure = self._known_failure(stage, key, attempt)
+                    failure = self.quarantine.known(stage.name, key.hex, attempt)
                     if failure is not None:
                         status = "quarantined"
                         break
@@ -113,16 +102,29 @@ class Worker:
                     chain.add(receipt_of(commit, made=True), tables)
                 else:
                     chain.add(receipt_of(commit, made=False))
-            except _Failed as failed:
+            except Failed as failed:
                 if failed.cause == "memory" and not last_try:
                     status = "memory"
                 else:
                     status = "quarantined"
-                    failure = self._quarantine(unit, stage.name, key, failed, attempt)
+                    failure = self.quarantine.put(unit, stage.name, None if key is None else key.hex, failed, attempt)
                 break
             if commit.outcome == "skipped":
                 status, reason = "skipped", commit.reason
                 break
+        return self._receipt(unit, chain, fingerprint, status, attempt, reason, failure)
+
+    def _receipt(
+        self,
+        unit: Unit,
+        chain: Chain,
+        fingerprint: bytes,
+        status: Status,
+        attempts: int,
+        reason: str = "",
+        failure: Failure | None = None,
+    ) -> Receipt:
+        """What was done of a unit's chain, and how it ended."""
         return Receipt(
             unit_id=unit.unit_id,
             partition=unit.partition,
@@ -131,7 +133,7 @@ class Worker:
             fingerprint=fingerprint,
             stages=tuple(chain.done),
             failure=failure,
-            attempts=attempt,
+            attempts=attempts,
             estimate=unit.cost,
             content=self.keyer.content(unit),
         )
@@ -143,18 +145,7 @@ class Worker:
         except (StoreError, TransientIOError):
             raise
         except Exception as error:
-            original = _original(error)
-            raise _Failed(_cause(original), original, 1) from error
-
-    def _known_failure(self, stage: Stage, key: StageKey, attempt: int) -> Failure | None:
-        """What stands against trying: an older record, or, when an earlier attempt died, one of this very run."""
-        listed = (stage.name, key.hex) in self.context.quarantined
-        if not listed and attempt == 1:
-            return None
-        record = self.commits.quarantine_record(stage.name, key.hex)
-        if record is None or not (listed or record.run == self.context.token):
-            return None
-        return Failure(stage.name, key.key, record.cause, record.exception, record.message[:300], True, record.attempts)
+            raise failed_by(error, 1) from error
 
     def _make(self, unit: Unit, chain: Chain, stage: Stage, key: StageKey) -> tuple[UnitCommit, Mapping[str, pa.Table]]:
         self.faults.reach("unit-before-run")
@@ -207,7 +198,7 @@ class Worker:
                 raise
             except TransientIOError as error:
                 if attempt == self.context.transient_tries:
-                    raise _Failed("input", error, attempt) from error
+                    raise Failed("input", error, attempt) from error
                 time.sleep(pause)
                 pause *= 4
             except OSError as error:
@@ -216,10 +207,9 @@ class Worker:
                         f"no space left while {stage.name} ran for {unit.unit_id}",
                         remedy="Free some space and run again; what was committed stays.",
                     ) from error
-                raise _Failed("error", error, attempt) from error
+                raise Failed("error", error, attempt) from error
             except (Exception, SystemExit) as error:
-                original = _original(error)
-                raise _Failed(_cause(original), original, attempt) from error
+                raise failed_by(error, attempt) from error
         raise AssertionError("unreachable")
 
     def _checked(self, stage: Stage, output: StageOutput) -> dict[str, pa.Table]:
@@ -240,39 +230,6 @@ class Worker:
             if name in ("unit.json", *(f"{table}.parquet" for table in tables)):
                 raise StageError(f"stage {stage.name!r} wrote a file under the reserved name {name!r}")
         return tables
-
-    def _quarantine(self, unit: Unit, stage: str, key: StageKey | None, failed: _Failed, attempt: int) -> Failure:
-        # A key that could not even be computed is stood in for by what is known.
-        hexadecimal = key.hex if key else digest([unit.unit_id, stage, str(failed)])[:32]
-        return self.refuse(
-            QuarantineRecord(
-                unit_id=unit.unit_id,
-                partition=unit.partition,
-                stage=stage,
-                key=hexadecimal,
-                cause=failed.cause,
-                exception=type(failed.error).__name__,
-                message=str(failed.error),
-                traceback="".join(traceback.format_exception(failed.error)),
-                attempts=max(failed.attempts, attempt),
-                peak_rss=machine.peak_rss(),
-            )
-        )
-
-    def _refused(self, unit: Unit, fingerprint: bytes, fault: Exception) -> Receipt:
-        """A unit that could not be listed."""
-        record = QuarantineRecord(
-            unit_id=unit.unit_id,
-            partition=unit.partition,
-            stage=LISTING,
-            key=digest([unit.unit_id, type(fault).__name__, str(fault)])[:32],
-            cause=_cause(fault),
-            exception=type(fault).__name__,
-            message=str(fault),
-            traceback="".join(traceback.format_exception(fault)),
-        )
-        failure = self.refuse(record)
-        return Receipt(unit.unit_id, unit.partition, "quarantined", "", fingerprint, (), failure)
 
     def blame(
         self, work: Work, until: int, cause: Cause, exception: str, message: str, attempts: int, peak_rss: int = 0
@@ -298,66 +255,7 @@ class Worker:
             if commit is None:
                 break
             chain.add(receipt_of(commit, made=False))
-        record = QuarantineRecord(
-            unit_id=unit.unit_id,
-            partition=unit.partition,
-            stage=stage,
-            key=key,
-            cause=cause,
-            exception=exception,
-            message=message,
-            attempts=attempts,
-            peak_rss=peak_rss,
+        failure = self.quarantine.record(
+            unit, stage, key, cause, exception, message, attempts=attempts, peak_rss=peak_rss
         )
-        failure = self.refuse(record)
-        return Receipt(
-            unit_id=unit.unit_id,
-            partition=unit.partition,
-            status="quarantined",
-            reason="",
-            fingerprint=work.fingerprint,
-            stages=tuple(chain.done),
-            failure=failure,
-            attempts=attempts,
-            estimate=unit.cost,
-            content=self.keyer.content(unit),
-        )
-
-    def refuse(self, record: QuarantineRecord) -> Failure:
-        """Write a record of failure and say what it says in short."""
-        complete = record.model_copy(
-            update={
-                "host": machine.host(),
-                "revision": self.context.revision,
-                "run": self.context.token,
-                "recorded_at": datetime.now(timezone.utc).isoformat(timespec="seconds"),
-            }
-        )
-        self.commits.quarantine(complete)
-        return Failure(
-            stage=record.stage,
-            key=bytes.fromhex(record.key),
-            cause=record.cause,
-            exception=record.exception,
-            message=record.message[:300],
-            attempts=record.attempts,
-        )
-
-
-def _original(error: BaseException) -> BaseException:
-    """What a signal's handler raised while compiled code ran, which numba's dispatcher hands on as the cause of a
-    ``SystemError``; else the error itself. Raises ``KeyboardInterrupt`` again.
-    """
-    while isinstance(error, SystemError) and error.__cause__ is not None:
-        error = error.__cause__
-    if isinstance(error, KeyboardInterrupt):
-        raise error
-    return error
-
-
-def _cause(error: BaseException) -> Cause:
-    if isinstance(error, MemoryError):
-        return "memory"
-    if isinstance(error, DeadlineError):
-        return "deadline"
-    return "input" if isinstance(error, InputError) else "error"
+        return self._receipt(unit, chain, work.fingerprint, "quarantined", attempts, failure=failure)
