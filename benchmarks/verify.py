@@ -2,6 +2,7 @@
 
 ``python -m benchmarks verify`` makes an export of sample apartments and proves it. With ``CONDVLN_REAL_EXPORT`` and
 ``CONDVLN_REAL_ROOT`` (an export of ReplicaCAD and the dataset's folder) it proves that one. Times are of the processor.
+What is seen from where takes rays, and stands by itself beside the navmesh work.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -19,8 +21,10 @@ from typing import Any, Final
 from rich.console import Console
 
 from condvln.samples import make_samples
+from condvln.scene import Scene
 from condvln.sources.registry import open_source
-from condvln.verify import Rules, placement, proof, prove_export
+from condvln.sources.source import Source
+from condvln.verify import Rules, Surfaces, placement, proof, prove_export
 from condvln.verify.files import ExportFiles
 from condvln.verify.proof import SceneReader
 from condvln.verify.surfaces import Shapes
@@ -41,11 +45,15 @@ TARGET: Final = 1000
 NAVMESH: Final[tuple[tuple[Any, str], ...]] = (
     (Walks, "ask"),
     (proof, "find_navmesh"),
-    (placement, "Obstacles"),
+    (proof, "Obstacles"),
     (placement, "_check_budget"),
     (proof, "check_truth"),
 )
 """What asks the navmesh: paths and distances, loading, the floor below furniture, and the walks with discrete steps."""
+SIGHT: Final[tuple[tuple[Any, str], ...]] = ((proof, "sight_of"), (proof, "check_observability"))
+"""What asks for sights: a scene's surfaces, what hides in them, floors, and the looks themselves."""
+ASIDE: Final = ("navmesh", "sight")
+"""Work that is told by itself."""
 
 
 def main() -> None:
@@ -74,27 +82,36 @@ def _made(folder: Path) -> tuple[Path, Path]:
 def _measure(export: Path, root: Path) -> None:
     source = open_source("replicacad", root)
     spent: Counter[str] = Counter()
-    for _ in prove_export(export, Rules(), lambda _, scene_id: source.read(scene_id)):
+    for _ in prove_export(export, Rules(), _reader(source, source.read)):
         pass  # kernels are compiled and files cached
-    for owner, name in NAVMESH:
-        setattr(owner, name, _timed(getattr(owner, name), "navmesh", spent))
+    for kind, asking in zip(ASIDE, (NAVMESH, SIGHT), strict=True):
+        for owner, name in asking:
+            setattr(owner, name, _timed(getattr(owner, name), kind, spent))
     setattr(Shapes, "_placed", _timed(Shapes._placed, "meshes", spent))  # noqa: B010
-    read = _timed(source.read, "scenes read", spent)
+    read = _reader(source, _timed(source.read, "scenes read", spent))
     count = sum(len(run.rows) for run in ExportFiles(export).runs())
-    rounds = [_round(export, lambda _, scene_id: read(scene_id), spent) for _ in range(ROUNDS)]
+    rounds = [_round(export, read, spent) for _ in range(ROUNDS)]
     # Scene by scene the quickest round counts: other work on the machine only ever slows one down.
-    quickest = [
-        min(found, key=lambda part: part.seconds - part.spent["navmesh"]) for found in zip(*rounds, strict=True)
-    ]
+    quickest = [min(found, key=lambda part: part.own) for found in zip(*rounds, strict=True)]
     proven, total = sum(part.proven for part in quickest), sum(part.seconds for part in quickest)
     parts: Counter[str] = sum((part.spent for part in quickest), Counter())
-    rest = total - parts["navmesh"]
+    rest = total - sum(parts[kind] for kind in ASIDE)
     print(f"{proven} of {count} episodes proven in {total:.2f} s of one core: {count / total:,.0f} a second")
     known = sum(parts.values())
     for name, seconds in [*parts.items(), ("everything else", total - known)]:
         print(f"  {name:<16} {1e6 * seconds / count:8.0f} µs an episode")
-    print(f"apart from navmesh work: {count / rest:,.0f} episodes a second (target {TARGET:,})")
+    print(f"apart from navmesh work and sight: {count / rest:,.0f} episodes a second (target {TARGET:,})")
+    print(f"apart from navmesh work: {count / (rest + parts['sight']):,.0f} episodes a second")
+    print(f"sight by itself: {count / parts['sight']:,.0f} episodes a second")
     print(f"apart from reading scenes too: {count / (total - known):,.0f} episodes a second")
+
+
+def _reader(source: Source, read: Callable[[str], Scene]) -> SceneReader:
+    def both(_: str, scene_id: str) -> tuple[Scene, Surfaces]:
+        scene = read(scene_id)
+        return scene, partial(source.geometry, scene)
+
+    return both
 
 
 @dataclass
@@ -107,8 +124,8 @@ class _Part:
 
     @property
     def own(self) -> float:
-        """Seconds apart from navmesh work."""
-        return self.seconds - self.spent["navmesh"]
+        """Seconds apart from what is told by itself."""
+        return self.seconds - sum(self.spent[kind] for kind in ASIDE)
 
 
 def _round(export: Path, read: SceneReader, spent: Counter[str]) -> list[_Part]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,7 +13,7 @@ import orjson
 from condvln.export.streams import ByteStream, atomic_stream
 from condvln.scene import Scene
 from condvln.sources.source import Source, hash_file
-from condvln.verify import FACTS, Certificate, Rules, prove_export
+from condvln.verify import FACTS, Certificate, Rules, Surfaces, prove_export
 from jobs.pipeline import open_configured
 from jobs.report import Report, Section
 from schemas.config import Config
@@ -60,13 +61,14 @@ class _Scenes:
             opened = open_configured(config, source, hash_file)
             self._sources.setdefault(source.family, []).append(opened)
 
-    def __call__(self, source: str, scene_id: str) -> Scene:
+    def __call__(self, source: str, scene_id: str) -> tuple[Scene, Surfaces]:
         missing = MissingFileError(
             f"the configuration names no source of family {source!r}", remedy="Verify with the build's own."
         )
         for one in self._sources.get(source, ()):
             try:
-                return one.read(scene_id)
+                scene = one.read(scene_id)
+                return scene, partial(one.geometry, scene)
             except MissingFileError as error:
                 missing = error
         raise missing

@@ -57,6 +57,10 @@ FACTS: Final[Mapping[str, str]] = {
     "leaves_apart": "leaves lie two success distances and the gap apart",
     "path_apart": "no leaf's path enters another leaf's success ball",
     "budget": "the step budget follows from the words and from what the leaves take",
+    # sight
+    "surfaces": "whether boxes stood in for surfaces where it was decided what can be seen",
+    "observability": "from where the evidence for each condition that the gold route asks is visible",
+    "first_view": "whether it is visible from the start without turning",
     # files
     "record": "the VLN-CE record says what the manifest says",
     "ground_truth": "ground-truth locations lie along the gold path, and actions lead to the goal",

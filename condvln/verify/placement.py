@@ -80,6 +80,7 @@ def check_placement(
     certificates: Sequence[Certificate],
     scene: Scene,
     follower: Follower,
+    obstacles: Obstacles,
     rules: Rules,
 ) -> None:
     """Everything about the episodes of one scene that has a place."""
@@ -87,7 +88,6 @@ def check_placement(
     checker = _Checker(scene, rules)
     placed = checker.note(rows, lines)
     checker.walks.ask(follower.pathfinder)
-    obstacles = Obstacles(scene, follower.pathfinder, rules.agent.max_climb)
     checker.look_out(obstacles)
     crossed = iter(obstacles.crossed(lines.corners, lines.corner_ends))
     groups = _Groups(rows)

@@ -39,7 +39,7 @@ def check_program(row: ManifestEpisode, certificate: Certificate) -> None:
 def _check_evidence(row: ManifestEpisode, certificate: Certificate) -> None:
     """Evidence is told of the conditions that the gold route asks, and the worst of it is the observability.
 
-    Whether it is seen from there takes rays, which are not cast again.
+    Whether it is seen from there is held against rays in :mod:`condvln.verify.observability`.
     """
     if row.observability is None:
         certificate.same("axes", row.evidence, None, "evidence")

@@ -17,11 +17,13 @@ from condvln.verify.certificate import Certificate
 from condvln.verify.corpus import Corpus
 from condvln.verify.files import ExportFiles, Row
 from condvln.verify.meaning import check_meaning
+from condvln.verify.observability import Surfaces, check_observability, sight_of
 from condvln.verify.placement import check_placement
 from condvln.verify.program import check_program
 from condvln.verify.record import check_record
 from condvln.verify.referents import Referents
 from condvln.verify.rules import Rules
+from condvln.verify.standing import Obstacles
 from condvln.verify.surfaces import Shapes
 from condvln.verify.truth import check_truth
 from schemas.errors import InputError, MissingFileError, PathEscapeError
@@ -32,8 +34,8 @@ __all__ = ["Navmesh", "SceneReader", "find_navmesh", "prove_export", "prove_scen
 class SceneReader(Protocol):
     """Scenes from their source files."""
 
-    def __call__(self, source: str, scene_id: str) -> Scene:
-        """One scene. Raises InputError where it can't be read."""
+    def __call__(self, source: str, scene_id: str) -> tuple[Scene, Surfaces]:
+        """One scene, and what reads its surfaces. Both raise InputError where that can't be read."""
         ...
 
 
@@ -64,9 +66,9 @@ def prove_export(folder: Path, rules: Rules, read_scene: SceneReader) -> Iterato
             return None
         certificates = [_certificate(row) for row in run.rows]
         try:
-            scene = read_scene(run.source, run.scene_id)
+            scene, surfaces = read_scene(run.source, run.scene_id)
             own = shapes.setdefault(scene.root, Shapes(scene.root))
-            prove_scene(run.rows, certificates, scene, folder, rules, own)
+            prove_scene(run.rows, certificates, scene, surfaces, folder, rules, own)
         except InputError as error:
             for certificate in certificates:
                 certificate.holds("readable", False, f"{run.source}/{run.scene_id}", str(error))
@@ -91,6 +93,7 @@ def prove_scene(
     rows: Sequence[Row],
     certificates: Sequence[Certificate],
     scene: Scene,
+    surfaces: Surfaces,
     folder: Path,
     rules: Rules,
     shapes: Shapes,
@@ -99,7 +102,7 @@ def prove_scene(
 
     Raises
     ------
-    InputError : a mesh of the scene can't be read
+    InputError : a mesh of the scene, or its surfaces, can't be read
     """
     referents = Referents(scene, rules.thresholds, shapes)
     for row, certificate in zip(rows, certificates, strict=True):
@@ -116,9 +119,14 @@ def prove_scene(
         claimed = (row.manifest.navmesh, row.manifest.navmesh_sha256)
         certificate.same("navmesh", claimed, (navmesh.path, navmesh.sha256))
     follower = Follower(navmesh.pathfinder, max_actions=rules.episodes.max_steps)
-    check_placement([row.manifest for row in rows], certificates, scene, follower, rules)
+    obstacles = Obstacles(scene, navmesh.pathfinder, rules.agent.max_climb)
+    manifests = [row.manifest for row in rows]
+    check_placement(manifests, certificates, scene, follower, obstacles, rules)
     for row, certificate in zip(rows, certificates, strict=True):
         check_truth(row.manifest, row.truth, follower, rules.path_spacing, certificate)
+    if any(row.observability is not None for row in manifests):
+        sight = sight_of(scene, surfaces, referents, navmesh.pathfinder, obstacles, rules)
+        check_observability(manifests, certificates, sight, referents, rules.episodes.eye_height)
 
 
 def find_navmesh(scene: Scene, folder: Path, claimed: str) -> Navmesh:

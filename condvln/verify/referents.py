@@ -103,6 +103,10 @@ class Referents:
         """Whether the scene is one room, so that texts need not name it."""
         return len(self.rooms) == 1
 
+    def is_structure(self, item: SceneObject) -> bool:
+        """Whether an object is a wall, a floor or the like."""
+        return self.meaning.label(item.raw_label, self.scene.family, _model(item)) in self.meaning.structure
+
     def room(self, named: Named | None) -> tuple[RoomView, str | None] | Problem:
         """The room that a name means, and the id of the thing that its name rests on."""
         if named not in self._rooms:

@@ -137,9 +137,10 @@ class Obstacles:
             base = max(room.floor_y, ground.bottom) if room.annotation == "scene" else room.floor_y
             off = ground.bottom - (height if room.annotation == "scene" else base)
             if ignored and off < FLOOR_STANDING and item.aabb[1, 1] - base > max_climb:
-                chosen.append((item.object_id, ground.polygon(TOUCHING)))
+                chosen.append((item.object_id, ground))
         self.object_ids = [name for name, _ in chosen]
-        self._tree = shapely.STRtree([polygon for _, polygon in chosen])
+        self.grounds = [ground for _, ground in chosen]
+        self._tree = shapely.STRtree([ground.polygon(TOUCHING) for ground in self.grounds])
 
     def holding(self, points: F64) -> list[str | None]:
         """The obstacle over each of n points (n, 3), None where there is none."""

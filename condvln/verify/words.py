@@ -53,12 +53,14 @@ class Words:
     confusable : by label of an object, the labels that a speaker might mean by a word for it, itself included
     confusable_rooms : the same of room types
     nouns, rooms : (noun, its article) of the labels and room types that text may name
+    structure : labels of walls, floors and the like
     """
 
     confusable: Mapping[str, frozenset[str]]
     confusable_rooms: Mapping[str, frozenset[str]]
     nouns: Mapping[str, tuple[str, str]]
     rooms: Mapping[str, tuple[str, str]]
+    structure: frozenset[str]
     _labels: Mapping[tuple[str, str], str]
     _room_types: Mapping[tuple[str, str], str]
     _by_word: Mapping[str, str]
@@ -109,6 +111,7 @@ def words() -> Words:
         confusable_rooms={label: frozenset(others) for label, others in _sharing(room_words).items()},
         nouns={x: (row["noun"], row["article"]) for x, row in labels.items() if row["in_text"] == "yes"},
         rooms={x: (row["noun"], row["article"]) for x, row in rooms.items() if row["in_text"] == "yes"},
+        structure=frozenset(label for label, row in labels.items() if row["kind"] == "structure"),
         _labels=_raw_table("raw_labels.csv"),
         _room_types=_raw_table("raw_rooms.csv"),
         _by_word=_unambiguous(said),

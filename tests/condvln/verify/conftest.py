@@ -11,6 +11,7 @@ from rich.console import Console
 
 from condvln.samples import make_samples
 from condvln.scene import Scene
+from condvln.scene.geometry import SceneGeometry
 from condvln.sources.registry import open_source
 from condvln.verify.files import ExportFiles, Row, SceneRun
 from condvln.verify.rules import Rules
@@ -24,11 +25,12 @@ PER_CATEGORY = 6
 
 @dataclass(frozen=True)
 class MadeExport:
-    """An export, what it was made with, and its rows by scene."""
+    """An export, what it was made with, its scenes with their surfaces, and its rows by scene."""
 
     config: Config
     folder: Path
     scenes: dict[str, Scene]
+    surfaces: dict[str, SceneGeometry | None]
     runs: tuple[SceneRun, ...]
 
     @property
@@ -57,4 +59,6 @@ def made_export(tmp_path_factory: pytest.TempPathFactory) -> MadeExport:
     run_generate(config, inline=True, console=Console(file=io.StringIO()))
     runs = tuple(ExportFiles(folder / "export").runs())
     source = open_source("replicacad", folder / "scenes")
-    return MadeExport(config, folder / "export", {run.scene_id: source.read(run.scene_id) for run in runs}, runs)
+    scenes = {run.scene_id: source.read(run.scene_id) for run in runs}
+    surfaces = {name: source.geometry(scene) for name, scene in scenes.items()}
+    return MadeExport(config, folder / "export", scenes, surfaces, runs)

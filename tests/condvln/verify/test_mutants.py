@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -67,7 +68,8 @@ def _survivors(made_export, made) -> list[tuple[str, str, str]]:
         certificates = [
             Certificate(row.manifest.episode_id, row.manifest.source, row.manifest.scene_id, row.split) for row in rows
         ]
-        prove_scene(rows, certificates, scene, made_export.folder, made_export.rules, Shapes(scene.root))
+        surfaces = partial(made_export.surfaces.get, run.scene_id)
+        prove_scene(rows, certificates, scene, surfaces, made_export.folder, made_export.rules, Shapes(scene.root))
         assert certificates[0].proven
         for (name, row), certificate in zip(made[run.scene_id], certificates[1:], strict=True):
             if certificate.proven:
@@ -119,7 +121,8 @@ def test_mutants_of_groups_are_caught(made_export) -> None:
                 broken.append(len(rows) + which)
                 rows += [*members[:which], mutant, *members[which + 1 :]]
             certificates = [Certificate(r.manifest.episode_id, "replicacad", run.scene_id, r.split) for r in rows]
-            prove_scene(rows, certificates, scene, made_export.folder, made_export.rules, shapes)
+            surfaces = partial(made_export.surfaces.get, run.scene_id)
+            prove_scene(rows, certificates, scene, surfaces, made_export.folder, made_export.rules, shapes)
             corpus = Corpus()
             for row, certificate in zip(rows[1:], certificates[1:], strict=True):
                 corpus.check(row.manifest, row.split, certificate)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,8 @@ from schemas.errors import MissingFileError, PathEscapeError
 
 def prove(made_export, run, scene: Scene) -> list[Certificate]:
     certificates = [Certificate(r.manifest.episode_id, run.source, run.scene_id, r.split) for r in run.rows]
-    prove_scene(run.rows, certificates, scene, made_export.folder, made_export.rules, Shapes(scene.root))
+    surfaces = partial(made_export.surfaces.get, run.scene_id)
+    prove_scene(run.rows, certificates, scene, surfaces, made_export.folder, made_export.rules, Shapes(scene.root))
     return certificates
 
 

@@ -54,7 +54,7 @@ def test_the_same_room_is_that_of_the_stop_before() -> None:
 
 
 def test_a_scope_is_the_room_of_all_that_names_none() -> None:
-    reading = read("All of this is in the kitchen. If there is a lamp, go to the sofa; otherwise, go to the desk.")
+    reading = read("All of this is about the kitchen. If there is a lamp, go to the sofa; otherwise, go to the desk.")
     assert reading.conditions == (Phrase("lamp", None, KITCHEN),)
     assert reading.moves[1] == (SOFA,)
 

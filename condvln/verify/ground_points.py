@@ -1,0 +1,94 @@
+"""The floor of a room as the points that tell how much of it was seen.
+
+Of a room with an outline these are the points of a grid, some 256 of them and none closer than 0.2 m, that an agent can
+stand at; where it can stand at none, all of them. Of a room without one, 512 places drawn over the navmesh, with the
+scene's own seed. None lies in furniture that the navmesh ignores, unless all do. Each is looked for 5 cm above the
+navmesh, so that no rug hides it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from condvln.navigation.pathfinder import Pathfinder
+from condvln.scene import Room, Scene
+from condvln.seeding import generator
+from condvln.verify.standing import SIDEWAYS, SINK, Ground
+
+__all__ = ["ground_points"]
+
+F64 = NDArray[np.float64]
+
+POINTS: Final = 256
+"""Points of a room's grid, were its outline a square."""
+CLOSEST: Final = 0.2
+"""Metres between two points of the grid at least."""
+RAISED: Final = 0.05
+"""Metres above the navmesh at which a point is looked for."""
+
+
+def ground_points(
+    scene: Scene, room: Room, pathfinder: Pathfinder, least_radius: float, furniture: Sequence[Ground]
+) -> F64:
+    """Points (n, 3) of a room's floor; none where the scene has no floor at all.
+
+    least_radius : metres of an island that an episode may stand on
+    furniture : what the navmesh ignores
+    """
+    wide = [
+        k
+        for k in range(pathfinder.num_islands)
+        if pathfinder.island_radius(k) >= least_radius and pathfinder.island_area(k) > 0.0
+    ]
+    if room.polygon is None:
+        points = _drawn(scene.scene_id, pathfinder, wide)
+    else:
+        points = _grid(room.polygon, room.floor_y, pathfinder, wide)
+    blocked = np.zeros(len(points), dtype=bool)
+    for ground in furniture:
+        blocked |= ground.distances(points) <= 0.0
+    if not blocked.all():
+        points = points[~blocked]
+    raised: F64 = points + np.array([0.0, RAISED, 0.0])
+    return raised
+
+
+def _drawn(scene_id: str, pathfinder: Pathfinder, islands: Sequence[int]) -> F64:
+    """Places over all islands, to each as many as its area asks for."""
+    areas = [pathfinder.island_area(k) for k in islands]
+    rng = generator(0, scene_id, "floor")
+    places = [np.empty((0, 3))]
+    for island, area in zip(islands, areas, strict=True):
+        count = math.ceil(2 * POINTS * area / sum(areas))
+        places.append(np.asarray(pathfinder.get_random_navigable_points(count, rng, island), dtype=np.float64))
+    points = np.concatenate(places)
+    return points[~np.isnan(points).any(axis=1)]
+
+
+def _grid(polygon: F64, height: float, pathfinder: Pathfinder, islands: Sequence[int]) -> F64:
+    """The points of a grid about an outline's middle that lie in it and can be stood at; all of them if none can."""
+    outline = shapely.make_valid(shapely.Polygon(polygon))
+    apart = max(CLOSEST, math.sqrt(outline.area / POINTS))
+    west, north, east, south = outline.bounds
+    x, z = np.meshgrid(_line(west, east, apart), _line(north, south, apart), indexing="ij")
+    within = shapely.contains_xy(outline, x, z)
+    points = np.stack([x[within], np.full(int(within.sum()), height), z[within]], axis=1)
+    if not len(points):
+        return points
+    floor = np.asarray(pathfinder.snap_points(points), dtype=np.float64)
+    moved = floor - points
+    stood = (np.hypot(moved[:, 0], moved[:, 2]) <= SIDEWAYS) & (np.abs(moved[:, 1]) <= SINK)
+    stood &= np.isin(pathfinder.get_islands(points), islands)
+    return floor[stood] if stood.any() else points
+
+
+def _line(low: float, high: float, apart: float) -> F64:
+    """Equally spaced numbers about the middle of a stretch."""
+    count = max(1, int((high - low) / apart))
+    return np.asarray((low + high) / 2 + (np.arange(count) - (count - 1) / 2) * apart, dtype=np.float64)

@@ -1,0 +1,62 @@
+"""Places that an episode is looked around from: on the way that all its leaves have in common.
+
+Ways are one as long as, at equal lengths walked, no two of them are more than a step apart. That is asked every
+`MARKS` metres, and the agent looks around at the start and at equal distances of at most `LOOKS` metres after it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["LOOKS", "MARKS", "STEP", "shared_length", "stands"]
+
+F64 = NDArray[np.float64]
+
+STEP: Final = 0.25
+"""Metres that ways may be apart and still be one."""
+MARKS: Final = 0.05
+"""Metres between the places at which ways are compared."""
+LOOKS: Final = 0.5
+"""Metres between two places of which the agent looks around, at most."""
+EVEN: Final = 1e-6
+"""Parts of a distance: a way of 1.5000000001 m has three of 0.5 m, or four, as the sum of its sides is rounded."""
+
+
+def stands(paths: Sequence[F64]) -> list[F64]:
+    """Where the agent looks around before its ways part, (n, 3), the start first.
+
+    A way whose length is a whole number of `LOOKS` but for rounding may be cut in either number of parts: two answers.
+    """
+    end = shared_length(paths)
+    parts = end / LOOKS
+    counts = {max(1, math.ceil(parts - EVEN)), max(1, math.ceil(parts + EVEN))}
+    return [_at(paths[0], np.linspace(0.0, end, count + 1)) for count in sorted(counts)]
+
+
+def shared_length(paths: Sequence[F64]) -> float:
+    """Metres that ways (n, 3) from one start have in common, by the last mark at which they were one."""
+    shortest = min(float(_walked(path)[-1]) for path in paths)
+    marks = np.append(np.arange(0.0, shortest, MARKS), shortest)
+    places = [_at(path, marks) for path in paths]
+    one = np.ones(len(marks), dtype=bool)
+    for first, second in combinations(places, 2):
+        one &= np.linalg.norm(first - second, axis=1) <= STEP
+    together = len(marks) if one.all() else int(np.argmin(one))
+    return float(marks[max(together - 1, 0)])
+
+
+def _walked(path: F64) -> F64:
+    """Metres from the start to each corner, (n,)."""
+    return np.concatenate([[0.0], np.cumsum(np.sqrt(np.square(np.diff(path, axis=0)).sum(axis=1)))])
+
+
+def _at(path: F64, metres: F64) -> F64:
+    """The places (k, 3) that are so many metres along a path."""
+    walked = _walked(path)
+    return np.stack([np.interp(metres, walked, path[:, axis]) for axis in range(3)], axis=1)

@@ -1,0 +1,233 @@
+"""What can be seen of a scene's things, and of its rooms' floors, from where.
+
+A thing's surface is looked for at two sets of points: the 64 that `navigation.surface_samples` gives of it, by which
+observability is published, and 64 of this package's own. Where these see much of it, or next to nothing of what the
+others see much of, they decide; between, where 64 points more or less could tell either, the published ones do. "Much"
+is so much that two fair sets of points come out so far apart once in a million looks (`much`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import product
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.navigation.occluders import BoxOccluders, JoinedOccluders, MeshOccluders, Occluders
+from condvln.navigation.sight import View, in_view, visible_points
+from condvln.navigation.surface_samples import box_samples, mesh_samples
+from condvln.scene import Scene, SceneObject
+from condvln.scene.geometry import STRUCTURE, SceneGeometry
+from schemas.config import EpisodeConfig
+
+__all__ = ["Sight", "Sought", "evenly", "much"]
+
+F64 = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+OWN_POINTS: Final = 64
+"""Points of this package's own on a surface, as many as are published by."""
+ODDS: Final = 1e-6
+"""Of two fair sets of points coming out as far apart as is taken for a contradiction."""
+FIRST_VIEW: Final = 90.0
+"""Degrees that an agent sees without turning, both ways: the camera of VLN-CE's R2R task."""
+EYES_AT_ONCE: Final = 512
+"""Eyes whose looks at one thing are cast together: some megabytes of work space."""
+
+Sought = tuple[str, str]
+"""("thing", an object's id) or ("floor", a room's id)."""
+
+# Steps of the R2 sequence (Roberts 2018): powers of the inverse of the plastic number.
+_R2: Final = (0.7548776662466927, 0.5698402909980532)
+_SIGNS: Final = np.array(list(product((-1.0, 1.0), repeat=3)))
+_QUADS: Final = np.array([[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4], [1, 3, 7, 5]])
+_TRIANGLES: Final = np.concatenate([_QUADS[:, [0, 1, 2]], _QUADS[:, [0, 2, 3]]])
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Points:
+    """Where something is looked for: points (k, 3), of which the first `own` are this package's; its number among the
+    boxes that hide, -1 for none; the share of it that counts as having seen it."""
+
+    points: F64
+    own: int
+    box: int
+    least: float
+
+    def is_seen(self, seen: Bools) -> bool:
+        """Whether it is, by which of its points are (k,)."""
+        published = float(seen[self.own :].mean())
+        if self.own:
+            ours, enough = float(seen[: self.own].mean()), much(self.least, self.own)
+            if ours >= enough:
+                return True
+            if published >= enough and ours < self.least:
+                return False
+        return published >= self.least
+
+
+class Sight:
+    """Looks in one scene; what a place sees of a thing is asked once.
+
+    Surfaces that are exact hide what is behind them. Where boxes stand in for them, walls and floors hide as they are
+    drawn, and every thing as a solid box. Where no surface is known, things alone hide.
+
+    Parameters
+    ----------
+    geometry : the scene's surfaces, None where its dataset tells none
+    is_structure : whether an object is a wall, a floor …, whose box is no body
+    floor : points (n, 3) of a room's floor, by its id
+
+    Attributes
+    ----------
+    approximate : whether boxes stand in for surfaces
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        geometry: SceneGeometry | None,
+        is_structure: Callable[[SceneObject], bool],
+        floor: Callable[[str], F64],
+        rules: EpisodeConfig,
+    ) -> None:
+        self._scene, self._floor, self._rules = scene, floor, rules
+        self._around = View(range=rules.sight_range)
+        self._ahead = View(range=rules.sight_range, horizontal_fov=FIRST_VIEW, vertical_fov=FIRST_VIEW)
+        known = None if geometry is None or not len(geometry.faces) else geometry
+        self.approximate = known is None or known.approximate
+        self._geometry = None if self.approximate else known
+        self._numbers = {item.object_id: number for number, item in enumerate(scene.objects)}
+        self._boxes: dict[str, int] = {}
+        self._hiding = self._hiders(known, is_structure)
+        self._points: dict[Sought, _Points | None] = {}
+        self._seen: dict[Sought, dict[bytes, Bools]] = {}
+
+    def _hiders(self, known: SceneGeometry | None, is_structure: Callable[[SceneObject], bool]) -> Occluders:
+        if known is not None and not known.approximate:
+            return MeshOccluders(known.vertices, known.faces)
+        bodies = [(item.object_id, _box(item)) for item in self._scene.objects if not is_structure(item)]
+        solid = [(name, box) for name, box in bodies if box is not None]
+        self._boxes = {name: number for number, (name, _) in enumerate(solid)}
+        middles, halves, axes = (np.array([box[k] for _, box in solid]) for k in range(3))
+        boxes = BoxOccluders(middles.reshape(-1, 3), halves.reshape(-1, 3), axes.reshape(-1, 3, 3))
+        walls = () if known is None else known.faces[known.owner == STRUCTURE]
+        return (
+            boxes if known is None or not len(walls) else JoinedOccluders(MeshOccluders(known.vertices, walls), boxes)
+        )
+
+    def look(self, wanted: Iterable[tuple[Sought, F64]]) -> None:
+        """Cast the looks from eyes (n, 3) that were not cast before, all at one thing together."""
+        places: dict[Sought, dict[bytes, F64]] = {}
+        for sought, eyes in wanted:
+            known = self._seen.setdefault(sought, {})
+            new = places.setdefault(sought, {})
+            new.update((key, eye) for eye in eyes if (key := eye.tobytes()) not in known)
+        for sought, of in places.items():
+            where = self._where(sought)
+            if where is None:
+                continue
+            keys, eyes = list(of), np.array(list(of.values())).reshape(-1, 3)
+            boxes = np.full(len(where.points), where.box)
+            for at in range(0, len(keys), EYES_AT_ONCE):
+                part = slice(at, at + EYES_AT_ONCE)
+                seen = visible_points(self._hiding, eyes[part], where.points, self._around, own=boxes)
+                self._seen[sought].update(zip(keys[part], seen, strict=True))
+
+    def is_seen(self, sought: Sought, eyes: F64, yaw: float | None = None) -> bool:
+        """Whether enough of something is seen from eyes (n, 3) together; with a yaw, of what lies ahead of the one."""
+        where = self._where(sought)
+        return where is not None and where.is_seen(self._together(sought, where, eyes, yaw))
+
+    def shares(self, sought: Sought, eyes: F64) -> list[float]:
+        """Shares of it that are seen: of this package's points, if there are any, and of the published ones."""
+        where = self._where(sought)
+        if where is None:
+            return []
+        seen = self._together(sought, where, eyes, None)
+        parts = (seen[: where.own], seen[where.own :])
+        return [round(float(part.mean()), 3) for part in parts if len(part)]
+
+    def _together(self, sought: Sought, where: _Points, eyes: F64, yaw: float | None) -> Bools:
+        rows = self._seen[sought]
+        seen: Bools = np.any([rows[eye.tobytes()] for eye in eyes], axis=0)
+        return seen if yaw is None else seen & in_view(eyes, where.points, self._ahead, [yaw])[0]
+
+    def _where(self, sought: Sought) -> _Points | None:
+        """Where something is looked for; None for what the scene does not have."""
+        if sought not in self._points:
+            kind, name = sought
+            self._points[sought] = self._of_thing(name) if kind == "thing" else self._of_floor(name)
+        return self._points[sought]
+
+    def _of_floor(self, room_id: str) -> _Points | None:
+        points = self._floor(room_id) if room_id in self._scene.room_of else np.empty((0, 3))
+        return _Points(points, 0, -1, self._rules.floor_seen) if len(points) else None
+
+    def _of_thing(self, object_id: str) -> _Points | None:
+        item = self._scene.object_of.get(object_id)
+        if item is None:
+            return None
+        known, least = self._geometry, self._rules.object_seen
+        number, box = self._boxes.get(object_id, -1), _box(item)
+        faces = np.empty((0, 3)) if known is None else known.faces[known.owner == self._numbers[object_id]]
+        if known is not None and len(faces):
+            ours, published = evenly(known.vertices[faces]), mesh_samples(known.vertices, faces)
+        elif box is not None:
+            middle, half, axes = box
+            ours = evenly((middle + (_SIGNS * half) @ axes.T)[_TRIANGLES])
+            published = box_samples(middle, half, axes)
+        else:
+            return _Points(item.center[None], 0, number, least)
+        return _Points(np.concatenate([ours, published]), len(ours), number, least)
+
+
+def evenly(triangles: F64, count: int = OWN_POINTS) -> F64:
+    """Points (count, 3) on triangles (m, 3, 3), equally many to equal areas; drawn by no lot.
+
+    Within triangles they follow the R2 sequence (Roberts 2018), turned from the square onto a triangle by the root map.
+    """
+    first, along, across = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    area = np.linalg.norm(np.cross(along, across), axis=1)
+    if not area.any():  # a line or a point
+        area = np.ones(len(triangles))
+    number = np.arange(count)
+    upto = np.cumsum(area)
+    face = np.searchsorted(upto, (number + 0.5) / count * upto[-1], side="right").clip(max=len(area) - 1)
+    u, v = (((number + 1) * step % 1.0)[:, None] for step in _R2)
+    points: F64 = first[face] + np.sqrt(u) * ((1.0 - v) * along[face] + v * across[face])
+    return points
+
+
+@lru_cache(maxsize=16)
+def much(least: float, count: int) -> float:
+    """The share of `count` points that is too much for a surface of which others see less than the share `least`.
+
+    Were both sets drawn at random from any surface, such a pair would come up with odds of no more than `ODDS`; both
+    are spread more evenly than that. More than 1 where no share is too much.
+    """
+    few = math.ceil(least * count)
+    shown = np.arange(1, 1000)[:, None] / 1000.0
+    hits = np.arange(count + 1)
+    ways = np.array([math.comb(count, int(hit)) for hit in hits], dtype=np.float64)
+    chance = ways * shown**hits * (1.0 - shown) ** (count - hits)
+    under = chance[:, :few].sum(axis=1)
+    over = chance[:, ::-1].cumsum(axis=1)[:, ::-1]
+    both = (under[:, None] * over).max(axis=0)
+    sure = np.flatnonzero(both <= ODDS)
+    return float(sure[0] / count) if len(sure) else 2.0
+
+
+def _box(item: SceneObject) -> tuple[F64, F64, F64] | None:
+    """Middle, half extents and axes (columns) of the tightest box that is known of a thing."""
+    if item.obb is not None:
+        return item.obb.center, item.obb.half_extents, item.obb.rotation
+    box = item.box
+    if box is None:
+        return None
+    return (box[0] + box[1]) / 2, np.maximum(box[1] - box[0], 0.0) / 2, np.eye(3)

@@ -1,0 +1,97 @@
+"""Points of surfaces and floors, and whose of them decide."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from condvln.episodes.floor import floor_points
+from condvln.episodes.goals import blocked_footprints, wide_islands
+from condvln.episodes.rules import EpisodeRules
+from condvln.navigation.pathfinder import Pathfinder
+from condvln.verify.ground_points import ground_points
+from condvln.verify.proof import find_navmesh
+from condvln.verify.sight import ODDS, OWN_POINTS, _Points, evenly, much
+from condvln.verify.standing import Obstacles
+
+LEAST = 0.05
+
+
+def square(side: float) -> np.ndarray:
+    a, b, c, d = np.array([[0, 0, 0], [side, 0, 0], [side, 0, side], [0, 0, side]], float)
+    return np.array([[a, b, c], [a, c, d]])
+
+
+def test_points_lie_on_the_surface_and_as_many_on_equal_areas() -> None:
+    points = evenly(square(2.0), 1024)
+    assert (points[:, 1] == 0).all()
+    assert ((points >= 0) & (points <= 2)).all()
+    # Each of sixteen squares has its 64 of 1024, to within a few.
+    counts, _, _ = np.histogram2d(points[:, 0], points[:, 2], bins=4, range=[[0, 2], [0, 2]])
+    assert (np.abs(counts - 64) <= 9).all()
+    pair = np.concatenate([square(1.0), square(3.0) + np.array([0.0, 5.0, 0.0])])
+    assert (evenly(pair, 1000)[:, 1] == 0).sum() == 100
+
+
+def test_a_surface_without_area_has_points() -> None:
+    assert (evenly(np.full((3, 3, 3), 2.0)) == 2.0).all()
+    line = np.array([[[0, 0, 0], [1, 0, 0], [1, 0, 0]]], float)
+    assert (evenly(line)[:, 1:] == 0).all()
+
+
+@pytest.mark.parametrize("least", [0.02, LEAST, 0.2])
+def test_much_is_what_chance_makes_once_in_a_million_looks(least: float) -> None:
+    shown, few = np.arange(1, 1000) / 1000, int(np.ceil(least * OWN_POINTS))
+    enough = round(much(least, OWN_POINTS) * OWN_POINTS)
+
+    def odds(hits: int) -> float:
+        return float((binom.cdf(few - 1, OWN_POINTS, shown) * binom.sf(hits - 1, OWN_POINTS, shown)).max())
+
+    assert odds(enough) <= ODDS < odds(enough - 1)
+
+
+def test_of_a_surface_nobody_can_contradict_little_or_all() -> None:
+    assert much(0.0, OWN_POINTS) == 0.0
+    assert much(1.0, OWN_POINTS) > 1.0
+
+
+def seen(own: int, published: int) -> bool:
+    where = _Points(np.zeros((128, 3)), 64, -1, LEAST)
+    return where.is_seen(np.concatenate([np.arange(64) < own, np.arange(64) < published]))
+
+
+def test_own_points_decide_where_they_are_sure_and_published_ones_between() -> None:
+    enough = round(much(LEAST, 64) * 64)
+    for own, published in product((0, 3, 4, enough - 1), (0, 3, 4, enough - 1)):
+        assert seen(own, published) == (published >= 4), "neither is sure"
+    assert all(seen(enough, published) for published in (0, 3, 64)), "points that miss what is in plain sight"
+    assert not any(seen(own, published) for own in (0, 3) for published in (enough, 64)), "points of one visible spot"
+    assert seen(4, 64)
+
+
+def test_floors_and_things_known_as_a_point_have_one_set_of_points() -> None:
+    floor = _Points(np.zeros((10, 3)), 0, -1, 0.8)
+    assert [floor.is_seen(np.arange(10) < count) for count in (0, 7, 8, 10)] == [False, False, True, True]
+    point = _Points(np.zeros((1, 3)), 0, -1, LEAST)
+    assert [point.is_seen(np.array([hit])) for hit in (False, True)] == [False, True]
+
+
+def test_floors_are_the_factory_s(made_export) -> None:
+    rules = EpisodeRules()
+    kinds = set()
+    for run in made_export.runs:
+        scene = made_export.scenes[run.scene_id]
+        pathfinder: Pathfinder = find_navmesh(scene, made_export.folder, run.rows[0].manifest.navmesh).pathfinder
+        theirs = blocked_footprints(scene, pathfinder, 0.2)
+        ours = Obstacles(scene, pathfinder, 0.2).grounds
+        for room in scene.rooms:
+            kinds.add(room.polygon is None)
+            np.testing.assert_allclose(
+                ground_points(scene, room, pathfinder, rules.island_radius, ours),
+                floor_points(scene, room, pathfinder, wide_islands(pathfinder, rules), theirs),
+                atol=1e-9,
+            )
+    assert kinds
