@@ -153,8 +153,7 @@ def _box(node: JsonNode) -> F64 | None:
 
 def _rooms(document: JsonNode, family: str, complete: bool) -> dict[int, Room]:
     """Rooms by the file's number."""
-    section = document.get("rooms")
-    nodes = [] if section is None else section.elements()
+    nodes = document.array("rooms")
     floors = [floor.text() for node in nodes if (floor := node.get("floor_number")) is not None]
     level_of = {letter: level for level, letter in enumerate(sorted(set(floors)))}
     rooms: dict[int, Room] = {}
