@@ -15,14 +15,11 @@ Everything between two commits may die; the next run finds what was committed an
 
 from __future__ import annotations
 
-import contextlib
 import secrets
-import signal
 import threading
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from types import FrameType
 from typing import Final
 
 import numpy as np
@@ -47,6 +44,7 @@ from factory.snapshot import read_ref
 from factory.spool import Spool
 from factory.stage import Aggregate
 from factory.store import Store
+from factory.termination import terminable
 from factory.unit import Unit, Work
 from schemas.errors import CorruptShardError, FailureBudgetError, StoreError
 
@@ -118,7 +116,7 @@ def run(
     When another run publishes under ``ref`` meanwhile, that one stands, and the report's message says so. Raises
     ``StoreError`` when the store refuses (what was committed stays), ``KeyboardInterrupt`` on Ctrl-C and on SIGTERM.
     """
-    with _terminable() as stop:
+    with terminable() as stop:
         return _Run(
             pipeline=pipeline,
             store=store,
@@ -135,28 +133,6 @@ def run(
             faults=faults,
             stop=stop,
         ).go(units)
-
-
-@contextlib.contextmanager
-def _terminable() -> Iterator[threading.Event]:
-    """Let SIGTERM stop a run as Ctrl-C does: tasks are cancelled, Ray is shut down by its owner.
-
-    The event is set as well: what is raised inside a callback of C code may be printed and forgotten there.
-    """
-    stopped = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield stopped
-        return
-
-    def stop(signum: int, frame: FrameType | None) -> None:
-        stopped.set()
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, stop)
-    try:
-        yield stopped
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 @dataclass
