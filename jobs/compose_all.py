@@ -238,8 +238,8 @@ def _report(done: _Done, folder: Path, origin: str) -> Report:
     ]
     lines += [f"{scene}: {message.removeprefix(f'{scene}: ')}" for scene, message in done.failures.items()]
     lines += [
-        f"{SOURCES[family].name if family in SOURCES else family} comes as one file a scene: put its own files at "
-        f"{folder / scene_file(family, '<scene>')}"
+        f"Scenes of {SOURCES[family].name if family in SOURCES else family} are one file each: put the dataset's own "
+        f"at {folder / scene_file(family, '<scene>')}"
         for family in done.single_files
     ]
     for key, what in (("left_out", "objects whose surfaces are not known"), ("textures_left_out", "textures")):

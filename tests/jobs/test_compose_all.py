@@ -296,7 +296,7 @@ def test_without_an_export_the_sources_tell_and_scans_stay_as_they_are(houses: C
     report = compose_all(config, tmp_path / "scenes")
     assert report.exit_code == 0
     assert report.document["single_files"] == ["mp3d"]
-    assert any("put its own files at" in line and "mp3d/<scene>/<scene>.glb" in line for line in report.lines)
+    assert any("one file each" in line and "mp3d/<scene>/<scene>.glb" in line for line in report.lines)
     assert [entry["scene"] for entry in report.document["composed"]] == [f"procthor/houses-{k}" for k in range(3)]
     assert theirs.read_bytes() == (tmp_path / "scans/made_000/made_000.glb").read_bytes()
     assert [p.name for p in (tmp_path / "scenes/mp3d").rglob("*") if p.is_file()] == ["made_000.glb"]
