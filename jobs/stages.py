@@ -322,7 +322,7 @@ class TextStage(Stage):
     preamble: bool
     seed: int
     name: str = "text"
-    version: int = 2
+    version: int = 3
     tables: tuple[str, ...] = ("instructions", "episodes")
     reads: tuple[str, ...] | None = ("candidates", "placements", "unplaced", "rooms")
 

@@ -129,7 +129,13 @@ class _Renderer:
         literals = [self._literal(program.conditions[index], asserted) for index, asserted in slot.literals]
         if slot.kind == "check":
             return f"{self._pick('check')} {literals[0]}"
-        return f"{opener} " + (f" {self._pick(slot.joint)} " if slot.joint else "").join(literals)
+        return f"{opener} " + (f" {self._joint(slot.joint, opener)} " if slot.joint else "").join(literals)
+
+    def _joint(self, slot: str, opener: str) -> str:
+        """A phrase that joins two literals; one that opens anew ("and if") only does so as the first was opened."""
+        phrase = self._pick(slot)
+        joint, _, again = phrase.partition(" ")
+        return joint if again != opener and again in self.words.slots["if"].texts else phrase
 
     def _literal(self, condition: Condition, asserted: bool) -> str:
         noun = self.words.nouns[condition.label]
@@ -145,7 +151,8 @@ class _Renderer:
         where = ""
         if not elided:
             where = f" {self._pick('in')} {self._room(condition.room)}"
-        elif not qualifier and self._chance(ANYWHERE_SHARE):
+        elif not qualifier and self.scope is None and self._chance(ANYWHERE_SHARE):
+            # Once a room is named for all, "here" could be taken for where the agent stands.
             where = f" {self._pick('anywhere')}"
         return f"{there_is}{qualifier}{where}"
 
