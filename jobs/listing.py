@@ -15,7 +15,7 @@ import orjson
 from factory.unit import InputFile, Unit
 from jobs.pipeline import list_units
 from jobs.watch import code_digest, look
-from jobs.workspace import file_hashes, hasher, local_state
+from jobs.workspace import file_hashes, hasher, local_state, source_paths
 from schemas.canonical import digest
 from schemas.config import Config
 
@@ -25,13 +25,7 @@ __all__ = ["listed_units"]
 def listed_units(config: Config) -> list[Unit]:
     """As ``list_units``, from the memory where no file below the sources' folders changed since."""
     path = local_state(config.store) / f".listing-{config.name}.json"
-    roots = [
-        found
-        for source in config.sources
-        for found in (source.root, source.regions, source.houses)
-        if found is not None
-    ]
-    files, settled = look(roots)
+    files, settled = look(source_paths(config))
     document = config.model_dump(mode="json", exclude={"store", "export", "splits", "ray", "keep"})
     inputs = digest([document, code_digest(), files])
     if settled:

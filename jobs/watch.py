@@ -19,7 +19,7 @@ from typing import Any, Final
 from factory.commits import Commits
 from factory.snapshot import read_manifest, read_ref
 from factory.store import Store
-from jobs.workspace import graph_folders
+from jobs.workspace import graph_folders, source_paths
 from schemas.base import Document
 from schemas.canonical import digest
 from schemas.config import Config
@@ -60,13 +60,7 @@ class Watch:
         self._path = state / f".rebuild-{config.name}.json"
         code = code_digest()
         document = config.model_dump(mode="json")
-        roots = [
-            path
-            for source in config.sources
-            for path in (source.root, source.regions, source.houses)
-            if path is not None
-        ]
-        files, files_settled = look(roots)
+        files, files_settled = look(source_paths(config))
         # No scene is made of these, but the export is.
         graphs, graphs_settled = look(graph_folders(config))
         self._settled = files_settled and graphs_settled

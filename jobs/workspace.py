@@ -29,6 +29,7 @@ __all__ = [
     "open_store",
     "published",
     "snapshot_folder",
+    "source_paths",
 ]
 
 HASHES: Final = ".hashes.sqlite"
@@ -62,6 +63,13 @@ def published(config: Config) -> Snapshot:
 def snapshot_folder(address: Path | str, snapshot: Snapshot, tables: Iterable[str] | None = None) -> Path:
     """The snapshot as a folder on this disk, fetched (only `tables`, if named) where the store is elsewhere."""
     return local_copy(snapshot, local_state(address), tables)
+
+
+def source_paths(config: Config) -> list[Path]:
+    """Folders and files of the user below which everything lies that scenes are made of."""
+    return [
+        path for source in config.sources for path in (source.root, source.regions, source.houses) if path is not None
+    ]
 
 
 def graph_folders(config: Config) -> list[Path]:
