@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.instructions.priors import PriorBits
+from condvln.instructions.priors import EVIDENCE, PriorBits
 from condvln.instructions.referents import Referents
 from condvln.instructions.statements import StatementTruths, statement_truths
 from condvln.labels import Vocabulary
@@ -29,9 +29,6 @@ BALANCING_ROUNDS: Final = 30
 
 LEAST_WEIGHT: Final = 1e-6
 """A cell whose weight has fallen below this share of the largest counts as ruled out by the fitting."""
-
-EVIDENCE: Final = 8
-"""Rooms in which a statement must have been seen before one that never varied is held to be foretold by its words."""
 
 PSEUDOCOUNT: Final = 0.5
 """Added to both truths of a statement, so that few rooms don't count as certainty (Jeffreys' prior)."""
@@ -130,9 +127,10 @@ def _presence(
         for label in sorted(set(elsewhere) & plausible)
         if vocabulary.fit_for_text(label) and not here & vocabulary.overlapping(label)
     ]
-    questions, sums = {}, {}
+    questions, sums, evidence = {}, {}, bits.evidence(room_type)
     for truth, found in ((True, true), (False, false)):
-        weighed = [(q, informative_weights(*bits.counts.get((room_type, q.label, "", ""), (0, 0)))) for q in found]
+        seen = [bits.counts.get((room_type, q.label, "", ""), (0, 0)) for q in found]
+        weighed = [(q, informative_weights(*counts, evidence)) for q, counts in zip(found, seen, strict=True)]
         questions[truth] = tuple(q for q, weights in weighed if weights[truth] > 0.0)
         sums[truth] = tuple(accumulate(weights[truth] for _, weights in weighed if weights[truth] > 0.0))
     return PresencePool(questions, sums) if all(questions.values()) else None
@@ -157,13 +155,14 @@ def _relations(referents: Referents, bits: PriorBits, vocabulary: Vocabulary) ->
     return pools
 
 
-def informative_weights(n_true: int, n_false: int) -> dict[bool, float]:
+def informative_weights(n_true: int, n_false: int, evidence: int = EVIDENCE) -> dict[bool, float]:
     """Weights with which to ask a statement where it is true and where it is false, from how often it is either.
 
     Asked in its true rooms with the share of false ones and the other way round, a statement comes up as often true
-    as false over all rooms, and one that hardly varies hardly comes up. Both are 0 where it never varied.
+    as false over all rooms, and one that hardly varies hardly comes up. Both are 0 where it never varied in as many
+    rooms as are `evidence` enough.
     """
-    if n_true + n_false >= EVIDENCE and min(n_true, n_false) == 0:
+    if n_true + n_false >= evidence and min(n_true, n_false) == 0:
         return {True: 0.0, False: 0.0}
     rate = (n_true + PSEUDOCOUNT) / (n_true + n_false + 2.0 * PSEUDOCOUNT)
     return {True: 1.0 - rate, False: rate}
@@ -173,13 +172,13 @@ def _informative_tables(referents: Referents, truths: StatementTruths, bits: Pri
     """Weights of all statements by how they divide the rooms of this type; None where too little is known to."""
     room_type, own = referents.room.label, referents.arrays.labels
     tables = {True: np.zeros(truths.true.shape), False: np.zeros(truths.true.shape)}
-    known = False
+    known, evidence = False, bits.evidence(room_type)
     for truth, support in ((True, truths.true), (False, truths.false)):
         for row, column in np.argwhere(support):
             key = (room_type, truths.labels[row], truths.predicate, own[truths.anchors[column]])
             seen = bits.counts.get(key, (0, 0))
-            known |= sum(seen) >= EVIDENCE
-            tables[truth][row, column] = informative_weights(*seen)[truth]
+            known |= sum(seen) >= evidence
+            tables[truth][row, column] = informative_weights(*seen, evidence)[truth]
     return tables if known else None
 
 

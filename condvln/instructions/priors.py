@@ -61,8 +61,12 @@ MERGE_ROWS: Final = 200_000
 ANCHOR_SIZE: Final = InstructionConfig().anchor_size
 """Metres; the default, so that priors don't depend on a run's configuration."""
 
-STAGINGS: Final = 8
-"""Rooms of a type from which the counts of a layout stand for themselves; fewer say too little of what varies in it."""
+EVIDENCE: Final = 8
+"""Rooms in which a statement must have been seen before one that never varied is held to be foretold by its words."""
+
+STAGINGS: Final = 3
+"""The same where they are stagings of one layout, near copies in which little varies; with fewer of them a layout's
+counts don't stand for themselves."""
 
 _KEYS: Final = ("layout", "room_type", "label", "predicate", "anchor")
 
@@ -75,11 +79,17 @@ class PriorBits:
     varies : those of them that enough rooms of the type lack as well, so that their presence says something
     counts : rooms in which a statement is true and in which it is false, of the scene's layout where there are enough
         of them; statements never seen are not there
+    staged : room types whose counts are those of the layout
     """
 
     plausible: Mapping[str, frozenset[str]]
     varies: Mapping[str, frozenset[str]]
     counts: Mapping[Statement, tuple[int, int]]
+    staged: frozenset[str] = frozenset()
+
+    def evidence(self, room_type: str) -> int:
+        """Rooms of a type in which a statement must have been seen for its counts to say whether it varies."""
+        return STAGINGS if room_type in self.staged else EVIDENCE
 
     def document(self) -> dict[str, JSON]:
         """The bits as JSON with everything sorted, and the rates as a hash: equal bits, equal bytes."""
@@ -88,6 +98,7 @@ class PriorBits:
             "plausible": {room_type: sorted(labels) for room_type, labels in sorted(self.plausible.items())},
             "varies": {room_type: sorted(labels) for room_type, labels in sorted(self.varies.items())},
             "rates": hashlib.sha256(orjson.dumps(rates)).hexdigest(),
+            **({"staged": sorted(self.staged)} if self.staged else {}),
         }
 
 
@@ -156,10 +167,11 @@ class LabelPriors:
         presence = {(t, x): n for (t, x, predicate, _), (n, _) in pooled.items() if not predicate}
         plausible = {key for key, n in presence.items() if n >= self.share * rooms[key[0]]}
         varies = {key for key in plausible if rooms[key[0]] - presence[key] >= self.share * rooms[key[0]]}
-        staged = {t: own.pop((t, "", "", ""), (0, 0))[0] for t in types}
+        stagings = {t: own.pop((t, "", "", ""), (0, 0))[0] for t in types}
+        staged = frozenset(t for t in types if stagings[t] >= STAGINGS)
         counts: dict[Statement, tuple[int, int]] = {}
         for t in types:
-            near, total = (own, staged[t]) if staged[t] >= STAGINGS else (pooled, rooms[t])
+            near, total = (own, stagings[t]) if t in staged else (pooled, rooms[t])
             counts.update({key: seen for key, seen in near.items() if key[0] == t})
             if scene.single_room:
                 # Absence can then be claimed of whatever other scenes have.
@@ -169,6 +181,7 @@ class LabelPriors:
             plausible={t: frozenset(x for of, x in plausible if of == t) for t in types},
             varies={t: frozenset(x for of, x in varies if of == t) for t in types},
             counts=counts,
+            staged=staged,
         )
 
 

@@ -83,6 +83,17 @@ def test_what_a_layout_foretells_is_found(scenes, over_all: LabelPriors, rows_of
     assert judge([{**row, "scene_id": f"{row['scene_id']} b"} for row in rows]).passed
 
 
+def test_few_stagings_are_enough_to_know_what_varies(rows_of) -> None:
+    """With as few, what never varied among all scenes would not yet be called foretold."""
+    made = [staging(layout, number) for layout in range(4) for number in range(4)]
+    scenes = [(scene, {room: text_facts(found) for room, found in relate_scene(scene).items()}) for scene in made]
+    priors = LabelPriors.merged(LabelPriors.of_scene(scene) for scene in made)
+    report = judge(sampled(scenes, priors, rows_of))
+    assert report.passed, report.verdict()
+    (found,) = [f for f in report.findings if f.guesser == "statement in its layout" and f.category == ALL]
+    assert found.accuracy < found.chance + 0.02
+
+
 def test_counted_within_a_layout_nothing_is_foretold(scenes, priors: LabelPriors, rows_of) -> None:
     rows = sampled(scenes, priors, rows_of)
     report = judge(rows)

@@ -18,7 +18,7 @@ from condvln.scene.layouts import layout_of
 from condvln.sources.registry import open_source
 from schemas.program import Category
 
-CATEGORIES: tuple[Category, ...] = ("simple", "chain")
+CATEGORIES: tuple[Category, ...] = ("simple", "long_chain", "deep_nested")
 
 
 @pytest.mark.soak
@@ -34,7 +34,7 @@ def test_the_gate_sees_statements_that_are_foregone_conclusions(real_data: Path,
     table = priors.table()
     nameless = pa.repeat("", table.num_rows)
     pooled = LabelPriors.merged([LabelPriors.from_table(table.set_column(0, table.schema.field(0), nameless))])
-    config = InstructionConfig(per_category=dict.fromkeys(CATEGORIES, 3), candidates_per_episode=8)
+    config = InstructionConfig(per_category=dict.fromkeys(CATEGORIES, 2), candidates_per_episode=8)
 
     def verdict(bits_of: Callable[[Scene], PriorBits]) -> BiasReport:
         samplers = [

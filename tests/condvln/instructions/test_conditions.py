@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from condvln.instructions import LabelPriors
 from condvln.instructions.conditions import ConditionPool, Question, balanced_weights, informative_weights
-from condvln.instructions.priors import PriorBits
+from condvln.instructions.priors import EVIDENCE, STAGINGS, PriorBits
 from condvln.instructions.referents import Referents
 from condvln.labels import vocabulary
 
@@ -76,12 +76,14 @@ def test_nothing_is_asked_of_a_room_annotated_in_part(make_scene, facts_maker) -
         assert questions_of(ConditionPool.of(referents, NO_BITS, {"sofa"}, vocabulary)) == []
 
 
-@given(st.integers(0, 400), st.integers(0, 400))
-def test_a_statement_is_asked_as_often_true_as_false(n_true: int, n_false: int) -> None:
-    weights = informative_weights(n_true, n_false)
-    if n_true + n_false >= 8 and 0 in (n_true, n_false):
+@given(st.integers(0, 400), st.integers(0, 400), st.sampled_from([STAGINGS, EVIDENCE]))
+def test_a_statement_is_asked_as_often_true_as_false(n_true: int, n_false: int, evidence: int) -> None:
+    weights = informative_weights(n_true, n_false, evidence)
+    if n_true + n_false >= evidence and 0 in (n_true, n_false):
         assert weights == {True: 0.0, False: 0.0}
-    elif min(n_true, n_false) >= 20:
+    else:
+        assert min(weights.values()) > 0.0
+    if min(n_true, n_false) >= 20:
         assert n_true * weights[True] == pytest.approx(n_false * weights[False], rel=0.03)
     assert weights[True] <= 1.0
     assert weights[False] <= 1.0

@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from condvln.instructions import LabelPriors
-from condvln.instructions.priors import PRIORS, STAGINGS
+from condvln.instructions.priors import EVIDENCE, PRIORS, STAGINGS
 from condvln.labels import vocabulary
 from condvln.scene import Scene
 from condvln.scene.tables import scene_tables
@@ -115,6 +115,9 @@ def test_a_staging_reads_the_counts_of_its_layout(make_scene, rooms: tuple[str, 
         found = priors.bits(scene)
         # What is plausible is a matter of all scenes, what is foretold one of the layout.
         assert (found.plausible, found.varies) == (pooled.bits(scene).plausible, pooled.bits(scene).varies)
+        assert found.staged == set(rooms)
+        assert {found.evidence(room) for room in rooms} == {STAGINGS}
+        assert found.document()["staged"] == sorted(rooms)
         own = alone.bits(scene).counts
         assert {key: seen for key, seen in found.counts.items() if seen[0] or key[2]} == {
             key: seen for key, seen in own.items() if seen[0] or key[2]
@@ -128,3 +131,5 @@ def test_a_staging_reads_the_counts_of_its_layout(make_scene, rooms: tuple[str, 
     for scene in others:
         # Too few stagings, or none at all.
         assert priors.bits(scene) == pooled.bits(scene)
+        assert {priors.bits(scene).evidence(room) for room in rooms} == {EVIDENCE}
+        assert "staged" not in priors.bits(scene).document()
