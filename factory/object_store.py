@@ -218,7 +218,8 @@ class ObjectStore:
         try:
             yield
         except NoCredentialsError as error:
-            raise StoreError("there are no credentials for the object store", where=where) from error
+            remedy = "Set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or AWS_PROFILE, or give the machine a role."
+            raise StoreError("there are no credentials for the object store", where=where, remedy=remedy) from error
         except ClientError as error:
             code = str(error.response.get("Error", {}).get("Code", ""))
             status = str(error.response.get("ResponseMetadata", {}).get("HTTPStatusCode", ""))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import reprlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -109,6 +110,13 @@ def _item(items: list[Any], key: str, origin: str) -> Any:
     return items[int(key)]
 
 
+def _shown(value: Any) -> str:
+    """The beginning of a value. Anchors and aliases may make one of a few lines that is endless when written out."""
+    brief = reprlib.Repr()
+    brief.maxlevel, brief.maxstring, brief.maxother = 2, 60, 60
+    return (value if isinstance(value, str) else brief.repr(value))[:60]
+
+
 def _first_fault(error: ValidationError) -> str:
     faults = []
     for fault in error.errors():
@@ -116,7 +124,7 @@ def _first_fault(error: ValidationError) -> str:
         if fault["type"] == "extra_forbidden":
             faults.append(f"{key}: unknown key")
         else:
-            faults.append(f"{key}: {fault['msg']} (got {str(fault.get('input'))[:60]!r})")
+            faults.append(f"{key}: {fault['msg']} (got {_shown(fault.get('input'))!r})")
     return "; ".join(faults)
 
 

@@ -49,7 +49,7 @@ def opened(path: Path) -> Iterator[BinaryIO]:
                     yield cast(BinaryIO, unpacked)
             else:
                 yield file
-    except (FileNotFoundError, IsADirectoryError) as error:
+    except (FileNotFoundError, IsADirectoryError, NotADirectoryError) as error:
         raise MissingFileError("no such file", where=path, remedy="Check the path") from error
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise FormatError(f"damaged gzip ({error})", where=path, remedy="Copy or write the file again") from error

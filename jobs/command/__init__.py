@@ -50,11 +50,18 @@ CLICK_USAGE: Final = 2
 
 
 def main() -> None:
-    """Entry point: errors of ours become one message and their exit code."""
+    """Entry point: errors of ours, and of the system where it names a file, become one message and their exit code."""
     try:
         app()
     except CondVLNError as error:
         Console(stderr=True, highlight=False, soft_wrap=True).print(f"condvln: {error}", markup=False)
         raise SystemExit(error.exit_code) from None
+    except OSError as error:
+        # A folder that can't be made, a file that may not be written, a full disk: whoever met it, the person can act.
+        if error.filename is None:
+            raise
+        told = f"condvln: {error.filename}: {error.strerror}. Check the path, its permissions and the room on the disk."
+        Console(stderr=True, highlight=False, soft_wrap=True).print(told, markup=False)
+        raise SystemExit(1) from None
     except SystemExit as stop:
         raise SystemExit(1 if stop.code == CLICK_USAGE else stop.code) from None

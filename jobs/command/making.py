@@ -15,9 +15,9 @@ __all__ = ["demo", "generate", "plan", "rebuild", "samples"]
 
 def demo(
     out: Annotated[Path, typer.Option(help="folder to write to")] = Path("out/demo"),
-    scenes: Annotated[int, typer.Option(help="made apartments, over all formats")] = 12,
+    scenes: Annotated[int, typer.Option(min=1, help="made apartments, over all formats")] = 12,
     seed: Annotated[int, typer.Option(help="seed of everything")] = 0,
-    workers: Annotated[int | None, typer.Option(help="Ray workers; 0 runs inline")] = None,
+    workers: Annotated[int | None, typer.Option(min=0, help="Ray workers; 0 runs inline")] = None,
 ) -> None:
     """Made scenes of four datasets' formats: generated, exported, proven, walked, measured; minutes on two cores."""
     from jobs.demo import run_demo

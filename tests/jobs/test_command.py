@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from factory.ray_executor import RayExecutor
-from jobs.command import app
+from jobs.command import app, main
 from jobs.configuration import load_config
 from jobs.reference import FILE, command_paths, reference
 from jobs.report import Report
@@ -57,6 +57,8 @@ def test_readme_names_only_commands_that_exist(repository: Path) -> None:
         (("generate", "nowhere.yaml"), "no such configuration file"),
         (("navmesh", "info", "nowhere.navmesh"), "nowhere.navmesh"),
         (("navmesh", "build", "x.glb", "y.navmesh", "--set", "colour=1"), "no navmesh setting"),
+        (("demo", "--scenes", "0"), "--scenes"),
+        (("demo", "--workers", "-1"), "--workers"),
     ],
 )
 def test_faults_are_one_message_and_an_exit_code(words: tuple[str, ...], said: str) -> None:
@@ -65,6 +67,23 @@ def test_faults_are_one_message_and_an_exit_code(words: tuple[str, ...], said: s
     # A first start on a machine may announce that it compiles; the fault itself is the one last line.
     assert said in result.stderr.strip().splitlines()[-1]
     assert "Traceback" not in result.stderr
+
+
+@pytest.mark.parametrize(
+    "words", [("samples", "FILE", "--family", "ithor", "--scenes", "1"), ("oracle", "FILE", "train")], ids=" ".join
+)
+def test_a_path_that_leads_nowhere_is_one_message_too(
+    words: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "file"
+    file.write_text("")
+    monkeypatch.setattr(sys, "argv", ["condvln", *(str(file) if word == "FILE" else word for word in words)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code in (1, 3)
+    said = capsys.readouterr().err.strip().splitlines()[-1]
+    assert said.startswith(f"condvln: {file}")
+    assert "Check the path" in said
 
 
 def test_unknown_verb_is_usage() -> None:

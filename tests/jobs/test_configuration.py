@@ -103,3 +103,13 @@ def test_shipped_configurations_are_valid(repository: Path) -> None:
     assert paths
     for path in paths:
         assert isinstance(load_config(path, environment={}, check_roots=False), Config)
+
+
+def test_a_value_that_is_endless_when_written_out_is_told_by_its_beginning(tmp_path: Path) -> None:
+    path = tmp_path / "run.yaml"
+    path.write_text(
+        "a0: &a0 [x]\n" + "".join(f"a{k + 1}: &a{k + 1} [{f'*a{k}, ' * 9}]\n" for k in range(30)) + "seed: *a30"
+    )
+    with pytest.raises(ConfigError, match="seed") as caught:
+        load_config(path, environment={})
+    assert len(str(caught.value)) < 10_000
