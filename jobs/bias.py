@@ -4,25 +4,57 @@ from __future__ import annotations
 
 from typing import Literal
 
+from pydantic import ValidationError
+
 from condvln.bias import BiasReport
 from condvln.bias.report import ALL, ALPHA
+from factory.snapshot import Snapshot
 from jobs.report import Report, Section
 from schemas.errors import ProofError
+from schemas.snapshot import Pin
 
-__all__ = ["add_bias"]
+__all__ = ["add_bias", "priors_behind"]
 
 _COLUMNS = ("guesser", "source", "category", "episodes", "right", "low", "high", "chance", "p (Holm)")
 
 
-def add_bias(report: Report, found: BiasReport | None, action: Literal["off", "warn", "fail"]) -> None:
-    """Add the verdict and the table; exit code 3 where chance is beaten and the configuration says ``fail``."""
+def add_bias(
+    report: Report,
+    found: BiasReport | None,
+    action: Literal["off", "warn", "fail"],
+    behind: tuple[int, int] | None = None,
+) -> None:
+    """Add the verdict and the table; exit code 3 where chance is beaten and the configuration says ``fail``.
+
+    behind : where the priors were counted over fewer scenes than are published, both numbers; a likely cause
+    """
     if found is None:
         return
     failed = not found.passed
     report.lines.append(f"{'WARNING: ' if failed else ''}bias gate: {found.verdict()}")
+    if failed and behind is not None:
+        counted, now = behind
+        report.lines.append(
+            f"what is usually true was counted over {counted} scenes, and {now} are published: what holds in those "
+            "others is foretold by their words; condvln rebuild CONFIG --priors counts anew"
+        )
     rows = found.overview()
     # Source by source there are dozens; what is in order stands in export.json and on the card.
     told = [row for row in rows if row[1] == ALL or row[2] != ALL or float(row[-1]) < ALPHA]
     report.sections.append(Section("Guesses that see no scene", _COLUMNS, [*(told or rows)]))
     if failed and action == "fail":
         report.exit_code = max(report.exit_code, ProofError.exit_code)
+
+
+def priors_behind(snapshot: Snapshot, ref: str) -> tuple[int, int] | None:
+    """Over how many scenes the pinned priors were counted, and how many are published; None where no more are."""
+    now = max((stage.units - stage.skipped for stage in snapshot.manifest.stages.values()), default=0)
+    for entry in snapshot.store.list("pins"):
+        if entry.path.endswith(f"/{ref}.json"):
+            try:
+                pinned = Pin.model_validate_json(snapshot.store.read(entry.path)).tables.get("priors")
+            except (FileNotFoundError, ValidationError):
+                continue
+            if pinned is not None and pinned.units < now:
+                return pinned.units, now
+    return None

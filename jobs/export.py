@@ -12,7 +12,7 @@ from condvln.export.snapshot import ExportConfig, export_snapshot, exported_snap
 from condvln.export.tables import FolderTables
 from condvln.export.viewpoints import FOLDER, write_viewpoints
 from factory.snapshot import Snapshot, read_manifest, read_ref
-from jobs.bias import add_bias
+from jobs.bias import add_bias, priors_behind
 from jobs.built_navmeshes import built_navmeshes
 from jobs.oracle import linear_text
 from jobs.report import Report, Section
@@ -74,7 +74,8 @@ def export_snapshot_of(config: Config) -> Report:
         columns = ("split", "source", "category", "gold leaf", "wanted", "selected")
         sections.append(Section("Cells that are short", columns, [*short]))
     report = Report(done.document(), lines, sections)
-    add_bias(report, done.bias, config.splits.bias)
+    failed = done.bias is not None and not done.bias.passed
+    add_bias(report, done.bias, config.splits.bias, priors_behind(snapshot, config.name) if failed else None)
     add_viewpoints(report, config, snapshot)
     return report
 

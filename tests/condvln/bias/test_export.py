@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from condvln.bias import judge_export
 from condvln.export.snapshot import ExportConfig, export_snapshot
-from jobs.bias import add_bias
+from factory.local_store import LocalStore
+from jobs.bias import add_bias, priors_behind
 from jobs.report import Report
 from schemas.config import SplitsConfig
+from schemas.snapshot import Pin, PinnedTable
 from tests.made_snapshot import made_snapshot
 
 SCENES = {"replicacad": [f"v3_sc0_staging_{k:02}" for k in range(8)]}
@@ -61,3 +64,25 @@ def test_a_passed_gate_never_fails(tmp_path: Path) -> None:
     add_bias(report, judge_export(tmp_path), "fail")
     assert report.exit_code == 0
     assert report.lines[0].startswith("bias gate: ")
+
+
+def test_priors_of_fewer_scenes_are_named_as_a_cause(leaking: Path, tmp_path: Path) -> None:
+    judged, store = judge_export(leaking), LocalStore(tmp_path)
+    stages = {"scene": SimpleNamespace(units=9, skipped=1), "text": SimpleNamespace(units=8, skipped=0)}
+    snapshot = SimpleNamespace(store=store, manifest=SimpleNamespace(stages=stages))
+    assert priors_behind(snapshot, "main") is None, "nothing is pinned"
+    for name, units in (("main", 5), ("other", 1)):
+        pin = Pin(tables={"priors": PinnedTable(version=2, hash="0" * 32, rows=1, units=units)})
+        store.write(f"pins/condvln/{name}.json", pin.model_dump_json().encode())
+    assert priors_behind(snapshot, "main") == (5, 8)
+    told, silent = Report({}), Report({})
+    add_bias(told, judged, "warn", (5, 8))
+    add_bias(silent, judged, "warn")
+    assert told.lines[:1] == silent.lines
+    assert "counted over 5 scenes, and 8 are published" in told.lines[1]
+    assert "condvln rebuild CONFIG --priors" in told.lines[1]
+    full = Pin(tables={"priors": PinnedTable(version=2, hash="0" * 32, rows=1, units=8)})
+    store.write("pins/condvln/main.json", full.model_dump_json().encode())
+    assert priors_behind(snapshot, "main") is None
+    store.write("pins/condvln/main.json", b"{")
+    assert priors_behind(snapshot, "main") is None
