@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import pyarrow.compute as pc
 
@@ -22,13 +23,15 @@ from schemas.config import Config
 from schemas.errors import UsageError
 from schemas.program import CATEGORIES, Program
 
-__all__ = ["show_episodes"]
+__all__ = ["episode_lines", "show_episodes", "spread"]
+
+Item = TypeVar("Item")
 
 
 def show_episodes(
     config: Config, *, episode: str | None = None, sample: int | None = None, picture: Path | None = None
 ) -> Report:
-    """One episode by id (or the beginning of it), or a sample spread evenly over the categories.
+    """One episode by id (or the beginning of it), or a sample spread evenly over the categories, then the sources.
 
     picture : folder for a PNG of each; needs the sources' files
     """
@@ -42,7 +45,7 @@ def show_episodes(
         report.document["episodes"].append(
             {**row, "program": program.model_dump(mode="json"), "tree": tree, "leaves": row["leaves"]}
         )
-        report.extend(_lines(row, tree))
+        report.extend(episode_lines(row, tree))
         if picture is not None:
             report.lines.append(f"  picture: {_draw(config, snapshot, row, tree, picture)}")
         report.lines.append("")
@@ -59,15 +62,27 @@ def _chosen(snapshot: Snapshot, episode: str | None, sample: int) -> list[dict[s
             raise UsageError(f"no episode {episode!r}", remedy="condvln show CONFIG --sample 5 lists some.")
         return rows
     # Ids are hashes: taking them in their order is a sample that is the same every time.
-    by_category = {
-        category: table.filter(pc.equal(table["category"], category)).sort_by("episode_id") for category in CATEGORIES
-    }
-    picked: list[dict[str, Any]] = []
-    for k in range(sample):
-        for category, rows_left in by_category.items():
-            if len(picked) < sample and k < rows_left.num_rows:
-                picked += by_category[category].slice(k, 1).to_pylist()
-    return picked
+    first: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for category in CATEGORIES:
+        of_category = table.filter(pc.equal(table["category"], category)).sort_by("episode_id")
+        for source in pc.unique(of_category["source"]).to_pylist():
+            of_source = of_category.filter(pc.equal(of_category["source"], source))
+            first[category, source] = of_source.slice(0, sample).to_pylist()
+    return spread(first, sample)
+
+
+def spread(first: Mapping[tuple[str, str], Sequence[Item]], sample: int) -> list[Item]:
+    """So many of the items by (category, source): one category after the other, each going round its sources.
+
+    Where a source has no more, the others go on; where a category has none, the other categories do.
+    """
+    queues: list[list[Item]] = []
+    for category in CATEGORIES:
+        of_sources = [first[key] for key in sorted(first) if key[0] == category]
+        longest = max(map(len, of_sources), default=0)
+        queues.append([items[k] for k in range(longest) for items in of_sources if k < len(items)])
+    picked = [queue[k] for k in range(sample) for queue in queues if k < len(queue)]
+    return picked[:sample]
 
 
 def _programs(snapshot: Snapshot, rows: list[dict[str, Any]]) -> dict[tuple[str, str], Program]:
@@ -93,7 +108,8 @@ def _seen(row: dict[str, Any]) -> str:
     return str(observability_class(row["observability"], row["evidence_in_view"]))
 
 
-def _lines(row: dict[str, Any], tree: str) -> list[str]:
+def episode_lines(row: dict[str, Any], tree: str) -> list[str]:
+    """A row of the episodes table and the tree of its program as lines."""
     lines = [
         f"{row['source']}/{row['scene_id']} · {row['category']} · {row['composition']} · {_seen(row)} · "
         f"episode {row['episode_id']}",

@@ -50,13 +50,14 @@ class NavmeshFolder:
         """
         found = self._pathfinders.get(sha256)
         if found is None:
-            found = self._pathfinders[sha256] = Pathfinder.load(self._find(navmesh, sha256, place))
+            found = self._pathfinders[sha256] = Pathfinder.load(self.path(navmesh, sha256, place))
             if len(self._pathfinders) > _KEPT:
                 self._pathfinders.popitem(last=False)
         self._pathfinders.move_to_end(sha256)
         return found
 
-    def _find(self, navmesh: str, sha256: str, place: str) -> Path:
+    def path(self, navmesh: str, sha256: str, place: str) -> Path:
+        """The file of a navmesh; arguments and errors as of :meth:`load`."""
         relative = PurePosixPath(navmesh)
         if relative.is_absolute() or ".." in relative.parts:
             raise PathEscapeError(

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from jobs.command.answers import answer, console
-from jobs.command.options import AsJson, ConfigPath, Overrides, RefName, TargetName
+from jobs.command.options import AsJson, ConfigPath, NavmeshRoots, Overrides, RefName, TargetName
 from schemas.errors import UsageError
 
 __all__ = ["query", "show", "sources", "status"]
@@ -71,16 +71,29 @@ def query(
 
 
 def show(
-    config: ConfigPath,
+    target: Annotated[Path, typer.Argument(metavar="CONFIG|EXPORT", help="YAML configuration, or folder of an export")],
     episode: Annotated[str | None, typer.Argument(metavar="ID", help="episode id")] = None,
-    sample: Annotated[int | None, typer.Option(min=1, help="show this many, spread over categories")] = None,
+    sample: Annotated[
+        int | None, typer.Option(min=1, help="show this many, spread over categories and sources")
+    ] = None,
     picture: Annotated[Path | None, typer.Option(help="folder for a top-down picture of each")] = None,
+    navmesh_root: NavmeshRoots = None,
     overrides: Overrides = None,
     as_json: AsJson = False,
 ) -> None:
     """Episodes: text, tree, truths, paths, and a top-down picture."""
+    if target.is_dir():
+        from jobs.show_export import show_export
+
+        if overrides:
+            raise UsageError("an export has no keys to override", place="--set", remedy="Name its configuration.")
+        report = show_export(target, episode=episode, sample=sample, picture=picture, roots=navmesh_root or ())
+        answer(report, as_json)
+        return
     from jobs.configuration import load_config
     from jobs.show import show_episodes
 
-    loaded = load_config(config, overrides or (), check_roots=picture is not None)
+    if navmesh_root:
+        raise UsageError("a configuration names its datasets", place="--navmesh-root", remedy="Name an export instead.")
+    loaded = load_config(target, overrides or (), check_roots=picture is not None)
     answer(show_episodes(loaded, episode=episode, sample=sample, picture=picture), as_json)
