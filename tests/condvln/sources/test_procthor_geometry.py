@@ -27,8 +27,7 @@ from condvln.sources.procthor_solids import WALL_THICKNESS, house_structure
 from condvln.sources.registry import open_source
 from condvln.sources.solids import Hole, without_holes
 from schemas.errors import FormatError
-
-from .test_procthor import DATABASE, House_, house, parsed, wall, write, xyz
+from tests.condvln.sources.procthor_houses import DATABASE, House_, house, parsed, wall, write, xyz
 
 REACHED = 1.0
 """Square metres of a room that must be walkable from the rest of the house."""
