@@ -53,7 +53,7 @@ RESTS_ON: Final = frozenset({"reference_path", "start_rotation"})
 class _Asked:
     """A row whose evidence is looked for.
 
-    start (1, 3) : the eye at its start; ways : eyes (n, 3) on the shared way, in one or two answers
+    start (1, 3) : the eye at its start
     proofs : by each condition that its evidence is told of
     """
 
@@ -61,7 +61,6 @@ class _Asked:
     certificate: Certificate
     yaw: float
     start: F64
-    ways: list[F64]
     proofs: list[tuple[Evidence, Proofs]]
 
 
@@ -81,18 +80,20 @@ def check_observability(
             asked.append(_asked(row, certificate, referents, eye_height))
     sight.look((thing, one.start) for one in asked for _, proofs in one.proofs for way in proofs for thing in way)
     at_start = [[_known(sight, proofs, one.start) for _, proofs in one.proofs] for one in asked]
+    # Eyes (n, 3) on the shared way, in one or two answers; none where all is known at the start.
+    ways = [[] if all(known) else _ways(one.row, eye_height) for one, known in zip(asked, at_start, strict=True)]
     sight.look(
         (thing, eyes)
-        for one, known in zip(asked, at_start, strict=True)
+        for one, known, places in zip(asked, at_start, ways, strict=True)
         for (_, proofs), at_once in zip(one.proofs, known, strict=True)
         if not at_once
         for way in proofs
         for thing in way
-        for eyes in one.ways
+        for eyes in places
     )
-    for one, known in zip(asked, at_start, strict=True):
+    for one, known, places in zip(asked, at_start, ways, strict=True):
         for (evidence, proofs), at_once in zip(one.proofs, known, strict=True):
-            _check(sight, one, evidence, proofs, at_once)
+            _check(sight, one, evidence, proofs, [] if at_once else places)
 
 
 def sight_of(
@@ -115,11 +116,15 @@ def sight_of(
 def _asked(row: ManifestEpisode, certificate: Certificate, referents: Referents, eye_height: float) -> _Asked:
     yaw = yaw_of(row.start_rotation)
     assert yaw is not None, "a start without a heading is refuted before"
-    ways = [eyes_at(places, eye_height) for places in stands([np.array(leaf.reference_path) for leaf in row.leaves])]
     conditions = row.program.conditions
     told = [evidence for evidence in row.evidence or () if evidence.condition < len(conditions)]
     proofs = [(evidence, _proofs(conditions[evidence.condition], referents)) for evidence in told]
-    return _Asked(row, certificate, yaw, eyes_at(row.start_position, eye_height), ways, proofs)
+    return _Asked(row, certificate, yaw, eyes_at(row.start_position, eye_height), proofs)
+
+
+def _ways(row: ManifestEpisode, eye_height: float) -> list[F64]:
+    paths = [np.array(leaf.reference_path) for leaf in row.leaves]
+    return [eyes_at(places, eye_height) for places in stands(paths)]
 
 
 def _proofs(condition: Condition, referents: Referents) -> Proofs:
@@ -138,21 +143,21 @@ def _known(sight: Sight, proofs: Proofs, eyes: F64, yaw: float | None = None) ->
     return any(all(sight.is_seen(thing, eyes, yaw) for thing in way) for way in proofs)
 
 
-def _check(sight: Sight, one: _Asked, evidence: Evidence, proofs: Proofs, at_once: bool) -> None:
-    """One condition's level and whether it is seen without turning."""
-    levels: list[Observability] = ["O0"]
-    if not at_once:
-        levels = ["O1" if _known(sight, proofs, eyes) else "O2" for eyes in one.ways]
-    ahead = at_once and _known(sight, proofs, one.start, one.yaw)
+def _check(sight: Sight, one: _Asked, evidence: Evidence, proofs: Proofs, ways: Sequence[F64]) -> None:
+    """One condition's level and whether it is seen without turning.
+
+    ways : eyes (n, 3) on the shared way, in one or two answers; none where it is known at the start
+    """
+    levels: list[Observability] = ["O1" if _known(sight, proofs, eyes) else "O2" for eyes in ways] or ["O0"]
+    ahead = not ways and _known(sight, proofs, one.start, one.yaw)
     place = f"condition {evidence.condition}"
     agreed = evidence.observability in levels
-    found = None if agreed else {"level": levels[0], **_shares(sight, one, proofs, at_once)}
+    found = None if agreed else {"level": levels[0], **_shares(sight, proofs, ways[0] if ways else one.start)}
     one.certificate.holds("observability", agreed, evidence.observability, found, place)
     one.certificate.same("first_view", evidence.in_view, ahead, place)
 
 
-def _shares(sight: Sight, one: _Asked, proofs: Proofs, at_once: bool) -> dict[str, Any]:
+def _shares(sight: Sight, proofs: Proofs, eyes: F64) -> dict[str, Any]:
     """How much is seen of all that tells a condition's truth; by own points and published ones, or of a floor's."""
     things = sorted({thing for way in proofs for thing in way})
-    eyes = one.start if at_once else one.ways[0]
     return {f"{kind} {name}": sight.shares((kind, name), eyes) for kind, name in things}

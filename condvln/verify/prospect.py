@@ -33,30 +33,39 @@ def stands(paths: Sequence[F64]) -> list[F64]:
 
     A way whose length is a whole number of `LOOKS` but for rounding may be cut in either number of parts: two answers.
     """
-    end = shared_length(paths)
+    walked = [_walked(path) for path in paths]
+    end = _shared(paths, walked)
     parts = end / LOOKS
     counts = {max(1, math.ceil(parts - EVEN)), max(1, math.ceil(parts + EVEN))}
-    return [_at(paths[0], np.linspace(0.0, end, count + 1)) for count in sorted(counts)]
+    return [_at(paths[0], walked[0], np.linspace(0.0, end, count + 1)) for count in sorted(counts)]
 
 
 def shared_length(paths: Sequence[F64]) -> float:
     """Metres that ways (n, 3) from one start have in common, by the last mark at which they were one."""
-    shortest = min(float(_walked(path)[-1]) for path in paths)
+    return _shared(paths, [_walked(path) for path in paths])
+
+
+def _shared(paths: Sequence[F64], walked: Sequence[F64]) -> float:
+    shortest = min(float(lengths[-1]) for lengths in walked)
     marks = np.append(np.arange(0.0, shortest, MARKS), shortest)
-    places = [_at(path, marks) for path in paths]
-    one = np.ones(len(marks), dtype=bool)
+    places = [_at(path, lengths, marks) for path, lengths in zip(paths, walked, strict=True)]
+    apart = np.zeros(len(marks))
     for first, second in combinations(places, 2):
-        one &= np.linalg.norm(first - second, axis=1) <= STEP
-    together = len(marks) if one.all() else int(np.argmin(one))
+        away = first - second
+        apart = np.maximum(apart, np.einsum("ij,ij->i", away, away))
+    beyond = np.flatnonzero(np.sqrt(apart) > STEP)
+    together = int(beyond[0]) if len(beyond) else len(marks)
     return float(marks[max(together - 1, 0)])
 
 
 def _walked(path: F64) -> F64:
     """Metres from the start to each corner, (n,)."""
-    return np.concatenate([[0.0], np.cumsum(np.sqrt(np.square(np.diff(path, axis=0)).sum(axis=1)))])
+    sides = np.zeros(len(path))
+    along = path[1:] - path[:-1]
+    np.sqrt(np.einsum("ij,ij->i", along, along), out=sides[1:])
+    return np.cumsum(sides)
 
 
-def _at(path: F64, metres: F64) -> F64:
-    """The places (k, 3) that are so many metres along a path."""
-    walked = _walked(path)
+def _at(path: F64, walked: F64, metres: F64) -> F64:
+    """The places (k, 3) that are so many metres along a path with lengths (n,) to its corners."""
     return np.stack([np.interp(metres, walked, path[:, axis]) for axis in range(3)], axis=1)

@@ -9,7 +9,7 @@ is so much that two fair sets of points come out so far apart once in a million 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from condvln.navigation.occluders import BoxOccluders, JoinedOccluders, MeshOccluders, Occluders
-from condvln.navigation.sight import View, in_view, visible_points
+from condvln.navigation.sight import View, in_view
 from condvln.navigation.surface_samples import box_samples, mesh_samples
 from condvln.scene import Scene, SceneObject
 from condvln.scene.geometry import STRUCTURE, SceneGeometry
@@ -37,7 +37,9 @@ ODDS: Final = 1e-6
 FIRST_VIEW: Final = 90.0
 """Degrees that an agent sees without turning, both ways: the camera of VLN-CE's R2R task."""
 EYES_AT_ONCE: Final = 512
-"""Eyes whose looks at one thing are cast together: some megabytes of work space."""
+"""Eyes that are measured against one thing's points at once."""
+RAYS_AT_ONCE: Final = 1 << 17
+"""Rays after which those that wait are cast: some ten megabytes."""
 
 Sought = tuple[str, str]
 """("thing", an object's id) or ("floor", a room's id)."""
@@ -69,6 +71,17 @@ class _Points:
             if published >= enough and ours < self.least:
                 return False
         return published >= self.least
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Look:
+    """Looks at one thing: eyes (n, 3), the keys they go by; seen (n, k), its points in range, and then those seen."""
+
+    sought: Sought
+    keys: list[bytes]
+    eyes: F64
+    where: _Points
+    seen: Bools
 
 
 class Sight:
@@ -122,22 +135,44 @@ class Sight:
         )
 
     def look(self, wanted: Iterable[tuple[Sought, F64]]) -> None:
-        """Cast the looks from eyes (n, 3) that were not cast before, all at one thing together."""
+        """Cast the looks from eyes (n, 3) that were not cast before, many at once."""
         places: dict[Sought, dict[bytes, F64]] = {}
         for sought, eyes in wanted:
             known = self._seen.setdefault(sought, {})
             new = places.setdefault(sought, {})
             new.update((key, eye) for eye in eyes if (key := eye.tobytes()) not in known)
+        looks: list[_Look] = []
+        waiting = 0
         for sought, of in places.items():
             where = self._where(sought)
-            if where is None:
+            if where is None or not of:
                 continue
-            keys, eyes = list(of), np.array(list(of.values())).reshape(-1, 3)
-            boxes = np.full(len(where.points), where.box)
+            keys, eyes = list(of), np.array(list(of.values()))
             for at in range(0, len(keys), EYES_AT_ONCE):
                 part = slice(at, at + EYES_AT_ONCE)
-                seen = visible_points(self._hiding, eyes[part], where.points, self._around, own=boxes)
-                self._seen[sought].update(zip(keys[part], seen, strict=True))
+                looks.append(
+                    _Look(sought, keys[part], eyes[part], where, in_view(eyes[part], where.points, self._around))
+                )
+                waiting += int(looks[-1].seen.sum())
+                if waiting > RAYS_AT_ONCE:
+                    self._cast(looks)
+                    looks, waiting = [], 0
+        self._cast(looks)
+
+    def _cast(self, looks: Sequence[_Look]) -> None:
+        """Leave of what is in range what nothing hides, and keep it."""
+        if not looks:
+            return
+        ends = [np.nonzero(look.seen) for look in looks]
+        begins = np.concatenate([look.eyes[eye] for look, (eye, _) in zip(looks, ends, strict=True)])
+        points = np.concatenate([look.where.points[point] for look, (_, point) in zip(looks, ends, strict=True)])
+        boxes = np.repeat([look.where.box for look in looks], [len(eye) for eye, _ in ends])
+        free = ~self._hiding.hidden(begins, points, boxes)
+        at = 0
+        for look, (eye, point) in zip(looks, ends, strict=True):
+            look.seen[eye, point] = free[at : at + len(eye)]
+            at += len(eye)
+            self._seen[look.sought].update(zip(look.keys, look.seen, strict=True))
 
     def is_seen(self, sought: Sought, eyes: F64, yaw: float | None = None) -> bool:
         """Whether enough of something is seen from eyes (n, 3) together; with a yaw, of what lies ahead of the one."""
