@@ -16,8 +16,7 @@ from condvln.scene.geometry import STRUCTURE, SceneGeometry
 from condvln.sources.reachability import Reachability, reachability
 from condvln.sources.registry import open_source
 from condvln.sources.source import Source
-
-from .test_thor import corner_points, plan, thing, write
+from tests.condvln.sources.thor_plans import corner_points, plan, thing, write
 
 
 def geometry_of(source: Source, scene_id: str = "FloorPlan207") -> SceneGeometry:
