@@ -12,7 +12,7 @@ import os
 import sqlite3
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
@@ -57,8 +57,11 @@ class FileHashes:
                 with _database(path) as database:
                     rows = database.execute("SELECT path, size, mtime_ns, sha256 FROM hashes")
                     self._known = {name: (size, mtime, sha) for name, size, mtime, sha in rows}
-            except sqlite3.DatabaseError:
-                path.unlink()  # damaged: it is only a memory
+            except sqlite3.DatabaseError as error:
+                # Damaged, and only a memory; but one that another process is writing to is sound.
+                if "locked" not in str(error):
+                    with suppress(OSError):
+                        path.unlink()
 
     def file(self, root: Path, relative: str) -> InputFile:
         """The keyed form of ``root/relative``. Errors as ``hash_file``."""

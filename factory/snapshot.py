@@ -21,6 +21,7 @@ from factory.commits import Commits
 from factory.index import Index
 from factory.packing import PackJob, buckets, content_hash, members_hash
 from factory.pipeline import Pipeline, plain_name
+from factory.receipt import StageReceipt
 from factory.rows import parquet_table, schema_hash
 from factory.store import Store, token_of
 from schemas.canonical import JSON, digest
@@ -265,8 +266,8 @@ class Snapshot:
         """Further files that the stages of a unit kept, by name. Raises ``UsageError`` on an unknown unit."""
         commits = Commits(self.store)
         found = {}
-        for stage, key in self._keys(unit_id, pipeline):
-            commit = commits.find(stage, key)
+        for stage in self._stages(unit_id, pipeline):
+            commit = commits.find(stage.stage, stage.key.hex())
             if commit is not None:
                 found.update({name: commits.file(commit, name) for name in commit.files})
         return found
@@ -278,16 +279,17 @@ class Snapshot:
         """
         commits = Commits(self.store)
         stage_of = {table: stage.name for stage in pipeline.stages for table in stage.tables}
-        for stage, key in self._keys(unit_id, pipeline):
-            if stage == stage_of[name]:
-                return commits.table(stage, key, name)
+        for stage in self._stages(unit_id, pipeline):
+            if stage.stage == stage_of[name]:
+                rows_hash = next((table.hash.hex() for table in stage.tables if table.table == name), None)
+                return commits.table(stage.stage, stage.key.hex(), name, rows_hash)
         return pa.table({})
 
-    def _keys(self, unit_id: str, pipeline: Pipeline) -> list[tuple[str, str]]:
+    def _stages(self, unit_id: str, pipeline: Pipeline) -> tuple[StageReceipt, ...]:
         row = int(self._index.rows_of([unit_id])[0])
         if row < 0:
             raise UsageError(f"no unit {unit_id!r} is published")
-        return [(stage.stage, stage.key.hex()) for stage in self._index.receipt(row, pipeline).stages]
+        return self._index.receipt(row, pipeline).stages
 
     @cached_property
     def _index(self) -> Index:

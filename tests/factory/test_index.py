@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import sqlite3
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -142,6 +144,24 @@ def test_hashes_are_remembered_until_a_file_changes(tmp_path: Path) -> None:
     assert FileHashes(tmp_path / "hashes.sqlite").file(tmp_path / "data", "x.bin") == first
     os.utime(path, (old + 1, old + 1))
     assert FileHashes(tmp_path / "hashes.sqlite").file(tmp_path / "data", "x.bin").sha256 == hash_file(path)
+
+
+def test_a_memory_that_another_process_writes_to_is_left_to_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "x").write_bytes(b"one")
+    os.utime(tmp_path / "x", (1, 1))
+    place = tmp_path / "hashes.sqlite"
+    memory = FileHashes(place)
+    memory.file(tmp_path, "x")
+    memory.save()
+    connect = sqlite3.connect
+    monkeypatch.setattr(sqlite3, "connect", lambda path, timeout: connect(path, timeout=0))
+    with contextlib.closing(connect(place, isolation_level=None)) as other:
+        other.execute("BEGIN EXCLUSIVE")
+        assert FileHashes(place).file(tmp_path, "x").sha256 == hash_file(tmp_path / "x")
+        other.execute("UPDATE hashes SET size = size")
+        other.execute("COMMIT")
+        assert other.execute("SELECT count(*) FROM hashes").fetchall() == [(1,)]
+    assert place.exists()
 
 
 def test_fresh_files_and_damaged_memories_are_not_trusted(tmp_path: Path) -> None:

@@ -6,13 +6,15 @@ import random
 from dataclasses import replace
 from pathlib import Path
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import toys
 
 from factory import LocalStore, Snapshot, plan, run
 from factory.commits import Commits
-from schemas.errors import MissingFileError, StoreError, UsageError
+from factory.rows import parquet_bytes
+from schemas.errors import CorruptShardError, MissingFileError, StoreError, UsageError
 
 
 def files(store: LocalStore, snapshot_id: str) -> dict[str, bytes]:
@@ -385,6 +387,18 @@ def test_a_flipped_bit_that_still_decodes_is_found_and_made_again(store: LocalSt
 def test_files_of_a_unit_are_kept(store: LocalStore) -> None:
     run(toys.pipeline(), toys.units(5), store)
     assert Snapshot.open(store).unit_files("a/u00004", toys.pipeline()) == {"blob.bin": bytes(5)}
+
+
+def test_a_table_that_only_a_unit_keeps_is_read_by_its_hash(store: LocalStore) -> None:
+    run(toys.pipeline(), toys.units(5), store)
+    snapshot = Snapshot.open(store)
+    kept = snapshot.unit_table("a/u00004", toys.pipeline(), "scratch")
+    assert kept.column_names == ["sum"]
+    for entry in store.list("units/square"):
+        if entry.path.endswith("scratch.parquet"):
+            store.write(entry.path, parquet_bytes(pa.table({"sum": [-1.0]})))
+    with pytest.raises(CorruptShardError, match="differ"):
+        snapshot.unit_table("a/u00004", toys.pipeline(), "scratch")
 
 
 def test_two_units_with_one_id_are_refused(store: LocalStore) -> None:
