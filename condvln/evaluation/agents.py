@@ -88,7 +88,9 @@ def coin_flip(task: Task, pathfinder: Pathfinder, seed: int) -> Prediction:
 def stop_at_start(task: Task, pathfinder: Pathfinder, seed: int) -> Prediction:
     """Says STOP and nothing else."""
     points = np.vstack([task.start, task.start])
-    return Prediction(task.episode_id, points, True, True, 0, np.full(2, heading_of(task.start_rotation)))
+    return Prediction(
+        task.episode_id, points, True, True, np.zeros(2, bool), np.full(2, heading_of(task.start_rotation))
+    )
 
 
 AGENTS: Final[Mapping[str, Agent]] = {

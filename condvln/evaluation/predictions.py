@@ -51,7 +51,7 @@ class Prediction:
     positions : (n, 3) float64, metres, Habitat frame, the start first; n = 0 for an empty path
     stopped : STOP was called at the last position
     counts_actions : every action has its pose, so that a step budget can be held against the path
-    collisions : number of collisions where the file gives them
+    collided : (n,) whether the step to each position met an obstacle, where that is told
     headings : (n,) radians counter-clockwise from −z where they are known; no metric asks for them
     """
 
@@ -59,7 +59,7 @@ class Prediction:
     positions: npt.NDArray[np.float64]
     stopped: bool
     counts_actions: bool
-    collisions: int | None = None
+    collided: npt.NDArray[np.bool_] | None = None
     headings: npt.NDArray[np.float64] | None = None
 
 
@@ -147,12 +147,15 @@ def write_predictions(path: Path, predictions: Iterable[Prediction]) -> int:
         for prediction in predictions:
             last = len(prediction.positions) - 1
             headings = prediction.headings if prediction.headings is not None else np.zeros(last + 1)
-            poses = [
+            poses: list[dict[str, Any]] = [
                 {"position": position, "heading": heading, "stop": prediction.stopped and step == last}
                 for step, (position, heading) in enumerate(
                     zip(prediction.positions.tolist(), headings.tolist(), strict=True)
                 )
             ]
+            if prediction.collided is not None:
+                for pose, collided in zip(poses, prediction.collided.tolist(), strict=True):
+                    pose["collision"] = collided
             entries.entry(orjson.dumps(prediction.episode_id) + b":" + orjson.dumps(poses))
         stream.write(b"}\n")
     return entries.count
@@ -170,7 +173,7 @@ def _vlnce(path: Path, assume_stop: bool) -> Iterator[Prediction]:
         told = any(stop is not None for stop in stops)
         positions = _positions(path, name, [pose.get("position") for pose in poses[:end]])
         stopped = True in stops or (assume_stop and not told and end > 0)
-        yield Prediction(name, positions, stopped, True, _collisions(poses[:end]))
+        yield Prediction(name, positions, stopped, True, _collided(poses[:end]))
 
 
 def _stops(path: Path, name: str, poses: list[Any]) -> list[bool | None]:
@@ -185,9 +188,11 @@ def _stops(path: Path, name: str, poses: list[Any]) -> list[bool | None]:
     return stops
 
 
-def _collisions(poses: list[Any]) -> int | None:
-    told = [pose["collision"] for pose in poses if isinstance(pose.get("collision"), bool)]
-    return sum(told) if told else None
+def _collided(poses: list[Any]) -> npt.NDArray[np.bool_] | None:
+    told = [pose.get("collision") for pose in poses]
+    if not any(isinstance(collision, bool) for collision in told):
+        return None
+    return np.array([collision is True for collision in told])
 
 
 def _rxr(path: Path) -> Iterator[Prediction]:

@@ -88,6 +88,7 @@ class _Walk:
     path: SnappedPath
     stopped: bool
     over_budget: bool
+    collisions: float
 
 
 def score(task: Task, prediction: Prediction | None, nearness: Nearness, rules: Rules, where: str = "") -> Score:
@@ -129,7 +130,7 @@ def score(task: Task, prediction: Prediction | None, nearness: Nearness, rules: 
         bsa_all=bsa_all,
         csr_all=float(success and bsa_all == 1.0),
         steps=len(positions) - 1.0 if prediction.counts_actions else NAN,
-        collisions=NAN if prediction.collisions is None else float(prediction.collisions),
+        collisions=walk.collisions,
         committed_leaf=leaf,
         leaf_correct=float(leaf == task.gold_leaf),
         wrong_branch=float(leaf not in (task.gold_leaf, NO_LEAF)),
@@ -154,11 +155,12 @@ def _check_start(task: Task, prediction: Prediction, where: str) -> None:
 
 
 def _judged(task: Task, prediction: Prediction, nearness: Nearness, rules: Rules) -> _Walk:
-    positions, stopped = prediction.positions, prediction.stopped
+    positions, stopped, collided = prediction.positions, prediction.stopped, prediction.collided
     over = rules.keep_budget and prediction.counts_actions and len(positions) - 1 > task.max_steps
     if over:
         positions, stopped = positions[: task.max_steps + 1], False
-    return _Walk(nearness.snap(positions), stopped, over)
+    collisions = NAN if collided is None else float(collided[: len(positions)].sum())
+    return _Walk(nearness.snap(positions), stopped, over, collisions)
 
 
 def _reached(task: Task, walk: _Walk, nearness: Nearness, rules: Rules, radius: float) -> int:

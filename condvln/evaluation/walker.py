@@ -141,7 +141,7 @@ def walk(
     step = pathfinder.try_step if sliding else pathfinder.try_step_no_sliding
     position, facing, collided = task.start.astype(np.float32), 0, False
     begin = heading_of(task.start_rotation)
-    positions, headings, collisions, stopped = [position], [begin], 0, False
+    positions, headings, collisions, stopped = [position], [begin], [False], False
     while len(positions) <= limit and not stopped:
         observation = Observation(
             task.episode_id,
@@ -162,7 +162,6 @@ def walk(
             ahead = np.array([-math.sin(angle) * space.forward, 0.0, -math.cos(angle) * space.forward], np.float32)
             reached = step(position, position + ahead)
             collided = float(np.linalg.norm(reached - position)) < space.forward - _BLOCKED
-            collisions += collided
             position = reached
         elif action in (LEFT, RIGHT):
             facing += 1 if action == LEFT else -1
@@ -173,7 +172,8 @@ def walk(
                 f"{action!r} is no action", place=f"episode {task.episode_id}", remedy="Answer 0, 1, 2 or 3"
             )
         positions.append(position)
+        collisions.append(collided)
         headings.append((begin + facing * math.radians(space.turn)) % (2.0 * math.pi))
     return Prediction(
-        task.episode_id, np.array(positions, dtype=np.float64), stopped, True, int(collisions), np.array(headings)
+        task.episode_id, np.array(positions, dtype=np.float64), stopped, True, np.array(collisions), np.array(headings)
     )

@@ -153,6 +153,8 @@ def test_ones_own_agent_walks_and_sees(
     main = documents(evaluate, tmp_path / "seer.json")["main"]["rows"][0]
     assert (main["success"]["mean"], main["path_length"]["mean"]) == (0, 0)
     assert main["episodes"] == len(seen)
+    branches = documents(evaluate, tmp_path / "seer.json")["branches"]["rows"][0]
+    assert branches["collisions"]["mean"] == 0  # turns meet nothing, and that is known
     (tmp_path / "seen.txt").unlink()
     assert runner.invoke(app, [*words, "seer_agent:Seer"]).exit_code == 0
     assert not any((tmp_path / "seen.txt").read_text().split())  # without objects there is nothing to see

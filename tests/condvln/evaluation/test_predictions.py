@@ -16,6 +16,7 @@ from condvln.evaluation.predictions import (
     detect_format,
     read_graph_predictions,
     read_predictions,
+    write_predictions,
 )
 from schemas.errors import FormatError
 
@@ -39,7 +40,7 @@ def test_vlnce(tmp_path: Path) -> None:
     first, second, empty = read_predictions(path)
     assert first.episode_id == "7"
     assert first.positions.tolist() == [[0, 0, 0], [0.25, 0, 0], [0.25, 0, 0]]
-    assert (first.stopped, first.counts_actions, first.collisions) == (True, True, None)
+    assert (first.stopped, first.counts_actions, first.collided) == (True, True, None)
     assert (second.stopped, len(empty.positions), empty.stopped) == (False, 0, False)
     packed = tmp_path / "p.json.gz"
     packed.write_bytes(gzip.compress(path.read_bytes()))
@@ -62,7 +63,13 @@ def test_without_stop_flags_nobody_stopped_unless_assumed(tmp_path: Path) -> Non
 
 def test_collisions_where_given(tmp_path: Path) -> None:
     path = write(tmp_path / "p.json", {"a": [pose(0), pose(1, collision=True), pose(2, collision=False)]})
-    assert only(path).collisions == 1
+    found = only(path)
+    assert found.collided is not None
+    assert found.collided.tolist() == [False, True, False]
+    write_predictions(tmp_path / "again.json", [found])
+    again = only(tmp_path / "again.json")
+    assert again.collided is not None
+    assert again.collided.tolist() == [False, True, False]
 
 
 def test_rxr(tmp_path: Path) -> None:

@@ -247,6 +247,9 @@ def test_a_start_elsewhere_is_an_error() -> None:
 def test_the_budget_cuts_the_path_and_its_stop() -> None:
     path = walk(*[[x / 4, 0, 0] for x in range(13)])
     assert scored(path, max_steps=12).success == 1
+    bumped = replace(path, collided=np.arange(len(path.positions)) % 4 == 0)
+    assert scored(bumped, max_steps=12).collisions == 4
+    assert scored(bumped, max_steps=11).collisions == 3  # what lies beyond the budget did not happen
     cut = scored(path, max_steps=11)
     assert (cut.success, cut.over_budget, cut.stopped, cut.steps) == (0, 1, 0, 11)
     assert cut.path_length == pytest.approx(2.75)
