@@ -6,14 +6,13 @@ column of points becomes one (n, 3) array first.
 
 from __future__ import annotations
 
-import gc
-from collections.abc import Iterator
-from contextlib import contextmanager
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+
+from condvln.collector import no_collection
 
 __all__ = ["Row", "rows_of"]
 
@@ -26,22 +25,10 @@ def rows_of(batch: pa.RecordBatch | pa.Table) -> list[Row]:
     """The rows of ``batch``; structs of x, y, z (w) become lists, other structs dictionaries, nulls None."""
     if isinstance(batch, pa.Table):
         return [row for part in batch.to_batches() for row in rows_of(part)]
-    with _no_collection():
+    # The collector's passes over a batch's lists cost more than making them.
+    with no_collection():
         columns = [_values(batch.column(index)) for index in range(batch.num_columns)]
         return _records(batch.schema.names, columns)
-
-
-@contextmanager
-def _no_collection() -> Iterator[None]:
-    """Keep the cycle collector off: rows hold no cycles, and its passes over a batch's lists cost more than making
-    them."""
-    was_on = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_on:
-            gc.enable()
 
 
 def _records(names: list[str], columns: list[list[Any]]) -> list[Row]:
