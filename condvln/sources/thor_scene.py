@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import posixpath
+import re
 from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import replace
@@ -20,13 +21,15 @@ from condvln.sources.regions import in_rooms, side_regions
 from condvln.sources.scene_source import Note, SceneSource, SourceOptions
 from condvln.sources.thor_metadata import MAX_METADATA_BYTES, floor_outline, read_objects
 from condvln.sources.thor_solids import thor_geometry
-from schemas.errors import ConfigError
+from schemas.errors import ConfigError, InputError
 
 __all__ = ["ThorSceneSource"]
 
 WHOLE_SCENE: Final = "room"
 _KEYS: Final = (b'"sceneName"', b'"axisAlignedBoundingBox"')
 """What tells controller metadata from other JSON that lies beside it."""
+_NAME: Final = re.compile(r"FloorPlan(\d+|_[A-Za-z]+\d+_\d+)(_physics)?\.json")
+"""AI2-THOR's own scenes: such a file is one whatever is in it, so that one cut short or emptied is not passed over."""
 
 
 class ThorSceneSource(SceneSource):
@@ -120,14 +123,20 @@ class ThorSceneSource(SceneSource):
         for pattern in ("*.json", "*/*.json"):
             for file in sorted(self.root.glob(pattern)):
                 path = file.relative_to(self.root).as_posix()
-                if self._is_metadata(path):
+                if not file.is_dir() and (_NAME.fullmatch(file.name) or self._is_metadata(path)):
                     found[path.removesuffix(".json")] = path
         return dict(sorted(found.items()))
 
     def _is_metadata(self, path: str) -> bool:
-        """Does this file hold controller metadata? Looked into once, and again where it has changed."""
-        signature = self.files.signature(path)
-        if self._known.get(path, ((-1, -1), False))[0] != signature:
-            data = self.files.read(path, MAX_METADATA_BYTES)
-            self._known[path] = signature, all(key in data for key in _KEYS)
+        """Does this file hold controller metadata? Looked into once, and again where it has changed.
+
+        One that can't be looked into counts as a scene, which is told what is wrong with it.
+        """
+        try:
+            signature = self.files.signature(path)
+            if self._known.get(path, ((-1, -1), False))[0] != signature:
+                data = self.files.read(path, MAX_METADATA_BYTES)
+                self._known[path] = signature, all(key in data for key in _KEYS)
+        except InputError:
+            return True
         return self._known[path][1]

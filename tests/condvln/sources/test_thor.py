@@ -22,7 +22,7 @@ from condvln.sources.ithor import room_type
 from condvln.sources.json_document import parse_json
 from condvln.sources.registry import open_source
 from condvln.sources.thor_metadata import read_objects
-from schemas.errors import ConfigError, FormatError, InputError, MissingFileError
+from schemas.errors import ConfigError, FormatError, InputError, MissingFileError, PathEscapeError
 from tests.condvln.sources.thor_plans import Document, apartment, corner_points, plan, thing, write
 
 
@@ -136,6 +136,28 @@ def test_a_broken_scene_is_its_fault_alone(tmp_path: Path, change: Document, mes
     assert caught.value.where == str(tmp_path / "FloorPlan207.json")
     assert len(source.read("FloorPlan1").objects) == 3
     assert [h.scene_id for h in source.handles()] == ["FloorPlan1", "FloorPlan207"]
+
+
+def test_a_scene_cut_short_emptied_or_out_of_reach_is_neither_passed_over_nor_the_end_of_the_others(
+    tmp_path: Path,
+) -> None:
+    root = tmp_path / "data"
+    root.mkdir()
+    source = write(root, plan("FloorPlan1"), "FloorPlan1.json")
+    (root / "FloorPlan2.json").write_text('{"objects": [{"objectId": "a')
+    (root / "FloorPlan3.json").write_text(json.dumps(plan("FloorPlan3") | {"objects": []}))
+    (tmp_path / "elsewhere.json").write_text("{}")
+    (root / "FloorPlan4.json").symlink_to(tmp_path / "elsewhere.json")
+    (root / "mine.json").symlink_to(tmp_path / "elsewhere.json")
+    (root / "FloorPlan5.json").mkdir()
+    (root / "FloorPlan1-notes.json").write_text("{}")
+    faults = {handle.scene_id: handle.fault for handle in source.handles()}
+    assert [*faults] == ["FloorPlan1", "FloorPlan2", "FloorPlan3", "FloorPlan4", "mine"]
+    assert {scene for scene, fault in faults.items() if isinstance(fault, PathEscapeError)} == {"FloorPlan4", "mine"}
+    with pytest.raises(FormatError, match=r"FloorPlan2\.json.*not JSON"):
+        source.read("FloorPlan2")
+    assert source.read("FloorPlan3").objects == ()
+    assert len(source.read("FloorPlan1").objects) == 3
 
 
 def test_other_json_is_not_listed(tmp_path: Path) -> None:
