@@ -169,14 +169,15 @@ class LabelPriors:
         varies = {key for key in plausible if rooms[key[0]] - presence[key] >= self.share * rooms[key[0]]}
         stagings = {t: own.pop((t, "", "", ""), (0, 0))[0] for t in types}
         staged = frozenset(t for t in types if stagings[t] >= STAGINGS)
-        counts: dict[Statement, tuple[int, int]] = {}
-        for t in types:
-            near, total = (own, stagings[t]) if t in staged else (pooled, rooms[t])
-            counts.update({key: seen for key, seen in near.items() if key[0] == t})
-            if scene.single_room:
-                # Absence can then be claimed of whatever other scenes have.
-                there = {x: near.get((t, x, "", ""), (0, 0))[0] for of, x in presence if of == t}
-                counts.update({(t, x, "", ""): (n, total - n) for x, n in there.items()})
+        counts = pooled
+        if staged:
+            counts = {key: seen for key, seen in pooled.items() if key[0] not in staged}
+            counts.update({key: seen for key, seen in own.items() if key[0] in staged})
+        if scene.single_room:
+            # Absence can then be claimed of whatever other scenes have.
+            for t, x in presence:
+                there = counts.get((t, x, "", ""), (0, 0))[0]
+                counts[t, x, "", ""] = (there, (stagings if t in staged else rooms)[t] - there)
         return PriorBits(
             plausible={t: frozenset(x for of, x in plausible if of == t) for t in types},
             varies={t: frozenset(x for of, x in varies if of == t) for t in types},
@@ -189,8 +190,11 @@ def _by_statement(rows: pa.Table) -> dict[Statement, tuple[int, int]]:
     """Counts of each statement, summed over layouts."""
     found: dict[Statement, tuple[int, int]] = {}
     for _, t, label, predicate, anchor, n, m in zip(*rows.to_pydict().values(), strict=True):
-        true, false = found.get((t, label, predicate, anchor), (0, 0))
-        found[t, label, predicate, anchor] = (true + n, false + m)
+        key = (t, label, predicate, anchor)
+        if key in found:
+            true, false = found[key]
+            n, m = true + n, false + m
+        found[key] = (n, m)
     return found
 
 
