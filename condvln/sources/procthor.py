@@ -66,6 +66,9 @@ class ProcthorSource(SceneSource):
                     data = self.files.read(path, MAX_LINE_BYTES)
                     if all(key in data for key in _HOUSE_KEYS):
                         yield stem, partial(self._note, stem, path, data)
+                    else:
+                        # Of a file cut short nobody can say that it was no house.
+                        parse_json(data, str(self.root / path))
                     continue
                 for number, line in self._lines(path).lines():
                     scene_id = f"{stem}-{number}"

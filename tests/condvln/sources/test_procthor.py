@@ -184,6 +184,17 @@ def test_files_of_one_house_are_found_and_other_json_is_not(root: Path) -> None:
     assert len(source.read("house_8").objects) == 3
 
 
+@pytest.mark.parametrize("cut", [0, 1, 40])
+def test_a_file_of_one_house_that_is_cut_short_is_not_passed_over(root: Path, cut: int) -> None:
+    (root / "house_8.json").write_text(json.dumps(house()))
+    (root / "house_9.json").write_text(json.dumps(house())[:cut])
+    sound, broken = open_source("procthor", root).handles()
+    assert (sound.scene_id, sound.fault) == ("house_8", None)
+    assert broken.scene_id == "house_9"
+    assert isinstance(broken.fault, FormatError)
+    assert broken.fault.where == str(root / "house_9.json")
+
+
 def test_one_changed_line_makes_one_house_stale(root: Path) -> None:
     before = {h.scene_id: h.inputs for h in write(root, house(), house(), house()).handles()}
     changed = house()
