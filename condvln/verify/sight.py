@@ -63,9 +63,9 @@ class _Points:
 
     def is_seen(self, seen: Bools) -> bool:
         """Whether it is, by which of its points are (k,)."""
-        published = float(seen[self.own :].mean())
+        published = _share(seen[self.own :])
         if self.own:
-            ours, enough = float(seen[: self.own].mean()), much(self.least, self.own)
+            ours, enough = _share(seen[: self.own]), much(self.least, self.own)
             if ours >= enough:
                 return True
             if published >= enough and ours < self.least:
@@ -186,7 +186,7 @@ class Sight:
             return []
         seen = self._together(sought, where, eyes, None)
         parts = (seen[: where.own], seen[where.own :])
-        return [round(float(part.mean()), 3) for part in parts if len(part)]
+        return [round(_share(part), 3) for part in parts if len(part)]
 
     def _together(self, sought: Sought, where: _Points, eyes: F64, yaw: float | None) -> Bools:
         rows = self._seen[sought]
@@ -220,6 +220,10 @@ class Sight:
         else:
             return _Points(item.center[None], 0, number, least)
         return _Points(np.concatenate([ours, published]), len(ours), number, least)
+
+
+def _share(seen: Bools) -> float:
+    return float(np.count_nonzero(seen)) / len(seen)
 
 
 def evenly(triangles: F64, count: int = OWN_POINTS) -> F64:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,10 +14,14 @@ from condvln.episodes.floor import floor_points
 from condvln.episodes.goals import blocked_footprints, wide_islands
 from condvln.episodes.rules import EpisodeRules
 from condvln.navigation.pathfinder import Pathfinder
+from condvln.scene import Room, Scene
+from condvln.scene.geometry import STRUCTURE, SceneGeometry
 from condvln.verify.ground_points import ground_points
 from condvln.verify.proof import find_navmesh
-from condvln.verify.sight import ODDS, OWN_POINTS, _Points, evenly, much
+from condvln.verify.sight import ODDS, OWN_POINTS, Sight, _Points, evenly, much
 from condvln.verify.standing import Obstacles
+from schemas.config import EpisodeConfig
+from tests.condvln.episodes.floors import box, box_triangles, surfaces_of
 
 LEAST = 0.05
 
@@ -77,6 +83,60 @@ def test_floors_and_things_known_as_a_point_have_one_set_of_points() -> None:
     assert [floor.is_seen(np.arange(10) < count) for count in (0, 7, 8, 10)] == [False, False, True, True]
     point = _Points(np.zeros((1, 3)), 0, -1, LEAST)
     assert [point.is_seen(np.array([hit])) for hit in (False, True)] == [False, True]
+
+
+# -- looks: an eye at x = -1, a chest at x = 1, a vase behind it at x = 3 ---------------------------------------------
+
+ROOM = Room("r", "kitchen", "kitchen", 0, 0.0, 2.5, None, "dataset", True)
+EYE = np.array([[-1.0, 0.5, 0.0]])
+WALL = (STRUCTURE, box_triangles((0.0, 0.0, -2.0), (0.01, 2.0, 2.0)))
+FAR = (STRUCTURE, box_triangles((50.0, 0.0, 0.0), (51.0, 1.0, 1.0)))
+
+
+def chest_and_vase() -> Scene:
+    chest = dataclasses.replace(box("chest", 1.0, 0.0, half=0.5, top=1.0), object_id="chest", room_id="r")
+    vase = dataclasses.replace(box("vase", 3.0, 0.0, half=0.1, top=0.9), object_id="vase", room_id="r")
+    return Scene("made", "flat", Path("."), (ROOM,), (chest, vase))
+
+
+def sees(geometry: SceneGeometry | None, structure: tuple[str, ...] = (), yaw: float | None = None) -> dict[str, bool]:
+    sight = Sight(
+        chest_and_vase(),
+        geometry,
+        lambda item: item.object_id in structure,
+        lambda room_id: np.array([[0.4, 0.05, 0.0], [0.4, 0.05, 1.0], [9.0, 0.05, 0.0], [-2.0, 0.05, 0.0]]),
+        EpisodeConfig(floor_seen=0.7),
+    )
+    sought = [("thing", "chest"), ("thing", "vase"), ("floor", "r"), ("thing", "ghost"), ("floor", "cellar")]
+    sight.look((one, EYE) for one in sought)
+    sight.look((one, EYE) for one in sought)  # asked again, and cast once
+    assert sight.approximate == (geometry is None or geometry.approximate)
+    return {name: sight.is_seen((kind, name), EYE, yaw) for kind, name in sought}
+
+
+def test_boxes_hide_where_surfaces_are_not_known() -> None:
+    assert sees(None) == {"chest": True, "vase": False, "r": True, "ghost": False, "cellar": False}
+    assert sees(None, structure=("chest",))["vase"], "the box about a room's walls is no body"
+    assert sees(surfaces_of([FAR], approximate=True)) == sees(None)
+
+
+def test_drawn_walls_hide_and_exact_surfaces_alone_do() -> None:
+    walled = sees(surfaces_of([WALL], approximate=True))
+    assert walled == {"chest": False, "vase": False, "r": False, "ghost": False, "cellar": False}
+    assert sees(surfaces_of([WALL])) == walled
+    # Exact surfaces that hold no chest: it is looked for at its box, and hides nothing.
+    assert sees(surfaces_of([FAR])) == {"chest": True, "vase": True, "r": True, "ghost": False, "cellar": False}
+    scene = chest_and_vase()
+    meshes = [(k, box_triangles(*item.aabb)) for k, item in enumerate(scene.objects)]
+    assert sees(surfaces_of(meshes)) == sees(None)
+
+
+def test_the_first_view_is_ahead() -> None:
+    east, west = -np.pi / 2, np.pi / 2
+    assert sees(None, yaw=east)["chest"]
+    assert not sees(None, yaw=west)["chest"]
+    # Of the four points of the floor three are in range, and one of these lies behind.
+    assert not sees(None, yaw=east)["r"]
 
 
 def test_floors_are_the_factory_s(made_export) -> None:
