@@ -18,6 +18,8 @@ __all__ = ["as_csv", "as_document", "as_latex", "as_markdown", "as_rich", "writt
 
 _NAME: Final = 16
 """Characters of a name that a terminal's table keeps on one line."""
+_WIDE: Final = 9
+"""Columns of numbers that fit one column of a paper."""
 _NOTHING: Final = "–"
 _SCALE: Final = {"percent": 100.0}
 _DECIMALS: Final = {"percent": 1, "metres": 2, "number": 1, "p": 4, "count": 0}
@@ -61,15 +63,21 @@ def _number(value: float, column: Column) -> str:
 
 def as_rich(table: Table) -> RichTable:
     """For a terminal."""
-    shown = RichTable(title=table.title, caption=table.note or None, box=box.SIMPLE_HEAD, title_justify="left")
+    shown = RichTable(
+        title=table.title, caption=_note(table) or None, box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False
+    )
+    shown.collapse_padding = True
     for index, column in enumerate(table.columns):
-        heading = f"{column.heading} {_ARROWS[column.better]}".strip()
+        # Broken where it may be, a heading is no wider than its numbers.
+        heading = f"{column.heading} {_ARROWS[column.better]}".strip().replace("-", "-\n")
         # Too narrow a terminal breaks a number, but never cuts it; a name of usual length is not broken.
+        longest = max((len(str(row[index].value)) for row in table.rows), default=1)
         if column.kind == "text":
-            longest = max((len(str(row[index].value)) for row in table.rows), default=1)
             shown.add_column(heading, overflow="fold", min_width=min(longest, _NAME))
         else:
-            shown.add_column(heading, justify="right", overflow="fold")
+            # What counts episodes is short, and first to be squeezed to nothing.
+            least = longest if column.kind == "count" else None
+            shown.add_column(heading, justify="right", overflow="fold", min_width=least)
     for row in table.rows:
         shown.add_row(*(_narrow(cell, column) for cell, column in zip(row, table.columns, strict=True)))
     return shown
@@ -83,9 +91,13 @@ def as_markdown(table: Table) -> str:
     for row in table.rows:
         cells = [written(cell, column) for cell, column in zip(row, table.columns, strict=True)]
         lines.append(_piped([text.replace("|", r"\|") for text in cells]))
-    if table.note:
-        lines += ["", table.note]
+    if note := _note(table):
+        lines += ["", note]
     return "\n".join(lines) + "\n"
+
+
+def _note(table: Table) -> str:
+    return " ".join(filter(None, (table.intervals, table.note)))
 
 
 def _piped(cells: Sequence[str]) -> str:
@@ -93,13 +105,16 @@ def _piped(cells: Sequence[str]) -> str:
 
 
 def as_latex(table: Table) -> str:
-    """A booktabs ``table`` float: values without intervals, the best of each block in bold."""
+    """A booktabs float: values without intervals, the best of each block in bold; a wide table spans both columns of a
+    paper in smaller type."""
+    wide = len(table.columns) > _WIDE
     align = "".join("l" if column.kind == "text" else "r" for column in table.columns)
     headings = [f"{_escaped(column.heading)} {_LATEX_ARROWS[column.better]}".strip() for column in table.columns]
     lines = [
-        r"\begin{table}[t]",
+        r"\begin{table*}[t]" if wide else r"\begin{table}[t]",
         r"  \centering",
-        rf"  \caption{{{_escaped(table.title)}. {_escaped(table.note)}}}",
+        *((r"  \footnotesize", r"  \setlength{\tabcolsep}{3pt}") if wide else ()),
+        rf"  \caption{{{_escaped(f'{table.title}. {table.note}'.strip())}}}",
         rf"  \label{{tab:{table.name}}}",
         rf"  \begin{{tabular}}{{{align}}}",
         r"    \toprule",
@@ -116,7 +131,7 @@ def as_latex(table: Table) -> str:
                 text = _escaped(written(cell, column, interval=False))
                 cells.append(rf"\textbf{{{text}}}" if top is not None and cell.value == top else text)
             lines.append("    " + " & ".join(cells) + r" \\")
-    lines += [r"    \bottomrule", r"  \end{tabular}", r"\end{table}", ""]
+    lines += [r"    \bottomrule", r"  \end{tabular}", r"\end{table*}" if wide else r"\end{table}", ""]
     return "\n".join(lines)
 
 
@@ -161,7 +176,7 @@ def as_document(table: Table) -> dict[str, Any]:
                     "total": cell.total,
                 }
         rows.append(entry)
-    return {"name": table.name, "title": table.title, "note": table.note, "rows": rows}
+    return {"name": table.name, "title": table.title, "note": _note(table), "rows": rows}
 
 
 def _plain(value: float | int | str | None) -> float | int | str | None:

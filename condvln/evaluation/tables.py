@@ -65,7 +65,8 @@ class Cell:
 
 @dataclass(frozen=True)
 class Table:
-    """A titled table; ``blocks`` is the number of leading columns whose change begins a new block."""
+    """A titled table; ``blocks`` is the number of leading columns whose change begins a new block, ``intervals`` says
+    what the intervals are, for forms that show them."""
 
     name: str
     title: str
@@ -73,6 +74,7 @@ class Table:
     rows: tuple[tuple[Cell, ...], ...]
     note: str = ""
     blocks: int = 0
+    intervals: str = ""
 
 
 MAIN_COLUMNS: Final = (
@@ -120,9 +122,11 @@ _SWEEP_COLUMNS: Final = (
 _AGENT: Final = Column("agent", "agent", "text")
 _EPISODES: Final = Column("episodes", "n", "count")
 _NOTE: Final = (
-    "Means with 95 % intervals, scenes drawn with replacement. BSA and CSR leave out failed episodes without subgoals, "
+    "BSA and CSR leave out failed episodes without subgoals, "
     "as the paper does (in brackets: how many count); BSA-all and CSR-all are over every episode."
 )
+
+_INTERVALS: Final = "Means with 95 % intervals, scenes drawn with replacement."
 
 
 def main_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Table:
@@ -301,7 +305,8 @@ def _grouped(
         for agent, row in found
     )
     headings = tuple(Column(axis, axis, "text") for axis in axes)
-    return Table(name, title, (*headings, _AGENT, *columns, _EPISODES), rows, note, blocks=len(axes))
+    every = (*headings, _AGENT, *columns, _EPISODES)
+    return Table(name, title, every, rows, note, blocks=len(axes), intervals=_INTERVALS if note else "")
 
 
 def _cells(row: Summary, columns: Sequence[Column]) -> tuple[Cell, ...]:

@@ -15,8 +15,9 @@ from rich.console import Console
 from condvln.evaluation.evaluate import Evaluation, evaluate
 from condvln.evaluation.plots import axis_figure, save_figures
 from condvln.evaluation.render import as_csv, as_document, as_latex, as_markdown, as_rich, written
-from condvln.evaluation.tables import Cell, Column, Table, all_tables, axis_table, main_table, twin_tables
+from condvln.evaluation.tables import MAIN_COLUMNS, Cell, Column, Table, all_tables, axis_table, main_table, twin_tables
 from condvln.evaluation.task import Task
+from jobs.report import PIPE_WIDTH
 from tests.condvln.evaluation.conftest import OpenPlain
 from tests.condvln.evaluation.test_aggregate import choosing, fleet
 
@@ -103,6 +104,27 @@ def test_terminal_shows_every_row(tables: list[Table]) -> None:
         )
 
 
+def test_a_pipe_is_wide_enough_for_the_main_table() -> None:
+    """Thirteen measures with intervals, and how many episodes they are over, without a number broken."""
+    row = (
+        Cell("replicacad"),
+        Cell("random-leaf"),
+        *(Cell(v, v - 3.0, v + 3.0, 500, 1000) for v in (11.73, 8.32)),
+        *(Cell(1.0, 1.0, 1.0, 500, 1000) for _ in MAIN_COLUMNS[2:]),
+        Cell(12345),
+    )
+    columns = (
+        Column("source", "source", "text"), Column("agent", "agent", "text"), *MAIN_COLUMNS,
+        Column("episodes", "n", "count"),
+    )  # fmt: skip
+    out = io.StringIO()
+    Console(file=out, width=PIPE_WIDTH).print(as_rich(Table("main", "Main results", columns, (row,))))
+    values, intervals, counts = (line.split() for line in out.getvalue().splitlines()[-4:-1])
+    assert values == ["replicacad", "random-leaf", "11.73", "8.32", *["100.0"] * 11, "12345"]
+    assert intervals == ["8.7–14.7", "5.3–11.3", *["100–100"] * 11]
+    assert counts == ["(500)"] * 13
+
+
 def test_markdown_is_a_table(tables: list[Table]) -> None:
     for table in tables:
         lines = [line for line in as_markdown(table).splitlines() if line.startswith("|")]
@@ -113,7 +135,7 @@ def test_markdown_is_a_table(tables: list[Table]) -> None:
 def test_latex_is_booktabs_with_everything_escaped(tables: list[Table]) -> None:
     for table in tables:
         text = as_latex(table)
-        for rule in (r"\toprule", r"\bottomrule", r"\begin{tabular}", r"\end{table}"):
+        for rule in (r"\toprule", r"\bottomrule", r"\begin{tabular}", r"\end{table"):
             assert text.count(rule) == 1
         body = text.split(r"\midrule", 1)[1].split(r"\bottomrule")[0]
         rows = [line for line in body.splitlines() if line.endswith(r"\\")]
@@ -121,6 +143,11 @@ def test_latex_is_booktabs_with_everything_escaped(tables: list[Table]) -> None:
         assert {len(re.findall(r"(?<!\\)&", row)) for row in rows} == {len(table.columns) - 1}
         assert not re.search(r"(?<!\\)[%#_]", body.replace(r"\textbf", ""))
         assert text.count("{") - text.count(r"\{") == text.count("}") - text.count(r"\}")
+    # The caption tells of no intervals where none are shown; a dozen columns span the page.
+    assert all("interval" not in as_latex(table) for table in tables)
+    assert "95 % intervals" in as_markdown(tables[0])
+    assert "95 % intervals" in as_document(tables[0])["note"]
+    assert all((r"\begin{table*}" in as_latex(table)) == (len(table.columns) > 9) for table in tables)
     main = as_latex(tables[0])
     assert r"oracle\_100\%" in main
     assert r"\textbf{100.0}" in main
