@@ -42,7 +42,8 @@ def walk(
     agent: Annotated[
         str,
         typer.Option(
-            help="perfect, oracle, wrong-branch, random-leaf, always-then, nearest, …, or your own module:Class"
+            help="perfect, oracle, wrong-branch, random-leaf, coin-flip, always-then, always-else, nearest, "
+            "stop-at-start, or your own module:Class"
         ),
     ],
     out: Annotated[Path, typer.Option(help="file of predictions to write (VLN-CE's format)")],

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
+from condvln.evaluation.agents import AGENTS
 from condvln.evaluation.split import split_tasks
 from jobs.command import app
 from jobs.report import Report
@@ -160,6 +161,11 @@ def test_ones_own_agent_walks_and_sees(
     assert not any((tmp_path / "seen.txt").read_text().split())  # without objects there is nothing to see
     for name in ("seer_agent:Deaf", "seer_agent:Nobody", "no_such_module:A", "seer_agent:Wild", "nobody"):
         assert runner.invoke(app, [*words, name]).exit_code != 0
+
+
+def test_help_names_every_agent() -> None:
+    told = "".join(runner.invoke(app, ["walk", "--help"]).output.split())  # lines break anywhere
+    assert ",".join(AGENTS) in told
 
 
 def test_plots_are_pictures(evaluate: Any, agents: dict[str, Path], tmp_path: Path) -> None:
