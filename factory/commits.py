@@ -46,7 +46,7 @@ class Commits:
         """(stage, key) of everything that is committed."""
         for entry in self.store.list("units"):
             parts = entry.path.split("/")
-            if parts[-1] == "unit.json":
+            if parts[-1] == "unit.json" and len(parts) == 5:
                 yield parts[1], parts[3]
 
     def find(self, stage: str, key: str) -> UnitCommit | None:
@@ -153,5 +153,7 @@ class Commits:
     def quarantined(self) -> Iterator[tuple[str, str]]:
         """(stage, key) of every record."""
         for entry in self.store.list("quarantine"):
-            _, stage, name = entry.path.split("/")
-            yield stage, name.removesuffix(".json")
+            parts = entry.path.split("/")
+            # Whatever else a person put there is not ours.
+            if len(parts) == 3 and parts[2].endswith(".json"):
+                yield parts[1], parts[2].removesuffix(".json")

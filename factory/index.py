@@ -51,6 +51,7 @@ _STAGE_FIELDS: Final = (
 )
 _BATCH: Final = 4096
 """Receipts turned into columns at a time."""
+_REBUILD: Final = "Run rebuild: it is written anew."
 
 
 def index_schema(pipeline: Pipeline) -> pa.Schema:
@@ -180,13 +181,13 @@ class Index:
         try:
             data = store.read(path)
         except FileNotFoundError as error:
-            raise CorruptShardError("the unit index is gone", where=path) from error
+            raise CorruptShardError("the unit index is gone", where=path, remedy=_REBUILD) from error
         if hashlib.sha256(data).hexdigest()[:32] != hash_:
-            raise CorruptShardError("the unit index differs from its hash", where=path)
+            raise CorruptShardError("the unit index differs from its hash", where=path, remedy=_REBUILD)
         # Without threads: those of Arrow may still end while the interpreter does, and abort the process then.
         table = pq.ParquetFile(pa.BufferReader(data)).read(use_threads=False)
         if not set(_UNIT_FIELDS) <= set(table.column_names):
-            raise CorruptShardError("the unit index is of another version", where=path)
+            raise CorruptShardError("the unit index is of another version", where=path, remedy=_REBUILD)
         return cls(table)
 
     @staticmethod

@@ -212,7 +212,9 @@ class Snapshot:
         manifest = read_manifest(store, found.snapshot_id)
         if manifest is None:
             raise CorruptShardError(
-                "the published snapshot has no readable manifest", where=manifest_path(found.snapshot_id)
+                "the published snapshot has no readable manifest",
+                where=f"{store.url}/{manifest_path(found.snapshot_id)}",
+                remedy="Run rebuild: it is written anew.",
             )
         return cls(store, manifest, found.index)
 
@@ -253,7 +255,9 @@ class Snapshot:
                 path = f"snapshots/{self.snapshot_id}/{part.path}"
                 data = self.store.read(path)
                 if hashlib.sha256(data).hexdigest() != part.sha256:
-                    raise CorruptShardError("the file differs from the manifest", where=path)
+                    raise CorruptShardError(
+                        "the file differs from the manifest", where=path, remedy="Rebuild with --verify to mend it."
+                    )
                 rows = parquet_table(data, path, columns)
                 tables.append(rows.append_column("source", pa.array([source] * rows.num_rows, pa.string())))
         return pa.concat_tables(tables) if tables else pa.table({})

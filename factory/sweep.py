@@ -188,7 +188,8 @@ def _is_live(kind: str, name: str, live: _Live) -> bool:
     if live.unreadable and kind in ("units", "aggregates", "quarantine"):
         return True
     if kind == "units":
-        return (parts[0], parts[2]) in live.units
+        # What stands elsewhere than a unit does was put there by hand.
+        return len(parts) < 3 or (parts[0], parts[2]) in live.units
     if kind in ("aggregates", "quarantine"):
         stem = parts[-1].rsplit(".", 1)[0]
         return (parts[0], stem) in (live.aggregates if kind == "aggregates" else live.quarantine)

@@ -157,6 +157,37 @@ def test_quarantine_stays_while_it_is_listed(store: LocalStore) -> None:
     assert [record.unit_id for record in store_status(store).quarantine] == ["a/bad"]
 
 
+def test_what_a_person_left_in_a_store_is_passed_over(store: LocalStore) -> None:
+    units = [*toys.units(3), toys.unit("a/bad", trouble="error")]
+    run(toys.pipeline(), units, store)
+    before = store_status(store)
+    strays = (
+        "quarantine/readme.txt",
+        "quarantine/count/notes.txt",
+        "units/unit.json",
+        "units/a/unit.json",
+        "runs/x.json",
+    )
+    for path in (*strays, "refs/notes.txt", "pins/notes.txt", "snapshots/notes.txt", "indexes/notes.txt"):
+        store.write(path, b"by hand")
+    assert store_status(store).quarantine == before.quarantine
+    assert plan(toys.pipeline(), units, store).counts == {"FRESH": 3, "QUARANTINED": 1}
+    assert run(toys.pipeline(), [*units, toys.unit("a/more", 2)], store).exit_code == 3
+    sweep(store, now=LATER)
+    assert [record.unit_id for record in store_status(store).quarantine] == ["a/bad"]
+
+
+def test_a_manifest_that_is_cut_is_told_with_what_to_do_and_written_anew(store: LocalStore) -> None:
+    (found,) = grow(store, 2)
+    path = f"snapshots/{found}/manifest.json"
+    whole = store.read(path)
+    store.write(path, whole[:-7])
+    with pytest.raises(CorruptShardError, match=r"manifest\.json.*Run rebuild"):
+        Snapshot.open(store)
+    assert grow(store, 2) == [found]
+    assert Snapshot.open(store).snapshot_id == found
+
+
 def test_status_tells_refs_runs_and_sizes(store: LocalStore) -> None:
     assert store_status(store).refs == ()
     ids = grow(store, 2, 3)
