@@ -14,6 +14,7 @@ from condvln.export.viewpoints import FOLDER, write_viewpoints
 from factory.snapshot import Snapshot, read_manifest, read_ref
 from jobs.bias import add_bias, priors_behind
 from jobs.built_navmeshes import built_navmeshes
+from jobs.export_lock import alone_in
 from jobs.oracle import linear_text
 from jobs.report import Report, Section
 from jobs.workspace import graph_folders, published, snapshot_folder
@@ -45,7 +46,18 @@ def run_export(config: Config) -> Report:
 
 
 def export_snapshot_of(config: Config) -> Report:
-    """Export what is published under the configuration's name."""
+    """Export what is published under the configuration's name.
+
+    Raises
+    ------
+    StoreError : the disk refused, or another export is writing the folder
+    """
+    assert config.export is not None
+    with alone_in(config.export):
+        return _export(config)
+
+
+def _export(config: Config) -> Report:
     assert config.export is not None
     snapshot = published(config)
     texts = _Texts(seed=config.seed, preamble=config.instructions.preamble)

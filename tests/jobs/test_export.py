@@ -13,11 +13,12 @@ from condvln.export.changelog import CHANGELOG
 from condvln.export.streams import read_unpacked
 from jobs.configuration import load_config
 from jobs.export import export_snapshot_of, graphs_of
+from jobs.export_lock import alone_in
 from jobs.generate import run_generate
 from jobs.report import Report
 from jobs.validate import validate_files
 from schemas.config import Config, InstructionsConfig, SplitsConfig
-from schemas.errors import ConfigError
+from schemas.errors import ConfigError, StoreError
 from schemas.program import CATEGORIES, SHAPES
 
 
@@ -85,3 +86,20 @@ def test_a_second_snapshot_tells_what_moved(
     shutil.rmtree(tmp_path / "store" / "snapshots" / before["snapshot"])
     export_snapshot_of(more.model_copy(update={"export": tmp_path / "alone"}))
     assert not (tmp_path / "alone" / CHANGELOG).exists()
+
+
+def test_one_export_at_a_time_writes_a_folder(made_run: tuple[Config, Report], tmp_path: Path) -> None:
+    """Two would write the same provisional files, and one's half could end under the other's final name."""
+    config = made_run[0].model_copy(update={"export": tmp_path / "out"})
+    export_snapshot_of(config)
+    before = {path: path.read_bytes() for path in sorted((tmp_path / "out").rglob("*")) if path.is_file()}
+    with alone_in(tmp_path / "out"), pytest.raises(StoreError, match="another export is writing this folder"):
+        export_snapshot_of(config)
+    export_snapshot_of(config)  # and who is done holds it no more
+    assert before == {path: path.read_bytes() for path in sorted((tmp_path / "out").rglob("*")) if path.is_file()}
+
+
+def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StoreError, match="Choose another export folder"), alone_in(tmp_path / "file" / "out"):
+        raise AssertionError("held")
