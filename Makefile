@@ -23,11 +23,12 @@ setup: $(VENV)/.ready  ## make the environment
 demo: $(VENV)/.ready  ## made scenes -> instructions -> episodes -> files, in minutes
 	$(BIN)/condvln demo --out $(OUT)
 
-lint: $(VENV)/.ready  ## style, types and the import contract
+lint: $(VENV)/.ready  ## style, types, the import contract, nothing newer than Python 3.10
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/vermin --quiet --no-tips --violations -t=3.10- schemas condvln factory jobs
 
 test: lint  ## lint, types, contracts and tests (under ten minutes)
 	$(BIN)/python -m pytest -n $(WORKERS) -m "not soak"

@@ -12,9 +12,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from importlib.resources.abc import Traversable
 from itertools import combinations
-from typing import Final
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    # Since Python 3.11 only.
+    from importlib.resources.abc import Traversable  # novm
 
 __all__ = ["Words", "folded", "package_data", "words"]
 
