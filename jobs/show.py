@@ -1,11 +1,15 @@
-"""``condvln show``: episodes with their text, tree, truths and paths, and a top-down picture of each."""
+"""``condvln show``: episodes with their text, tree, truths and paths, and a top-down picture of each.
+
+Scenes without navmesh publish instructions that no episode was placed for: text, tree and truths are shown of them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
+import pyarrow as pa
 import pyarrow.compute as pc
 
 from condvln.episodes.picture import draw_episode
@@ -27,13 +31,20 @@ __all__ = ["episode_lines", "show_episodes", "spread"]
 
 Item = TypeVar("Item")
 
+_INSTRUCTION_COLUMNS: Final = (
+    "scene_id", "instruction_id", "group_id", "category", "composition", "gold_leaf", "n_leaves", "moves", "words",
+    "text",
+)  # fmt: skip
+
 
 def show_episodes(
     config: Config, *, episode: str | None = None, sample: int | None = None, picture: Path | None = None
 ) -> Report:
     """One episode by id (or the beginning of it), or a sample spread evenly over the categories, then the sources.
 
-    picture : folder for a PNG of each; needs the sources' files
+    An id may be that of an instruction, and of a source without episodes of a category a sample has instructions.
+
+    picture : folder for a PNG of each episode; needs the sources' files
     """
     snapshot = published(config)
     rows = _chosen(snapshot, episode, sample or (0 if episode else 1))
@@ -42,33 +53,69 @@ def show_episodes(
     for row in rows:
         program = programs[row["source"], row["instruction_id"]]
         tree = program_tree(program)
-        report.document["episodes"].append(
-            {**row, "program": program.model_dump(mode="json"), "tree": tree, "leaves": row["leaves"]}
-        )
-        report.extend(episode_lines(row, tree))
-        if picture is not None:
+        report.document["episodes"].append({**row, "program": program.model_dump(mode="json"), "tree": tree})
+        placed = row["episode_id"] is not None
+        report.extend(episode_lines(row, tree) if placed else _instruction_lines(row, tree))
+        if picture is not None and placed:
             report.lines.append(f"  picture: {_draw(config, snapshot, row, tree, picture)}")
         report.lines.append("")
     return report
 
 
-def _chosen(snapshot: Snapshot, episode: str | None, sample: int) -> list[dict[str, Any]]:
-    table = snapshot.table("episodes")
-    if not table.num_rows:
-        raise UsageError("the snapshot holds no episodes", remedy="Its rejections table says why.")
-    if episode is not None:
-        rows: list[dict[str, Any]] = table.filter(pc.starts_with(table["episode_id"], episode)).to_pylist()
+def _chosen(snapshot: Snapshot, name: str | None, sample: int) -> list[dict[str, Any]]:
+    episodes = snapshot.table("episodes")
+    if name is not None:
+        rows = _named(snapshot, episodes, name)
         if not rows:
-            raise UsageError(f"no episode {episode!r}", remedy="condvln show CONFIG --sample 5 lists some.")
+            raise UsageError(
+                f"no episode and no instruction {name!r}", remedy="condvln show CONFIG --sample 5 lists some."
+            )
         return rows
     # Ids are hashes: taking them in their order is a sample that is the same every time.
     first: dict[tuple[str, str], list[dict[str, Any]]] = {}
-    for category in CATEGORIES:
-        of_category = table.filter(pc.equal(table["category"], category)).sort_by("episode_id")
+    for category in CATEGORIES if episodes.num_rows else ():
+        of_category = episodes.filter(pc.equal(episodes["category"], category)).sort_by("episode_id")
         for source in pc.unique(of_category["source"]).to_pylist():
             of_source = of_category.filter(pc.equal(of_category["source"], source))
             first[category, source] = of_source.slice(0, sample).to_pylist()
+    for source in snapshot.manifest.tables["instructions"].partitions:
+        lacking = [category for category in CATEGORIES if (category, source) not in first]
+        table = _instructions(snapshot, source) if lacking else pa.table({})
+        for category in lacking if table.num_rows else ():
+            of_category = table.filter(pc.equal(table["category"], category)).sort_by("instruction_id")
+            first[category, source] = _unplaced(of_category.slice(0, sample))
+    if not any(first.values()):
+        raise UsageError("the snapshot holds no episodes and no instructions", remedy="Its rejections table says why.")
     return spread(first, sample)
+
+
+def _named(snapshot: Snapshot, episodes: pa.Table, name: str) -> list[dict[str, Any]]:
+    """Episodes whose id begins so; where there are none, those of such an instruction, or itself if it has none."""
+    rows: list[dict[str, Any]] = []
+    if episodes.num_rows:
+        rows = episodes.filter(pc.starts_with(episodes["episode_id"], name)).to_pylist()
+    if rows:
+        return rows
+    for source in sorted(snapshot.manifest.tables["instructions"].partitions):
+        table = _instructions(snapshot, source)
+        found = table.filter(pc.starts_with(table["instruction_id"], name)) if table.num_rows else table
+        for instruction in _unplaced(found):
+            placed = []
+            if episodes.num_rows:
+                same = pc.equal(episodes["instruction_id"], instruction["instruction_id"])
+                placed = episodes.filter(pc.and_(same, pc.equal(episodes["source"], source))).to_pylist()
+            rows += placed or [instruction]
+    return rows
+
+
+def _instructions(snapshot: Snapshot, source: str) -> pa.Table:
+    return snapshot.table("instructions", columns=list(_INSTRUCTION_COLUMNS), partition=source)
+
+
+def _unplaced(instructions: pa.Table) -> list[dict[str, Any]]:
+    """Rows of instructions as far as they are like those of episodes, and why there is none."""
+    rows = [{"episode_id": None, "no_episode": "no navmesh", **row} for row in instructions.to_pylist()]
+    return [{**row, "instruction_text": row.pop("text")} for row in rows]
 
 
 def spread(first: Mapping[tuple[str, str], Sequence[Item]], sample: int) -> list[Item]:
@@ -90,15 +137,9 @@ def _programs(snapshot: Snapshot, rows: list[dict[str, Any]]) -> dict[tuple[str,
     for source in sorted({row["source"] for row in rows}):
         table = snapshot.table("instructions", partition=source)
         wanted = [row["instruction_id"] for row in rows if row["source"] == source]
-        kept = table.filter(pc.is_in(table["instruction_id"], value_set=_strings(wanted)))
+        kept = table.filter(pc.is_in(table["instruction_id"], value_set=pa.array(wanted, pa.string())))
         found.update({(source, name): program for name, program in programs_from_table(kept)})
     return found
-
-
-def _strings(values: list[str]) -> Any:
-    import pyarrow as pa
-
-    return pa.array(values, pa.string())
 
 
 def _seen(row: dict[str, Any]) -> str:
@@ -128,6 +169,16 @@ def episode_lines(row: dict[str, Any], tree: str) -> list[str]:
         f"τ {row['success_distance']} m, at most {row['max_steps']} steps"
     )
     return lines
+
+
+def _instruction_lines(row: dict[str, Any], tree: str) -> list[str]:
+    """The same of an instruction that no episode was placed for: it has no start, no heading and no paths."""
+    return [
+        f"{row['source']}/{row['scene_id']} · {row['category']} · {row['composition']} · "
+        f"instruction {row['instruction_id']} · no episode: {row['no_episode']}",
+        f"  “{row['instruction_text']}”",
+        *("  " + line for line in tree.splitlines()),
+    ]
 
 
 def _draw(config: Config, snapshot: Snapshot, row: dict[str, Any], tree: str, folder: Path) -> Path:

@@ -72,7 +72,12 @@ def query(
 
 def show(
     target: Annotated[Path, typer.Argument(metavar="CONFIG|EXPORT", help="YAML configuration, or folder of an export")],
-    episode: Annotated[str | None, typer.Argument(metavar="ID", help="episode id")] = None,
+    episode: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="ID", help="episode id, or the beginning of it; of a configuration also an instruction's"
+        ),
+    ] = None,
     sample: Annotated[
         int | None, typer.Option(min=1, help="show this many, spread over categories and sources")
     ] = None,
@@ -81,7 +86,10 @@ def show(
     overrides: Overrides = None,
     as_json: AsJson = False,
 ) -> None:
-    """Episodes: text, tree, truths, paths, and a top-down picture."""
+    """Episodes: text, tree, truths, paths, and a top-down picture.
+
+    Where a source has instructions but for want of a navmesh no episodes, a configuration shows those.
+    """
     if target.is_dir():
         from jobs.show_export import show_export
 

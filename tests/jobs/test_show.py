@@ -9,12 +9,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from condvln.samples import make_samples
+from jobs.generate import run_generate
 from jobs.report import Report
 from jobs.show import show_episodes, spread
 from jobs.show_export import show_export
-from schemas.config import Config
+from jobs.workspace import published
+from schemas.config import Config, SourceConfig
 from schemas.errors import FormatError, MissingFileError, UsageError
 from schemas.program import CATEGORIES
+from tests.jobs.conftest import configuration
 
 KEYS = st.tuples(st.sampled_from(CATEGORIES), st.sampled_from(("gibson", "ithor", "procthor")))
 
@@ -52,6 +56,57 @@ def test_an_export_tells_what_the_snapshot_tells(made_run: tuple[Config, Report]
         assert one.document["episodes"][0]["tree"] == published.document["episodes"][0]["tree"]
     first = show_export(export, sample=2).document["episodes"]
     assert [row["category"] for row in first] == ["simple", "nested"]
+
+
+@pytest.fixture(scope="module")
+def half_placed(made_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Config:
+    """A run over apartments with navmeshes and over scans without."""
+    folder = tmp_path_factory.mktemp("half")
+    make_samples(folder / "scans", family="gibson", scenes=1, seed=3)
+    for pattern in ("*.glb", "*.navmesh"):
+        for path in (folder / "scans").rglob(pattern):
+            path.unlink()
+    scans = SourceConfig(family="gibson", root=folder / "scans")
+    apartments = SourceConfig(family="replicacad", root=made_dataset)
+    config = configuration(folder, made_dataset, sources=(apartments, scans))
+    assert run_generate(config, inline=True).exit_code == 0
+    return config
+
+
+def test_where_no_navmesh_is_instructions_stand_for_episodes(half_placed: Config, tmp_path: Path) -> None:
+    found = show_episodes(half_placed, sample=4, picture=tmp_path)
+    entries = found.document["episodes"]
+    assert [(e["category"], e["source"], e["episode_id"] is None) for e in entries] == [
+        ("simple", "gibson", True),
+        ("nested", "gibson", True),
+        ("simple", "replicacad", False),
+        ("nested", "replicacad", False),
+    ]
+    # What has an episode is drawn, and nothing else.
+    assert {path.stem for path in tmp_path.iterdir()} == {entry["episode_id"] for entry in entries[2:]}
+    instructions = {row["instruction_id"]: row for row in published(half_placed).table("instructions").to_pylist()}
+    for entry in entries:
+        row = instructions[entry["instruction_id"]]
+        truths = [condition["truth"] for condition in entry["program"]["conditions"]]
+        assert truths == [condition["truth"] for condition in row["conditions"]]
+        assert entry["instruction_text"].endswith(row["text"])
+        assert ("no_episode" in entry) == (entry["episode_id"] is None)
+    lines = "\n".join(found.lines)
+    assert lines.count("no episode: no navmesh") == 2
+    assert all(
+        f"“{entry['instruction_text']}”" in lines and entry["tree"].splitlines()[0] in lines for entry in entries
+    )
+
+
+def test_an_instruction_is_shown_by_its_id(half_placed: Config) -> None:
+    unplaced, _, placed, _ = show_episodes(half_placed, sample=4).document["episodes"]
+    for entry in unplaced, placed:
+        one = show_episodes(half_placed, episode=entry["instruction_id"])
+        assert entry in one.document["episodes"]
+        assert {e["instruction_id"] for e in one.document["episodes"]} == {entry["instruction_id"]}
+    assert show_episodes(half_placed, episode=placed["episode_id"]).document["episodes"] == [placed]
+    with pytest.raises(UsageError, match="no episode and no instruction 'nowhere'"):
+        show_episodes(half_placed, episode="nowhere")
 
 
 def test_pictures_need_the_navmesh_alone(export: Path, made_dataset: Path, tmp_path: Path) -> None:
