@@ -188,8 +188,10 @@ class ProgramStage(Stage):
     needs: tuple[str, ...] = ("priors",)
 
     def parameters(self, unit: Unit) -> JSON:
-        return {
-            "config": asdict(self.config),
+        # The number of words is decided by the wording, which is another stage's to change.
+        wording: dict[str, JSON] = {"text": TextStage.version} if any(c.words for c in self.config.cells) else {}
+        return wording | {
+            "config": self.config.document(),
             "thresholds": asdict(self.thresholds),
             "rules": asdict(self.rules),
             "agent": asdict(self.agent),
@@ -253,7 +255,7 @@ class EpisodeStage(Stage):
     def parameters(self, unit: Unit) -> JSON:
         return {
             "rules": asdict(self.rules),
-            "wanted": [asdict(cell) for cell in self.wanted],
+            "wanted": [cell.document() for cell in self.wanted],
             "groups": self.groups,
             "label_cap": self.label_cap,
             "preamble": self.preamble,

@@ -125,7 +125,27 @@ class InstructionCell(Section):
     composition: Composition | None = None
     observability: Literal["O0f", "O0", "O1", "O2"] | None = Field(None, description="O0f: O0 within the first view")
     moves: int | None = Field(None, ge=1, le=3, description="moves of every leaf")
+    route: tuple[Finite, Finite] | None = Field(
+        None, description="[least, most] metres past its stops to every leaf, the gold one's included"
+    )
+    words: tuple[int, int] | None = Field(None, description="[least, most] words of the text")
     count: int = Field(ge=1, le=10_000)
+
+    @field_validator("route", "words", mode="before")
+    @classmethod
+    def _yes_is_no_bound(cls, value: Any) -> Any:
+        if isinstance(value, list | tuple) and any(isinstance(bound, bool) for bound in value):
+            raise ValueError("true and false are no bounds; write [least, most]")
+        return value
+
+    @model_validator(mode="after")
+    def _bounds_are_ranges(self) -> InstructionCell:
+        if self.route is not None and not 0 <= self.route[0] < self.route[1]:
+            least, most = self.route
+            raise ValueError(f"route: [{least:g}, {most:g}] is no range of metres; write [least, most]")
+        if self.words is not None and not 1 <= self.words[0] <= self.words[1]:
+            raise ValueError(f"words: {list(self.words)} is no range of numbers of words; write [least, most]")
+        return self
 
 
 class InstructionsConfig(Section):
@@ -161,7 +181,7 @@ class InstructionsConfig(Section):
 
     @model_validator(mode="after")
     def _cells_differ(self) -> InstructionsConfig:
-        axes = [(cell.category, cell.composition, cell.observability, cell.moves) for cell in self.cells]
+        axes = [tuple(cell.model_dump(exclude={"count"}).values()) for cell in self.cells]
         for name in axes:
             if axes.count(name) > 1:
                 raise ValueError(f"cells: {' '.join(str(part) for part in name if part)} stands there twice; add up")
@@ -261,3 +281,15 @@ class Config(Section):
     splits: SplitsConfig = Field(default_factory=SplitsConfig)
     ray: RayConfig = Field(default_factory=RayConfig)
     keep: KeepConfig = Field(default_factory=KeepConfig)
+
+    @model_validator(mode="after")
+    def _routes_are_long_enough(self) -> Config:
+        least = min(self.episodes.distance_single_room[0], self.episodes.distance[0])
+        for k, cell in enumerate(self.instructions.cells):
+            # A route is never shorter than the way from its start to its goal.
+            if cell.route is not None and cell.route[1] < least:
+                raise ValueError(
+                    f"instructions.cells.{k}.route: none is as short as {cell.route[1]:g} m, since every goal lies "
+                    f"{least:g} m and more from the start (episodes.distance, episodes.distance_single_room)"
+                )
+        return self

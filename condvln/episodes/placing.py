@@ -37,6 +37,10 @@ NOT_FIT: Final = "observability_missed"
 """Reason why a program has no place although every rule can be kept."""
 
 
+ROUTE_MISSED: Final = "route_missed"
+"""The same, where the ways are too short or too long."""
+
+
 class Rejected(Exception):
     """A program that can't be placed; `reason` is a key of ``rules.REASONS``."""
 
@@ -213,13 +217,22 @@ class Placer:
                 if self.gap(one_stop, next_stop) < 2 * self.tau:
                     raise Rejected("moves_too_close")
 
-    def place(self, program: Program, instruction_id: str, *, compass: bool, fit: Fit | None = None) -> Placement:
+    def place(
+        self,
+        program: Program,
+        instruction_id: str,
+        *,
+        compass: bool,
+        fit: Fit | None = None,
+        lengths: tuple[float, float] | None = None,
+    ) -> Placement:
         """One start for `program` under which every leaf keeps every rule; raises `Rejected` with the reason.
 
         Parameters
         ----------
         compass : the text names the start heading, so that the yaw is a compass point
         fit : what else the start and the ways must be: the yaw with which they are, or None
+        lengths : least and most metres of every leaf's route, both allowed
         """
         if not len(self.starts):
             raise Rejected("no_start")
@@ -228,17 +241,22 @@ class Placer:
         possible = self._starts_in_range(program)
         if not len(possible):
             raise Rejected("no_start_in_range")
+        if lengths is not None:
+            possible = self._starts_not_too_far(program, possible, lengths)
+            if not len(possible):
+                raise Rejected(ROUTE_MISSED)
         failures: Counter[str] = Counter()
         for k in rng.permutation(possible)[: self.rules.starts_per_program]:
             yaw = float(rng.uniform(-math.pi, math.pi))
             if compass:
                 yaw = round(yaw / COMPASS_STEP) * COMPASS_STEP
             try:
-                return self._place_at(program, self.starts[k], yaw, fit)
+                return self._place_at(program, self.starts[k], yaw, fit, lengths)
             except Rejected as rejected:
                 failures[rejected.reason] += 1
-        if NOT_FIT in failures:
-            raise Rejected(NOT_FIT)
+        for reason in (NOT_FIT, ROUTE_MISSED):
+            if reason in failures:
+                raise Rejected(reason)
         raise Rejected(max(sorted(failures), key=lambda reason: failures[reason]))
 
     def _starts_in_range(self, program: Program) -> NDArray[np.int64]:
@@ -252,7 +270,24 @@ class Placer:
                 good &= self.field.nearest(rows, move.object_id) > 2 * self.tau
         return np.flatnonzero(good)
 
-    def _place_at(self, program: Program, start: F64, yaw: float, fit: Fit | None) -> Placement:
+    def _starts_not_too_far(
+        self, program: Program, possible: NDArray[np.int64], lengths: tuple[float, float]
+    ) -> NDArray[np.int64]:
+        """Those of `possible` whose routes may have these lengths: a route is never shorter than the way to its goal,
+        and as long where it has no other stop."""
+        low, high = lengths
+        rows = self._start_rows[possible]
+        good = np.ones(len(rows), dtype=bool)
+        for leaf in program.leaves:
+            goal = self.field.nearest(rows, leaf.goal.object_id)
+            good &= goal <= high
+            if len(leaf.moves) == 1:
+                good &= goal >= low
+        return possible[good]
+
+    def _place_at(
+        self, program: Program, start: F64, yaw: float, fit: Fit | None, lengths: tuple[float, float] | None
+    ) -> Placement:
         routes = []
         for leaf in program.leaves:
             route = self.field.route(start, [move.object_id for move in leaf.moves])
@@ -265,6 +300,8 @@ class Placer:
             for route, leaf in zip(routes, program.leaves, strict=True)
         ]
         self._check_separation(routes, goals)
+        if lengths is not None and not all(lengths[0] <= route.length <= lengths[1] for route in routes):
+            raise Rejected(ROUTE_MISSED)
         if fit is not None:
             fitting = fit(Prospect(start, yaw, tuple(route.path for route in routes)))
             if fitting is None:

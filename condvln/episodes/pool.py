@@ -140,7 +140,7 @@ class _Filling:
             self._pool.reject(candidate, "program_placed")
         elif self._taken[cell] >= cell.count or self._golds[cell][gold] >= quota:
             self._pool.reject(candidate, "quota_full")
-        elif self._placed([candidate], self._names_compass(program), self._fit(cell, program)):
+        elif self._placed([candidate], self._names_compass(program), self._fit(cell, program), cell.route):
             self._taken[cell] += 1
             self._golds[cell][gold] += 1
 
@@ -151,17 +151,25 @@ class _Filling:
         if full or any(member.program in self._seen for member in members):
             for member in members:
                 self._pool.reject(member, "quota_full" if full else "program_placed")
-        elif self._placed(members, any(self._names_compass(member.program) for member in members), None):
+        elif self._placed(members, any(self._names_compass(member.program) for member in members)):
             self._groups += 1
 
-    def _placed(self, members: Sequence[Candidate], compass: bool, fit: Fit | None) -> bool:
+    def _placed(
+        self,
+        members: Sequence[Candidate],
+        compass: bool,
+        fit: Fit | None = None,
+        lengths: tuple[float, float] | None = None,
+    ) -> bool:
         """Whether these, which have the same leaves in some order, are placed now, from one start."""
         first = members[0]
         try:
             targets = Counter(leaf.goal.label for member in members for leaf in member.program.leaves)
             if any(self._labels[label] + count > self._most_of_label for label, count in targets.items()):
                 raise Rejected("label_over_cap")
-            placement = self._placer.place(first.program, first.instruction_id, compass=compass, fit=fit)
+            placement = self._placer.place(
+                first.program, first.instruction_id, compass=compass, fit=fit, lengths=lengths
+            )
         except Rejected as rejected:
             for member in members:
                 self._pool.reject(member, rejected.reason)

@@ -55,6 +55,7 @@ REASONS: Final[dict[str, str]] = {
     "over_step_budget": "twice the ground-truth actions exceed the step ceiling",
     "follower_stuck": "an agent that knows the map does not get there with discrete steps",
     "observability_missed": "no start shows the evidence as the cell asks for it",
+    "route_missed": "no start has the routes to all leaves as long as the cell asks for",
     "program_placed": "the same program has its place already",
     "label_over_cap": "a target's label already has its share of the scene's leaves",
     "quota_full": "the cell has the episodes asked for, in all or of this gold leaf",

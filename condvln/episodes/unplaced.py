@@ -20,7 +20,8 @@ def unplaced_programs(candidates: Iterable[Candidate]) -> list[str]:
     """Ids of the first programs of each cell, in their order, up to what is wanted of it.
 
     As in a pool of episodes, no gold index gets more than its equal share of a cell. Where nobody can stand nothing is
-    seen, so what a cell asks of observability is left open, and what shares a start has none to share.
+    seen and no route begins, so what a cell asks of observability and of routes is left open, and what shares a start
+    has none to share.
     """
     taken: Counter[Cell] = Counter()
     golds: dict[Cell, Counter[int]] = defaultdict(Counter)

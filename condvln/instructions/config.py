@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Final
+from dataclasses import asdict, dataclass, field
+from typing import Any, Final
 
 from schemas.program import CATEGORIES, Category, Predicate
 
@@ -43,7 +43,8 @@ GROUPS: Final = "counterfactual groups"
 
 
 SEEN_FACTOR: Final = 3
-"""More candidates are drawn of a cell that asks for an observability: few starts give one that is not O2."""
+"""More candidates are drawn of a cell that asks for an observability or a length of the route, which placing may miss:
+few starts give one that is not O2, or have every leaf's route within its bounds."""
 
 
 PRESENCE_MARGIN: Final = 0.75
@@ -65,6 +66,9 @@ class Cell:
 
     composition : C0, C1 or C2; moves : the moves of every leaf, so that their number doesn't tell the gold one
     observability : O0, O1 or O2, or O0f for O0 in the first view; it is a matter of placing, not of drawing
+    route : least and most metres, both allowed, of the route past its stops to every leaf, so that lengths don't tell
+        the gold one; a matter of placing
+    words : least and most words of the text, both allowed, its opening with the start heading included
     count : episodes wanted a scene
     """
 
@@ -73,17 +77,35 @@ class Cell:
     moves: int | None = None
     observability: str | None = None
     count: int = 0
+    route: tuple[float, float] | None = None
+    words: tuple[int, int] | None = None
 
     @property
     def name(self) -> str:
-        """What the tables call it: ``nested C2 O1 3 moves``; a category alone where nothing else is fixed."""
+        """What the tables call it: ``nested C2 O1 3 moves 5-15 m 20-60 words``; a category alone where nothing else is
+        fixed. Different cells have different names."""
         moves = None if self.moves is None else f"{self.moves} move{'s' if self.moves > 1 else ''}"
-        return " ".join(part for part in (self.category, self.composition, self.observability, moves) if part)
+        route = None if self.route is None else f"{_span(self.route)} m"
+        words = None if self.words is None else f"{_span(self.words)} words"
+        parts = (self.category, self.composition, self.observability, moves, route, words)
+        return " ".join(part for part in parts if part)
+
+    def document(self) -> dict[str, Any]:
+        """As JSON for a key. Bounds that are not given are left out, so that cells without any keep the keys of
+        before there were bounds."""
+        bounds = {"route": self.route, "words": self.words}
+        absent = [name for name, value in bounds.items() if value is None]
+        return {name: value for name, value in asdict(self).items() if name not in absent}
 
     @property
     def drawn(self) -> bool:
         """Whether anything beside the category is fixed."""
         return self.name != self.category
+
+
+def _span(bounds: tuple[float, float]) -> str:
+    least, most = (str(bound).removesuffix(".0") for bound in bounds)
+    return f"{least}-{most}"
 
 
 def cell_name(cell: Cell | None) -> str:
@@ -146,9 +168,13 @@ class InstructionConfig:
         """All that is wanted of a scene, in the order of the categories."""
         return tuple(cell for category in CATEGORIES for cell in self.cells_of(category))
 
+    def document(self) -> dict[str, Any]:
+        """As JSON for a key."""
+        return asdict(self) | {"cells": [cell.document() for cell in self.cells]}
+
     def candidates(self, cell: Cell) -> int:
         """Candidates wanted of a cell; more where placing may miss what it asks for."""
-        return cell.count * self.candidates_per_episode * (1 if cell.observability is None else SEEN_FACTOR)
+        return cell.count * self.candidates_per_episode * (SEEN_FACTOR if cell.observability or cell.route else 1)
 
     def label_only(self, single_room: bool) -> float:
         """Share of label-only conditions, drawn whatever their truth, so that the kind says nothing about it."""

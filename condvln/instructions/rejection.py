@@ -14,6 +14,7 @@ REASONS: Final[dict[str, str]] = {
     "no_waypoint": "no further stop lies apart from the leaf's other stops and the other leaves' goals",
     "no_condition": "no statement of the wanted truth is left that breaks no rule",
     "composition_missed": "the draw is not of the composition asked for",
+    "words_missed": "the text has fewer or more words than the cell asks for",
     "no_twin": "no condition that decides the gold leaf has a counterpart of the opposite truth",
     "duplicate": "the same program was drawn before",
     "label_over_cap": "every label that could be a target has its share of the scene's leaves",

@@ -12,7 +12,16 @@ from condvln.seeding import generator, stable_hash
 from schemas.errors import UsageError
 from schemas.program import Condition, Leaf, ObjectRef, Program, Qualifier, RoomRef
 
-__all__ = ["HEADINGS", "heading_name", "names_compass", "preamble", "render", "render_moves", "with_preamble"]
+__all__ = [
+    "HEADINGS",
+    "heading_name",
+    "names_compass",
+    "preamble",
+    "render",
+    "render_moves",
+    "with_preamble",
+    "word_count",
+]
 
 HEADINGS: Final = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 """Names of the headings 0°, 45°, … clockwise from north."""
@@ -71,6 +80,15 @@ def with_preamble(text: str, heading_degrees: float, code: str = "en") -> str:
 def render(program: Program, seed: int, instruction_id: str, code: str = "en") -> str:
     """One rendering of `program`, decided by (seed, instruction id, language)."""
     return _Renderer(language(code), Draws(generator(seed, "text", instruction_id, code))).program(program)
+
+
+def word_count(program: Program, seed: int, instruction_id: str, *, preamble: bool) -> int:
+    """Words of the published text of `program`, known before it is placed: every heading has a name of one word.
+
+    preamble : whether texts that use compass words open with the start heading
+    """
+    text = render(program, seed, instruction_id)
+    return len((with_preamble(text, 0.0) if preamble and names_compass(program) else text).split())
 
 
 def render_moves(moves: tuple[ObjectRef, ...], seed: int, instruction_id: str, code: str = "en") -> str:

@@ -21,9 +21,11 @@ from condvln.instructions.config import Cell, InstructionConfig
 from condvln.instructions.counterfactuals import Group, counterfactual_group
 from condvln.instructions.degeneracy import idle_conditions, is_circular, outcomes
 from condvln.instructions.draws import Draws
+from condvln.instructions.ids import instruction_id
 from condvln.instructions.priors import PriorBits
 from condvln.instructions.referents import ALTERNATIVES, Facts, Referents, object_refs, room_refs
 from condvln.instructions.rejection import GivenUp
+from condvln.instructions.rendering import word_count
 from condvln.instructions.stops import Stops, Target, TargetLot, apart_by_centres, targets
 from condvln.labels import Vocabulary, vocabulary
 from condvln.scene import Scene
@@ -158,7 +160,7 @@ class ProgramSampler:
             for _ in range(self.config.draws_per_candidate):
                 program = None
                 with self._counted(cell):
-                    program = _unseen(self._draw(category, wish, draws, lot), seen)
+                    program = self._worded(cell, _unseen(self._draw(category, wish, draws, lot), seen))
                 if program is None:
                     continue
                 seen.add(program)
@@ -167,6 +169,15 @@ class ProgramSampler:
                 lot = self._lot(category, used)
                 yield program
                 break
+
+    def _worded(self, cell: Cell, program: Program) -> Program:
+        """`program`, if its text has as many words as the cell asks for."""
+        if cell.words is not None:
+            name = instruction_id(self.scene.family, self.scene.scene_id, program)
+            least, most = cell.words
+            if not least <= word_count(program, self.seed, name, preamble=self.config.preamble) <= most:
+                raise GivenUp("words_missed")
+        return program
 
     def groups(self) -> Iterator[Group]:
         """Counterfactual groups, as many candidates as for so many episodes, their categories in turn; all distinct."""

@@ -14,6 +14,12 @@ from schemas.errors import ConfigError
 MINIMAL = {"name": "toy", "store": "store", "sources": [{"family": "replicacad", "root": "data"}]}
 
 
+def cell(other: dict[str, object] | None = None, **bounds: object) -> dict[str, object]:
+    """A configuration's part that asks for a simple cell of these bounds, and for another."""
+    cells = [{"category": "simple", "count": 1, **b} for b in (bounds, other) if b is not None]
+    return {"instructions": {"cells": cells}}
+
+
 @pytest.fixture
 def written(tmp_path: Path):
     (tmp_path / "data").mkdir()
@@ -69,6 +75,18 @@ def test_set_reaches_into_lists(written, tmp_path: Path) -> None:
         ({"instructions": {"per_category": {"simple": -5}}}, [], "instructions.per_category.simple", ""),
         ({"instructions": {"per_category": {"simple": 10**12}}}, [], "instructions.per_category.simple", ""),
         ({"instructions": {"cells": [{"category": "simple", "count": 0}]}}, [], "instructions.cells.0.count", ""),
+        (cell(route=[15, 5]), [], "instructions.cells.0: Value error, route: [15, 5] is no range", "[least, most]"),
+        (cell(route=[-1, 5]), [], "route: [-1, 5] is no range of metres", ""),
+        (cell(route=[5, 5]), [], "route: [5, 5] is no range of metres", ""),
+        (cell(route=[5, float("inf")]), [], "instructions.cells.0.route.1", ""),
+        (cell(route=[True, 5]), [], "instructions.cells.0.route: Value error, true and false are no bounds", ""),
+        (cell(route=[0.1, 0.9]), [], "instructions.cells.0.route: none is as short as 0.9 m", ""),
+        (cell(route=5), [], "instructions.cells.0.route", ""),
+        (cell(words=[60, 20]), [], "words: [60, 20] is no range of numbers of words", ""),
+        (cell(words=[0, 20]), [], "words: [0, 20] is no range of numbers of words", ""),
+        (cell(words=[20.5, 30]), [], "instructions.cells.0.words.0", ""),
+        (cell(words=[20]), [], "instructions.cells.0.words", ""),
+        (cell(words=[20, 30], other={"words": [20, 30]}), [], "cells: simple (20, 30) stands there twice", ""),
         ({"instructions": {"counterfactual_groups": 10**12}}, [], "instructions.counterfactual_groups", ""),
         ({"instructions": {"candidates_per_episode": 10**12}}, [], "instructions.candidates_per_episode", ""),
         ({"episodes": {"starts": 10**12}}, [], "episodes.starts", ""),
@@ -87,6 +105,13 @@ def test_faults_name_the_key_and_what_is_allowed(written, changes, overrides, na
         load_config(written(**changes), overrides, {})
     assert named in str(caught.value)
     assert remedy in str(caught.value)
+
+
+def test_bounds_of_cells_are_taken_as_written(written) -> None:
+    config = load_config(written(**cell(route=[5, 12.5], words=[30, 30], other={"route": [5, 12]})), [], {})
+    first, second = config.instructions.cells
+    assert (first.route, first.words) == ((5.0, 12.5), (30, 30))
+    assert (second.route, second.words) == ((5.0, 12.0), None)
 
 
 @pytest.mark.parametrize("text", ["", "- 1", "a: [", "name: x\nname: y", "\x00"])

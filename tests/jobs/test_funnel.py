@@ -10,16 +10,21 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from condvln.sources.source import hash_file
 from jobs.command import app
 from jobs.funnel import funnel_of
 from jobs.generate import run_generate
+from jobs.pipeline import build_pipeline, list_units
 from jobs.report import Report
+from jobs.stages import TextStage
 from jobs.workspace import published
+from schemas.canonical import JSON
 from schemas.config import Config, EpisodeConfig, InstructionCell, InstructionsConfig
 
 runner = CliRunner()
 
 Run = tuple[Config, Report]
+BOUNDED = "nested 3-9 m 60-85 words"
 
 
 def measured(config: Config, stage: str, measure: str) -> dict[str, int]:
@@ -95,6 +100,7 @@ def celled(made_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Conf
     cells = [
         InstructionCell(category="simple", moves=2, observability="O0", count=3),
         InstructionCell(category="long_chain", composition="C0", moves=3, count=4),
+        InstructionCell(category="nested", route=(3.0, 9.0), words=(60, 85), count=3),
     ]
     config = Config(
         name="cells",
@@ -112,7 +118,7 @@ def test_a_cell_is_had_or_its_shortfall_is_told(celled: Config) -> None:
     funnel = funnel_of(snapshot)
     assert funnel is not None
     cells = {cell: flow for (_, cell), flow in funnel.cells.items()}
-    assert set(cells) == {"chain", "counterfactual groups", "long_chain C0 3 moves", "simple O0 2 moves"}
+    assert set(cells) == {"chain", "counterfactual groups", "long_chain C0 3 moves", "simple O0 2 moves", BOUNDED}
     crowded = cells["long_chain C0 3 moves"]
     assert (crowded.candidates, crowded.short) == (0, 8), "no room has so many places apart"
     assert set(crowded.why().split()) & {"no_targets", "no_waypoint"}
@@ -123,6 +129,34 @@ def test_a_cell_is_had_or_its_shortfall_is_told(celled: Config) -> None:
     ]
     assert len(rows) == asked.placed
     assert {(row["observability"], row["moves"]) for row in rows} == {("O0", 2)}
+
+
+def test_a_cell_bounded_in_metres_and_words_holds_nothing_else(celled: Config) -> None:
+    snapshot = published(celled)
+    funnel = funnel_of(snapshot)
+    assert funnel is not None
+    bounded = funnel.cells["replicacad", BOUNDED]
+    rows = [
+        row for row in snapshot.table("episodes").to_pylist() if row["category"] == "nested" and row["group_id"] is None
+    ]
+    assert 0 < len(rows) == bounded.placed <= bounded.wanted == 6
+    for row in rows:
+        assert 3.0 <= row["route_length"] <= 9.0
+        assert all(3.0 <= leaf["route_length"] <= 9.0 for leaf in row["leaves"]), "nothing tells the gold one"
+        assert 60 <= len(row["instruction_text"].split()) == row["words"] <= 85
+    assert bounded.rejected["route_missed"] > 0 < bounded.undrawn["words_missed"]
+    assert bounded.candidates == bounded.placed + bounded.rejected.total()
+
+
+def test_wording_is_a_part_of_the_key_of_programs_only_where_words_are_bounded(celled: Config) -> None:
+    def parameters(config: Config) -> JSON:
+        (unit, *_) = list_units(config, hash_file)
+        (stage,) = [stage for stage in build_pipeline(config).stages if stage.name == "programs"]
+        return stage.parameters(unit)
+
+    plain = celled.model_copy(update={"instructions": InstructionsConfig()})
+    assert parameters(celled)["text"] == TextStage.version
+    assert "text" not in parameters(plain)
 
 
 def test_counterfactual_groups_are_published_whole(celled: Config) -> None:

@@ -12,7 +12,7 @@ import pytest
 from condvln.episodes import pool as pool_module
 from condvln.episodes.candidates import Candidate, candidates_from_table, candidates_table
 from condvln.episodes.observability import Observer
-from condvln.episodes.placing import Placer
+from condvln.episodes.placing import Placer, Rejected
 from condvln.episodes.pool import Pool, fill_pool
 from condvln.episodes.rules import REASONS, EpisodeRules
 from condvln.episodes.table import funnel_table, placements_table, rejections_table, with_text
@@ -81,6 +81,47 @@ def test_every_cell_gets_what_it_asks_for(flat) -> None:
     first_view = [e for e in pool.episodes if e.candidate.cell.observability == "O0f"]
     assert {e.observation.observability for e in first_view} == {"O0"}
     assert pool.rejections[cells[2], "observability_missed"]
+
+
+def test_a_cell_bounds_the_routes_to_all_leaves(flat) -> None:
+    bounds = ((2.0, 4.5), (4.0, 6.0), (5.5, 12.0), (40.0, 50.0))
+    cells = tuple(Cell("simple", route=route, count=4) for route in bounds)
+    pool = filled(flat, drawn(*cells), cells)
+    for cell in cells[:3]:
+        least, most = cell.route
+        lengths = [leaf.route.length for e in pool.episodes if e.candidate.cell == cell for leaf in e.placement.leaves]
+        assert lengths
+        assert least <= min(lengths) <= max(lengths) <= most
+    assert pool.placed[cells[3]] == 0
+    reasons = {reason for (cell, reason) in pool.rejections if cell == cells[3]}
+    assert reasons == {"route_missed", "program_placed"}, "no way is so long"
+    rows = placements_table("flat", pool, {e.instruction_id: "C0" for e in pool.episodes}, "0" * 64).to_pylist()
+    for row, episode in zip(rows, pool.episodes, strict=True):
+        least, most = episode.candidate.cell.route
+        assert all(least <= leaf["route_length"] <= most for leaf in row["leaves"])
+        assert least <= row["route_length"] <= most
+    for row, cell in zip(funnel_table("flat", cells, pool).to_pylist(), cells, strict=True):
+        assert row["cell"] == cell.name
+        assert row["candidates"] == row["rejected"] + row["placed"]
+
+
+def test_bounds_of_a_route_may_be_met_and_those_beyond_every_route_change_nothing(flat) -> None:
+    scene, pathfinder = flat
+    placer = Placer(scene, pathfinder, RULES, seed=5, max_climb=0.2)
+    one_stop = asking("sofa", "sink", "bed", truth=True)
+    stops = [tuple(ObjectRef(object_id=n, label=n, room=ZONE) for n in names) for names in (("bed", "sink"), ("sofa",))]
+    for program in (one_stop, one_stop.model_copy(update={"leaves": tuple(Leaf(moves=moves) for moves in stops)})):
+        free = placer.place(program, "i", compass=False)
+        wide = placer.place(program, "i", compass=False, lengths=(0.0, 1000.0))
+        np.testing.assert_array_equal(wide.start, free.start)
+        assert wide.yaw == free.yaw
+        lengths = [leaf.route.length for leaf in free.leaves]
+        tight = placer.place(program, "i", compass=False, lengths=(min(lengths), max(lengths)))
+        found = [leaf.route.length for leaf in tight.leaves]
+        assert min(lengths) <= min(found) <= max(found) <= max(lengths)
+        with pytest.raises(Rejected) as caught:
+            placer.place(program, "i", compass=False, lengths=(0.0, 0.5))
+        assert caught.value.reason == "route_missed"
 
 
 def test_every_candidate_is_an_episode_or_is_counted_once(flat) -> None:

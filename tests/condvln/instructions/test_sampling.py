@@ -12,7 +12,9 @@ from scipy.stats import chisquare
 
 from condvln.instructions import Cell, InstructionConfig, LabelPriors, ProgramSampler
 from condvln.instructions.composition import composition
+from condvln.instructions.ids import instruction_id
 from condvln.instructions.rejection import REASONS
+from condvln.instructions.rendering import names_compass, render, with_preamble, word_count
 from condvln.instructions.stops import Stops
 from condvln.scene import Scene
 from schemas.config import InstructionsConfig
@@ -135,6 +137,63 @@ def test_a_cell_that_cannot_be_had_says_why(make_scene, facts_maker) -> None:
     sampler = ProgramSampler(scene, facts_maker(scene), bits, config, 0)
     assert list(sampler.candidates("nested")) == []
     assert set(sampler.rejections) == {(cell, "no_targets")}
+
+
+@pytest.mark.parametrize("preamble", [True, False])
+def test_a_cell_bounds_the_words_of_the_published_text(make_scene, facts_maker, preamble: bool) -> None:
+    scene = make_scene(0, side=8.0)
+    facts, bits = facts_maker(scene), LabelPriors.of_scene(scene).bits(scene)
+
+    def drawn(*cells: Cell) -> tuple[ProgramSampler, list[Program]]:
+        config = InstructionConfig(cells=cells, candidates_per_episode=10, preamble=preamble)
+        sampler = ProgramSampler(scene, facts, bits, config, 0)
+        return sampler, list(sampler.candidates("simple"))
+
+    def texts(program: Program) -> list[str]:
+        """As it is published from each heading."""
+        text = render(program, 0, instruction_id(scene.family, scene.scene_id, program))
+        opened = preamble and names_compass(program)
+        return [with_preamble(text, 45.0 * k) for k in range(8)] if opened else [text]
+
+    def words(program: Program) -> int:
+        (count,) = {len(text.split()) for text in texts(program)}
+        name = instruction_id(scene.family, scene.scene_id, program)
+        assert word_count(program, 0, name, preamble=preamble) == count
+        return count
+
+    _, free = drawn(Cell("simple", count=4))
+    assert len({len(texts(program)) for program in free}) == (2 if preamble else 1), "some name the heading, some don't"
+    least, middle, most = (int(n) for n in np.percentile([words(p) for p in free], [0, 50, 100]))
+    assert least < middle < most
+    low, high = Cell("simple", words=(least, middle), count=4), Cell("simple", words=(middle, most), count=4)
+    sampler, bounded = drawn(low, high)
+    found = Counter(
+        cell for cell, program in sampler.drawn("simple") if cell.words[0] <= words(program) <= cell.words[1]
+    )
+    assert found.total() == len(bounded)
+    assert min(found[low], found[high]) >= 20
+    one = Cell("simple", words=(middle, middle), count=1)
+    assert {words(program) for program in drawn(one)[1]} == {middle}, "both bounds are allowed"
+    none = Cell("simple", words=(1, least // 2), count=1)
+    sampler, programs = drawn(none)
+    assert programs == []
+    assert sampler.rejections[none, "words_missed"] > 100
+
+
+def test_bounds_that_are_not_given_leave_names_and_keys_as_they_were() -> None:
+    plain = Cell("chain", "C2", 3, "O1", count=5)
+    assert plain.document() == {
+        "category": "chain",
+        "composition": "C2",
+        "moves": 3,
+        "observability": "O1",
+        "count": 5,
+    }
+    bounded = replace(plain, route=(5.0, 12.5), words=(20, 60))
+    assert bounded.name == "chain C2 O1 3 moves 5-12.5 m 20-60 words"
+    assert bounded.document() == {**plain.document(), "route": (5.0, 12.5), "words": (20, 60)}
+    assert InstructionConfig(cells=(plain, bounded)).document()["cells"] == [plain.document(), bounded.document()]
+    assert Cell("chain", route=(5.0, 12.5)).drawn
 
 
 def test_reasons_are_named(sampled) -> None:
