@@ -234,6 +234,12 @@ class SplitsConfig(Section):
     )
     val_seen_share: Share = Field(0.1, description="share of the train scenes' episodes set aside as val_seen")
     fractions: tuple[Share, Share, Share] = Field((0.8, 0.1, 0.1), description="train, val_unseen, test by id hash")
+    max_tokens: int | None = Field(
+        200,
+        ge=0,
+        description="texts of more tokens are left out: VLN-CE's instruction_tokens hold no more, and who reads those "
+        "would miss a branch; 0 or none = no limit",
+    )
     bias: Literal["off", "warn", "fail"] = Field(
         "warn", description="what an export does when a guess that sees nothing beats chance; fail = exit code 3"
     )

@@ -17,6 +17,7 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from condvln.export.tokens import longer_than
 from schemas.errors import StoreError
 from schemas.program import CATEGORIES
 
@@ -46,6 +47,7 @@ FIT: Final = 0
 """Code of an episode that may be in a split."""
 
 _OVER_BUDGET: Final = "over the step budget"
+_OVER_TOKENS: Final = "more tokens than an agent reads"
 _REPEAT: Final = "same text from the same start as another"
 
 Codes = npt.NDArray[np.int64]
@@ -106,9 +108,13 @@ class _Names:
 
 
 class PoolBuilder:
-    """Gathers batches of the tables, source by source."""
+    """Gathers batches of the tables, source by source.
 
-    def __init__(self) -> None:
+    max_tokens : texts of more are not fit; None or 0 = no limit
+    """
+
+    def __init__(self, max_tokens: int | None = None) -> None:
+        self._max_tokens = max_tokens
         self._sources, self._scenes, self._strata, self._kinds = _Names(), _Names(), _Names(), _Names()
         self._reasons = _Names({"": FIT})
         self._columns: dict[str, list[npt.NDArray[Any]]] = {}
@@ -137,6 +143,9 @@ class PoolBuilder:
         over = (number["max_steps"] > STEP_CEILING) | (number["ground_truth_steps"] > number["max_steps"])
         unfit = np.array([self._reasons(reason) for reason in reasons], dtype=np.int8)
         unfit[(unfit == FIT) & over] = self._reasons(_OVER_BUDGET)
+        if self._max_tokens:
+            longer = longer_than(batch.column("instruction_text"), self._max_tokens)
+            unfit[(unfit == FIT) & longer] = self._reasons(_OVER_TOKENS)
         strata = [f"{c} {o or ''}".strip() for c, o in zip(column["composition"], column["observability"], strict=True)]
         texts = zip(scenes, starts, column["instruction_text"], strict=True)
         self._append(

@@ -206,7 +206,7 @@ SplitCodes = dict[str, npt.NDArray[np.int8]]
 def _choose(
     tables: SnapshotTables, config: ExportConfig, scenes: SceneTable
 ) -> tuple[Selection, SplitCodes, Generated]:
-    builder = PoolBuilder()
+    builder = PoolBuilder(config.splits.max_tokens)
     counts: dict[str, int] = {}
     for source in tables.sources:
         builder.add_instructions(source, tables.batches("instructions", source, INSTRUCTION_COLUMNS))

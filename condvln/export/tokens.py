@@ -12,7 +12,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-__all__ = ["PAD", "PAD_INDEX", "TOKEN_LENGTH", "UNK", "UNK_INDEX", "Vocabulary", "tokenize"]
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.compute as pc
+
+__all__ = ["PAD", "PAD_INDEX", "TOKEN_LENGTH", "UNK", "UNK_INDEX", "Vocabulary", "longer_than", "tokenize"]
 
 PAD: Final = "<pad>"
 UNK: Final = "<unk>"
@@ -25,12 +30,28 @@ array."""
 
 _DROPPED: Final = str.maketrans("", "", ",?")
 _WORD: Final = re.compile(r"([^\w-]+)")
+_MARK: Final = "[^0-9A-Za-z_ -]"
+"""Letters beyond ASCII among them: they may be words to one regular expression and marks to the other."""
 
 
 def tokenize(text: str) -> list[str]:
     """Words and punctuation of ``text`` in order, lower case."""
     parts = _WORD.split(text.lower().replace("'s", " 's").translate(_DROPPED))
     return [word for part in parts if (word := part.strip())]
+
+
+def longer_than(texts: pa.Array, limit: int) -> npt.NDArray[np.bool_]:
+    """Which of ``texts`` have more than ``limit`` tokens.
+
+    Spaces and marks bound the tokens from above (a mark is a token and may part two words), and are counted in half
+    the time; only what may be too long is cut into tokens.
+    """
+    spaces, marks = pc.count_substring(texts, " "), pc.count_substring_regex(texts, _MARK)
+    bounds = pc.add(pc.add(spaces, pc.multiply(marks, 2)), 1).to_numpy(zero_copy_only=False)
+    longer = np.zeros(len(texts), dtype=bool)
+    for row in np.flatnonzero(bounds > limit).tolist():
+        longer[row] = len(tokenize(texts[row].as_py())) > limit
+    return longer
 
 
 @dataclass(frozen=True)

@@ -245,6 +245,40 @@ def test_episodes_that_can_not_be_published_are_counted(tables: MemoryTables, tm
     assert not published & {ids[0], ids[1], ids[3]}
 
 
+def test_texts_that_would_be_cut_are_left_out_with_their_groups(tables: MemoryTables, tmp_path: Path) -> None:
+    rows = tables.tables["replicacad"]["episodes"].to_pylist()
+    single = next(row["episode_id"] for row in rows if row["group_id"] is None)
+    exact = next(row["episode_id"] for row in rows if row["group_id"] is None and row["episode_id"] != single)
+    member = next(row for row in rows if row["group_id"] is not None)
+    group = {row["episode_id"] for row in rows if row["group_id"] == member["group_id"]}
+    assert len(group) > 1
+    words = {single: 201, member["episode_id"]: 230, exact: 200}
+
+    def lengthen(rows: list[dict[str, Any]]) -> None:
+        for row in rows:
+            if row["episode_id"] in words:
+                row["instruction_text"] = " ".join(["sofa"] * words[row["episode_id"]])
+
+    long = changed(tables, "episodes", lengthen)
+    report = export_snapshot(long, tmp_path / "limited")
+    assert report.left_out["more tokens than an agent reads"] == 2
+    assert report.left_out["its counterfactual group is not whole"] == len(group) - 1
+    assert report.texts_cut == 0
+    published = {line["episode_id"] for split in SPLITS for line in manifest_of(tmp_path / "limited", split)}
+    assert not published & {single, *group}
+    assert "2 more tokens than an agent reads" in (tmp_path / "limited" / "README.md").read_text()
+    # Without a limit there is no such reason, and what is published of them is cut.
+    for none in 0, None:
+        out = tmp_path / f"unlimited-{none}"
+        report = export_snapshot(long, out, ExportConfig(SplitsConfig(max_tokens=none)))
+        assert "more tokens than an agent reads" not in report.left_out
+        published = {line["episode_id"] for split in SPLITS for line in manifest_of(out, split)}
+        assert report.texts_cut == len(published & {single, member["episode_id"]}) > 0
+    # The limit is inclusive, and its own.
+    report = export_snapshot(long, tmp_path / "wider", ExportConfig(SplitsConfig(max_tokens=201)))
+    assert report.left_out["more tokens than an agent reads"] == 1
+
+
 def test_of_a_building_annotated_twice_the_verified_one_is_published(tmp_path: Path) -> None:
     """Both are of one mesh; the official list knows a building by its name alone."""
     buildings = ["automated/Allensville", "automated/Beechwood", "verified/Allensville", "verified/Darden"]
