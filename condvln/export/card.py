@@ -36,7 +36,7 @@ def dataset_card(report: ExportReport, name: str) -> str:
         f"# {name}",
         _introduction(report),
         "## Files",
-        _FILES,
+        _files(report),
         _meshes(report),
         "## Episodes",
         _counts(report),
@@ -92,13 +92,19 @@ _FILES: Final = """\
 | `ansr/<split>/` | the same with top-level `subgoals` (dataset type ANSR-v1) |
 | `rxr/<split>/` | the same as RxR-VLN-CE guide files |
 | `oracle/<split>/` | the oracle-linear twin: only the instruction differs, it tells the right branch alone |
-| `r2r/` | discrete R2R over Matterport viewpoints, where scans of Matterport3D are in it |
-| `manifest/<split>.jsonl` | programs, truths, gold leaf, goals of every leaf: never show it to an agent |
+%s| `manifest/<split>.jsonl` | programs, truths, gold leaf, goals of every leaf: never show it to an agent |
 | `navmeshes/` | navmeshes built for scenes that ship none |
 | `configs/` | configuration files for VLN-CE, habitat-lab, Open-Nav, VLN-Zero, NaVid and NaVILA |
 | `export.json` | counts per cell, what was left out and why, SHA-256 of every file |
 
 Positions are metres in Habitat's frame (+Y up, −Z north), quaternions `[x, y, z, w]`."""
+
+
+_R2R: Final = "| `r2r/` | discrete R2R over Matterport viewpoints, of the scans of Matterport3D |\n"
+
+
+def _files(report: ExportReport) -> str:
+    return _FILES % (_R2R if report.r2r_episodes else "")
 
 
 def _meshes(report: ExportReport) -> str:

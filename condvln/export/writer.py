@@ -88,35 +88,38 @@ class ExportWriter:
         self._graphs = graphs
         self._variants = ("vlnce", "ansr", "rxr") if oracle_texts is None else ("vlnce", "ansr", "rxr", "oracle")
         self._splits: list[_SplitFiles] = []
+        self._open = ExitStack()
+        self._streams: list[ByteStream] = []
         self._r2r_left_out: Counter[str] = Counter()
         self._shards: set[str] = set()
 
     @contextmanager
     def open(self) -> Iterator[None]:
         """All files of all splits, for as long as rows come."""
-        streams: list[ByteStream] = []
-        with ExitStack() as stack:
-            self._splits = [self._opened(stack, split, streams) for split in SPLITS]
+        with self._open:
+            self._splits = [self._opened(split) for split in SPLITS]
             yield
-        for stream in streams:
+        for stream in self._streams:
             self._note(stream)
         self._copy_truths()
         self._report.r2r_left_out = dict(sorted(self._r2r_left_out.items()))
 
-    def _opened(self, stack: ExitStack, split: str, streams: list[ByteStream]) -> _SplitFiles:
-        truth = stack.enter_context(truth_writer(self._out / self._truth_name("vlnce", split)))
-        manifest = stack.enter_context(atomic_stream(self._out / "manifest" / f"{split}.jsonl"))
+    def _opened(self, split: str) -> _SplitFiles:
+        truth = self._open.enter_context(truth_writer(self._out / self._truth_name("vlnce", split)))
+        manifest = self._open.enter_context(atomic_stream(self._out / "manifest" / f"{split}.jsonl"))
         files = _SplitFiles(split, truth, manifest)
         for variant in self._variants:
             path = self._out / variant / split / f"{self._stem(variant, split)}.json.gz"
-            files.documents[variant] = stack.enter_context(document_writer(path, self._vocabulary_of(variant)))
-        streams += [truth.entries.stream, manifest, *(d.entries.stream for d in files.documents.values())]
-        if self._graphs:
-            stream = stack.enter_context(atomic_stream(self._out / "r2r" / f"R2R_{split}.json", closing=b"]\n"))
-            stream.write(b"[")
-            files.r2r = JsonArrayStream(stream)
-            streams.append(stream)
+            files.documents[variant] = self._open.enter_context(document_writer(path, self._vocabulary_of(variant)))
+        self._streams += [truth.entries.stream, manifest, *(d.entries.stream for d in files.documents.values())]
         return files
+
+    def _opened_r2r(self, split: str) -> JsonArrayStream:
+        path = self._out / "r2r" / f"R2R_{split}.json"
+        stream = self._open.enter_context(atomic_stream(path, closing=b"]\n"))
+        stream.write(b"[")
+        self._streams.append(stream)
+        return JsonArrayStream(stream)
 
     def _vocabulary_of(self, variant: str) -> Vocabulary | None:
         """RxR's loader knows no vocabulary."""
@@ -190,17 +193,21 @@ class ExportWriter:
         names = {"source": source, "split": files.name, "navmesh": navmesh, "snapshot": self._layout.snapshot}
         files.manifest.write(encode(manifest_row(row, instruction, **names)) + b"\n")
         self._note_shape(source, row, files.name)
-        if files.r2r is not None and source == _MP3D:
-            self._add_r2r(files.r2r, row)
+        if self._graphs and source == _MP3D:
+            self._add_r2r(files, row)
 
-    def _add_r2r(self, stream: JsonArrayStream, row: Row) -> None:
+    def _add_r2r(self, files: _SplitFiles, row: Row) -> None:
         graph = (self._graphs or {}).get(row["scene_id"])
         found: dict[str, Any] | str = "no connectivity graph of its scan" if graph is None else r2r_episode(row, graph)
         if isinstance(found, str):
             self._r2r_left_out[found] += 1
-        else:
-            stream.entry(encode(found))
-            self._report.r2r_episodes += 1
+            return
+        if files.r2r is None:  # with the first path of any split, so that exports without one hold no such files
+            for each in self._splits:
+                each.r2r = self._opened_r2r(each.name)
+        assert files.r2r is not None
+        files.r2r.entry(encode(found))
+        self._report.r2r_episodes += 1
 
     def _note_shape(self, source: str, row: Row, split: str) -> None:
         shape = self._report.shapes.setdefault(split, {})

@@ -198,6 +198,8 @@ def test_r2r_export_on_a_real_graph(scan: tuple[str, Path], tmp_path: Path) -> N
     tables = MemoryTables("r2r", {"mp3d": {**made.tables["mp3d"], "episodes": changed}})
     report = export_snapshot(tables, tmp_path, graphs={name: graph})
     assert report.r2r_episodes > 20
+    assert {path for path in report.files if path.startswith("r2r/")} == {f"r2r/R2R_{split}.json" for split in SPLITS}
+    assert "| `r2r/` |" in (tmp_path / "README.md").read_text()
     assert report.r2r_episodes + sum(report.r2r_left_out.values()) == sum(report.episodes.values())
     known = read_connectivity(path)
     edges = {frozenset((known.ids[a], known.ids[b])) for a, b in known.edges}
@@ -221,6 +223,15 @@ def test_r2r_export_on_a_real_graph(scan: tuple[str, Path], tmp_path: Path) -> N
 
 
 def test_scans_without_a_graph_are_counted(tmp_path: Path) -> None:
+    former = tmp_path / "r2r" / "R2R_train.json"
+    former.parent.mkdir()
+    former.write_text("[]")
+    (tmp_path / "export.json").write_text('{"files": {"r2r/R2R_train.json": {}}, "snapshot": ""}')
     report = export_snapshot(made_snapshot({"mp3d": ["17DRP5sb8fy"]}), tmp_path, graphs={"other": ring()})
     assert report.r2r_left_out == {"no connectivity graph of its scan": sum(report.episodes.values())}
-    assert json.loads((tmp_path / "r2r" / "R2R_train.json").read_text()) == []
+    # No path in any split: no files, not even a former export's, and none is named.
+    assert not list(tmp_path.rglob("R2R_*"))
+    assert not [path for path in report.files if path.startswith("r2r/")]
+    told = [path for suffix in ("md", "json", "yaml") for path in tmp_path.rglob(f"*.{suffix}")]
+    assert len(told) > 10
+    assert not [path for path in told if b"r2r/" in path.read_bytes()]
