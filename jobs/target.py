@@ -38,21 +38,28 @@ class Target:
         """Names of all that is published there, sorted."""
         return sorted(entry.path.split("/", 1)[1].removesuffix(".json") for entry in self.store().list("refs"))
 
+    def ref(self) -> str:
+        """The name that is meant; where none was given, the only ref or 'main'.
+
+        Raises ``UsageError`` when it is not clear which is meant.
+        """
+        if self.name is not None:
+            return self.name
+        names = self.refs()
+        if len(names) == 1:
+            return names[0]
+        if "main" in names or not names:
+            return "main"
+        raise UsageError(
+            f"{len(names)} refs are published: {', '.join(names)}", where=str(self.address), remedy="Say --ref NAME."
+        )
+
     def snapshot(self) -> Snapshot:
         """What is published under the name; without one, the only ref or 'main'.
 
         Raises ``StoreError`` when nothing is published under it, ``UsageError`` when it is not clear which is meant.
         """
-        if self.name is not None:
-            return Snapshot.open(self.store(), self.name)
-        names = self.refs()
-        if len(names) == 1:
-            return Snapshot.open(self.store(), names[0])
-        if "main" in names or not names:
-            return Snapshot.open(self.store(), "main")
-        raise UsageError(
-            f"{len(names)} refs are published: {', '.join(names)}", where=str(self.address), remedy="Say --ref NAME."
-        )
+        return Snapshot.open(self.store(), self.ref())
 
     def folder(self, tables: Iterable[str] | None = None) -> Path:
         """The snapshot as a folder on this disk, fetched (only `tables`, if named) where the store is elsewhere."""
