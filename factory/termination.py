@@ -13,7 +13,7 @@ __all__ = ["terminable"]
 
 @contextlib.contextmanager
 def terminable() -> Iterator[threading.Event]:
-    """Let SIGTERM stop a run as Ctrl-C does: tasks are cancelled, Ray is shut down by its owner.
+    """Let SIGTERM stop a run as Ctrl-C does: nothing more is handed out, Ray is shut down by its owner.
 
     The event is set as well: what is raised inside a callback of C code may be printed and forgotten there.
     """
