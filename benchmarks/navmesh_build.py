@@ -21,10 +21,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from condvln.navigation.build.builder import _warm_up
-from condvln.navigation.build.config import RecastProfile
-from condvln.navigation.build.stages import build_stages
 from condvln.navigation.navmesh_file import NavMeshFile, read_navmesh
+from condvln.navigation.recast.builder import _warm_up
+from condvln.navigation.recast.config import RecastProfile
+from condvln.navigation.recast.stages import build_stages
 from condvln.navigation.settings import NavMeshSettings
 
 CPP_SECONDS = (0.01, 0.08)
@@ -40,7 +40,7 @@ MADE_ROOMS = 8
 
 START = (
     "import time; t = time.process_time();"
-    "from condvln.navigation.build import builder; a = time.process_time();"
+    "from condvln.navigation.recast import builder; a = time.process_time();"
     "builder._warm_up(); print(a - t, time.process_time() - a)"
 )
 """What a fresh process does to be ready for any build: seconds of importing, seconds of compiling or loading."""

@@ -46,7 +46,7 @@ def settings_of(pairs: Sequence[str]) -> NavMeshSettings:
 def build(mesh: Path, out: Path, settings: NavMeshSettings, profile: str, console: Console) -> Report:
     """The navmesh that Habitat would build of `mesh`, written to `out`."""
     # Here and below: who asks for one verb waits for what that verb needs, not for the others' libraries.
-    from condvln.navigation.build import build_scene_navmesh
+    from condvln.navigation.recast import build_scene_navmesh
 
     navmesh = build_scene_navmesh(
         mesh, settings, profile, report=lambda stage: console.print(stage, highlight=False, markup=False)
@@ -88,7 +88,7 @@ def info(path: Path) -> Report:
 
 def compare(first: Path, second: Path) -> Report:
     """Where two navmeshes part: the first stage of the build whose result differs. Exit code 3 when they differ."""
-    from condvln.navigation.build.compare import compare_navmeshes
+    from condvln.navigation.recast.compare import compare_navmeshes
 
     found = compare_navmeshes(read_navmesh(first), read_navmesh(second))
     if found is None:

@@ -9,7 +9,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from condvln.navigation.build import build_navmesh, build_scene_navmesh
     from condvln.navigation.compiled import warm_up
     from condvln.navigation.follower import RXR, VLN_CE, ActionSpace, FollowedRoute, Follower
     from condvln.navigation.graph_pathfinder import GraphPathfinder
@@ -19,6 +18,7 @@ if TYPE_CHECKING:
     from condvln.navigation.pathfinder import HitRecord, Pathfinder
     from condvln.navigation.polygon_tile import tile_of_polygons
     from condvln.navigation.protocol import PathfinderProtocol
+    from condvln.navigation.recast import build_navmesh, build_scene_navmesh
     from condvln.navigation.settings import NavMeshSettings
     from condvln.navigation.shortest_path import ShortestPath
     from condvln.navigation.sight import SightTarget, View, eyes_at, first_sights, visible_points, visible_shares
@@ -60,7 +60,6 @@ __all__ = [
 ]
 
 _MODULES = {
-    "build": ("build_navmesh", "build_scene_navmesh"),
     "compiled": ("warm_up",),
     "follower": ("RXR", "VLN_CE", "ActionSpace", "FollowedRoute", "Follower"),
     "graph_pathfinder": ("GraphPathfinder",),
@@ -70,6 +69,7 @@ _MODULES = {
     "pathfinder": ("HitRecord", "Pathfinder"),
     "polygon_tile": ("tile_of_polygons",),
     "protocol": ("PathfinderProtocol",),
+    "recast": ("build_navmesh", "build_scene_navmesh"),
     "settings": ("NavMeshSettings",),
     "shortest_path": ("ShortestPath",),
     "sight": ("SightTarget", "View", "eyes_at", "first_sights", "visible_points", "visible_shares"),

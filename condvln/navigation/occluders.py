@@ -60,7 +60,7 @@ class MeshOccluders:
         import trimesh
         from trimesh.ray.ray_pyembree import RayMeshIntersector
 
-        from condvln.navigation.build.triangles import checked_triangles
+        from condvln.navigation.recast.triangles import checked_triangles
 
         points, corners = checked_triangles(vertices, faces)
         self._triangles = points[corners].astype(np.float64)

@@ -98,9 +98,9 @@ class Pathfinder:
     ) -> Pathfinder:
         """Pathfinder over the navmesh that Habitat would build from triangles.
 
-        Parameters and errors are those of :func:`condvln.navigation.build.build_navmesh`.
+        Parameters and errors are those of :func:`condvln.navigation.recast.build_navmesh`.
         """
-        from condvln.navigation.build import build_navmesh  # its kernels are needed by few
+        from condvln.navigation.recast import build_navmesh  # its kernels are needed by few
 
         return cls(build_navmesh(vertices, faces, settings, profile))
 

@@ -9,9 +9,9 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from condvln.navigation.build import build_navmesh
 from condvln.navigation.navmesh_file import NavMeshFile
 from condvln.navigation.polygon_tile import tile_of_polygons
+from condvln.navigation.recast import build_navmesh
 from condvln.navigation.settings import NavMeshSettings
 from condvln.samples.free_floor import free_floor
 from condvln.samples.layout import Layout

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.navigation.build.meshes import glb_triangles
+from condvln.navigation.recast.meshes import glb_triangles
 from condvln.scene import Scene
 from condvln.scene.geometry import STRUCTURE, SceneGeometry
 from condvln.scene.meshes import MeshLibrary, WorldMesh

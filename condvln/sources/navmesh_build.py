@@ -7,8 +7,8 @@ from dataclasses import replace
 from urllib.parse import quote
 
 from condvln.navigation.agent import Agent
-from condvln.navigation.build import build_navmesh
 from condvln.navigation.navmesh_file import NavMeshFile
+from condvln.navigation.recast import build_navmesh
 from condvln.navigation.settings import NavMeshSettings
 from condvln.scene import NavmeshFile, Scene, SceneWarning
 from condvln.scene.geometry import SceneGeometry

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from condvln.export.compose.part import GlbPart, read_part
 from condvln.export.compose.writer import GlbWriter
 from condvln.navigation.agent import Agent
-from condvln.navigation.build import build_navmesh
-from condvln.navigation.build.meshes import Z_UP, glb_triangles
 from condvln.navigation.navmesh_file import NavMeshFile
+from condvln.navigation.recast import build_navmesh
+from condvln.navigation.recast.meshes import Z_UP, glb_triangles
 from condvln.navigation.settings import NavMeshSettings
 from condvln.scene import MeshPart, Scene
 from condvln.scene.boxes import placement

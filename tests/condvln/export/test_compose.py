@@ -22,8 +22,8 @@ from condvln.export.compose import ComposedScene, compose_scene
 from condvln.export.compose.part import GlbPart, read_part
 from condvln.export.compose.writer import GlbWriter
 from condvln.navigation.agent import Agent
-from condvln.navigation.build.meshes import Z_UP, glb_triangles
 from condvln.navigation.pathfinder import Pathfinder
+from condvln.navigation.recast.meshes import Z_UP, glb_triangles
 from condvln.samples.maker import make_layouts, make_samples, write_replicacad
 from condvln.scene import Scene
 from condvln.scene.geometry import SceneGeometry

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import shapely
 
-from condvln.navigation.build import build_navmesh
 from condvln.navigation.pathfinder import Pathfinder
+from condvln.navigation.recast import build_navmesh
 from condvln.navigation.settings import NavMeshSettings
 from condvln.samples import FAMILIES, Layout, make_layouts, make_samples
 from condvln.samples.free_floor import free_floor

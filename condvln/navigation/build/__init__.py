@@ -1,7 +1,0 @@
-"""The navmesh builder: triangles to the very ``.navmesh`` that Habitat would build."""
-
-from condvln.navigation.build.builder import build_navmesh, build_scene_navmesh
-from condvln.navigation.build.config import RecastProfile
-from condvln.navigation.build.meshes import Z_UP, PlacedMesh, mesh_triangles
-
-__all__ = ["Z_UP", "PlacedMesh", "RecastProfile", "build_navmesh", "build_scene_navmesh", "mesh_triangles"]

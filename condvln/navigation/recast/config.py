@@ -1,0 +1,204 @@
+"""What a build is asked for, in the whole cells that Recast works with, and the limits of what it can do."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from condvln.navigation.recast.arrays import Array
+from condvln.navigation.settings import NavMeshSettings
+from condvln.navigation.tile import MAX_VERTS_PER_POLYGON
+from schemas.errors import FormatError, UsageError
+
+__all__ = ["MAX_SPAN_HEIGHT", "MEMORY_LIMIT_BYTES", "RecastConfig", "RecastProfile"]
+
+# Recast keeps the height of a span in 13 bits, distances of the erosion and clearances in 8, coordinates of the mesh in
+# 16.
+MAX_SPAN_HEIGHT = 0x1FFF
+MAX_AGENT_CELLS = 0xFF
+MAX_RADIUS_CELLS = 0x7F
+MAX_GRID_CELLS = 0xFFFF
+# Of the arrays alive at once: 12 bytes a column and about 60 a span; two spans, floor and ceiling, are assumed.
+BYTES_PER_COLUMN = 132
+# A build that would need more is refused. 4 GiB are some 32 million columns: 280 m x 280 m in cells of 5 cm.
+MEMORY_LIMIT_BYTES = 4 << 30
+# Below this many cells between height samples habitat-sim takes none.
+LEAST_SAMPLE_CELLS = np.float32(0.9)
+
+
+class RecastProfile(str, Enum):
+    """Which Recast a navmesh is built as. The two differ in one comparison, and so in which low passages are open."""
+
+    HABITAT_0_3_3 = "habitat<=0.3.3"
+    """The Recast of habitat-sim 0.1.7 (VLN-CE) to 0.3.3: a span needs more free voxels than the agent is high."""
+    HABITAT_0_3_4 = "habitat>=0.3.4"
+    """Recast 1.6: as many are enough."""
+
+    @classmethod
+    def named(cls, name: str) -> RecastProfile:
+        """The profile of this name.
+
+        Raises
+        ------
+        UsageError
+            There is none.
+        """
+        try:
+            return cls(name)
+        except ValueError:
+            known = " or ".join(repr(profile.value) for profile in cls)
+            raise UsageError(f"no Recast profile is called {name!r}", remedy=f"Use {known}") from None
+
+
+@dataclass(frozen=True, eq=False)
+class RecastConfig:
+    """Parameters of one build in cells (``rcConfig`` as ``PathFinder::build`` of habitat-sim fills it).
+
+    Attributes
+    ----------
+    bounds_min, bounds_max : (3,) float32, metres, of all vertices
+    cell_size, cell_height : float32, metres
+    width, depth : columns along x and z
+    walkable_height, walkable_climb, walkable_radius : cells
+    walkable_slope_cosine : float32, least upward component of a walkable face's normal
+    max_edge_length : cells
+    max_edge_error : float32, cells
+    min_region_area, merge_region_area : cells
+    verts_per_poly : 3 to 6
+    detail_sample_distance, detail_sample_max_error : float32, metres; a distance of 0 takes no samples
+    """
+
+    bounds_min: Array
+    bounds_max: Array
+    cell_size: np.float32
+    cell_height: np.float32
+    width: int
+    depth: int
+    walkable_height: int
+    walkable_climb: int
+    walkable_radius: int
+    walkable_slope_cosine: np.float32
+    max_edge_length: int
+    max_edge_error: np.float32
+    min_region_area: int
+    merge_region_area: int
+    verts_per_poly: int
+    detail_sample_distance: np.float32
+    detail_sample_max_error: np.float32
+
+    @classmethod
+    def of(cls, vertices: Array, settings: NavMeshSettings, memory_limit: int = MEMORY_LIMIT_BYTES) -> RecastConfig:
+        """Configuration for finite (n, 3) float32 ``vertices``, n > 0.
+
+        Raises
+        ------
+        UsageError
+            A setting is out of range.
+        FormatError
+            The mesh is too small, too large or too high for a tile of such cells, or its grid needs more than
+            ``memory_limit`` bytes.
+        """
+        _check_settings(settings)
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        cell, height = np.float32(settings.cell_size), np.float32(settings.cell_height)
+        with np.errstate(over="ignore"):
+            extent = (high - low)[[0, 2]] / cell + np.float32(0.5)
+            levels = (high[1] - low[1]) / height
+        _check_extent(extent, levels, settings, memory_limit)
+        sample = np.float32(settings.detail_sample_dist)
+        return cls(
+            bounds_min=low,
+            bounds_max=high,
+            cell_size=cell,
+            cell_height=height,
+            width=int(extent[0]),
+            depth=int(extent[1]),
+            walkable_height=math.ceil(np.float32(settings.agent_height) / height),
+            walkable_climb=math.floor(np.float32(settings.agent_max_climb) / height),
+            walkable_radius=math.ceil(np.float32(settings.agent_radius) / cell),
+            # The C library rounds cosf correctly at all angles in use; numpy's float32 cosine does not.
+            walkable_slope_cosine=np.float32(
+                math.cos(np.float32(settings.agent_max_slope) / np.float32(180.0) * np.float32(math.pi))
+            ),
+            max_edge_length=int(np.float32(settings.edge_max_len) / cell),
+            max_edge_error=np.float32(settings.edge_max_error),
+            min_region_area=int(np.float32(settings.region_min_size) * np.float32(settings.region_min_size)),
+            merge_region_area=int(np.float32(settings.region_merge_size) * np.float32(settings.region_merge_size)),
+            verts_per_poly=int(settings.verts_per_poly),
+            detail_sample_distance=np.float32(0) if sample < LEAST_SAMPLE_CELLS else cell * sample,
+            detail_sample_max_error=height * np.float32(settings.detail_sample_max_error),
+        )
+
+
+# Setting -> least and greatest value, whether the least itself is allowed.
+_RANGES: dict[str, tuple[float, float, bool]] = {
+    "cell_size": (0.0, math.inf, False),
+    "cell_height": (0.0, math.inf, False),
+    "agent_height": (0.0, math.inf, False),
+    "agent_radius": (0.0, math.inf, True),
+    "agent_max_climb": (0.0, math.inf, True),
+    "agent_max_slope": (0.0, 90.0, True),
+    "region_min_size": (0.0, MAX_GRID_CELLS, True),
+    "region_merge_size": (0.0, MAX_GRID_CELLS, True),
+    "edge_max_len": (0.0, math.inf, True),
+    "edge_max_error": (0.0, MAX_GRID_CELLS, True),
+    "verts_per_poly": (3.0, MAX_VERTS_PER_POLYGON, True),
+    "detail_sample_dist": (0.0, math.inf, True),
+    "detail_sample_max_error": (0.0, math.inf, True),
+}
+
+
+def _check_settings(settings: NavMeshSettings) -> None:
+    for name, (least, most, with_least) in _RANGES.items():
+        with np.errstate(over="ignore"):
+            value = np.float32(getattr(settings, name))
+        if not math.isfinite(value) or value < least or value > most or (value == least and not with_least):
+            bound = f"{'at least' if with_least else 'above'} {least:g}"
+            bound += f" and at most {most:g}" if math.isfinite(most) else " and finite"
+            raise UsageError(f"{name} is {value:g}", place="navmesh settings", remedy=f"It must be {bound}")
+    for name, unit, most in (
+        ("agent_height", "cell_height", MAX_AGENT_CELLS),
+        ("agent_max_climb", "cell_height", MAX_AGENT_CELLS),
+        ("agent_radius", "cell_size", MAX_RADIUS_CELLS),
+        ("edge_max_len", "cell_size", MAX_GRID_CELLS),
+    ):
+        cells = np.float32(getattr(settings, name)) / np.float32(getattr(settings, unit))
+        if not cells <= most:
+            raise UsageError(
+                f"{name} {getattr(settings, name):g} is {cells:.0f} cells of {unit} {getattr(settings, unit):g}",
+                place="navmesh settings",
+                remedy=f"Recast takes at most {most} cells; use a larger {unit}",
+            )
+
+
+def _check_extent(extent: Array, levels: np.float32, settings: NavMeshSettings, memory_limit: int) -> None:
+    columns = float(extent[0]) * float(extent[1])
+    needed = columns * BYTES_PER_COLUMN
+    if not needed <= memory_limit:
+        raise FormatError(
+            f"a grid of {float(extent[0]):.3g} x {float(extent[1]):.3g} cells of {settings.cell_size:g} m would need "
+            f"about {needed / 2**30:,.1f} GiB, and the limit is {memory_limit / 2**30:,.1f} GiB",
+            place="mesh bounds",
+            remedy="Check the unit of the mesh and remove far-off vertices, or use a larger cell_size",
+        )
+    if extent.max() > MAX_GRID_CELLS:
+        raise FormatError(
+            f"the mesh is {extent.max():.0f} cells long, and a tile holds {MAX_GRID_CELLS:,}",
+            place="mesh bounds",
+            remedy="Use a larger cell_size or cut the mesh into parts",
+        )
+    if extent.min() < 1:
+        raise FormatError(
+            f"the mesh is thinner than half a cell of {settings.cell_size:g} m",
+            place="mesh bounds",
+            remedy="Check the unit of the mesh (metres) and that it has a floor",
+        )
+    if not levels < MAX_SPAN_HEIGHT:
+        raise FormatError(
+            f"the mesh is {levels:.0f} cells of {settings.cell_height:g} m high, and a tile holds {MAX_SPAN_HEIGHT:,}",
+            place="mesh bounds",
+            remedy="Check the unit of the mesh and remove far-off vertices, or use a larger cell_height",
+        )

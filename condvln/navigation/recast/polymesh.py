@@ -1,0 +1,282 @@
+"""Stage 10: convex polygons of the contours, and who shares an edge with whom (``rcBuildPolyMesh`` of Recast).
+
+Recast also removes vertices on the borders of tiles; a build without borders has none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from condvln.navigation.compiled import compiled
+from condvln.navigation.recast.arrays import Array, ground
+from condvln.navigation.recast.contours import Contours
+from condvln.navigation.recast.planar import turn
+from condvln.navigation.recast.triangulate import triangulate
+from schemas.errors import FormatError
+
+__all__ = ["NO_INDEX", "PolyMesh", "build_polymesh"]
+
+# What stands for "no vertex" and "no neighbour".
+NO_INDEX = 0xFFFF
+# Recast numbers vertices, polygons and edges in sixteen bits.
+MAX_VERTICES = 0xFFFE
+MAX_EDGES = 0xFFFF
+# Corners of two contours above each other are one vertex if they differ by at most this many cells in height.
+SAME_HEIGHT = 2
+VERTEX_BUCKETS = 1 << 12
+LEAST_POINTS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class PolyMesh:
+    """Convex polygons over shared vertices.
+
+    Attributes
+    ----------
+    vertices : (v, 3) int32, x, y, z in cells
+    polygons : (p, 2k) int32, k vertices and then the polygon across each edge; NO_INDEX where there is none
+    region, area : (p,) int32
+    """
+
+    vertices: Array
+    polygons: Array
+    region: Array
+    area: Array
+
+    @property
+    def verts_per_poly(self) -> int:
+        """Most vertices of a polygon, k."""
+        return int(self.polygons.shape[1] // 2)
+
+    @property
+    def vert_counts(self) -> Array:
+        """(p,) int64 vertices of each polygon."""
+        counts: Array = (self.polygons[:, : self.verts_per_poly] != NO_INDEX).sum(axis=1)
+        return counts
+
+
+def build_polymesh(contours: Contours, verts_per_poly: int) -> PolyMesh:
+    """Triangulate contours and merge triangles to convex polygons of at most ``verts_per_poly`` corners.
+
+    Raises
+    ------
+    FormatError
+        More vertices or edges than a tile can number.
+    """
+    sizes = np.diff(contours.start)
+    total = int(sizes[sizes >= LEAST_POINTS].sum())
+    if total >= MAX_VERTICES:
+        raise _too_many(f"{total:,} contour vertices", MAX_VERTICES)
+    vertices, polygons, region, area = _polygons(
+        contours.points, contours.start, contours.region, contours.area, verts_per_poly
+    )
+    mesh = PolyMesh(vertices, polygons, region, area)
+    edges = int(mesh.vert_counts.sum())
+    if _join(polygons, len(vertices), edges) >= MAX_EDGES:
+        raise _too_many(f"{edges:,} polygon edges", MAX_EDGES)
+    return mesh
+
+
+def _too_many(what: str, most: int) -> FormatError:
+    return FormatError(
+        f"the walkable surface needs {what}, and a tile can number {most - 1:,}",
+        place="polygon mesh",
+        remedy="Use a larger cell_size or edge_max_error, or cut the mesh into parts",
+    )
+
+
+@compiled
+def _vertex(x: int, y: int, z: int, vertices: Array, first: Array, after: Array, count: int) -> int:
+    """Number of the newest vertex at (x, z) of about this height, or ``count`` for a new one, which is added."""
+    bucket = (x * 73856093 ^ z * 19349663) % VERTEX_BUCKETS
+    i = first[bucket]
+    while i >= 0:
+        if vertices[i, 0] == x and vertices[i, 2] == z and abs(vertices[i, 1] - y) <= SAME_HEIGHT:
+            return int(i)
+        i = after[i]
+    vertices[count, 0], vertices[count, 1], vertices[count, 2] = x, y, z
+    after[count] = first[bucket]
+    first[bucket] = count
+    return count
+
+
+@compiled
+def _polygons(
+    points: Array, start: Array, regions: Array, areas: Array, most: int
+) -> tuple[Array, Array, Array, Array]:
+    longest = 0
+    total = 0
+    for k in range(len(regions)):
+        n = start[k + 1] - start[k]
+        longest = max(longest, n)
+        if n >= LEAST_POINTS:
+            total += n
+    vertices = np.zeros((total, 3), np.int32)
+    first = np.full(VERTEX_BUCKETS, -1, np.int32)
+    after = np.empty(total, np.int32)
+    polygons = np.full((total, 2 * most), NO_INDEX, np.int32)
+    poly_region = np.zeros(total, np.int32)
+    poly_area = np.zeros(total, np.int32)
+    corner = np.empty(longest + 1, np.int32)
+    ear = np.empty(longest + 1, np.bool_)
+    triangles = np.empty((longest + 1, 3), np.int32)
+    number = np.empty(longest + 1, np.int32)
+    parts = np.empty((longest + 1, most), np.int32)
+    size = np.empty(longest + 1, np.int32)
+    n_vertices = 0
+    n_polygons = 0
+    for k in range(len(regions)):
+        contour = points[start[k] : start[k + 1]]
+        if len(contour) < LEAST_POINTS:
+            continue
+        n_triangles = triangulate(contour, corner, ear, triangles)
+        for i in range(len(contour)):
+            number[i] = _vertex(contour[i, 0], contour[i, 1], contour[i, 2], vertices, first, after, n_vertices)
+            n_vertices = max(n_vertices, number[i] + 1)
+        n = 0
+        for t in range(n_triangles):
+            a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+            if a != b and a != c and b != c:
+                parts[n, 0], parts[n, 1], parts[n, 2] = number[a], number[b], number[c]
+                size[n] = 3
+                n += 1
+        if most > 3:
+            n = _merge(parts, size, n, vertices, most)
+        for i in range(n):
+            for j in range(size[i]):
+                polygons[n_polygons, j] = parts[i, j]
+            poly_region[n_polygons] = regions[k]
+            poly_area[n_polygons] = areas[k]
+            n_polygons += 1
+    return vertices[:n_vertices].copy(), polygons[:n_polygons].copy(), poly_region[:n_polygons], poly_area[:n_polygons]
+
+
+@compiled
+def _shared_edge(p: Array, n: int, q: Array, m: int) -> tuple[int, int]:
+    """Edge of p and edge of q with the same two vertices, the last such edge of p; (-1, -1) if there is none."""
+    at = -1
+    other = -1
+    for i in range(n):
+        a, b = p[i], p[(i + 1) % n]
+        for j in range(m):
+            c, d = q[j], q[(j + 1) % m]
+            if (a == d and b == c) or (a == c and b == d):
+                at = i
+                other = j
+                break
+    return at, other
+
+
+@compiled
+def _merge_gain(p: Array, n: int, q: Array, m: int, vertices: Array, most: int) -> int:
+    """Squared length of the edge that a merger would take away; -1 if the result were too large or not convex."""
+    if n + m - 2 > most:
+        return -1
+    i, j = _shared_edge(p, n, q, m)
+    if i < 0:
+        return -1
+    if turn(ground(vertices, p[(i + n - 1) % n]), ground(vertices, p[i]), ground(vertices, q[(j + 2) % m])) >= 0:
+        return -1
+    if turn(ground(vertices, q[(j + m - 1) % m]), ground(vertices, q[j]), ground(vertices, p[(i + 2) % n])) >= 0:
+        return -1
+    a, b = ground(vertices, p[i]), ground(vertices, p[(i + 1) % n])
+    dx = a[0] - b[0]
+    dz = a[1] - b[1]
+    return int(dx * dx + dz * dz)
+
+
+@compiled
+def _best_partner(j: int, parts: Array, size: Array, n: int, vertices: Array, most: int) -> tuple[int, int]:
+    """Among the polygons after j the first one that gains most, and what it gains; (-1, 0) if none."""
+    best = -1
+    gain = 0
+    for k in range(j + 1, n):
+        g = _merge_gain(parts[j], size[j], parts[k], size[k], vertices, most)
+        if g > gain:
+            gain = g
+            best = k
+    return best, gain
+
+
+@compiled
+def _merge(parts: Array, size: Array, n: int, vertices: Array, most: int) -> int:
+    """Merge the pair that loses the longest edge, the first on ties, until none is left; returns how many polygons are.
+
+    The best partner of each polygon is remembered, so that a merge needs a look at a few rows and not at all pairs.
+    """
+    partner = np.full(n, -1, np.int64)
+    gain = np.zeros(n, np.int64)
+    joined = np.empty(most, np.int32)
+    for j in range(n):
+        partner[j], gain[j] = _best_partner(j, parts, size, n, vertices, most)
+    while True:
+        a = -1
+        for j in range(n):
+            if gain[j] > 0 and (a < 0 or gain[j] > gain[a]):
+                a = j
+        if a < 0:
+            return n
+        b = partner[a]
+        i, j = _shared_edge(parts[a], size[a], parts[b], size[b])
+        length = 0
+        for k in range(size[a] - 1):
+            joined[length] = parts[a, (i + 1 + k) % size[a]]
+            length += 1
+        for k in range(size[b] - 1):
+            joined[length] = parts[b, (j + 1 + k) % size[b]]
+            length += 1
+        parts[a, :length] = joined[:length]
+        size[a] = length
+        last = n - 1
+        parts[b] = parts[last]
+        size[b] = size[last]
+        n -= 1
+        for j in range(n):
+            if j in (a, b) or partner[j] == a or partner[j] == b or partner[j] == last:
+                partner[j], gain[j] = _best_partner(j, parts, size, n, vertices, most)
+                continue
+            for k in (a, b):
+                if j < k and k < n:
+                    g = _merge_gain(parts[j], size[j], parts[k], size[k], vertices, most)
+                    if g > 0 and (g > gain[j] or (g == gain[j] and k < partner[j])):
+                        partner[j] = k
+                        gain[j] = g
+
+
+@compiled
+def _join(polygons: Array, n_vertices: int, n_edges: int) -> int:
+    """Fill the second half of ``polygons`` with the neighbours; returns how many distinct edges there are."""
+    most = polygons.shape[1] // 2
+    first = np.full(n_vertices, -1, np.int32)
+    after = np.empty(n_edges, np.int32)
+    upper = np.empty(n_edges, np.int32)
+    owner = np.empty((n_edges, 2), np.int32)
+    taken = np.zeros(n_edges, np.bool_)
+    edges = 0
+    for rising in (True, False):
+        for i in range(len(polygons)):
+            for j in range(most):
+                v = polygons[i, j]
+                if v == NO_INDEX:
+                    break
+                w = polygons[i, j + 1] if j + 1 < most else NO_INDEX
+                if w == NO_INDEX:
+                    w = polygons[i, 0]
+                if rising and v < w:
+                    upper[edges] = w
+                    owner[edges, 0], owner[edges, 1] = i, j
+                    after[edges] = first[v]
+                    first[v] = edges
+                    edges += 1
+                elif not rising and v > w:
+                    # The newest edge between the two that no other polygon has taken.
+                    e = first[w]
+                    while e >= 0 and not (upper[e] == v and not taken[e]):
+                        e = after[e]
+                    if e >= 0 and owner[e, 0] != i:
+                        taken[e] = True
+                        polygons[i, most + j] = owner[e, 0]
+                        polygons[owner[e, 0], most + owner[e, 1]] = i
+    return edges
