@@ -24,7 +24,7 @@ from schemas.errors import UsageError
 
 __all__ = ["VERBS", "run_submit"]
 
-VERBS: Final = ("sources", "plan", "generate", "rebuild", "status", "export", "delta", "verify", "query", "show")
+VERBS: Final = ("sources", "plan", "generate", "rebuild", "status", "export", "verify", "query", "show")
 """Verbs that take a configuration."""
 
 SHIPPED: Final = "condvln.yaml"

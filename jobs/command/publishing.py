@@ -1,4 +1,4 @@
-"""Verbs that write what agents, loaders and other engines take: exports, twins, composed scenes, Delta tables."""
+"""Verbs that write what agents, loaders and other engines take: exports, twins, composed scenes."""
 
 from __future__ import annotations
 
@@ -16,13 +16,11 @@ from jobs.command.options import (
     Graphs,
     NavmeshRoots,
     Overrides,
-    RefName,
     SplitName,
-    TargetName,
 )
 from schemas.errors import UsageError
 
-__all__ = ["compose", "delta", "export", "oracle"]
+__all__ = ["compose", "export", "oracle"]
 
 
 def export(
@@ -123,19 +121,3 @@ def compose(
         )
     answer(report, as_json)
     leave(report.exit_code)
-
-
-def delta(
-    target: TargetName,
-    folder: Annotated[
-        str, typer.Argument(metavar="FOLDER|URI", help="where the tables' logs go: a folder, or s3://bucket/prefix")
-    ],
-    overrides: Overrides = None,
-    ref: RefName = None,
-    as_json: AsJson = False,
-) -> None:
-    """Published tables as Delta tables without a copy: logs that name the snapshot's files, a version each snapshot."""
-    from jobs.delta import export_delta
-    from jobs.target import find_target
-
-    answer(export_delta(find_target(target, overrides or (), ref), folder), as_json)

@@ -15,7 +15,6 @@ from typer.testing import CliRunner
 from factory.object_store import ObjectStore
 from factory.snapshot import Snapshot
 from jobs.command import app
-from jobs.delta import export_delta
 from jobs.named_queries import QUERIES, VIEWS
 from jobs.query import connect, list_queries, query_target
 from jobs.report import Report
@@ -189,9 +188,9 @@ def test_every_recipe_runs(
         return
     monkeypatch.chdir(tmp_path)
     namespace: dict[str, Any] = {"SNAPSHOT": target.folder(), "STORE": target.address, "ADDRESS": made_away.store}
-    if "DELTA" in text:
+    if "deltalake" in text:
         pytest.importorskip("deltalake")
-        namespace["DELTA"] = export_delta(target, str(tmp_path / "delta")).document["delta"]
+        namespace["LAKE"] = tmp_path / "lake"
     exec(compile(text, f"cookbook block {at}", "exec"), namespace)
     assert len(namespace["answer"]), "a recipe in Python leaves its rows in `answer`"
 
