@@ -1,8 +1,12 @@
-"""JSON Schema files of every document and a plain description of every table: ``python -m schemas.generate``."""
+"""JSON Schema files of every document, and a description of every table: ``python -m schemas.generate``.
+
+The tables are described twice: for programs in ``schemas/json/tables.json``, for people in ``docs/data.md``.
+"""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,14 +20,16 @@ from schemas.program import Program
 from schemas.relation import RelationRecord
 from schemas.scene import SceneRecord
 from schemas.snapshot import SnapshotManifest
-from schemas.tables import SORT_KEYS, TABLES
+from schemas.tables import ABOUT, SORT_KEYS, TABLES, description
 from schemas.unit import UnitCommit
 from schemas.version import SCHEMA_VERSION
 from schemas.vlnce import GroundTruth, VlnCeDocument
 
-__all__ = ["DOCUMENTS", "FOLDER", "generated_files", "write"]
+__all__ = ["DATA_PAGE", "DOCUMENTS", "FOLDER", "data_page", "generated_files", "write"]
 
 FOLDER: Final = Path(__file__).parent / "json"
+
+DATA_PAGE: Final = Path(__file__).parents[1] / "docs" / "data.md"
 
 DOCUMENTS: Final[dict[str, type[BaseModel]]] = {
     "config": Config,
@@ -55,11 +61,61 @@ def generated_files() -> dict[str, str]:
 
 
 def _table(name: str) -> dict[str, Any]:
-    return {"sorted_by": list(SORT_KEYS[name]), "columns": [_field(f) for f in TABLES[name]]}
+    return {
+        "description": ABOUT[name],
+        "sorted_by": list(SORT_KEYS[name]),
+        "columns": [_field(f) for f in TABLES[name]],
+    }
 
 
 def _field(field: pa.Field) -> dict[str, Any]:
-    return {"name": field.name, "type": str(field.type), "nullable": field.nullable}
+    document = {
+        "name": field.name,
+        "type": str(field.type),
+        "nullable": field.nullable,
+        "description": description(field),
+    }
+    inner = {name: about for name, about in _inner(field.type) if about}
+    return document | ({"fields": inner} if inner else {})
+
+
+def _inner(kind: pa.DataType, path: str = "") -> Iterator[tuple[str, str]]:
+    """(dotted path, description) of each field of a struct, or of a list of structs, and of those below."""
+    if pa.types.is_list(kind):
+        yield from _inner(kind.value_type, path)
+    elif pa.types.is_struct(kind):
+        for field in kind:
+            name = f"{path}.{field.name}" if path else field.name
+            yield name, description(field)
+            yield from _inner(field.type, name)
+
+
+def data_page() -> str:
+    """The whole text of ``docs/data.md``: every column of every table."""
+    parts = [
+        "# The tables",
+        "Made from the descriptions in `schemas/tables.py` by `python -m schemas.generate`. "
+        "`schemas/json/tables.json` has the same for programs.",
+        "A snapshot is a folder of Parquet files, `snapshots/<id>/<table>/source=<family>/part-*.parquet`; the family "
+        "is the name of the folder, not a column of the files. Coordinates are metres in Habitat's frame: +Y up, "
+        "−Z forward, east = +X, north = −Z. Positions are rounded to 1 mm. A struct of coordinates has the fields "
+        "`x`, `y`, `z`.",
+    ]
+    for name, schema in TABLES.items():
+        keys = ", ".join(f"`{key}`" for key in SORT_KEYS[name])
+        rows = [f"| `{f.name}` | {_type(f.type)} | {'yes' if f.nullable else ''} | {description(f)} |" for f in schema]
+        table = "\n".join(["| column | type | may be null | meaning |", "|---|---|---|---|", *rows])
+        parts.append(f"## {name}\n\n{ABOUT[name]} Sorted by {keys}.\n\n{table}")
+        inner = [f"| `{f.name}.{path}` | {about} |" for f in schema for path, about in _inner(f.type) if about]
+        if inner:
+            parts.append("\n".join(["| inside | meaning |", "|---|---|", *inner]))
+    return "\n\n".join(parts) + "\n"
+
+
+def _type(kind: pa.DataType) -> str:
+    if pa.types.is_list(kind):
+        return f"list of {_type(kind.value_type)}"
+    return "struct" if pa.types.is_struct(kind) else str(kind)
 
 
 def _text(document: dict[str, Any]) -> str:
@@ -75,6 +131,8 @@ def write(folder: Path = FOLDER) -> None:
             old.unlink()
     for name, text in files.items():
         (folder / name).write_text(text, encoding="utf-8")
+    if folder == FOLDER and DATA_PAGE.parent.is_dir():
+        DATA_PAGE.write_text(data_page(), encoding="utf-8")
 
 
 if __name__ == "__main__":

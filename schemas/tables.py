@@ -1,7 +1,8 @@
-"""Arrow schemas of the eight published tables.
+"""Arrow schemas of the eight published tables; every column carries its description.
 
 The family of a scene is the partition folder (``source=<family>``), not a column. Coordinates are metres in Habitat's
-frame, rounded to 1 mm. Every nested value is a typed struct, so that DuckDB, Polars and pyarrow read them unaided.
+frame (+Y up, −Z forward; east = +X, north = −Z), rounded to 1 mm. Every nested value is a typed struct, so that DuckDB,
+Polars and pyarrow read them unaided. ``docs/data.md`` is made from the descriptions.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from typing import Final
 import pyarrow as pa
 
 __all__ = [
+    "ABOUT",
     "EPISODES",
     "FUNNEL",
     "INSTRUCTIONS",
@@ -21,6 +23,7 @@ __all__ = [
     "SCENES",
     "SORT_KEYS",
     "TABLES",
+    "description",
 ]
 
 _F = pa.float64()
@@ -29,214 +32,312 @@ _I = pa.int32()
 _B = pa.bool_()
 
 
-def _required(name: str, kind: pa.DataType) -> pa.Field:
-    return pa.field(name, kind, nullable=False)
+def _field(name: str, kind: pa.DataType, about: str, *, nullable: bool = True) -> pa.Field:
+    return pa.field(name, kind, nullable=nullable, metadata={"description": about})
+
+
+def _required(name: str, kind: pa.DataType, about: str) -> pa.Field:
+    return _field(name, kind, about, nullable=False)
+
+
+def description(field: pa.Field) -> str:
+    """What a column or a field of a struct means; empty where nothing is written."""
+    about: bytes = (field.metadata or {}).get(b"description", b"")
+    return about.decode()
 
 
 # Fields inside a struct are nullable: where the struct itself is null, Arrow's children have nulls too.
 VEC3: Final = pa.struct([pa.field("x", _F), pa.field("y", _F), pa.field("z", _F)])
 QUATERNION: Final = pa.struct([pa.field(c, _F) for c in "xyzw"])
-MESH_PART: Final = pa.struct([pa.field("path", _S), pa.field("transform", pa.list_(_F))])
+MESH_PART: Final = pa.struct(
+    [
+        _field("path", _S, "mesh file, relative to the dataset's root"),
+        _field("transform", pa.list_(_F), "row-major 4×4 matrix from the file's frame to the scene's"),
+    ]
+)
+_WARNING: Final = pa.struct(
+    [
+        _field("code", _S, "kind of the warning, for counting"),
+        _field("where", _S, "file, room or object"),
+        _field("message", _S, "what was missing or odd, and what was done about it"),
+    ]
+)
+
+_SCENE_ID: Final = _required("scene_id", _S, "id of the scene within its source")
+_ROOM_ID: Final = _required("room_id", _S, "id of the room within its scene")
 
 SCENES: Final = pa.schema(
     [
-        _required("scene_id", _S),
-        _required("status", _S),  # ok | skipped
-        pa.field("reason", _S),
-        _required("n_rooms", _I),
-        _required("n_objects", _I),
-        _required("n_objects_without_extent", _I),
-        pa.field("navmesh_path", _S),
-        pa.field("navmesh_sha256", _S),
-        pa.field("navmesh_built", _B),
-        pa.field("navmesh_fits", _B),
-        pa.field("agent_radius", _F),
-        pa.field("agent_height", _F),
-        pa.field("agent_max_climb", _F),
-        pa.field("agent_max_slope", _F),
-        pa.field("bounds_min", VEC3),
-        pa.field("bounds_max", VEC3),
-        _required("stage", pa.list_(MESH_PART)),
-        _required("warnings", pa.list_(pa.struct([pa.field(n, _S) for n in ("code", "where", "message")]))),
+        _SCENE_ID,
+        _required("status", _S, "`ok`, or `skipped`: a well-formed scene that can yield nothing"),
+        _field("reason", _S, "why the scene was skipped; null where it was not"),
+        _required("n_rooms", _I, "number of rooms"),
+        _required("n_objects", _I, "number of objects"),
+        _required("n_objects_without_extent", _I, "objects of which only the centre is known"),
+        _field("navmesh_path", _S, "navmesh file, relative to the dataset's root, or the name of the built one"),
+        _field("navmesh_sha256", _S, "SHA-256 of the navmesh file; null where there is none"),
+        _field("navmesh_built", _B, "the navmesh was built here; false where the dataset ships it"),
+        _field("navmesh_fits", _B, "the navmesh's settings are those of the configured agent"),
+        _field("agent_radius", _F, "agent radius of the navmesh, metres"),
+        _field("agent_height", _F, "agent height of the navmesh, metres"),
+        _field("agent_max_climb", _F, "highest step that the agent of the navmesh climbs, metres"),
+        _field("agent_max_slope", _F, "steepest slope that the agent of the navmesh walks, degrees"),
+        _field("bounds_min", VEC3, "least corner of all rooms and objects, metres"),
+        _field("bounds_max", VEC3, "greatest corner of all rooms and objects, metres"),
+        _required("stage", pa.list_(MESH_PART), "meshes of the building itself: walls, floors, ceilings"),
+        _required("warnings", pa.list_(_WARNING), "what was missing or odd in the source's files"),
     ]
 )
 
 ROOMS: Final = pa.schema(
     [
-        _required("scene_id", _S),
-        _required("room_id", _S),
-        _required("raw_label", _S),
-        _required("label", _S),
-        _required("level", _I),
-        _required("floor_y", _F),
-        _required("ceiling_y", _F),
-        pa.field("polygon", pa.list_(pa.struct([pa.field("x", _F), pa.field("z", _F)]))),
-        _required("annotation", _S),  # dataset | user | scene
-        _required("complete", _B),
-        _required("n_objects", _I),
+        _SCENE_ID,
+        _ROOM_ID,
+        _required("raw_label", _S, "the source's own label"),
+        _required("label", _S, "canonical room type, the same over all sources"),
+        _required("level", _I, "storey, 0 = the lowest"),
+        _required("floor_y", _F, "height of the floor, metres"),
+        _required("ceiling_y", _F, "height of the ceiling, metres"),
+        _field(
+            "polygon",
+            pa.list_(pa.struct([pa.field("x", _F), pa.field("z", _F)])),
+            "corners of the outline, implicitly closed, metres; null where only a box or nothing is known",
+        ),
+        _required("annotation", _S, "who drew the room: `dataset`, `user`, or `scene` (the whole scene is one room)"),
+        _required("complete", _B, "annotated completely enough for claims of absence"),
+        _required("n_objects", _I, "number of objects in the room"),
     ]
 )
 
 OBJECTS: Final = pa.schema(
     [
-        _required("scene_id", _S),
-        _required("object_id", _S),
-        _required("room_id", _S),
-        _required("raw_label", _S),
-        _required("label", _S),
-        _required("center", VEC3),
-        pa.field("aabb_min", VEC3),
-        pa.field("aabb_max", VEC3),
-        pa.field(
+        _SCENE_ID,
+        _required("object_id", _S, "id of the object within its scene"),
+        _required("room_id", _S, "room that holds the object"),
+        _required("raw_label", _S, "the source's own label"),
+        _required("label", _S, "canonical label, the same over all sources"),
+        _required("center", VEC3, "centre of the object, metres"),
+        _field("aabb_min", VEC3, "least corner of the axis-aligned box, metres; null where the extent is unknown"),
+        _field("aabb_max", VEC3, "greatest corner of the axis-aligned box, metres; null where the extent is unknown"),
+        _field(
             "obb",
-            pa.struct([pa.field("center", VEC3), pa.field("half_extents", VEC3), pa.field("rotation", QUATERNION)]),
+            pa.struct(
+                [
+                    _field("center", VEC3, "centre, metres"),
+                    _field("half_extents", VEC3, "half the lengths along the box's own axes, metres"),
+                    _field("rotation", QUATERNION, "quaternion [x, y, z, w] from the box's axes to the scene's"),
+                ]
+            ),
+            "oriented box, where the source gives one or a mesh",
         ),
-        pa.field("size", VEC3),
-        pa.field("radius", _F),
-        _required("geometry", _S),  # mesh | obb | aabb | size | radius | none
-        _required("mesh", pa.list_(MESH_PART)),
-        _required("static", _B),
+        _field("size", VEC3, "edge lengths of the axis-aligned box, metres"),
+        _field("radius", _F, "radius of the bounding sphere, metres"),
+        _required(
+            "geometry", _S, "best geometry known: `mesh`, `obb`, `aabb`, `size`, `radius`, or `none` (a centre only)"
+        ),
+        _required("mesh", pa.list_(MESH_PART), "mesh files of the object; empty where there are none"),
+        _required("static", _B, "the object can't be moved"),
     ]
 )
 
 RELATIONS: Final = pa.schema(
     [
-        _required("scene_id", _S),
-        _required("room_id", _S),
-        _required("subject", _S),
-        _required("predicate", _S),
-        _required("target", _S),
-        _required("kind", _S),  # containment | canonical | semantic
-        pa.field("delta", VEC3),
-        pa.field("centre_distance", _F),
-        pa.field("horizontal_distance", _F),
-        pa.field("aabb_distance", _F),
-        pa.field("sphere_distance", _F),
-        pa.field("surface_distance", _F),
-        pa.field("used_distance", _F),
-        pa.field("used_metric", _S),
-        pa.field("azimuth", _F),
-        pa.field("elevation", _F),
-        pa.field("footprint_overlap", _F),
-        _required("degenerate", _B),
-        _required("true_in_text", _B),
-        pa.field("margin", _F),
+        _SCENE_ID,
+        _ROOM_ID,
+        _required("subject", _S, "object id; for `contains` the room's id"),
+        _required("predicate", _S, "`subject predicate target` reads as English: `lamp north of bed`"),
+        _required("target", _S, "object id"),
+        _required("kind", _S, "`containment`, `canonical` (one direction for each ordered pair) or `semantic`"),
+        _field("delta", VEC3, "centre of the target minus centre of the subject, metres"),
+        _field("centre_distance", _F, "distance of the centres, metres"),
+        _field("horizontal_distance", _F, "distance of the centres on the ground plane, metres"),
+        _field("aabb_distance", _F, "distance of the axis-aligned boxes, metres; null where one is unknown"),
+        _field("sphere_distance", _F, "distance of the bounding spheres, metres; null where one is unknown"),
+        _field(
+            "surface_distance",
+            _F,
+            "distance of the surfaces (FCL on meshes or oriented boxes), metres; null beyond "
+            "`thresholds.surface_within` and where an extent is unknown",
+        ),
+        _field("used_distance", _F, "the distance that near and far are decided by, metres"),
+        _field("used_metric", _S, "which distance `used_distance` is: `aabb`, `sphere` or `centre`"),
+        _field("azimuth", _F, "direction from target to subject on the ground, degrees: 0 = east, 90 = north"),
+        _field("elevation", _F, "elevation of the subject as seen from the target, degrees"),
+        _field("footprint_overlap", _F, "share of the smaller footprint that lies over the other, 0 to 1"),
+        _required("degenerate", _B, "the centres lie so close on the ground that the direction means little"),
+        _required("true_in_text", _B, "holds with the margin that text asks for"),
+        _field(
+            "margin",
+            _F,
+            "distance from the emitted threshold in widths of the dead zone; 1 or more is usable in text",
+        ),
     ]
 )
 
 _ROOM_REF: Final = pa.struct(
-    [pa.field("room_id", _S), pa.field("label", _S), pa.field("anchor_id", _S), pa.field("anchor_label", _S)]
+    [
+        _field("room_id", _S, "room"),
+        _field("label", _S, "canonical room type"),
+        _field("anchor_id", _S, "object that tells the room from others of its type (`the bedroom with the piano`)"),
+        _field("anchor_label", _S, "canonical label of that object"),
+    ]
 )
-_QUALIFIER: Final = pa.struct([pa.field("predicate", _S), pa.field("anchor_id", _S), pa.field("anchor_label", _S)])
+_QUALIFIER: Final = pa.struct(
+    [
+        _field("predicate", _S, "relation to the anchor"),
+        _field("anchor_id", _S, "anchor object, unique in its room by its label"),
+        _field("anchor_label", _S, "canonical label of the anchor"),
+    ]
+)
 _OBJECT_REF: Final = pa.struct(
     [
-        pa.field("object_id", _S),
-        pa.field("label", _S),
-        pa.field("room", _ROOM_REF),
-        pa.field("qualifier", _QUALIFIER),
+        _field("object_id", _S, "object"),
+        _field("label", _S, "canonical label"),
+        _field("room", _ROOM_REF, "room as text names it"),
+        _field("qualifier", _QUALIFIER, "relation that makes the object unique; null where its label is unique"),
     ]
 )
 _CONDITION: Final = pa.struct(
     [
-        pa.field("label", _S),
-        pa.field("room", _ROOM_REF),
-        pa.field("qualifier", _QUALIFIER),
-        pa.field("truth", _B),
-        pa.field("witnesses", pa.list_(_S)),
+        _field("label", _S, "canonical label that is asked for"),
+        _field("room", _ROOM_REF, "room in which it is asked for"),
+        _field("qualifier", _QUALIFIER, "relation that is asked for; null for presence alone"),
+        _field("truth", _B, "the condition holds"),
+        _field("witnesses", pa.list_(_S), "object ids that make it true; empty where it is false"),
     ]
 )
-_BRANCH: Final = pa.struct([pa.field("condition", _I), pa.field("then", _I), pa.field("otherwise", _I)])
+_BRANCH: Final = pa.struct(
+    [
+        _field("condition", _I, "index into `conditions`, from 0"),
+        _field("then", _I, "where a true condition leads: branch index, or leaf −1 − t where t is negative"),
+        _field("otherwise", _I, "where a false condition leads, likewise"),
+    ]
+)
+
+_INSTRUCTION_ID: Final = _required("instruction_id", _S, "content hash of scene and program")
+_CATEGORY: Final = "`simple`, `nested`, `deep_nested`, `chain`, `long_chain` or `nested_chain`: the tree's shape"
+_COMPOSITION: Final = (
+    "`C0`: everything in one room; `C2`: some branch whose condition, then-leaf and else-leaf lie in three different "
+    "rooms; `C1`: anything else"
+)
+_GROUP: Final = "counterfactual group: the same start, with a condition's truth and two leaves exchanged; null outside"
+_GOLD: Final = "index of the leaf that the conditions' truths lead to, from 0"
 
 INSTRUCTIONS: Final = pa.schema(
     [
-        _required("scene_id", _S),
-        _required("instruction_id", _S),
-        pa.field("group_id", _S),
-        _required("category", _S),
-        _required("depth", _I),
-        _required("chain", _I),
-        _required("composition", _S),
-        _required("n_conditions", _I),
-        _required("n_relational", _I),
-        _required("n_leaves", _I),
-        _required("gold_leaf", _I),
-        _required("moves", _I),
-        _required("conditions", pa.list_(_CONDITION)),
-        _required("branches", pa.list_(_BRANCH)),
-        _required("leaves", pa.list_(pa.struct([pa.field("moves", pa.list_(_OBJECT_REF))]))),
-        pa.field("text", _S),
-        pa.field("words", _I),
+        _SCENE_ID,
+        _INSTRUCTION_ID,
+        _field("group_id", _S, _GROUP),
+        _required("category", _S, _CATEGORY),
+        _required("depth", _I, "deepest nesting of then-branches"),
+        _required("chain", _I, "number of tests in the top chain"),
+        _required("composition", _S, _COMPOSITION),
+        _required("n_conditions", _I, "number of conditions"),
+        _required("n_relational", _I, "conditions that ask for a relation"),
+        _required("n_leaves", _I, "number of leaves"),
+        _required("gold_leaf", _I, _GOLD),
+        _required("moves", _I, "stops of the gold leaf, its goal included"),
+        _required("conditions", pa.list_(_CONDITION), "conditions in the order in which the text asks them"),
+        _required("branches", pa.list_(_BRANCH), "the decision tree; the first branch is its root"),
+        _required(
+            "leaves",
+            pa.list_(pa.struct([_field("moves", pa.list_(_OBJECT_REF), "stops in order; the last is the goal")])),
+            "leaves in reading order",
+        ),
+        _field("text", _S, "the instruction's text; null where the program was not placed"),
+        _field("words", _I, "words of the text"),
     ]
 )
 
 _EPISODE_LEAF: Final = pa.struct(
     [
-        pa.field("leaf", _I),
-        pa.field("object_id", _S),
-        pa.field("goals", pa.list_(VEC3)),
-        pa.field("subgoals", pa.list_(pa.struct([pa.field("object_id", _S), pa.field("position", VEC3)]))),
-        pa.field("reference_path", pa.list_(VEC3)),
-        pa.field("geodesic_distance", _F),
-        pa.field("route_length", _F),
+        _field("leaf", _I, "index of the leaf, from 0"),
+        _field("object_id", _S, "the leaf's goal object"),
+        _field("goals", pa.list_(VEC3), "navigable points at the goal object; the first is the best, metres"),
+        _field(
+            "subgoals",
+            pa.list_(
+                pa.struct([_field("object_id", _S, "object"), _field("position", VEC3, "point on the navmesh, metres")])
+            ),
+            "stops before the goal, in order",
+        ),
+        _field("reference_path", pa.list_(VEC3), "corners of the shortest path from the start by all stops, metres"),
+        _field("geodesic_distance", _F, "start to the nearest goal point, as Habitat computes it, metres"),
+        _field("route_length", _F, "length of the reference path, metres"),
     ]
 )
 
-_EVIDENCE: Final = pa.struct([pa.field("condition", _I), pa.field("observability", _S), pa.field("in_view", _B)])
+_EVIDENCE: Final = pa.struct(
+    [
+        _field("condition", _I, "index of the condition, from 0"),
+        _field("observability", _S, "`O0`, `O1` or `O2`, as in the column of that name"),
+        _field("in_view", _B, "visible from the start without turning, in a view 90° wide"),
+    ]
+)
 
 EPISODES: Final = pa.schema(
     [
-        _required("scene_id", _S),
-        _required("episode_id", _S),
-        _required("instruction_id", _S),
-        pa.field("group_id", _S),
-        _required("category", _S),
-        _required("composition", _S),
-        pa.field("observability", _S),  # O0 | O1 | O2
-        pa.field("evidence_in_view", _B),
-        pa.field("observability_approximate", _B),
-        pa.field("evidence", pa.list_(_EVIDENCE)),
-        _required("gold_leaf", _I),
-        _required("n_leaves", _I),
-        _required("gold_label", _S),
-        _required("moves", _I),
-        _required("start_position", VEC3),
-        _required("start_rotation", QUATERNION),
-        _required("start_heading_degrees", _F),
-        _required("geodesic_distance", _F),
-        _required("route_length", _F),
-        _required("leaves", pa.list_(_EPISODE_LEAF)),
-        _required("success_distance", _F),
-        _required("ground_truth_steps", _I),
-        pa.field("actions", pa.list_(pa.int8())),
-        pa.field("locations", pa.list_(VEC3)),
-        _required("words", _I),
-        _required("max_steps", _I),
-        _required("instruction_text", _S),
-        _required("navmesh_sha256", _S),
+        _SCENE_ID,
+        _required("episode_id", _S, "content hash of scene, instruction and start pose"),
+        _INSTRUCTION_ID,
+        _field("group_id", _S, _GROUP),
+        _required("category", _S, _CATEGORY),
+        _required("composition", _S, _COMPOSITION),
+        _field(
+            "observability",
+            _S,
+            "where the evidence of the conditions asked on the gold route is visible, the worst over them: `O0` from "
+            "the start, `O1` on the part of the way that all leaves share, `O2` after a detour only",
+        ),
+        _field("evidence_in_view", _B, "all evidence is in the first view, 90° wide"),
+        _field("observability_approximate", _B, "visibility was decided among boxes, since surfaces are missing"),
+        _field("evidence", pa.list_(_EVIDENCE), "visibility of each condition that the gold route asks"),
+        _required("gold_leaf", _I, _GOLD),
+        _required("n_leaves", _I, "number of leaves"),
+        _required("gold_label", _S, "canonical label of the gold leaf's goal"),
+        _required("moves", _I, "stops of the gold leaf, its goal included"),
+        _required("start_position", VEC3, "start on the navmesh, metres"),
+        _required("start_rotation", QUATERNION, "start rotation, quaternion [x, y, z, w]; identity faces north"),
+        _required("start_heading_degrees", _F, "compass heading at the start, clockwise from north, degrees"),
+        _required("geodesic_distance", _F, "start to the nearest goal point of the gold leaf, metres"),
+        _required("route_length", _F, "start by the gold leaf's stops to its goal, metres"),
+        _required("leaves", pa.list_(_EPISODE_LEAF), "every leaf, placed and checked as if it were gold"),
+        _required("success_distance", _F, "distance from a goal point within which STOP succeeds, metres"),
+        _required("ground_truth_steps", _I, "actions of the longest leaf's walk, STOP included"),
+        _field(
+            "actions", pa.list_(pa.int8()), "walk to the gold leaf: 0 STOP, 1 forward 0.25 m, 2 left 15°, 3 right 15°"
+        ),
+        _field("locations", pa.list_(VEC3), "the start and the position after each forward step, metres"),
+        _required("words", _I, "words of the text"),
+        _required("max_steps", _I, "step budget"),
+        _required("instruction_text", _S, "the instruction as published"),
+        _required("navmesh_sha256", _S, "SHA-256 of the navmesh on which the episode was placed"),
     ]
 )
 
+_CELL: Final = "cell of the axes that the configuration asks for: a category, and what else it fixes"
+
 REJECTIONS: Final = pa.schema(
     [
-        _required("scene_id", _S),
-        _required("stage", _S),
-        pa.field("category", _S),
-        _required("cell", _S),  # the category, and what else the configuration fixes
-        _required("reason", _S),
-        _required("count", pa.int64()),
-        pa.field("example", _S),
+        _SCENE_ID,
+        _required("stage", _S, "stage that turned candidates down"),
+        _field("category", _S, _CATEGORY),
+        _required("cell", _S, _CELL),
+        _required("reason", _S, "rule that the candidates failed"),
+        _required("count", pa.int64(), "candidates turned down"),
+        _field("example", _S, "one of them"),
     ]
 )
 
 FUNNEL: Final = pa.schema(
     [
-        _required("scene_id", _S),
-        pa.field("category", _S),  # null for counterfactual groups, whose categories take turns
-        _required("cell", _S),
-        _required("wanted", _I),
-        _required("candidates", _I),
-        _required("rejected", _I),  # in placing; candidates = rejected + placed
-        _required("placed", _I),
+        _SCENE_ID,
+        _field("category", _S, "the cell's category; null for counterfactual groups, whose categories alternate"),
+        _required("cell", _S, _CELL),
+        _required("wanted", _I, "episodes wanted"),
+        _required("candidates", _I, "candidates drawn = rejected + placed"),
+        _required("rejected", _I, "candidates that no placement was found for"),
+        _required("placed", _I, "episodes placed"),
     ]
 )
 
@@ -250,6 +351,18 @@ TABLES: Final[dict[str, pa.Schema]] = {
     "rejections": REJECTIONS,
     "funnel": FUNNEL,
 }
+
+ABOUT: Final[dict[str, str]] = {
+    "scenes": "One row for each scene, with its navmesh and what was odd in its files.",
+    "rooms": "One row for each room.",
+    "objects": "One row for each object, with the best geometry that its source gives.",
+    "relations": "One row for each edge of the relation graphs, with every metric it was decided by.",
+    "instructions": "One row for each program that was sampled: its tree, truths and, where placed, its text.",
+    "episodes": "One row for each placed instruction: start, goals and paths of every leaf, budget and text.",
+    "rejections": "Counts of candidates that failed a rule, by scene, stage, cell and reason.",
+    "funnel": "Episodes wanted, drawn and placed, by scene and cell.",
+}
+"""What a row of each table is."""
 
 SORT_KEYS: Final[dict[str, tuple[str, ...]]] = {
     "scenes": ("scene_id",),

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 
+import pyarrow as pa
 import pytest
 from jsonschema import Draft202012Validator
 
-from schemas.generate import DOCUMENTS, FOLDER, generated_files
-from schemas.tables import SORT_KEYS, TABLES
+from schemas.generate import DATA_PAGE, DOCUMENTS, FOLDER, data_page, generated_files
+from schemas.tables import ABOUT, QUATERNION, SORT_KEYS, TABLES, VEC3, description
 
 
 def test_files_are_up_to_date() -> None:
@@ -26,3 +27,27 @@ def test_every_schema_is_a_valid_schema_and_closed(name: str) -> None:
 def test_sort_keys_are_columns() -> None:
     for name, schema in TABLES.items():
         assert set(SORT_KEYS[name]) <= set(schema.names)
+
+
+def test_the_data_page_is_up_to_date() -> None:
+    assert DATA_PAGE.read_text(encoding="utf-8") == data_page(), "run: python -m schemas.generate"
+
+
+def _undescribed(fields: object, path: str) -> list[str]:
+    """Columns and fields below them that nobody described; coordinates speak for themselves."""
+    found = []
+    for field in fields:  # type: ignore[attr-defined]
+        name, kind = f"{path}.{field.name}", field.type
+        if not description(field):
+            found.append(name)
+        while pa.types.is_list(kind):
+            kind = kind.value_type
+        if pa.types.is_struct(kind) and kind not in (VEC3, QUATERNION) and {f.name for f in kind} != {"x", "z"}:
+            found += _undescribed(kind, name)
+    return found
+
+
+@pytest.mark.parametrize("name", sorted(TABLES))
+def test_every_column_is_described(name: str) -> None:
+    assert name in ABOUT
+    assert _undescribed(TABLES[name], name) == []
