@@ -181,7 +181,7 @@ class ProgramStage(Stage):
     agent: Agent
     seed: int
     name: str = "programs"
-    version: int = 4
+    version: int = 5
     tables: tuple[str, ...] = ("stops", "candidates", "rejections")
     reads_inputs: bool = True
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "relations")
@@ -247,7 +247,7 @@ class EpisodeStage(Stage):
     agent: Agent
     seed: int
     name: str = "episodes"
-    version: int = 5
+    version: int = 6
     tables: tuple[str, ...] = ("placements", "unplaced", "rejections", "funnel")
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "stops", "candidates")
     reads_inputs: bool = True

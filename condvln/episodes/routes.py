@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,9 @@ from condvln.scene import round_mm
 __all__ = ["GoalField", "Route", "clearance"]
 
 F64 = NDArray[np.float64]
+
+SNAP_AT_MOST: Final = 0.08
+"""Metres that snapping may move a goal point: ``goals.SNAP_TOLERANCE`` sideways and the same in height."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -73,18 +77,19 @@ class GoalField:
     def gaps(self, enough: float) -> F64:
         """Least geodesic (n, n) between goal points of every two objects, in the order of ``goals``.
 
-        Points farther apart than `enough` in a straight line are not asked and count as `enough`: a geodesic is never
-        shorter than that line. The diagonal is 0.
+        Both directions count: Detour's path from a to b may be longer than its path from b to a, by up to 2 m on real
+        navmeshes. Gaps of `enough` or more count as `enough`. The diagonal is 0.
         """
         n = len(self.goals)
+        # Farther points are not asked: a geodesic is no shorter than the straight line between the snapped points.
+        within = enough + 2 * SNAP_AT_MOST
         near = (
-            cKDTree(self._points).query_pairs(enough, output_type="ndarray") if n else np.empty((0, 2), dtype=np.intp)
+            cKDTree(self._points).query_pairs(within, output_type="ndarray") if n else np.empty((0, 2), dtype=np.intp)
         )
-        # Sorted, since the tree promises no order and float32 paths differ by direction in their last bit.
-        near = near[np.lexsort(near.T[::-1])]
         near = near[self._owner[near[:, 0]] != self._owner[near[:, 1]]]
         gaps = np.full((n, n), enough)
         if len(near):
+            near = np.concatenate([near, near[:, ::-1]])
             asked = self.pathfinder.geodesic_distances(self._points[near[:, 0]], self._points[near[:, 1]])
             walk = np.where(np.isfinite(asked), asked, np.inf).astype(np.float64)
             np.minimum.at(gaps, (self._owner[near[:, 0]], self._owner[near[:, 1]]), walk)

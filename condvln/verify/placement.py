@@ -124,7 +124,7 @@ class _Lines:
         return found
 
     def near_goals(self, within: float) -> list[list[int]]:
-        """Pairs of goals so close that they may tell the gap of two leaves: a way is no shorter than the line."""
+        """Pairs of goals closer than `within` metres in a straight line: only these decide the gap of two leaves."""
         found: list[list[int]] = near_goals(self.goals, self.goal_ends, self.row_ends, within).tolist()
         return found
 
@@ -147,7 +147,7 @@ class _Checker:
     def note(self, rows: Sequence[ManifestEpisode], lines: _Lines) -> list[_Placed]:
         """Note every question about all rows."""
         away = lines.clearances()
-        near = iter(lines.near_goals(self.separation))
+        near = iter(lines.near_goals(self.separation + 2 * math.sqrt(2) * ON_FLOOR))
         pair = next(near, None)
         placed = []
         first, first_goal = 0, 0
@@ -159,8 +159,10 @@ class _Checker:
             gaps: dict[tuple[int, int], list[int]] = {}
             while pair is not None and pair[0] < last:
                 one, other, goal, other_goal = pair
-                asked = self.walks.pair(names[goal - first_goal], names[other_goal - first_goal])
-                gaps.setdefault((one - first, other - first), []).append(asked)
+                ends = names[goal - first_goal], names[other_goal - first_goal]
+                # Detour's path back may be shorter than its path there.
+                asked = (self.walks.pair(*ends), self.walks.pair(*reversed(ends)))
+                gaps.setdefault((one - first, other - first), []).extend(asked)
                 pair = next(near, None)
             placed.append(_Placed(start, leaves, gaps, [line[: len(leaves)] for line in away[first:last]]))
             first, first_goal = last, first_goal + len(names)

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from shapely import LineString, Point
 
 from condvln.episodes.placing import heading_degrees, yaw_quaternion
-from condvln.episodes.routes import clearance
+from condvln.episodes.routes import GoalField, clearance
+from tests.condvln.episodes.floors import grid_floor
 
 flat_points = st.lists(st.tuples(st.floats(-9, 9), st.floats(-9, 9)), min_size=2, max_size=6).map(
     lambda pairs: np.array([[round(x, 3), 0.0, round(z, 3)] for x, z in pairs])
@@ -45,3 +46,20 @@ def test_quaternion_turns_the_forward_axis_to_the_heading(yaw: float) -> None:
     heading = math.radians(heading_degrees(yaw))
     np.testing.assert_allclose(forward, [math.sin(heading), 0, -math.cos(heading)], atol=1e-6)
     assert x == z == 0.0
+
+
+def test_a_gap_is_the_least_way_in_either_direction() -> None:
+    rng = np.random.default_rng(4)
+    solid = rng.random((24, 24)) < 0.3
+    floor = grid_floor(6, 6, lambda x, z: bool(solid[int(x / 0.25), int(z / 0.25)]))
+    points = floor.get_random_navigable_points(300, np.random.default_rng(1)).astype(np.float64).round(3)
+    goals = {f"object {k}": points[2 * k : 2 * k + 2] for k in range(150)}
+    table = floor.distance_table(points, points).astype(np.float64)
+    table[~np.isfinite(table)] = np.inf
+    one_way = table.reshape(150, 2, 150, 2).min(axis=(1, 3))
+    assert ((one_way >= 2.5) & (one_way.T < 2.49)).any(), "on this floor the direction decides"
+    expected = np.minimum(np.minimum(one_way, one_way.T), 2.5)
+    np.fill_diagonal(expected, 0.0)
+    np.testing.assert_array_equal(GoalField(floor, goals).gaps(2.5), expected)
+    backwards = GoalField(floor, dict(reversed(goals.items()))).gaps(2.5)
+    np.testing.assert_array_equal(backwards[::-1, ::-1], expected)

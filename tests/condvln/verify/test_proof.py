@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import shutil
 from functools import partial
+from itertools import permutations
 from pathlib import Path
 
 import numpy as np
@@ -84,6 +85,34 @@ def test_obstacles_and_grounds_are_those_of_the_generator(made_export) -> None:
             if box is not None:
                 np.testing.assert_allclose(Ground(item).distances(points), box.distance(points), atol=1e-9)
                 assert Ground(item).half_round == pytest.approx(box.half_perimeter)
+
+
+@pytest.mark.parametrize("forwards", [True, False])
+def test_leaves_are_apart_in_both_directions(made_export, monkeypatch: pytest.MonkeyPatch, forwards: bool) -> None:
+    """Paths that are a fifth as long in one direction bring leaves together, whichever leaf comes first."""
+    plain = Pathfinder.geodesic_distances
+
+    def shorter(self: Pathfinder, starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
+        metres = plain(self, starts, ends)
+        return np.where((starts[:, 0] < ends[:, 0]) == forwards, metres / 5, metres)
+
+    monkeypatch.setattr(Pathfinder, "geodesic_distances", shorter)
+    close = 0
+    for run in made_export.runs:
+        scene = made_export.scenes[run.scene_id]
+        pathfinder = Pathfinder.load(scene.root / scene.navmesh.path)
+        for row, certificate in zip(run.rows, prove(made_export, run, scene), strict=True):
+            separation = 2 * row.manifest.success_distance + 0.5
+            lines = [np.inf]
+            for one, other in permutations(row.manifest.leaves, 2):
+                pairs = np.array([(a, b) for a in one.goals for b in other.goals])
+                near = shorter(pathfinder, pairs[:, 0], pairs[:, 1]) < separation
+                lines.extend(np.linalg.norm(pairs[near, 0] - pairs[near, 1], axis=1))
+            # Goals that are farther apart in a straight line can't be nearer along a path: they are not looked at.
+            refuted = "leaves_apart" in {disagreement.fact for disagreement in certificate.disagreements}
+            assert (min(lines) < separation) <= refuted <= (min(lines) < separation + 0.15)
+            close += refuted
+    assert close
 
 
 def test_a_navmesh_outside_of_the_export_is_refused(made_export) -> None:
