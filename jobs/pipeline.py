@@ -49,7 +49,7 @@ def build_pipeline(config: Config) -> Pipeline:
     return Pipeline(
         name="condvln",
         stages=(
-            SceneStage(agent),
+            SceneStage(agent, config.limits),
             RelationStage(thresholds),
             ProgramStage(sampling, thresholds, rules, agent, config.seed),
             EpisodeStage(

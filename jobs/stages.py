@@ -49,6 +49,7 @@ from condvln.navigation.navmesh_file import parse_navmesh
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.relations import RelationThresholds, RoomRelations, relate_scene, relation_table, text_facts
 from condvln.scene import Scene
+from condvln.scene.limits import check_limits
 from condvln.scene.meshes import MeshLibrary
 from condvln.scene.tables import scene_from_tables, scene_tables
 from condvln.sources.navmesh_build import with_built_navmesh
@@ -57,6 +58,7 @@ from condvln.sources.source import Source
 from factory.stage import Aggregate, Stage, StageOutput
 from factory.unit import Unit
 from schemas.canonical import JSON
+from schemas.config import LimitsConfig
 
 __all__ = ["EpisodeStage", "PriorsAggregate", "ProgramStage", "RelationStage", "SceneStage", "TextStage"]
 
@@ -108,17 +110,19 @@ class SceneStage(Stage):
     """
 
     agent: Agent
+    limits: LimitsConfig
     name: str = "scene"
     version: int = 3
     tables: tuple[str, ...] = ("scenes", "rooms", "objects", "navmeshes")
     reads_inputs: bool = True
 
     def parameters(self, unit: Unit) -> JSON:
-        return {"agent": asdict(self.agent)}
+        return {"agent": asdict(self.agent), "limits": self.limits.model_dump()}
 
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
         source = _source_of(unit, self.agent)
         scene = source.read(str(unit.payload["scene_id"]))
+        check_limits(scene, self.limits)
         built: bytes | None = None
         reason = ""
         skipped = len(scene.objects) < 2

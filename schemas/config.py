@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
 from schemas.base import Document, Finite
 from schemas.episode import Composition
@@ -23,6 +23,7 @@ __all__ = [
     "InstructionCell",
     "InstructionsConfig",
     "KeepConfig",
+    "LimitsConfig",
     "RayConfig",
     "SourceConfig",
     "SplitsConfig",
@@ -251,6 +252,25 @@ class SplitsConfig(Section):
         return self
 
 
+class LimitsConfig(Section):
+    """The largest scene that is worked on. A larger one is quarantined, alone, before the memory for it is taken.
+
+    Relations grow with the square of the objects in a room: about 2.6 rows and 600 bytes an ordered pair.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    objects_per_room: int = Field(1000, ge=2, description="most objects in one room")
+    pairs_per_scene: int = Field(
+        1_000_000,
+        ge=4,
+        description="most ordered pairs of objects that share a room: the sum of squares over the rooms",
+    )
+    objects_per_scene: int = Field(20_000, ge=2, description="most objects in a scene")
+    rooms_per_scene: int = Field(2000, ge=1, description="most rooms in a scene")
+    corners_per_room: int = Field(20_000, ge=3, description="most corners of a room's outline")
+
+
 class RayConfig(Section):
     """How a run is spread out."""
 
@@ -285,6 +305,7 @@ class Config(Section):
     instructions: InstructionsConfig = Field(default_factory=InstructionsConfig)
     episodes: EpisodeConfig = Field(default_factory=EpisodeConfig)
     splits: SplitsConfig = Field(default_factory=SplitsConfig)
+    limits: LimitsConfig = Field(default_factory=LimitsConfig)
     ray: RayConfig = Field(default_factory=RayConfig)
     keep: KeepConfig = Field(default_factory=KeepConfig)
 

@@ -7,6 +7,7 @@
     │   └── ConfigError         a key of the configuration: unknown, mistyped, missing folder
     ├── InputError              a source file can't be used: the scene is quarantined
     │   ├── FormatError         malformed, truncated, hostile, or of the wrong type
+    │   ├── LimitError          a scene is larger than a limit of the configuration
     │   ├── MissingFileError    a file that the format requires is not there
     │   └── PathEscapeError     a path inside a file climbs out of the dataset's root
     ├── StoreError              the store refused or is damaged
@@ -33,6 +34,7 @@ __all__ = [
     "FailureBudgetError",
     "FormatError",
     "InputError",
+    "LimitError",
     "MissingFileError",
     "PathEscapeError",
     "ProofError",
@@ -98,6 +100,10 @@ class InputError(CondVLNError):
 
 class FormatError(InputError):
     """A file is malformed, truncated, hostile or of the wrong type."""
+
+
+class LimitError(InputError):
+    """A scene is larger than the configuration's `limits` allow."""
 
 
 class MissingFileError(InputError):

@@ -139,9 +139,11 @@ def read_house(node: JsonNode) -> House:
 
 
 def _unique(node: JsonNode, key: str, ids: list[str]) -> None:
-    if len(set(ids)) != len(ids):
-        twice = next(i for n, i in enumerate(ids) if i in ids[:n])
-        node[key].fail(f"two of the {key} have the id {twice!r}")
+    seen: set[str] = set()
+    for own in ids:
+        if own in seen:
+            node[key].fail(f"two of the {key} have the id {own!r}")
+        seen.add(own)
 
 
 def _identifier(node: JsonNode) -> str:
