@@ -7,6 +7,7 @@ agents' evaluators do.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,11 +15,11 @@ from typing import Final, NoReturn
 
 import numpy as np
 import numpy.typing as npt
-import orjson
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import shortest_path
 
 from condvln.evaluation.branching import NO_LEAF, committed_leaf
+from condvln.evaluation.json_entries import document
 from condvln.evaluation.kernels.alignment import dtw_of_costs
 from condvln.evaluation.measures import FIDELITY_DISTANCE, length_weighted, spl
 from condvln.evaluation.predictions import GraphPrediction
@@ -37,6 +38,7 @@ __all__ = [
 ]
 
 NAN: Final = float("nan")
+_R2R_REMEDY: Final = "Name an R2R file: [{path_id, scan, path, instructions}, ...]"
 Table = npt.NDArray[np.float64]
 
 
@@ -121,17 +123,33 @@ def read_graph_episodes(path: Path) -> list[GraphEpisode]:
     ------
     FormatError : not an R2R file
     """
-    try:
-        records = orjson.loads(path.read_bytes())
-        return [
-            GraphEpisode(f"{record['path_id']}_{number}", str(record["scan"]), tuple(map(str, record["path"])))
-            for record in records
-            for number in range(len(record["instructions"]))
-        ]
-    except (orjson.JSONDecodeError, KeyError, TypeError) as error:
-        raise FormatError(
-            f"not an R2R file ({type(error).__name__}: {error})", where=path, remedy="Name R2R_<split>.json"
-        ) from error
+    records = document(path)
+    if not isinstance(records, list):
+        _refuse(path, "", "the file is not an array of R2R paths", _R2R_REMEDY)
+    found: list[GraphEpisode] = []
+    for number, record in enumerate(records):
+        place = f"entry {number}"
+        if not isinstance(record, dict):
+            _refuse(path, place, "the entry is not an object", _R2R_REMEDY)
+        lacking = [key for key in ("path_id", "scan", "path", "instructions") if key not in record]
+        if lacking:
+            _refuse(path, place, f"the key {lacking[0]!r} is missing", _R2R_REMEDY)
+        name, route = record["path_id"], record["path"]
+        if isinstance(name, bool) or not isinstance(name, int | str):
+            _refuse(path, place, "path_id is neither a whole number nor text", _R2R_REMEDY)
+        if not isinstance(record["scan"], str):
+            _refuse(path, place, "scan is not text", _R2R_REMEDY)
+        if not isinstance(route, list) or not all(isinstance(viewpoint, str) for viewpoint in route):
+            _refuse(path, place, "path is not a list of viewpoint ids", _R2R_REMEDY)
+        if not isinstance(record["instructions"], list):
+            _refuse(path, place, "instructions is not a list", _R2R_REMEDY)
+        count = len(record["instructions"])
+        found += [GraphEpisode(f"{name}_{k}", record["scan"], tuple(route)) for k in range(count)]
+    times = Counter(episode.instruction_id for episode in found)
+    twice = next((name for name, count in times.items() if count > 1), None)
+    if twice is not None:
+        _refuse(path, f"instruction {twice}", "two entries have its path_id", _R2R_REMEDY)
+    return found
 
 
 def evaluate_graph(
@@ -160,18 +178,24 @@ def evaluate_graph(
         astray = [viewpoint for viewpoint in task.path if viewpoint not in graphs[task.scan].numbers]
         if astray or not task.path:
             what = f"no viewpoint {astray[0]!r} in scan {task.scan}" if astray else "its reference path is empty"
-            _refuse("", task.instruction_id, what)
+            _refuse("", f"instruction {task.instruction_id}", what)
     found: dict[str, GraphScore] = {}
     for prediction in predictions:
         episode = tasks.get(prediction.instruction_id)
         if episode is None:
-            _refuse(where, prediction.instruction_id, "no such instruction in this split")
+            _refuse(where, f"instruction {prediction.instruction_id}", "no such instruction in this split")
         graph = graphs[episode.scan]
         unknown = [viewpoint for viewpoint in prediction.viewpoints if viewpoint not in graph.numbers]
         if unknown:
-            _refuse(where, prediction.instruction_id, f"no viewpoint {unknown[0]!r} in scan {episode.scan}")
+            _refuse(
+                where, f"instruction {prediction.instruction_id}", f"no viewpoint {unknown[0]!r} in scan {episode.scan}"
+            )
         if prediction.viewpoints and prediction.viewpoints[0] != episode.path[0]:
-            _refuse(where, prediction.instruction_id, "the path begins at another viewpoint than the episode")
+            _refuse(
+                where,
+                f"instruction {prediction.instruction_id}",
+                "the path begins at another viewpoint than the episode",
+            )
         found[episode.instruction_id] = _score(episode, prediction.viewpoints, graph, margin)
     return {name: found.get(name) or _score(task, (), graphs[task.scan], margin) for name, task in tasks.items()}
 
@@ -235,5 +259,5 @@ def _branching(
     }
 
 
-def _refuse(where: str, name: str, what: str) -> NoReturn:
-    raise FormatError(what, where=where or None, place=f"instruction {name}", remedy="See docs/metrics.md")
+def _refuse(where: str | Path, place: str, what: str, remedy: str = "See docs/metrics.md") -> NoReturn:
+    raise FormatError(what, where=where or None, place=place, remedy=remedy)

@@ -7,19 +7,18 @@ undefined, never as 0.
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NoReturn
 
 import numpy as np
 
 from condvln.evaluation.branching import NO_LEAF
 from condvln.evaluation.evaluate import AXES, Evaluation
-from condvln.evaluation.json_entries import opened
+from condvln.evaluation.json_entries import document, head
 from condvln.evaluation.score import Rules, Score
 from condvln.evaluation.task import Task
 from schemas.errors import FormatError
@@ -44,6 +43,13 @@ NAMES: Final[Mapping[str, str]] = {
 }
 """Their names and ours."""
 
+_UNBOUNDED: Final = {"navigation_error", "path_length", "steps", "collisions"}
+"""Measures that are no rate: metres and counts."""
+LARGEST: Final = 1e7
+"""Metres and counts of one episode, at most."""
+TOLERANCE: Final = 1e-6
+"""By which rounding may carry a rate beyond 0 and 1."""
+
 _PREFIX: Final = "stats_"
 _BY_ID: Final = re.compile(rb'\s*\{\s*"(?:[^"\\]|\\.)*"\s*:\s*\{')
 """How ``{id: {measure: number}}`` begins; predictions by id are lists."""
@@ -54,8 +60,7 @@ def is_episode_stats(path: Path) -> bool:
     """Is this a folder or file of measures, and none of predictions?"""
     if path.is_dir() or path.name.startswith(_PREFIX):
         return True
-    with opened(path) as file:
-        return _BY_ID.match(file.read(_HEAD)) is not None
+    return _BY_ID.match(head(path, _HEAD)) is not None
 
 
 def read_episode_stats(path: Path) -> dict[str, dict[str, float]]:
@@ -73,27 +78,30 @@ def read_episode_stats(path: Path) -> dict[str, dict[str, float]]:
     for file in sorted(path.glob(f"{_PREFIX}*.json")) if path.is_dir() else [path]:
         for name, stats, place in _of_file(file):
             if name in found:
-                raise FormatError("stands twice", where=file, place=f"episode {name}", remedy="Keep one of the two")
+                raise FormatError(
+                    "the files hold two results of it",
+                    where=file,
+                    place=f"episode {name}",
+                    remedy="Keep one of the two",
+                )
             found[name] = _measures(stats, file, place)
     if not found:
-        raise FormatError("holds no episode", where=path, remedy=f"Name a folder of {_PREFIX}<id>.json files")
+        raise FormatError(
+            "there is no result of any episode here", where=path, remedy=f"Name a folder of {_PREFIX}<id>.json files"
+        )
     return found
 
 
 def _of_file(path: Path) -> Iterator[tuple[str, Mapping[str, Any], str]]:
-    # A file of one episode holds numbers, a file of many holds objects; json and not orjson, since these hold NaN.
-    with opened(path) as file:
-        try:
-            document = json.load(file)
-        except (ValueError, RecursionError) as error:
-            raise FormatError(f"is not JSON ({error})", where=path, remedy="Write the results again") from error
-    if isinstance(document, dict) and document and all(isinstance(value, dict) for value in document.values()):
-        yield from ((str(name), stats, f"episode {name}") for name, stats in document.items())
-    elif isinstance(document, dict) and path.stem.startswith(_PREFIX):
-        yield path.stem.removeprefix(_PREFIX), document, "the file"
+    # A file of one episode holds numbers, a file of many holds objects; numbers may be NaN.
+    content = document(path, nonfinite=True)
+    if isinstance(content, dict) and content and all(isinstance(value, dict) for value in content.values()):
+        yield from ((str(name), stats, f"episode {name}") for name, stats in content.items())
+    elif isinstance(content, dict) and path.stem.startswith(_PREFIX):
+        yield path.stem.removeprefix(_PREFIX), content, "the file"
     else:
         raise FormatError(
-            "is neither {id: {measure: number}} nor one episode's measures",
+            "the file is neither {episode id: {measure: number}} nor one episode's measures",
             where=path,
             remedy=f"Name a folder of {_PREFIX}<id>.json files or one object of them",
         )
@@ -108,9 +116,17 @@ def _measures(stats: Mapping[str, Any], path: Path, place: str) -> dict[str, flo
         if value is None:
             continue
         if not isinstance(value, int | float):
-            raise FormatError(f"{theirs} is not a number", where=path, place=place, remedy="Write the results again")
-        measures[ours] = float(value) if math.isfinite(value) else math.nan
+            _refuse(path, place, f"{theirs} is not a number")
+        most = LARGEST if ours in _UNBOUNDED else 1
+        # A number that is not finite counts as undefined; one beyond its range is a mistake of the file.
+        if abs(value) < math.inf and not -TOLERANCE <= value <= most + TOLERANCE:
+            _refuse(path, place, f"{theirs} is {value!r:.40}, outside of 0 to {most:g}")
+        measures[ours] = float(value) if abs(value) < math.inf else math.nan
     return measures
+
+
+def _refuse(path: Path, place: str, what: str) -> NoReturn:
+    raise FormatError(what, where=path, place=place, remedy="Write the results again")
 
 
 def evaluation_of_stats(

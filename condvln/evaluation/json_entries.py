@@ -1,7 +1,8 @@
 """The entries of a JSON file one by one: of one huge object, one huge array, or of JSON lines; plain or gzip.
 
 A prediction file holds a pose of every step of every episode; parsed whole it takes gigabytes, entry by entry what one
-episode takes.
+episode takes. Whatever a file holds, reading it ends with its entries or with one error that names file and place: what
+an entry and a gzip file may grow to is bounded, and so is the nesting.
 """
 
 from __future__ import annotations
@@ -13,56 +14,117 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO, Final, NoReturn, cast
+from typing import Any, BinaryIO, Final, NoReturn, cast
 
 import numpy as np
 import orjson
 
 from condvln.evaluation.kernels.json_scan import DEPTH, IN_STRING, new_state, scan
+from condvln.sources.json_depth import nesting_depth
+from condvln.sources.json_document import MAX_DEPTH
 from schemas.errors import FormatError, MissingFileError
 
-__all__ = ["entries", "first_character", "json_lines", "nonstandard_number", "opened", "parsed"]
+__all__ = [
+    "MAX_ENTRY_BYTES",
+    "document",
+    "entries",
+    "first_character",
+    "head",
+    "json_lines",
+    "nonstandard_number",
+    "opened",
+    "parsed",
+]
+
+MAX_ENTRY_BYTES: Final = 64 << 20
+"""Bytes of one entry or line. An episode of 500 steps takes 50 kB."""
+
+MAX_DOCUMENT_BYTES: Final = 1 << 30
+"""Bytes of a file that is parsed whole (R2R files, results by episode). The largest known have 60 MB."""
+
+MAX_RATIO: Final = 200
+FREE_BYTES: Final = 256 << 20
+"""A gzip file may unpack to so much, and beyond to `MAX_RATIO` times its size. Predictions are packed 10:1, bombs
+1000:1."""
 
 _BLOCK: Final = 1 << 20
 _GZIP_MAGIC: Final = b"\x1f\x8b"
+_BOM: Final = b"\xef\xbb\xbf"
+_BLANKS: Final = b" \t\r\n"
+_LONGEST_KEY: Final = 1 << 16
+_REMEDY: Final = "Write the file again, as JSON in UTF-8"
 
 # What may stand before an entry of an object: a comma (not before the first), a key, a colon.
-_KEY: Final = re.compile(rb'\s*(,?)\s*("(?:[^"\\]|\\.)*")\s*:\s*(?=[\[{])', re.DOTALL)
+_KEY: Final = re.compile(rb'\s*(,?)\s*("[^"\\]*(?:\\.[^"\\]*)*")\s*:\s*(?=[\[{])', re.DOTALL)
 _COMMA: Final = re.compile(rb"\s*(,?)\s*(?=[\[{])")
+_STRING: Final = re.compile(rb'"[^"\\]*(?:\\.[^"\\]*)*"', re.DOTALL)
+
+
+class _Unpacked:
+    """A gzip file that unpacks to a bounded number of bytes."""
+
+    def __init__(self, file: BinaryIO, path: Path) -> None:
+        self._unpacked = cast(BinaryIO, gzip.GzipFile(fileobj=file))
+        self._path = path
+        self._limit = FREE_BYTES + MAX_RATIO * path.stat().st_size
+        self._left = self._limit
+
+    def read(self, size: int) -> bytes:
+        return self._counted(self._unpacked.read(size))
+
+    def readline(self, size: int) -> bytes:
+        return self._counted(self._unpacked.readline(size))
+
+    def _counted(self, data: bytes) -> bytes:
+        self._left -= len(data)
+        if self._left < 0:
+            raise FormatError(
+                f"the gzip file unpacks to more than {self._limit} bytes, {MAX_RATIO} times its own size",
+                where=self._path,
+                remedy="Write the file again; if it is sound, unpack it first",
+            )
+        return data
 
 
 @contextmanager
 def opened(path: Path) -> Iterator[BinaryIO]:
-    """A file of bytes, unpacked where it is gzip.
+    """A file of bytes, unpacked where it is gzip; read it by pieces or lines of a given size.
 
     Raises
     ------
-    MissingFileError : there is none
-    FormatError : a gzip file that is cut or damaged
+    MissingFileError : there is none, or it can't be opened
+    FormatError : a gzip file that is cut or damaged, or unpacks to more than any real one
     """
     try:
         with path.open("rb") as file:
             packed = file.read(2) == _GZIP_MAGIC
             file.seek(0)
-            if packed:
-                with gzip.GzipFile(fileobj=file) as unpacked:
-                    yield cast(BinaryIO, unpacked)
-            else:
-                yield file
-    except (FileNotFoundError, IsADirectoryError, NotADirectoryError) as error:
-        raise MissingFileError("no such file", where=path, remedy="Check the path") from error
+            yield cast(BinaryIO, _Unpacked(file, path)) if packed else file
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise FormatError(f"damaged gzip ({error})", where=path, remedy="Copy or write the file again") from error
+        raise FormatError(f"the gzip file is damaged ({error})", where=path, remedy="Copy or write it again") from error
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise MissingFileError("no such file", where=path, remedy="Check the path") from error
+    except IsADirectoryError as error:
+        raise MissingFileError("this is a folder, not a file", where=path, remedy="Name a file in it") from error
+    except OSError as error:
+        raise MissingFileError(
+            f"the file can't be read ({error.strerror or error})", where=path, remedy="Check its path and permissions"
+        ) from error
+
+
+def head(path: Path, size: int) -> bytes:
+    """The first ``size`` bytes of a file, without the byte order mark and blanks before its first character."""
+    with opened(path) as file:
+        text = file.read(size).removeprefix(_BOM).lstrip(_BLANKS)
+        while not text and (block := file.read(_BLOCK)):
+            text = block.lstrip(_BLANKS)[:size]
+    return text
 
 
 def first_character(path: Path) -> str:
     """First character that is not white space; empty for a file of none."""
-    with opened(path) as file:
-        while block := file.read(_BLOCK):
-            text = block.lstrip(b" \t\r\n\xef\xbb\xbf")
-            if text:
-                return chr(text[0])
-    return ""
+    text = head(path, 64)
+    return chr(text[0]) if text else ""
 
 
 def entries(path: Path) -> Iterator[tuple[str | None, bytes]]:
@@ -80,42 +142,55 @@ def entries(path: Path) -> Iterator[tuple[str | None, bytes]]:
     count = 0
     closed = False
     with opened(path) as file:
+        first = True
         while block := file.read(_BLOCK):
             if keyed is None:
-                block = block.lstrip(b" \t\r\n\xef\xbb\xbf")
+                block = (pending + block).removeprefix(_BOM) if first else block
+                pending.clear()
+                if first and len(block) < len(_BOM) and _BOM.startswith(block):
+                    pending += block  # part of a byte order mark
+                    continue
+                first = False
+                block = bytes(block).lstrip(_BLANKS)
                 if not block:
                     continue
                 if block[:1] not in b"{[":
-                    _refuse(path, "the start", "is neither a JSON object nor an array")
+                    _refuse(path, "the start", "the file is neither a JSON object nor an array")
                 keyed = block[:1] == b"{"
             if closed and block.strip():
-                _refuse(path, f"after entry {count}", "has something after its end")
+                _refuse(path, f"after entry {count}", "there is something after the end of the JSON document")
             begin = 0
             for end in scan(np.frombuffer(block, np.uint8), state).tolist():
                 pending += block[begin:end]
                 begin = end
                 if count == 0 and not closed:
-                    pending = pending.lstrip(b" \t\r\n")
+                    pending = pending.lstrip(_BLANKS)
                 key_and_value = bytes(pending[1:] if count == 0 else pending)
                 pending.clear()
                 if key_and_value.strip() == (b"}" if keyed else b"]"):
                     closed = True
                     if block[begin:].strip():
-                        _refuse(path, f"after entry {count}", "has something after its end")
+                        _refuse(path, f"after entry {count}", "there is something after the end of the JSON document")
                     break
                 yield _entry(path, key_and_value, keyed, count)
                 count += 1
             pending += block[begin:]
+            if state[DEPTH] > MAX_DEPTH:
+                _refuse(path, f"entry {count}", _too_deep(int(state[DEPTH])))
+            if len(pending) > MAX_ENTRY_BYTES:
+                _refuse(path, f"entry {count}", f"the entry is longer than {MAX_ENTRY_BYTES} bytes")
     if keyed is None:
-        _refuse(path, "the start", "is empty")
+        _refuse(path, "the start", "the file is empty")
     if not closed or state[DEPTH] != 0 or state[IN_STRING]:
-        _refuse(path, f"after entry {count}", "is cut short or its brackets do not match")
+        _refuse(path, f"after entry {count}", "the file is cut short, or its brackets do not match")
 
 
 def _entry(path: Path, text: bytes, keyed: bool | None, count: int) -> tuple[str | None, bytes]:
-    found = (_KEY if keyed else _COMMA).match(text)
+    found = _KEY.match(text, 0, _LONGEST_KEY) if keyed else _COMMA.match(text)
     if found is None or (found[1] == b",") != (count > 0):
-        _refuse(path, f"entry {count}", "has something other than an object or an array, or a comma is amiss")
+        _refuse(
+            path, f"entry {count}", "the entry is neither an object nor an array, or a comma is missing or too many"
+        )
     value = text[found.end() :]
     if not keyed:
         return None, value
@@ -123,26 +198,74 @@ def _entry(path: Path, text: bytes, keyed: bool | None, count: int) -> tuple[str
 
 
 def json_lines(path: Path) -> Iterator[tuple[int, bytes]]:
-    """Number (from 1) and bytes of each line that is not blank."""
+    """Number (from 1) and bytes of each line that is not blank.
+
+    Raises
+    ------
+    FormatError : a line longer than `MAX_ENTRY_BYTES`
+    """
     with opened(path) as file:
-        for number, line in enumerate(file, start=1):
+        number = 0
+        while line := file.readline(MAX_ENTRY_BYTES + 1):
+            number += 1
+            if len(line) > MAX_ENTRY_BYTES:
+                _refuse(path, f"line {number}", f"the line is longer than {MAX_ENTRY_BYTES} bytes")
+            if number == 1:
+                line = line.removeprefix(_BOM)
             if line.strip():
                 yield number, line
 
 
-def parsed(data: bytes, path: Path, place: str) -> object:
-    """The value in ``data``.
+def document(path: Path, *, nonfinite: bool = False) -> object:
+    """The one value in a file, parsed whole.
+
+    nonfinite : take NaN and infinities, which Python's own writer leaves in files of results
 
     Raises
     ------
-    FormatError : not JSON; NaN and infinities are named
+    MissingFileError, FormatError : as `opened` and `parsed`
     """
+    pieces, size = [], 0
+    with opened(path) as file:
+        while block := file.read(_BLOCK):
+            pieces.append(block)
+            size += len(block)
+            if size > MAX_DOCUMENT_BYTES:
+                _refuse(path, "", f"the file is longer than {MAX_DOCUMENT_BYTES} bytes")
+    return parsed(b"".join(pieces).removeprefix(_BOM), path, "", nonfinite=nonfinite)
+
+
+def parsed(data: bytes, path: Path, place: str, *, item: str = "", nonfinite: bool = False) -> object:
+    """The value in ``data``.
+
+    Parameters
+    ----------
+    item : what the elements of the array in ``data`` are called in messages, such as ``step``
+    nonfinite : take NaN and infinities
+
+    Raises
+    ------
+    FormatError : not JSON, nested deeper than `MAX_DEPTH`, a key twice in one object; NaN and infinities are named,
+        with the element that holds them
+    """
+    # No parser is asked to recurse without end.
+    if data.count(b"[") + data.count(b"{") > MAX_DEPTH and (depth := nesting_depth(data)) > MAX_DEPTH:
+        _refuse(path, place, _too_deep(depth))
     try:
-        return orjson.loads(data)
+        value = orjson.loads(data)
     except orjson.JSONDecodeError as error:
-        name = nonstandard_number(data)
-        why = f"it holds {name}, which no position can be" if name else str(error)
-        _refuse(path, place, f"is not JSON ({why})")
+        value = _python_parsed(data, path, place)
+        found = _nonfinite(value)
+        if found is None:
+            _refuse(path, place, f"the text is not JSON ({error})")
+        steps, number = found
+        if not nonfinite:
+            at = next((step for step in steps if isinstance(step, int)), None)
+            within = f"{item} {at}" if item and at is not None else ".".join(map(str, steps))
+            where = ", ".join(part for part in (place, within) if part)
+            _refuse(path, where, f"the number {number} is not finite, and JSON has no such number")
+    _refuse_repeated_keys(value, data, path, place)
+    return value
 
 
 def nonstandard_number(data: bytes) -> str:
@@ -153,5 +276,68 @@ def nonstandard_number(data: bytes) -> str:
     return seen[0] if seen else ""
 
 
+def _python_parsed(data: bytes, path: Path, place: str) -> Any:
+    """What Python's own parser, which knows NaN, makes of ``data``."""
+    try:
+        return json.loads(data.decode("utf-8"))
+    except json.JSONDecodeError as error:
+        at = f"line {error.lineno} column {error.colno}"
+        _refuse(path, place, f"the text is not JSON ({error.msg}: {at})")
+    except UnicodeDecodeError as error:
+        _refuse(path, place, f"the text is not UTF-8 ({error.reason} at byte {error.start})")
+    except (ValueError, RecursionError) as error:
+        _refuse(path, place, f"the text is not JSON ({error})")
+
+
+def _nonfinite(value: Any) -> tuple[tuple[str | int, ...], float] | None:
+    """Keys that lead to the first number that is not finite, and the number; values are at most `MAX_DEPTH` deep."""
+    if isinstance(value, float) and not np.isfinite(value):
+        return (), value
+    inside = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, item in inside:
+        if (found := _nonfinite(item)) is not None:
+            return (key, *found[0]), found[1]
+    return None
+
+
+def _refuse_repeated_keys(value: Any, data: bytes, path: Path, place: str) -> None:
+    """The parser keeps the last of two equal keys; counting colons shows that one was lost."""
+    colons = data.count(b":")
+    if colons == _own_keys(value):
+        return
+    if _STRING.sub(b"", data).count(b":") > _all_keys(value):
+        pairs: list[str] = []
+        json.loads(data, object_pairs_hook=lambda items: pairs.extend(_repeated([key for key, _ in items])))
+        _refuse(path, place, f"the key {pairs[0]!r:.60} is there twice in one object" if pairs else "a key is repeated")
+
+
+def _own_keys(value: Any) -> int:
+    """Keys of an object, or of the objects that an array holds."""
+    if isinstance(value, dict):
+        return len(value)
+    return sum(len(item) for item in value if type(item) is dict) if isinstance(value, list) else 0
+
+
+def _all_keys(value: Any) -> int:
+    count, waiting = 0, [value]
+    while waiting:
+        item = waiting.pop()
+        if isinstance(item, dict):
+            count += len(item)
+            waiting.extend(item.values())
+        elif isinstance(item, list):
+            waiting.extend(item)
+    return count
+
+
+def _repeated(keys: list[str]) -> list[str]:
+    seen: set[str] = set()
+    return [key for key in keys if key in seen or seen.add(key)]  # type: ignore[func-returns-value]
+
+
+def _too_deep(depth: int) -> str:
+    return f"the text is nested {depth} levels deep; at most {MAX_DEPTH} are read"
+
+
 def _refuse(path: Path, place: str, what: str) -> NoReturn:
-    raise FormatError(f"{place} {what}", where=path, remedy="Write the predictions again, one entry an episode")
+    raise FormatError(what, where=path, place=place, remedy=_REMEDY)

@@ -13,8 +13,10 @@ VLN-CE's first pose is the start and each later one the state after an action, s
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final, Literal, NoReturn
 
@@ -22,8 +24,9 @@ import numpy as np
 import numpy.typing as npt
 import orjson
 
-from condvln.evaluation.json_entries import entries, first_character, json_lines, opened, parsed
+from condvln.evaluation.json_entries import entries, head, json_lines, parsed
 from condvln.export.streams import JsonArrayStream, atomic_stream
+from condvln.sources.json_document import MAX_COORDINATE
 from schemas.errors import FormatError
 
 __all__ = [
@@ -38,7 +41,15 @@ __all__ = [
 
 PredictionFormat = Literal["vlnce", "rxr", "r2r"]
 
-_REMEDY: Final = "See docs/metrics.md for the formats"
+_HEAD: Final = 1 << 16
+_FIRST_VALUE: Final = re.compile(rb'\{\s*"([^"\\]*(?:\\.[^"\\]*)*)"\s*:\s*(.)', re.DOTALL)
+"""How an object begins: its first key, and the first character of that key's value."""
+_RXR_KEYS: Final = (b"instruction_id", b"path")
+
+_REMEDY: Final = (
+    "Accepted are VLN-CE's {episode id: [{position, heading, stop}, ...]}, RxR's lines of {instruction_id, path}, "
+    "R2R's [{instr_id, trajectory}, ...] and results {episode id: {measure: number}}; see docs/metrics.md"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,17 +87,29 @@ def detect_format(path: Path) -> PredictionFormat:
 
     Raises
     ------
-    FormatError : none of the three
+    FormatError : none of the three; the message says what the file is instead
     """
-    start = first_character(path)
-    if start == "[":
-        return "r2r"
-    if start == "{":
-        with opened(path) as file:
-            head = file.read(1 << 12)
-        brace = head.index(b"{")
-        return "rxr" if head[brace + 1 :].lstrip().startswith((b'"instruction_id"', b'"path"')) else "vlnce"
-    raise FormatError("neither a JSON object nor an array", where=path, place="the start", remedy=_REMEDY)
+    text = head(path, _HEAD)
+    if text.startswith(b"["):
+        return _kind_of_array(path, text[1:].lstrip())
+    if not text.startswith(b"{"):
+        _refuse(path, "", "the file is neither a JSON object nor a JSON array" if text else "the file is empty")
+    first = _FIRST_VALUE.match(text)
+    key, value = (first[1], first[2]) if first is not None else (b"", b"")
+    if key not in _RXR_KEYS and (value == b"[" or text[1:].lstrip().startswith(b"}")):
+        return "vlnce"
+    if not any(b'"' + name + b'"' in text for name in _RXR_KEYS):
+        _refuse(path, "", "the file is a JSON object, but not one of predictions by episode")
+    return "rxr"
+
+
+def _kind_of_array(path: Path, inside: bytes) -> PredictionFormat:
+    if inside.startswith(b"]"):
+        _refuse(path, "", "the file is an empty array: it holds no prediction")
+    if not inside.startswith(b"{"):
+        kind = {b"[": "arrays", b'"': "texts"}.get(inside[:1], "numbers or words")
+        _refuse(path, "", f"the file is an array of {kind}, not of predictions")
+    return "r2r"
 
 
 def read_predictions(
@@ -100,11 +123,16 @@ def read_predictions(
 
     Raises
     ------
-    FormatError : malformed, or one id twice; the message names the episode and the step
+    FormatError : malformed, a position beyond `MAX_COORDINATE`, or one id twice; the message names the episode and the
+        step
     """
     kind = kind or detect_format(path)
     if kind == "r2r":
-        _refuse(path, "the file", "holds viewpoints of a graph, not positions: evaluate it against an R2R file")
+        raise FormatError(
+            "the file holds paths over viewpoints, not positions",
+            where=path,
+            remedy="Evaluate it against a split that has an R2R file (r2r/R2R_<split>.json)",
+        )
     seen: set[str] = set()
     for prediction in _vlnce(path, assume_stop) if kind == "vlnce" else _rxr(path):
         _refuse_repeat(path, prediction.episode_id, seen)
@@ -120,15 +148,16 @@ def read_graph_predictions(path: Path) -> Iterator[GraphPrediction]:
     """
     seen: set[str] = set()
     for number, (_, data) in enumerate(entries(path)):
-        entry = parsed(data, path, f"entry {number}")
+        place = f"entry {number}"
+        entry = parsed(data, path, place, item="step")
         if not isinstance(entry, dict) or not isinstance(entry.get("trajectory"), list):
-            _refuse(path, f"entry {number}", "is not {instr_id, trajectory}")
-        name = _identity(path, f"entry {number}", entry.get("instr_id"))
+            _refuse(path, place, "the entry is not an object with instr_id and a list trajectory")
+        name = _identity(path, place, entry, "instr_id")
         viewpoints = []
         for step, stop in enumerate(entry["trajectory"]):
             viewpoint = stop[0] if isinstance(stop, list) and stop else stop
             if not isinstance(viewpoint, str):
-                _refuse(path, f"{name}, step {step}", "has no viewpoint id")
+                _refuse(path, f"instruction {name}, step {step}", "the step has no viewpoint id")
             viewpoints.append(viewpoint)
         _refuse_repeat(path, name, seen)
         yield GraphPrediction(name, tuple(viewpoints))
@@ -164,15 +193,15 @@ def write_predictions(path: Path, predictions: Iterable[Prediction]) -> int:
 def _vlnce(path: Path, assume_stop: bool) -> Iterator[Prediction]:
     for name, data in entries(path):
         if name is None:
-            _refuse(path, "the file", "is an array, not an object of episodes")
-        poses = parsed(data, path, f"episode {name}")
+            _refuse(path, "", "the file is an array, not an object of paths by episode id")
+        poses = parsed(data, path, f"episode {name}", item="step")
         if not isinstance(poses, list):
-            _refuse(path, f"episode {name}", "is not a list of poses")
+            _refuse(path, f"episode {name}", "the value is not a list of poses")
         stops = _stops(path, name, poses)
         end = stops.index(True) + 1 if True in stops else len(poses)
-        told = any(stop is not None for stop in stops)
+        said = any(stop is not None for stop in stops)
         positions = _positions(path, name, [pose.get("position") for pose in poses[:end]])
-        stopped = True in stops or (assume_stop and not told and end > 0)
+        stopped = True in stops or (assume_stop and not said and end > 0)
         yield Prediction(name, positions, stopped, True, _collided(poses[:end]))
 
 
@@ -181,26 +210,27 @@ def _stops(path: Path, name: str, poses: list[Any]) -> list[bool | None]:
         stops = [pose.get("stop") for pose in poses]
     except AttributeError:
         wrong = next(step for step, pose in enumerate(poses) if not isinstance(pose, dict))
-        _refuse(path, f"episode {name}, step {wrong}", "is not {position, heading, stop}")
+        _refuse(path, f"episode {name}, step {wrong}", "the pose is not an object with position, heading and stop")
     if not {*map(type, stops)} <= {bool, type(None)}:
         wrong = next(step for step, stop in enumerate(stops) if not isinstance(stop, bool | None))
-        _refuse(path, f"episode {name}, step {wrong}", "has a stop that is neither true nor false")
+        _refuse(path, f"episode {name}, step {wrong}", f"stop is {stops[wrong]!r:.40}, neither true nor false")
     return stops
 
 
 def _collided(poses: list[Any]) -> npt.NDArray[np.bool_] | None:
-    told = [pose.get("collision") for pose in poses]
-    if not any(isinstance(collision, bool) for collision in told):
+    said = [pose.get("collision") for pose in poses]
+    if not any(isinstance(collision, bool) for collision in said):
         return None
-    return np.array([collision is True for collision in told])
+    return np.array([collision is True for collision in said])
 
 
 def _rxr(path: Path) -> Iterator[Prediction]:
     for number, line in json_lines(path):
-        entry = parsed(line, path, f"line {number}")
+        place = f"line {number}"
+        entry = parsed(line, path, place, item="step")
         if not isinstance(entry, dict) or not isinstance(entry.get("path"), list):
-            _refuse(path, f"line {number}", "is not {instruction_id, path}")
-        name = _identity(path, f"line {number}", entry.get("instruction_id"))
+            _refuse(path, place, "the line is not an object with instruction_id and a list path")
+        name = _identity(path, place, entry, "instruction_id")
         positions = _positions(path, name, entry["path"])
         yield Prediction(name, positions, len(positions) > 0, False)
 
@@ -209,36 +239,42 @@ def _positions(path: Path, name: str, points: list[Any]) -> npt.NDArray[np.float
     if not points:
         return np.zeros((0, 3))
     try:
-        # Strings of digits would turn into numbers without a word.
-        positions = np.array(points, dtype=None)
-        sound = positions.dtype.kind in "fi" and positions.shape == (len(points), 3)
-    except ValueError:
-        sound = False
-    if not sound:
-        _refuse(path, f"episode {name}, step {_first_unsound(points)}", "has a position that is not three numbers")
-    positions = positions.astype(np.float64)
-    if not np.isfinite(positions).all():
-        step = int(np.flatnonzero(~np.isfinite(positions).all(axis=1))[0])
-        _refuse(path, f"episode {name}, step {step}", "has a position that is not finite")
+        # numpy would take digits in quotes, true and false for numbers.
+        sound = {*map(type, points)} == {list} and {*map(type, chain.from_iterable(points))} <= {float, int}
+        positions = np.array(points if sound else (), dtype=np.float64)
+    except (ValueError, OverflowError):
+        positions = np.zeros(0)
+    if positions.shape != (len(points), 3):
+        wrong = next((step for step, point in enumerate(points) if not _is_point(point)), len(points) - 1)
+        what = f"the position is {_shown(points[wrong])}, not three numbers"
+        _refuse(path, f"episode {name}, step {wrong}", what)
+    if not (np.abs(positions) <= MAX_COORDINATE).all():
+        step = int(np.flatnonzero(~(np.abs(positions) <= MAX_COORDINATE).all(axis=1))[0])
+        what = f"the position {_shown(points[step])} is farther than {MAX_COORDINATE:g} m from the origin of its scene"
+        _refuse(path, f"episode {name}, step {step}", what)
     return positions
 
 
-def _first_unsound(points: list[Any]) -> int:
-    def sound(point: Any) -> bool:
-        return isinstance(point, list) and len(point) == 3 and all(type(value) in (int, float) for value in point)
-
-    return next((step for step, point in enumerate(points) if not sound(point)), len(points) - 1)
+def _is_point(point: Any) -> bool:
+    return isinstance(point, list) and len(point) == 3 and all(type(value) in (int, float) for value in point)
 
 
-def _identity(path: Path, place: str, name: Any) -> str:
+def _shown(value: Any) -> str:
+    return orjson.dumps(value).decode()[:60]
+
+
+def _identity(path: Path, place: str, entry: dict[str, Any], key: str) -> str:
+    name = entry.get(key)
     if isinstance(name, bool) or not isinstance(name, str | int):
-        _refuse(path, place, "has no id")
+        _refuse(path, place, f"{key} is missing" if name is None else f"{key} is {_shown(name)}, not text or a number")
     return str(name)
 
 
 def _refuse_repeat(path: Path, name: str, seen: set[str]) -> None:
     if name in seen:
-        _refuse(path, f"episode {name}", "stands twice")
+        raise FormatError(
+            "the file has two predictions of it", where=path, place=f"episode {name}", remedy="Keep one of the two"
+        )
     seen.add(name)
 
 

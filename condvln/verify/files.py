@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import orjson
 from pydantic import ValidationError
 
 from condvln.evaluation.json_entries import entries, json_lines, opened, parsed
@@ -208,5 +207,5 @@ def _elements(path: Path) -> Iterator[bytes]:
 
 def _truths(path: Path) -> Iterator[tuple[str, Mapping[str, Any]]]:
     for name, text in entries(path):
-        entry = orjson.loads(text)
+        entry = parsed(text, path, f"episode {name}")
         yield str(name), entry if isinstance(entry, dict) else {}

@@ -60,8 +60,9 @@ def test_nothing_inside(tmp_path: Path, text: str) -> None:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("", "is empty"),
-        ("  \n", "is empty"),
+        ("", "the file is empty"),
+        ("  \n", "the file is empty"),
+        ("\ufeff", "the file is empty"),
         ('"text"', "neither a JSON object nor an array"),
         ("[1]", "entry 0"),
         ('{"a": 1}', "entry 0"),
@@ -69,8 +70,8 @@ def test_nothing_inside(tmp_path: Path, text: str) -> None:
         ('{"a": [1]', "cut short"),
         ('{"a": [1', "cut short"),
         ('{"a": ["x]}', "cut short"),
-        ('{"a": [1]}}', "after its end"),
-        ('{"a": [1]} {"b": [2]}', "after its end"),
+        ('{"a": [1]}}', "after the end of the JSON document"),
+        ('{"a": [1]} {"b": [2]}', "after the end of the JSON document"),
         ('{"a" [1]}', "entry 0"),
         ('{"a": [1] "b": [2]}', "entry 1"),
         ("[[1] [2]]", "entry 1"),
@@ -89,21 +90,21 @@ def test_what_is_amiss_is_said(tmp_path: Path, text: str, says: str) -> None:
 
 @pytest.mark.parametrize("name", ["NaN", "Infinity", "-Infinity"])
 def test_pythons_own_constants_are_named(tmp_path: Path, name: str) -> None:
-    with pytest.raises(FormatError, match=f"it holds {name}"):
+    with pytest.raises(FormatError, match=f"the number {float(name)} is not finite"):
         parsed(f"[{name}]".encode(), tmp_path, "entry")
 
 
 def test_a_cut_gzip_and_no_file(tmp_path: Path) -> None:
     path = tmp_path / "cut.json.gz"
     path.write_bytes(gzip.compress(b'{"a": [1, 2, 3]}' * 50)[:-12])
-    with pytest.raises(FormatError, match="damaged gzip"):
+    with pytest.raises(FormatError, match="the gzip file is damaged"):
         list(entries(path))
     path.write_bytes(b"\x1f\x8bnot really")
-    with pytest.raises(FormatError, match="damaged gzip"):
+    with pytest.raises(FormatError, match="the gzip file is damaged"):
         list(entries(path))
     with pytest.raises(MissingFileError, match="no such file"):
         list(entries(tmp_path / "none.json"))
-    with pytest.raises(MissingFileError, match="no such file"):
+    with pytest.raises(MissingFileError, match="this is a folder, not a file"):
         first_character(tmp_path)
 
 
@@ -118,3 +119,36 @@ def test_entries_are_handed_out_before_the_end_is_read(tmp_path: Path) -> None:
     path.write_text('{"a": [1], ' + '"b": [' + "1," * (1 << 20) + "1]")  # never closed
     stream = entries(path)
     assert next(stream) == ("a", b"[1]")
+
+
+def test_the_byte_order_mark_is_passed_over_however_the_blocks_fall(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "bom.json"
+    path.write_bytes(b'\xef\xbb\xbf {"a": [1]}')
+    for block in range(1, 8):
+        monkeypatch.setattr(json_entries, "_BLOCK", block)
+        assert list(entries(path)) == [("a", b"[1]")]
+    assert [line for _, line in json_lines(path)] == [b' {"a": [1]}']
+    assert first_character(path) == "{"
+
+
+def test_a_gzip_bomb_is_stopped_at_its_bound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "bomb.json"
+    path.write_bytes(gzip.compress(b'{"a": [' + b" " * (8 << 20) + b"]}"))
+    assert list(entries(path))
+    monkeypatch.setattr(json_entries, "FREE_BYTES", 1 << 20)
+    for read_all in (lambda: list(entries(path)), lambda: list(json_lines(path)), lambda: json_entries.document(path)):
+        with pytest.raises(FormatError, match="the gzip file unpacks to more than"):
+            read_all()
+
+
+def test_an_entry_and_a_line_without_end_are_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(json_entries, "MAX_ENTRY_BYTES", 1000)
+    monkeypatch.setattr(json_entries, "_BLOCK", 100)
+    path = tmp_path / "long.json"
+    path.write_text('{"a": [1], "b": [' + "1," * 1000)
+    with pytest.raises(FormatError, match="entry 1: the entry is longer than 1000 bytes"):
+        list(entries(path))
+    with pytest.raises(FormatError, match="line 1: the line is longer than 1000 bytes"):
+        list(json_lines(path))

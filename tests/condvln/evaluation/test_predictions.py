@@ -90,7 +90,7 @@ def test_r2r(tmp_path: Path) -> None:
         ],
     )
     assert list(read_graph_predictions(path)) == [GraphPrediction("1_0", ("v", "w")), GraphPrediction("1_1", ("v",))]
-    with pytest.raises(FormatError, match="viewpoints of a graph"):
+    with pytest.raises(FormatError, match="paths over viewpoints, not positions"):
         list(read_predictions(path))
 
 
@@ -101,7 +101,9 @@ def test_r2r(tmp_path: Path) -> None:
         ("{}", "vlnce"),
         ('{ "path": [], "instruction_id": 3}', "rxr"),
         ('\n {"instruction_id": 3, "path": []}', "rxr"),
-        ("[]", "r2r"),
+        ('[{"instr_id": "1_0", "trajectory": []}]', "r2r"),
+        ('{"language": "en-US", "instruction_id": 3, "path": []}', "rxr"),
+        ('\ufeff{"1": []}', "vlnce"),
     ],
 )
 def test_formats_are_told_by_their_beginning(tmp_path: Path, text: str, kind: str) -> None:
@@ -109,68 +111,166 @@ def test_formats_are_told_by_their_beginning(tmp_path: Path, text: str, kind: st
     assert detect_format(tmp_path / "p") == kind
 
 
-def test_no_format(tmp_path: Path) -> None:
-    (tmp_path / "p").write_text("position,heading")
-    with pytest.raises(FormatError, match="neither"):
-        detect_format(tmp_path / "p")
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("position,heading", "neither a JSON object nor a JSON array"),
+        ("", "the file is empty"),
+        (" \n", "the file is empty"),
+        ("[]", "an empty array: it holds no prediction"),
+        ("[[1, 2]]", "an array of arrays, not of predictions"),
+        ("[" * 100_000, "an array of arrays, not of predictions"),
+        ("[3]", "an array of numbers or words, not of predictions"),
+        ('["a"]', "an array of texts, not of predictions"),
+        ('{"episodes": 3}', "a JSON object, but not one of predictions by episode"),
+    ],
+)
+def test_what_is_no_file_of_predictions_is_named(tmp_path: Path, text: str, says: str) -> None:
+    path = tmp_path / "p.json"
+    path.write_text(text)
+    with pytest.raises(FormatError) as caught:
+        list(read_predictions(path))
+    assert says in caught.value.what
+    assert caught.value.where == str(path)
+    # What would be accepted is said of every format.
+    assert all(word in caught.value.remedy for word in ("position", "instruction_id", "instr_id", "measure"))
 
 
 @pytest.mark.parametrize(
-    ("document", "says"),
+    ("document", "place", "says"),
     [
-        ('{"a": [{"position": [0, 0, 0]}], "a": []}', "episode a: stands twice"),
-        ('{"a": {"position": [0, 0, 0]}}', "episode a: is not a list of poses"),
-        ('{"a": [[0, 0, 0]]}', "episode a, step 0: is not {position, heading, stop}"),
-        ('{"a": [{"position": [0, 0, 0]}, {"position": [0, 0]}]}', "episode a, step 1: has a position"),
-        ('{"a": [{"position": [0, 0, "0"]}]}', "episode a, step 0: has a position"),
-        ('{"a": [{"position": null}]}', "episode a, step 0: has a position"),
-        ('{"a": [{"heading": 0}]}', "episode a, step 0: has a position"),
-        ('{"a": [{"position": [1e999, 0, 0]}]}', "episode a"),
-        ('{"a": [{"position": [NaN, 0, 0]}]}', "episode a is not JSON.*NaN"),
-        ('{"a": [{"position": [0, 0, 0], "stop": 1}]}', "episode a, step 0: has a stop"),
-        ('{"a": [{"position": [0, 0, 0], "stop": "true"}]}', "episode a, step 0: has a stop"),
-        ('{"a": [{"position": [0, 0, 0', "cut short"),
+        ('{"a": [{"position": [0, 0, 0]}], "a": []}', "episode a", "the file has two predictions of it"),
+        (
+            '{"a": {"position": [0, 0, 0]}}',
+            "",
+            "the file is a JSON object, but not one of predictions by episode",
+        ),
+        ('{"b": [], "a": {"position": [0, 0, 0]}}', "episode a", "the value is not a list of poses"),
+        ('{"a": [[0, 0, 0]]}', "episode a, step 0", "the pose is not an object with position, heading and stop"),
+        (
+            '{"a": [{"position": [0, 0, 0]}, {"position": [0, 0]}]}',
+            "episode a, step 1",
+            "the position is [0,0], not three numbers",
+        ),
+        ('{"a": [{"position": [0, 0, "0"]}]}', "episode a, step 0", 'the position is [0,0,"0"], not three numbers'),
+        ('{"a": [{"position": [true, 0, 0]}]}', "episode a, step 0", "the position is [true,0,0], not three numbers"),
+        ('{"a": [{"position": null}]}', "episode a, step 0", "the position is null, not three numbers"),
+        ('{"a": [{"heading": 0}]}', "episode a, step 0", "the position is null, not three numbers"),
+        (
+            '{"a": [{"position": [0, 0, 0]}, {"position": [1e308, 0, 0]}]}',
+            "episode a, step 1",
+            "the position [1e+308,0,0] is farther than 100000 m from the origin of its scene",
+        ),
+        (
+            '{"a": [{"position": [0, 0, 0]}, {"position": [0, -100001, 0]}]}',
+            "episode a, step 1",
+            "the position [0,-100001,0] is farther than 100000 m from the origin of its scene",
+        ),
+        (
+            '{"a": [{"position": [18446744073709551615, 0, 0]}]}',
+            "episode a, step 0",
+            "the position [18446744073709551615,0,0] is farther than 100000 m from the origin of its scene",
+        ),
+        (
+            '{"a": [{"position": [0, 0, 0]}, {"position": [0, 1e999, 0]}]}',
+            "episode a, step 1",
+            "the number inf is not finite, and JSON has no such number",
+        ),
+        (
+            '{"b": [], "a": [{"position": [0, 0, 0]}, {"position": [NaN, 0, 0]}]}',
+            "episode a, step 1",
+            "the number nan is not finite, and JSON has no such number",
+        ),
+        ('{"a": [{"position": [0, 0, 0], "stop": 1}]}', "episode a, step 0", "stop is 1, neither true nor false"),
+        (
+            '{"a": [{"position": [0, 0, 0], "stop": "true"}]}',
+            "episode a, step 0",
+            "stop is 'true', neither true nor false",
+        ),
+        (
+            '{"a": [{"position": [0, 0, 0], "position": [1, 0, 0]}]}',
+            "episode a",
+            "the key 'position' is there twice in one object",
+        ),
+        ('{"a": [{"position": [0, 0, 0', "after entry 0", "the file is cut short, or its brackets do not match"),
+        ('{"a": [' + "[" * 70 + "]" * 70 + "]}", "episode a", "the text is nested 71 levels deep; at most 64 are read"),
+        ('{"a": [' + "[" * 9999, "entry 0", "the text is nested 10001 levels deep; at most 64 are read"),
     ],
 )
-def test_vlnce_gone_wrong(tmp_path: Path, document: str, says: str) -> None:
+def test_vlnce_gone_wrong(tmp_path: Path, document: str, place: str, says: str) -> None:
     path = tmp_path / "wrong.json"
     path.write_text(document)
-    with pytest.raises(FormatError, match=says) as caught:
+    with pytest.raises(FormatError) as caught:
         list(read_predictions(path))
-    assert "wrong.json" in str(caught.value)
+    assert (caught.value.where, caught.value.place, caught.value.what) == (str(path), place, says)
 
 
 @pytest.mark.parametrize(
-    ("lines", "says"),
+    ("lines", "place", "says"),
     [
-        ('{"instruction_id": 1, "path": []}\n{"instruction_id": 1, "path": []}', "episode 1: stands twice"),
-        ('{"instruction_id": 1, "path": 3}', "line 1"),
-        ('{"path": [[0, 0, 0]]}', "line 1: has no id"),
-        ('{"instruction_id": true, "path": []}', "line 1: has no id"),
-        ('{"instruction_id": 1, "path": [[0, 0, 0], [0, 0, null]]}', "episode 1, step 1"),
-        ('{"instruction_id": 1, "path": []}\n{"instruction', "line 2"),
+        (
+            '{"instruction_id": 1, "path": []}\n{"instruction_id": 1, "path": []}',
+            "episode 1",
+            "the file has two predictions of it",
+        ),
+        (
+            '{"instruction_id": 1, "path": 3}',
+            "line 1",
+            "the line is not an object with instruction_id and a list path",
+        ),
+        ('{"path": [[0, 0, 0]]}', "line 1", "instruction_id is missing"),
+        ('{"instruction_id": true, "path": []}', "line 1", "instruction_id is true, not text or a number"),
+        (
+            '{"instruction_id": 1, "path": [[0, 0, 0], [0, 0, null]]}',
+            "episode 1, step 1",
+            "the position is [0,0,null], not three numbers",
+        ),
+        (
+            '{"instruction_id": 1, "path": []}\n{"instruction_id": 2, "path": [[0, 0, 0], [0, 0, -Infinity]]}',
+            "line 2, step 1",
+            "the number -inf is not finite, and JSON has no such number",
+        ),
+        (
+            '{"instruction_id": 1, "path": [[0, 1e308, 0]]}',
+            "episode 1, step 0",
+            "the position [0,1e+308,0] is farther than 100000 m from the origin of its scene",
+        ),
+        (
+            '{"instruction_id": 1, "path": []}\n{"instruction',
+            "line 2",
+            "the text is not JSON (Unterminated string starting at: line 1 column 2)",
+        ),
     ],
 )
-def test_rxr_gone_wrong(tmp_path: Path, lines: str, says: str) -> None:
+def test_rxr_gone_wrong(tmp_path: Path, lines: str, place: str, says: str) -> None:
     path = tmp_path / "wrong.jsonl"
     path.write_text(lines)
-    with pytest.raises(FormatError, match=says):
+    with pytest.raises(FormatError) as caught:
         list(read_predictions(path, "rxr"))
+    assert (caught.value.where, caught.value.place, caught.value.what) == (str(path), place, says)
 
 
 @pytest.mark.parametrize(
-    ("document", "says"),
+    ("document", "place", "says"),
     [
-        ([{"instr_id": "1", "trajectory": []}] * 2, "1: stands twice|episode 1: stands twice"),
-        ([{"instr_id": "1"}], "entry 0"),
-        ([{"trajectory": []}], "entry 0: has no id"),
-        ([{"instr_id": "1", "trajectory": [[3]]}], "1, step 0"),
-        ([[1]], "entry 0"),
+        ([{"instr_id": "1", "trajectory": []}] * 2, "episode 1", "the file has two predictions of it"),
+        ([{"instr_id": "1"}], "entry 0", "the entry is not an object with instr_id and a list trajectory"),
+        ([{"trajectory": []}], "entry 0", "instr_id is missing"),
+        ([{"instr_id": "1", "trajectory": [["v"], [3]]}], "instruction 1, step 1", "the step has no viewpoint id"),
+        ([[1]], "entry 0", "the entry is not an object with instr_id and a list trajectory"),
     ],
 )
-def test_r2r_gone_wrong(tmp_path: Path, document: Any, says: str) -> None:
-    with pytest.raises(FormatError, match=says):
-        list(read_graph_predictions(write(tmp_path / "wrong.json", document)))
+def test_r2r_gone_wrong(tmp_path: Path, document: Any, place: str, says: str) -> None:
+    path = write(tmp_path / "wrong.json", document)
+    with pytest.raises(FormatError) as caught:
+        list(read_graph_predictions(path))
+    assert (caught.value.where, caught.value.place, caught.value.what) == (str(path), place, says)
+
+
+@pytest.mark.parametrize("colons", ["a:b", "::", '\\":'])
+def test_colons_in_names_are_no_keys(tmp_path: Path, colons: str) -> None:
+    path = write(tmp_path / "p.json", {colons: [pose(0, note=colons), pose(1, True, more={colons: colons})]})
+    assert only(path).episode_id == colons
 
 
 def test_a_long_path_is_read_to_its_last_digit(tmp_path: Path) -> None:
