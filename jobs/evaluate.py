@@ -7,10 +7,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 from urllib.parse import quote
 
 from rich.console import Console, ConsoleOptions, RenderResult
+from rich.text import Text
 
 from condvln.evaluation.agents import agent_named, predict_all
 from condvln.evaluation.evaluate import Evaluation
@@ -25,9 +26,12 @@ from condvln.export.streams import atomic_stream
 from jobs.policy import eyes_of, is_policy, policy_named, walk_policy
 from jobs.report import Report
 from schemas.config import Config
-from schemas.errors import UsageError
+from schemas.errors import FormatError, UsageError
 
-__all__ = ["EvaluationReport", "Question", "evaluate_predictions", "walk_split"]
+__all__ = ["EvaluationReport", "HandedIn", "Question", "evaluate_predictions", "walk_split"]
+
+SHOWN: Final = 5
+"""Ids of missing episodes in a sentence; ``--json`` has all of them."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,7 @@ class Question:
     radii : success distances of a sweep, metres
     oracle_radius : distance of OSR, metres, where it is larger than the success distance; none for that
     fast_dtw : nDTW by VLN-CE's approximation
+    strict : an episode without a prediction is an error
     """
 
     export: Path
@@ -56,18 +61,60 @@ class Question:
     assume_stop: bool = False
     oracle_radius: float | None = None
     fast_dtw: bool = False
+    strict: bool = False
+
+
+@dataclass(frozen=True)
+class HandedIn:
+    """How many of a split's episodes one file has a path or a result for.
+
+    missing : ids of those without, in the order of the split; an empty path counts as none
+    """
+
+    file: Path
+    episodes: int
+    missing: tuple[str, ...]
+
+    def warning(self) -> str:
+        """What to say where some are missing."""
+        shown = ", ".join(self.missing[:SHOWN]) + (", …" if len(self.missing) > SHOWN else "")
+        return (
+            f"{len(self.missing)} of {self.episodes} episodes have no prediction, or an empty path, and count as "
+            f"failures: {shown}"
+        )
 
 
 class EvaluationReport:
-    """The tables of one evaluation; rich draws the terminal form."""
+    """The tables of one evaluation, and what the files lack; rich draws the terminal form."""
 
-    def __init__(self, evaluations: Sequence[Evaluation], tables: Sequence[Table]) -> None:
+    def __init__(
+        self, evaluations: Sequence[Evaluation], tables: Sequence[Table], handed_in: Sequence[HandedIn] = ()
+    ) -> None:
         self.evaluations = evaluations
         self.tables = tables
+        self.handed_in = handed_in
+
+    @property
+    def warnings(self) -> list[str]:
+        """One sentence for each file that lacks episodes."""
+        return [f"{one.file}: {one.warning()}" for one in self.handed_in if one.missing]
 
     def as_json(self) -> dict[str, Any]:
-        """All tables as plain values."""
-        return {"tables": [as_document(table) for table in self.tables]}
+        """All tables as plain values; of each file how many episodes it has and lacks."""
+        predictions = [
+            {
+                "file": str(one.file),
+                "episodes": one.episodes,
+                "missing": len(one.missing),
+                "missing_ids": [*one.missing],
+            }
+            for one in self.handed_in
+        ]
+        return {
+            "warnings": self.warnings,
+            "predictions": predictions,
+            "tables": [as_document(table) for table in self.tables],
+        }
 
     def as_markdown(self) -> str:
         """All tables as Markdown."""
@@ -108,6 +155,7 @@ class EvaluationReport:
                     stream.write(json.dumps({"agent": evaluation.agent, **row}).encode() + b"\n")
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        yield from (Text(f"warning: {warning}") for warning in self.warnings)
         yield from (as_rich(table) for table in self.tables)
 
 
@@ -147,6 +195,7 @@ def evaluate_predictions(asked: Question) -> EvaluationReport:
     Raises
     ------
     UsageError : not one file of the twin for each agent
+    FormatError : an episode without a prediction, where that is asked for
     InputError : from the readers
     """
     if asked.oracle and len(asked.oracle) != len(asked.predictions):
@@ -167,9 +216,24 @@ def evaluate_predictions(asked: Question) -> EvaluationReport:
     )
     options = SplitOptions(rules, asked.radii, asked.roots, asked.assume_stop, asked.connectivity)
     evaluations, tasks = evaluate_split(asked.export, asked.split, asked.predictions, options)
+    # The twin has the same episodes, goals and budgets: one manifest serves both.
+    twins = [evaluate_split(asked.export, asked.split, (path,), options)[0][0] for path in asked.oracle]
+    handed_in = [
+        _handed_in(path, evaluation)
+        for path, evaluation in zip((*asked.predictions, *asked.oracle), (*evaluations, *twins), strict=True)
+    ]
+    short = next((one for one in handed_in if one.missing), None)
+    if asked.strict and short is not None:
+        raise FormatError(
+            short.warning(), where=short.file, remedy="Predict every episode, or leave out --strict to count failures"
+        )
     tables = all_tables(evaluations, tasks)
-    if asked.oracle:
-        # The twin has the same episodes, goals and budgets: one manifest serves both.
-        twins = [evaluate_split(asked.export, asked.split, (path,), options)[0][0] for path in asked.oracle]
+    if twins:
         tables += twin_tables(list(zip(evaluations, twins, strict=True)))
-    return EvaluationReport(evaluations, tables)
+    return EvaluationReport(evaluations, tables, handed_in)
+
+
+def _handed_in(path: Path, evaluation: Evaluation) -> HandedIn:
+    lacking = evaluation.scores["missing"] == 1
+    ids = tuple(name for name, absent in zip(evaluation.episode_ids, lacking.tolist(), strict=True) if absent)
+    return HandedIn(path, len(evaluation), ids)

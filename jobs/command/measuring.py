@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from jobs.command.answers import answer, leave
+from jobs.command.answers import answer, console, leave
 from jobs.command.options import AsJson, ConfigPath, ExportPath, Graphs, NavmeshRoots, Overrides, SplitName
 from schemas.errors import UsageError
 
@@ -83,6 +83,9 @@ def evaluate(
     plots: Annotated[
         Path | None, typer.Option("--plots", metavar="DIR", help="folder for SR, BSA and CSR against depth and chain")
     ] = None,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="end with exit code 3 where an episode has no prediction; no tables then")
+    ] = False,
     latex: Annotated[bool, typer.Option("--latex", help="print LaTeX tables (booktabs)")] = False,
     markdown: Annotated[bool, typer.Option("--markdown", help="print Markdown tables")] = False,
     as_json: AsJson = False,
@@ -104,12 +107,15 @@ def evaluate(
         assume_stop=assume_stop,
         oracle_radius=oracle_radius,
         fast_dtw=fast_dtw,
+        strict=strict,
     )
     report = evaluate_predictions(asked)
     for target, write in ((scores, report.write_scores), (csv, report.write_csv), (plots, report.write_plots)):
         if target is not None:
             write(target)
     if latex or markdown:
+        for warning in report.warnings:
+            console().print(f"warning: {warning}", markup=False, soft_wrap=True)
         sys.stdout.write(report.as_latex() if latex else report.as_markdown())
     else:
         answer(report, as_json)

@@ -16,6 +16,7 @@ from condvln.evaluation.split import split_tasks
 from jobs.command import app
 from jobs.report import Report
 from schemas.config import Config
+from schemas.errors import FormatError
 
 runner = CliRunner()
 
@@ -105,6 +106,35 @@ def test_others_results_stand_beside_predictions(
     assert branches["theirs"]["missing"]["mean"] == pytest.approx(1 / len(tasks))
     assert branches["theirs"]["leaf_correct"]["n"] == 0
     assert {name.rsplit("_", 1)[1] for name in tables if name.startswith("leaves_")} == {"oracle"}
+
+
+@pytest.mark.parametrize("kept", [0, 3])
+def test_missing_predictions_are_counted_aloud(
+    evaluate: Any, export: Path, split: str, agents: dict[str, Path], tmp_path: Path, kept: int
+) -> None:
+    tasks = split_tasks(export, split)
+    short = tmp_path / "short.json"
+    whole = json.loads(agents["oracle"].read_text())
+    some = dict(list(whole.items())[:kept])
+    short.write_text(json.dumps(some))
+    lacking = [task.episode_id for task in tasks if task.episode_id not in some]
+    document = json.loads(evaluate(short, agents["oracle"], "--json").stdout)
+    (warning,) = document["warnings"]
+    count = f"{len(tasks) - kept} of {len(tasks)} episodes have no prediction"
+    assert warning.startswith(f"{short}: {count}")
+    first, second = document["predictions"]
+    assert (first["file"], first["missing"], first["missing_ids"]) == (str(short), len(lacking), lacking)
+    assert (second["episodes"], second["missing"], second["missing_ids"]) == (len(tasks), 0, [])
+    # They stay failures.
+    (main,) = (table for table in document["tables"] if table["name"] == "main")
+    assert main["rows"][0]["success"]["mean"] == pytest.approx(kept / len(tasks))
+    for form in ((), ("--latex",), ("--markdown",)):
+        assert count in " ".join(evaluate(short, *form).output.split())
+    refused = evaluate(short, "--strict")
+    assert isinstance(refused.exception, FormatError)
+    assert count in str(refused.exception)
+    assert refused.exception.exit_code == 3
+    assert evaluate(agents["oracle"], "--strict").exit_code == 0
 
 
 AGENT = """

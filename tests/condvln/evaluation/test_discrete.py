@@ -134,8 +134,5 @@ def test_wrong_predictions(line: GraphDistances, prediction: GraphPrediction, sa
 def test_wrong_r2r_files(tmp_path: Path, text: str) -> None:
     path = tmp_path / "R2R.json"
     path.write_text(text)
-    if text == "{}":
-        assert read_graph_episodes(path) == []
-        return
-    with pytest.raises(FormatError, match=r"R2R\.json: not an R2R file"):
+    with pytest.raises(FormatError, match=r"R2R\.json: "):
         read_graph_episodes(path)
