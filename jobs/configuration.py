@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-import reprlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,6 +11,7 @@ import yaml
 from pydantic import ValidationError
 
 from factory.address import open_store
+from jobs.config_faults import config_error
 from schemas.config import Config
 from schemas.errors import ConfigError, UsageError
 
@@ -28,11 +28,11 @@ class _UniqueKeyLoader(yaml.SafeLoader):
 def _mapping(loader: _UniqueKeyLoader, node: yaml.MappingNode) -> dict[Any, Any]:
     keys: dict[Any, Any] = {}
     for key_node, value_node in node.value:
-        key = loader.construct_object(key_node, deep=True)
+        key, place = loader.construct_object(key_node, deep=True), f"line {key_node.start_mark.line + 1}"
+        if not isinstance(key, Hashable):
+            raise ConfigError("a list or a mapping is used as a key", place=place, remedy="Write name: value.")
         if key in keys:
-            raise ConfigError(
-                f"key {key!r} stands twice", place=f"line {key_node.start_mark.line + 1}", remedy="Keep one of them."
-            )
+            raise ConfigError(f"the key {key!r:.60} is there twice", place=place, remedy="Keep one of them.")
         keys[key] = loader.construct_object(value_node, deep=True)
     return keys
 
@@ -61,9 +61,12 @@ def load_config(
     except ConfigError as error:
         raise ConfigError(error.what, where=path, place=error.place, remedy=error.remedy) from None
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
-        raise ConfigError(f"not YAML: {error}", where=path, remedy="Mend the file.") from None
+        raise _not_yaml(error, path) from None
     if not isinstance(data, dict):
-        raise ConfigError("holds no keys", where=path, remedy="Start from configs/replicacad.yaml.")
+        raise ConfigError("the file holds no keys", where=path, remedy="Start from configs/replicacad.yaml.")
+    strange = next((key for key in data if not isinstance(key, str)), None)
+    if strange is not None:
+        raise ConfigError(f"the key {strange!r:.60} is not text", where=path, remedy="Write name: value.")
     for name, value in sorted((os.environ if environment is None else environment).items()):
         keys = name.removeprefix(ENVIRONMENT_PREFIX).lower().split("__")
         # Other CONDVLN_ variables exist (paths of tests and caches); only keys of the configuration count.
@@ -77,15 +80,34 @@ def load_config(
     try:
         config = Config.model_validate(data)
     except ValidationError as error:
-        raise ConfigError(_first_fault(error), where=path, remedy=_remedy(error)) from None
+        raise config_error(error, path) from None
     return _resolve(config, path.resolve().parent, path, check_roots)
+
+
+def _not_yaml(error: Exception, path: Path) -> ConfigError:
+    if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:
+        mark = error.problem_mark
+        place = f"line {mark.line + 1} column {mark.column + 1}"
+        tab = "\\t" in str(error.problem)
+        remedy = "Indent with blanks, not with tabs." if tab else "Correct the line, or the one before it."
+        return ConfigError(f"the file is not YAML: {error.problem}", where=path, place=place, remedy=remedy)
+    if isinstance(error, RecursionError):
+        return ConfigError("the file is nested too deeply", where=path, remedy="Start from configs/replicacad.yaml.")
+    if isinstance(error, UnicodeDecodeError):
+        return ConfigError(
+            "the file is not UTF-8 text", where=path, place=f"byte {error.start}", remedy="Save it as UTF-8."
+        )
+    return ConfigError(f"the file is not YAML: {error}", where=path, remedy="Start from configs/replicacad.yaml.")
 
 
 def _value(text: str, origin: str) -> Any:
     try:
         return yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise ConfigError(f"{origin}: value is not YAML: {error}") from None
+    except (yaml.YAMLError, RecursionError) as error:
+        problem = getattr(error, "problem", None) or "it is nested too deeply"
+        raise ConfigError(
+            f"{origin}: the value is not YAML: {problem}", remedy='Put text with special characters in quotes: "…"'
+        ) from None
 
 
 def _put(data: dict[str, Any], keys: Sequence[str], value: Any, origin: str) -> None:
@@ -94,7 +116,10 @@ def _put(data: dict[str, Any], keys: Sequence[str], value: Any, origin: str) -> 
         if isinstance(at, list):
             at = _item(at, key, origin)
             continue
-        at = at.setdefault(key, {})
+        # A section whose keys are all commented out reads as nothing.
+        inner = {} if at.get(key) is None else at[key]
+        at[key] = inner
+        at = inner
         if not isinstance(at, dict | list):
             raise ConfigError(f"{origin}: {key!r} holds a value, not keys", remedy="Name a key inside a section.")
     if isinstance(at, list):
@@ -106,51 +131,10 @@ def _put(data: dict[str, Any], keys: Sequence[str], value: Any, origin: str) -> 
 
 def _item(items: list[Any], key: str, origin: str) -> Any:
     if not key.isdigit() or int(key) >= len(items):
-        raise ConfigError(f"{origin}: {key!r} is not one of the {len(items)} entries", remedy="Entries count from 0.")
+        raise ConfigError(
+            f"{origin}: there is no entry {key!r} in a list of {len(items)}", remedy="Entries count from 0."
+        )
     return items[int(key)]
-
-
-def _shown(value: Any) -> str:
-    """The beginning of a value. Anchors and aliases may make one of a few lines that is endless when written out."""
-    brief = reprlib.Repr()
-    brief.maxlevel, brief.maxstring, brief.maxother = 2, 60, 60
-    return (value if isinstance(value, str) else brief.repr(value))[:60]
-
-
-def _first_fault(error: ValidationError) -> str:
-    faults = []
-    for fault in error.errors():
-        key = ".".join(str(part) for part in fault["loc"]) or "(top)"
-        if fault["type"] == "extra_forbidden":
-            faults.append(f"{key}: unknown key")
-        else:
-            faults.append(f"{key}: {fault['msg']} (got {_shown(fault.get('input'))!r})")
-    return "; ".join(faults)
-
-
-def _remedy(error: ValidationError) -> str:
-    for fault in error.errors():
-        if fault["type"] != "extra_forbidden":
-            continue
-        model: Any = Config
-        for part in fault["loc"][:-1]:
-            if isinstance(part, int):
-                continue
-            model = _inner_model(model.model_fields[part].annotation)
-            if model is None:
-                return ""
-        return f"Allowed here: {', '.join(model.model_fields)}."
-    return ""
-
-
-def _inner_model(annotation: Any) -> Any:
-    if hasattr(annotation, "model_fields"):
-        return annotation
-    for inner in getattr(annotation, "__args__", ()):
-        found = _inner_model(inner)
-        if found is not None:
-            return found
-    return None
 
 
 def _store(address: Path | str, base: Path, path: Path) -> Path | str:

@@ -44,7 +44,7 @@ class Section(Document):
     @classmethod
     def _yes_is_no_number(cls, value: Any, info: ValidationInfo) -> Any:
         if isinstance(value, bool) and cls.model_fields[info.field_name or ""].annotation is not bool:
-            raise ValueError("true and false are no values of this key")
+            raise ValueError("true and false are not allowed here")
         return value
 
 
@@ -67,7 +67,7 @@ class SourceConfig(Section):
     def _keys_of_one_family(self) -> SourceConfig:
         for key, family in (("houses", "procthor"), ("connectivity", "mp3d")):
             if getattr(self, key) is not None and self.family != family:
-                raise ValueError(f"{key} is a key of {family} sources, and this one is {self.family}")
+                raise ValueError(f"{key} is a key of {family} sources only, and this source is {self.family}")
         return self
 
 
@@ -113,9 +113,13 @@ class Thresholds(Section):
             (self.sector_true, 22.5, self.sector_false, "sector"),
         ):
             if not low < middle < high:
-                raise ValueError(f"{name}: the emitted threshold must lie between those for true and false")
+                raise ValueError(
+                    f"{name}: {middle:g} must lie between its thresholds in text, got {low:g} and {high:g}"
+                )
         if self.surface_within < self.near_false:
-            raise ValueError("surface_within must reach near_false, else a false 'near' could not be proven")
+            raise ValueError(
+                f"surface_within: {self.surface_within:g} must be at least near_false, {self.near_false:g}"
+            )
         return self
 
 
@@ -136,16 +140,20 @@ class InstructionCell(Section):
     @classmethod
     def _yes_is_no_bound(cls, value: Any) -> Any:
         if isinstance(value, list | tuple) and any(isinstance(bound, bool) for bound in value):
-            raise ValueError("true and false are no bounds; write [least, most]")
+            raise ValueError("true and false are not allowed as bounds; write [least, most]")
         return value
 
     @model_validator(mode="after")
     def _bounds_are_ranges(self) -> InstructionCell:
         if self.route is not None and not 0 <= self.route[0] < self.route[1]:
             least, most = self.route
-            raise ValueError(f"route: [{least:g}, {most:g}] is no range of metres; write [least, most]")
+            raise ValueError(
+                f"route: the first bound must be at least 0 m and below the second, got [{least:g}, {most:g}]"
+            )
         if self.words is not None and not 1 <= self.words[0] <= self.words[1]:
-            raise ValueError(f"words: {list(self.words)} is no range of numbers of words; write [least, most]")
+            raise ValueError(
+                f"words: the first bound must be at least 1 and at most the second, got {list(self.words)}"
+            )
         return self
 
 
@@ -177,7 +185,7 @@ class InstructionsConfig(Section):
     @model_validator(mode="after")
     def _shares_sum_to_one(self) -> InstructionsConfig:
         if abs(sum(self.moves) - 1.0) > 1e-9:
-            raise ValueError("moves: the three shares must sum to 1")
+            raise ValueError(f"moves: the three shares must sum to 1, got {sum(self.moves):g}")
         return self
 
     @model_validator(mode="after")
@@ -185,7 +193,9 @@ class InstructionsConfig(Section):
         axes = [tuple(cell.model_dump(exclude={"count"}).values()) for cell in self.cells]
         for name in axes:
             if axes.count(name) > 1:
-                raise ValueError(f"cells: {' '.join(str(part) for part in name if part)} stands there twice; add up")
+                raise ValueError(
+                    f"cells: {' '.join(str(part) for part in name if part)} is there twice; add the counts up"
+                )
         return self
 
 
@@ -216,7 +226,9 @@ class EpisodeConfig(Section):
         for name in ("distance_single_room", "distance"):
             least, most = getattr(self, name)
             if not 0 <= least < most:
-                raise ValueError(f"{name}: [{least:g}, {most:g}] is no range of distances; write [least, most]")
+                raise ValueError(
+                    f"{name}: the first bound must be at least 0 m and below the second, got [{least:g}, {most:g}]"
+                )
         return self
 
 
@@ -248,7 +260,7 @@ class SplitsConfig(Section):
     @model_validator(mode="after")
     def _fractions_sum_to_one(self) -> SplitsConfig:
         if abs(sum(self.fractions) - 1.0) > 1e-9:
-            raise ValueError("fractions: the three shares must sum to 1")
+            raise ValueError(f"fractions: the three shares must sum to 1, got {sum(self.fractions):g}")
         return self
 
 
@@ -316,7 +328,7 @@ class Config(Section):
             # A route is never shorter than the way from its start to its goal.
             if cell.route is not None and cell.route[1] < least:
                 raise ValueError(
-                    f"instructions.cells.{k}.route: none is as short as {cell.route[1]:g} m, since every goal lies "
-                    f"{least:g} m and more from the start (episodes.distance, episodes.distance_single_room)"
+                    f"instructions.cells.{k}.route: no route is shorter than {cell.route[1]:g} m; every goal is at "
+                    f"least {least:g} m from the start (episodes.distance, episodes.distance_single_room)"
                 )
         return self

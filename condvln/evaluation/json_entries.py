@@ -145,13 +145,13 @@ def entries(path: Path) -> Iterator[tuple[str | None, bytes]]:
         first = True
         while block := file.read(_BLOCK):
             if keyed is None:
-                block = (pending + block).removeprefix(_BOM) if first else block
+                block = bytes(pending + block).removeprefix(_BOM) if first else block
                 pending.clear()
                 if first and len(block) < len(_BOM) and _BOM.startswith(block):
                     pending += block  # part of a byte order mark
                     continue
                 first = False
-                block = bytes(block).lstrip(_BLANKS)
+                block = block.lstrip(_BLANKS)
                 if not block:
                     continue
                 if block[:1] not in b"{[":

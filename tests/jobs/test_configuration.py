@@ -52,48 +52,27 @@ def test_set_reaches_into_lists(written, tmp_path: Path) -> None:
     assert load_config(written(), ["sources.0.root=other"], {}).sources[0].root == tmp_path / "other"
 
 
+WRONG = yaml.safe_load(Path(__file__).with_name("wrong_configurations.yaml").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("wrong", WRONG, ids=[case["message"].split(":")[0] for case in WRONG])
+def test_a_wrong_key_is_named_with_what_it_must_be(written, wrong) -> None:
+    path = written(**wrong["keys"])
+    with pytest.raises(ConfigError) as caught:
+        load_config(path, [], {})
+    assert str(caught.value) == f"{path}: {wrong['message']}"
+    assert all(word not in wrong["message"] for word in ("Input", "Tuple", "validation", "Value error"))
+
+
 @pytest.mark.parametrize(
     ("changes", "overrides", "named", "remedy"),
     [
-        ({"colour": 1}, [], "colour: unknown key", "Allowed here: name, seed, store"),
-        ({"ray": {"cores": 2}}, [], "ray.cores: unknown key", "Allowed here: workers, address"),
-        ({"sources": [{"family": "x", "root": "data"}]}, [], "sources.0.family", ""),
-        ({"seed": "many"}, [], "seed", ""),
-        ({"sources": []}, [], "sources", ""),
-        ({"instructions": {"moves": [0.5, 0.5, 0.5]}}, [], "sum to 1", ""),
-        ({"thresholds": {"near_true": 2.0}}, [], "near", ""),
-        ({"agent": {"radius": float("nan")}}, [], "agent.radius", ""),
-        ({}, ["seed"], "not of the form", ""),
-        ({}, ["sources.7.root=x"], "not one of the 1 entries", ""),
+        ({}, ["ray.wokers=2"], "ray.wokers: the key 'wokers' is unknown", "Did you mean workers?"),
+        ({}, ["seed"], "not of the form", "--set ray.workers=2"),
+        ({}, ["sources.7.root=x"], "there is no entry '7' in a list of 1", "Entries count from 0"),
+        ({}, ["store.x=1"], "'store' holds a value, not keys", "Name a key inside a section"),
+        ({}, ["seed=" + "[" * 5000], "--set seed: the value is not YAML", "in quotes"),
         ({"sources": [{"family": "replicacad", "root": "nowhere"}]}, [], "no such folder", "sources.0.root=FOLDER"),
-        ({"ray": {"workers": True}}, [], "ray.workers: Value error, true and false are no values", ""),
-        ({"agent": {"max_slope": 120}}, [], "agent.max_slope", ""),
-        ({"name": "x" * 101}, [], "name", ""),
-        ({"sources": [{"family": "replicacad", "root": "data", "scenes": []}]}, [], "sources.0.scenes", ""),
-        ({"sources": [{"family": "replicacad", "root": "data", "houses": "x"}]}, [], "houses is a key of procthor", ""),
-        ({"sources": [{"family": "gibson", "root": "data", "connectivity": "x"}]}, [], "a key of mp3d", ""),
-        ({"instructions": {"per_category": {"simple": -5}}}, [], "instructions.per_category.simple", ""),
-        ({"instructions": {"per_category": {"simple": 10**12}}}, [], "instructions.per_category.simple", ""),
-        ({"instructions": {"cells": [{"category": "simple", "count": 0}]}}, [], "instructions.cells.0.count", ""),
-        (cell(route=[15, 5]), [], "instructions.cells.0: Value error, route: [15, 5] is no range", "[least, most]"),
-        (cell(route=[-1, 5]), [], "route: [-1, 5] is no range of metres", ""),
-        (cell(route=[5, 5]), [], "route: [5, 5] is no range of metres", ""),
-        (cell(route=[5, float("inf")]), [], "instructions.cells.0.route.1", ""),
-        (cell(route=[True, 5]), [], "instructions.cells.0.route: Value error, true and false are no bounds", ""),
-        (cell(route=[0.1, 0.9]), [], "instructions.cells.0.route: none is as short as 0.9 m", ""),
-        (cell(route=5), [], "instructions.cells.0.route", ""),
-        (cell(words=[60, 20]), [], "words: [60, 20] is no range of numbers of words", ""),
-        (cell(words=[0, 20]), [], "words: [0, 20] is no range of numbers of words", ""),
-        (cell(words=[20.5, 30]), [], "instructions.cells.0.words.0", ""),
-        (cell(words=[20]), [], "instructions.cells.0.words", ""),
-        (cell(words=[20, 30], other={"words": [20, 30]}), [], "cells: simple (20, 30) stands there twice", ""),
-        ({"instructions": {"counterfactual_groups": 10**12}}, [], "instructions.counterfactual_groups", ""),
-        ({"instructions": {"candidates_per_episode": 10**12}}, [], "instructions.candidates_per_episode", ""),
-        ({"episodes": {"starts": 10**12}}, [], "episodes.starts", ""),
-        ({"episodes": {"path_spacing": 1e-12}}, [], "episodes.path_spacing", ""),
-        ({"episodes": {"distance": [30, 2]}}, [], "[30, 2] is no range", ""),
-        ({"episodes": {"distance_single_room": [-1, 2]}}, [], "[-1, 2] is no range", ""),
-        ({"splits": {"fractions": [0.9, 0.9, 0.9]}}, [], "fractions: the three shares must sum to 1", ""),
         ({"store": "data"}, [], "store", "a folder of its own"),
         ({"store": "data/../data/store"}, [], "sources.0.root", "a folder of its own"),
         ({"export": "data/export"}, [], "export", "a folder of its own"),
@@ -105,6 +84,40 @@ def test_faults_name_the_key_and_what_is_allowed(written, changes, overrides, na
         load_config(written(**changes), overrides, {})
     assert named in str(caught.value)
     assert remedy in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "the file holds no keys. Start from configs/replicacad.yaml."),
+        ("- a", "the file holds no keys. Start from configs/replicacad.yaml."),
+        ("a: 1\na: 2", "line 2: the key 'a' is there twice. Keep one of them."),
+        ("? [a]\n: b", "line 1: a list or a mapping is used as a key. Write name: value."),
+        ("1: 2", "the key 1 is not text. Write name: value."),
+        (
+            "a:\n\t- x",
+            "line 2 column 1: the file is not YAML: found character '\\t' that cannot start any token. Indent with "
+            "blanks, not with tabs.",
+        ),
+        (
+            "a: [",
+            "line 1 column 5: the file is not YAML: expected the node content, but found '<stream end>'. Correct the "
+            "line, or the one before it.",
+        ),
+        ("[" * 5000, "the file is nested too deeply. Start from configs/replicacad.yaml."),
+        ("\udcff", "byte 0: the file is not UTF-8 text. Save it as UTF-8."),
+    ],
+)
+def test_what_is_not_a_configuration_is_named(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "c.yaml"
+    path.write_bytes(text.encode("utf-8", "surrogateescape"))
+    with pytest.raises(ConfigError) as caught:
+        load_config(path, [], {})
+    assert str(caught.value) == f"{path}: {message}"
+
+
+def test_a_section_without_keys_takes_what_is_set(written) -> None:
+    assert load_config(written(ray=None), ["ray.workers=2"], {}).ray.workers == 2
 
 
 def test_bounds_of_cells_are_taken_as_written(written) -> None:

@@ -1,0 +1,186 @@
+"""What is wrong with a configuration, in the words of its keys: pydantic's findings without its own terms."""
+
+from __future__ import annotations
+
+import difflib
+import reprlib
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, get_args
+
+from pydantic import ValidationError
+
+from schemas.config import Config
+from schemas.errors import ConfigError
+
+__all__ = ["config_error", "nearest"]
+
+_KEY_OF_MAPPING: Final = "[key]"
+"""What pydantic puts behind the key of a mapping that it refuses."""
+
+_EXPECTED: Final = {
+    "bool": "true or false is expected",
+    "date": "a date is expected",
+    "dict": "a section with keys is expected",
+    "float": "a number is expected",
+    "int": "a whole number is expected",
+    "model": "a section with keys is expected",
+    "path": "a path is expected",
+    "string": "text is expected",
+    "tuple": "a list is expected",
+}
+"""By the beginning of pydantic's names of errors (``int_parsing``, ``int_from_float``, ``int_type``)."""
+
+_BOUNDS: Final = {
+    "greater_than": ("gt", "must be greater than"),
+    "greater_than_equal": ("ge", "must be at least"),
+    "less_than": ("lt", "must be less than"),
+    "less_than_equal": ("le", "must be at most"),
+}
+
+
+def config_error(error: ValidationError, path: Path) -> ConfigError:
+    """One error that names every wrong key, what it must be and what it is."""
+    faults = _faults(error)
+    if len(faults) == 1:
+        place, what, remedy = faults[0]
+        return ConfigError(what, where=path, place=place, remedy=remedy)
+    told = "; ".join(f"{place}: {what}" if place else what for place, what, _ in faults)
+    remedies = dict.fromkeys(f"{place}: {remedy}" if place else remedy for place, _, remedy in faults if remedy)
+    return ConfigError(f"{len(faults)} keys are wrong: {told}", where=path, remedy=" ".join(remedies))
+
+
+def nearest(word: object, known: Iterable[str]) -> str:
+    """The known word that was probably meant, as a question; empty where none is near."""
+    spelled = {name.casefold(): name for name in known}
+    found = difflib.get_close_matches(str(word).casefold(), spelled, n=1, cutoff=0.8)
+    return f"did you mean {spelled[found[0]]}?" if found else ""
+
+
+def _faults(error: ValidationError) -> list[tuple[str, str, str]]:
+    """(key, what is wrong, remedy) of each fault, in the order of the keys."""
+    found: dict[str, tuple[str, str, str]] = {}
+    faults = error.errors()
+    for fault in faults:
+        if fault["type"] == "too_short" and _is_echo(fault, faults):
+            continue
+        location = _location(fault)
+        place = ".".join(map(str, location))
+        found.setdefault(place, (place, *_said(fault, location)))
+    return [*found.values()]
+
+
+def _is_echo(fault: Mapping[str, Any], faults: Sequence[Mapping[str, Any]]) -> bool:
+    """Is a list short only because entries of it are wrong, each of them a fault of its own?"""
+    own = fault["loc"]
+    return any(other["loc"][: len(own)] == own for other in faults if len(other["loc"]) > len(own))
+
+
+def _location(fault: Mapping[str, Any]) -> tuple[str | int, ...]:
+    """The key in the file; pydantic adds which alternative of a type it tried, and that a mapping's key is meant."""
+    loc: tuple[str | int, ...] = fault["loc"]
+    if loc and loc[0] == "store":
+        return loc[:1]
+    if fault["type"] == "missing" and isinstance(loc[-1], int):
+        return loc[:-1]  # the list lacks it
+    return tuple(part for part in loc if part != _KEY_OF_MAPPING)
+
+
+def _said(fault: Mapping[str, Any], location: tuple[str | int, ...]) -> tuple[str, str]:
+    """What is wrong with a key, and what to do."""
+    kind, given, context = fault["type"], fault.get("input"), fault.get("ctx", {})
+    got = f"got {_shown(given)}"
+    if kind == "extra_forbidden":
+        allowed = _allowed(location[:-1])
+        return _unknown(location[-1], allowed)
+    if kind == "literal_error" and fault["loc"][-1] == _KEY_OF_MAPPING:
+        return _unknown(given, _choices(context["expected"]))
+    if kind == "literal_error":
+        choices = _choices(context["expected"])
+        return f"{_shown(given)} is not allowed", _advice(given, choices, "Allowed are")
+    if kind == "value_error":
+        return str(context["error"]), ""
+    if kind in ("missing", "too_short", "too_long"):
+        return _wrong_length(fault)
+    if location == ("store",):
+        return f"a folder or an s3:// address is expected, {got}", ""
+    if kind in _BOUNDS:
+        name, words = _BOUNDS[kind]
+        return f"{words} {context[name]:g}, {got}", ""
+    if kind == "finite_number":
+        return f"a finite number is expected, {got}", ""
+    if kind == "string_pattern_mismatch":
+        return f"{_shown(given)} has a character that is not allowed", (
+            "Use letters, digits, '.', '_' and '-', and begin with a letter or a digit."
+        )
+    if kind == "string_too_long":
+        return f"at most {context['max_length']} characters are allowed, got {len(given or '')}", ""
+    expected = _EXPECTED.get(kind.split("_")[0])
+    return (f"{expected}, {got}", _remedy(kind, given, location)) if expected else (f"{fault['msg']}, {got}", "")
+
+
+def _unknown(name: object, allowed: Sequence[str]) -> tuple[str, str]:
+    return f"the key {_shown(name)} is unknown", _advice(name, allowed, "Allowed here:")
+
+
+def _advice(name: object, allowed: Sequence[str], words: str) -> str:
+    guess = nearest(name, allowed)
+    listed = f"{words} {', '.join(allowed)}." if allowed else ""
+    return " ".join(part for part in (guess[:1].upper() + guess[1:], listed) if part)
+
+
+def _wrong_length(fault: Mapping[str, Any]) -> tuple[str, str]:
+    given, context = fault.get("input"), fault.get("ctx", {})
+    if fault["type"] == "too_long":
+        return f"a list of {context['max_length']} is expected, got {_shown(given)}", ""
+    if fault["type"] == "too_short":
+        return "the list is empty", f"Give at least {context['min_length']}."
+    if isinstance(fault["loc"][-1], int):
+        return f"the list is too short, got {_shown(given)}", ""
+    return "the key is missing", ""
+
+
+def _remedy(kind: str, given: Any, location: Sequence[str | int]) -> str:
+    if given is None:
+        required = len(location) == 1 and Config.model_fields[str(location[0])].is_required()
+        return "Give it a value." if required else "Give it a value, or remove the key to take its default."
+    if kind == "tuple_type" and isinstance(given, str):
+        return f"Write [{given}]."
+    if kind == "tuple_type" and isinstance(given, dict):
+        return "Begin each entry with a dash."
+    if kind == "string_type" and isinstance(given, int | float):
+        return f'Write "{given}", with quotes.'
+    if location[:1] == ("sources",) and len(location) == 2:
+        return "An entry has at least the keys family and root."
+    return ""
+
+
+def _choices(expected: str) -> list[str]:
+    """Names out of pydantic's "'a', 'b' or 'c'"."""
+    return expected.replace("'", "").replace(" or ", ", ").split(", ")
+
+
+def _allowed(location: Sequence[str | int]) -> list[str]:
+    """Keys of the section at a place."""
+    model: Any = Config
+    for part in location:
+        if isinstance(part, str):
+            model = _section(model.model_fields[part].annotation)
+    return [*model.model_fields] if model is not None else []
+
+
+def _section(annotation: Any) -> Any:
+    if hasattr(annotation, "model_fields"):
+        return annotation
+    return next((found for inner in get_args(annotation) if (found := _section(inner)) is not None), None)
+
+
+def _shown(value: Any) -> str:
+    """The beginning of a value. Anchors and aliases may make one of a few lines that is endless when written out."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, bool):
+        return str(value).lower()
+    brief = reprlib.Repr()
+    brief.maxlevel, brief.maxstring, brief.maxother = 2, 60, 60
+    return brief.repr(value)[:60]
