@@ -159,7 +159,7 @@ def test_what_is_amiss_is_said(export: Path, tmp_path: Path) -> None:
     graph.write_text(json.dumps([*records, records[0]]))
     with pytest.raises(FormatError, match="the file has two predictions of it"):
         evaluate_split(export, "train", [graph], options(export))
-    graph.write_text("[]")
+    graph.write_text(json.dumps([{**records[0], "trajectory": []}]))
     items = json.loads((export / "r2r" / "R2R_train.json").read_text())
     for path, says in ([], "reference path is empty"), (["nowhere"], "no viewpoint 'nowhere'"):
         items[0]["path"] = path
