@@ -91,7 +91,9 @@ class Simulated:
             for item in task.work:
                 made = hashlib.sha256(item.unit.unit_id.encode()).digest()
                 key, rows = made[:16], (TableReceipt("rows", made[16:], 3, 60),)
-                stage = StageReceipt("burn", key, key, key, key, key, 0.001, 1 << 20, True, False, rows)
+                stage = StageReceipt(
+                    "burn", key, key, key, key, key, 0.001, 1 << 20, True, False, rows, 0.001, item.unit.cost
+                )
                 yield Receipt(
                     item.unit.unit_id,
                     item.unit.partition,
@@ -99,7 +101,6 @@ class Simulated:
                     "",
                     item.fingerprint,
                     (stage,),
-                    estimate=item.unit.cost,
                 )
 
     def pack(self, context: RunContext, jobs: Iterable[PackJob]) -> Iterator[Packed]:
@@ -118,7 +119,9 @@ def units(count: int, cost: float = 0.001) -> Iterator[Unit]:
     for at in range(count):
         name = f"{at:08d}"
         file = InputFile(f"scenes/{name}.json", 1000 + at % 77, f"{at:064x}")
-        yield Unit(f"corpus/{name}", "corpus", (file,), {"root": "/data", "scene": name}, cost * (1 + at % 5 / 10))
+        yield Unit(
+            f"corpus/{name}", "corpus", (file,), {"root": "/data", "scene": name}, {"burn": cost * (1 + at % 5 / 10)}
+        )
 
 
 @dataclass(frozen=True)

@@ -149,6 +149,7 @@ def receipt_of(commit: UnitCommit, *, made: bool) -> StageReceipt:
         peak_rss=commit.peak_rss,
         made=made,
         skipped=commit.outcome == "skipped",
+        cpu_seconds=commit.cpu_seconds,
         tables=tuple(
             TableReceipt(name, bytes.fromhex(record.logical_hash), record.rows, record.logical_bytes)
             for name, record in commit.tables.items()

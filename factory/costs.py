@@ -1,52 +1,83 @@
-"""What a unit will cost, learned from what the published ones did."""
+"""What a unit will cost: what it took last time, or its own estimate, corrected by what such estimates were worth."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
 
 from factory.index import Index
 from factory.pipeline import Pipeline
+from factory.speed import slowness
 from factory.unit import Unit
 
-__all__ = ["MEMORY_MARGIN", "CostModel"]
+__all__ = ["MEMORY_MARGIN", "PRIOR_SECONDS", "CostModel"]
 
 MEMORY_MARGIN: Final = 1.25
 """Asked for above the peak that was measured: the same unit varies by some percent from run to run."""
 
+PRIOR_SECONDS: Final = 1.0
+"""CPU seconds of receipts that weigh as much as what was believed before them: one unit teaches little."""
+
 
 class CostModel:
-    """Seconds and bytes of units: as measured last time, else their own estimate, the seconds scaled by how right such
-    estimates were in the unit's partition (or over all, for a partition that is new).
+    """CPU seconds and bytes of units, stage by stage.
+
+    A stage that was published for a unit is expected to take what it took then, times the ratio of its estimates now
+    and then (more episodes are asked for, say). Any other is expected to take its own estimate times a scale: CPU
+    seconds over estimates of that stage in the unit's partition, drawn towards that over all partitions, and this one
+    towards the slowness of the machine, each by ``PRIOR_SECONDS``. So a first run goes by estimates and a probe of
+    the machine, and every receipt makes the next estimate better.
+
+    slowness : CPU seconds on this machine for one of the reference machine; asked only where an estimate is used
     """
 
-    def __init__(self, index: Index, pipeline: Pipeline) -> None:
-        self._seconds: Any = np.zeros(len(index))
+    def __init__(self, index: Index, pipeline: Pipeline, slowness: Callable[[], float] = slowness) -> None:
+        self._slowness = slowness
+        self._names = tuple(stage.name for stage in pipeline.stages)
+        self._spent = {name: _numbers(index, f"{name}.cpu_seconds") for name in self._names}
+        self._estimated = {name: _numbers(index, f"{name}.estimate") for name in self._names}
         self._peak_rss: Any = np.zeros(len(index))
-        self._scale: dict[str, float] = {}
-        self._overall = 1.0
-        if not len(index):
-            return
-        for stage in pipeline.stages:
-            if f"{stage.name}.seconds" in index.table.column_names:
-                self._seconds += _numbers(index, f"{stage.name}.seconds")
-                self._peak_rss = np.maximum(self._peak_rss, _numbers(index, f"{stage.name}.peak_rss"))
-        estimates = _numbers(index, "estimate")
-        told = (estimates > 0) & (self._seconds > 0)
-        if not told.any():
-            return
-        self._overall = float(self._seconds[told].sum() / estimates[told].sum())
-        names, numbers = np.unique(index.table.column("partition").to_numpy(), return_inverse=True)
-        spent = np.bincount(numbers[told], self._seconds[told], len(names))
-        expected = np.bincount(numbers[told], estimates[told], len(names))
-        self._scale = {str(n): float(s / e) for n, s, e in zip(names, spent, expected, strict=True) if e > 0}
+        for name in self._names:
+            self._peak_rss = np.maximum(self._peak_rss, _numbers(index, f"{name}.peak_rss"))
+        self._sums: dict[str, dict[str, tuple[float, float]]] = {}
+        if len(index):
+            partitions, numbers = np.unique(index.table.column("partition").to_numpy(), return_inverse=True)
+            self._sums = {name: self._learned(name, [str(p) for p in partitions], numbers) for name in self._names}
+        self._scales: dict[tuple[str, str], float] = {}
 
-    def seconds(self, unit: Unit, row: int) -> float:
-        """Expected seconds of all stages; ``row`` of the index it was published in, or -1."""
-        if row >= 0 and self._seconds[row] > 0:
-            return float(self._seconds[row])
-        return unit.cost * self._scale.get(unit.partition, self._overall)
+    def _learned(self, stage: str, partitions: list[str], numbers: Any) -> dict[str, tuple[float, float]]:
+        """(CPU seconds, estimates) of a stage by partition, and over all under ''."""
+        spent, estimated = self._spent[stage], self._estimated[stage]
+        both = (spent > 0) & (estimated > 0)
+        sums = {"": (float(spent[both].sum()), float(estimated[both].sum()))}
+        took = np.bincount(numbers[both], spent[both], len(partitions))
+        said = np.bincount(numbers[both], estimated[both], len(partitions))
+        return sums | {p: (float(t), float(s)) for p, t, s in zip(partitions, took, said, strict=True)}
+
+    def _scale(self, stage: str, partition: str) -> float:
+        known = self._scales.get((stage, partition))
+        if known is None:
+            known = self._slowness()
+            for group in ("", partition):
+                took, said = self._sums.get(stage, {}).get(group, (0.0, 0.0))
+                known = (took + PRIOR_SECONDS * known) / (said + PRIOR_SECONDS)
+            self._scales[stage, partition] = known
+        return known
+
+    def stage_seconds(self, unit: Unit, row: int, stage: str) -> float:
+        """Expected CPU seconds of one stage; ``row`` of the index it was published in, or -1."""
+        estimate = unit.costs.get(stage, 0.0)
+        spent = float(self._spent[stage][row]) if row >= 0 else 0.0
+        if spent > 0:
+            before = float(self._estimated[stage][row])
+            return spent * estimate / before if before > 0 and estimate > 0 else spent
+        return estimate * self._scale(stage, unit.partition) if estimate > 0 else 0.0
+
+    def seconds(self, unit: Unit, row: int, first: int = 0, until: int | None = None) -> float:
+        """Expected CPU seconds of the stages at positions ``first`` to ``until`` (all by default)."""
+        return sum(self.stage_seconds(unit, row, name) for name in self._names[first:until])
 
     def memory(self, unit: Unit, row: int) -> int:
         """Expected bytes at the peak, with a margin where they were measured."""
@@ -56,5 +87,7 @@ class CostModel:
 
 
 def _numbers(index: Index, column: str) -> Any:
-    """(rows,) float64 of a column; 0 where it is null."""
+    """(rows,) float64 of a column; 0 where it is null or not there."""
+    if column not in index.table.column_names:
+        return np.zeros(len(index))
     return np.nan_to_num(index.table.column(column).to_numpy().astype(float))

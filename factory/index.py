@@ -4,10 +4,10 @@ A plan compares a corpus with this file alone, never with one small file per uni
 it: units may get new keys while their rows stay the same (a version raised, a file renamed and read alike), and then
 the snapshot is the same one with another index. ``indexes/<hash>.parquet``, named by ``Ref.index``.
 
-Columns: unit_id, partition, status (ok | skipped | quarantined), reason, fingerprint,
-attempts, estimate, content; for each stage
-``<stage>.key .code .inputs .parameters .dependencies .seconds .peak_rss .skipped`` (null where it did not run); for
-each table ``<stage>/<table>.hash .rows .bytes``; of failed units ``failure.stage .key .cause .exception .message``.
+Columns: unit_id, partition, status (ok | skipped | quarantined), reason, fingerprint, attempts, content; for each stage
+``<stage>.key .code .inputs .parameters .dependencies .seconds .peak_rss .skipped .cpu_seconds .estimate`` (null where
+it did not run); for each table ``<stage>/<table>.hash .rows .bytes``; of failed units ``failure.stage .key .cause
+.exception .message``.
 """
 
 from __future__ import annotations
@@ -36,7 +36,6 @@ _UNIT_FIELDS: Final = {
     "reason": pa.string(),
     "fingerprint": _KEY,
     "attempts": pa.int32(),
-    "estimate": pa.float32(),
     "content": _KEY,
 }
 _STAGE_FIELDS: Final = (
@@ -48,6 +47,8 @@ _STAGE_FIELDS: Final = (
     ("seconds", pa.float32()),
     ("peak_rss", pa.int64()),
     ("skipped", pa.bool_()),
+    ("cpu_seconds", pa.float32()),
+    ("estimate", pa.float32()),
 )
 _BATCH: Final = 4096
 """Receipts turned into columns at a time."""
@@ -84,7 +85,6 @@ def _row(receipt: Receipt) -> dict[str, Any]:
         "reason": receipt.reason,
         "fingerprint": receipt.fingerprint,
         "attempts": max(receipt.attempts, receipt.failure.attempts if receipt.failure else 1),
-        "estimate": receipt.estimate,
         "content": receipt.content or None,
     }
     for stage in receipt.stages:
@@ -248,7 +248,9 @@ class Index:
                             table, values[f"{prefix}.hash"], values[f"{prefix}.rows"], values[f"{prefix}.bytes"]
                         )
                     )
-            fields = {name: values[f"{stage.name}.{name}"] for name, _ in _STAGE_FIELDS}
+            fields = {name: values.get(f"{stage.name}.{name}") for name, _ in _STAGE_FIELDS}
+            # An index from before these were recorded has none.
+            fields |= {name: fields[name] or 0.0 for name in ("cpu_seconds", "estimate")}
             stages.append(StageReceipt(stage=stage.name, made=False, tables=tuple(tables), **fields))
         failure = None
         if values["failure.stage"] is not None:
@@ -263,7 +265,6 @@ class Index:
             stages=tuple(stages),
             failure=failure,
             attempts=values["attempts"] or 1,
-            estimate=values["estimate"] or 0.0,
             content=values["content"] or b"",
         )
 

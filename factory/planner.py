@@ -34,6 +34,7 @@ class Planner:
 
     shared : hashes of the pinned aggregates; those not there yet are left out
     stages : how many stages of the chain are planned (a first pass stops where an aggregate is built)
+    made : how many stages an earlier pass of the same run made for every unit: they cost nothing more
     quarantined : (stage, key) pairs with a record that stands
     again : ids of units that count as changed
     """
@@ -46,6 +47,7 @@ class Planner:
         shared: Mapping[str, str],
         quarantined: frozenset[tuple[str, str]] = frozenset(),
         stages: int | None = None,
+        made: int = 0,
         again: frozenset[str] = frozenset(),
     ) -> None:
         self.pipeline = pipeline
@@ -53,6 +55,7 @@ class Planner:
         self.index = index
         self.keyer = Keyer(pipeline)
         self.stages = len(pipeline.stages) if stages is None else stages
+        self._made = made
         self._whole = self.stages == len(pipeline.stages)
         self._shared = SharedTables(commits, shared)
         self._quarantined = quarantined
@@ -64,6 +67,8 @@ class Planner:
         self._listed: frozenset[tuple[str, str]] | None = None
         self._seen: list[Any] = []
         self._all_fresh: tuple[tuple[str, StagePlan], ...] = tuple((stage.name, "FRESH") for stage in pipeline.stages)
+        self.seconds_behind = 0.0
+        """Expected CPU seconds of the stages behind the planned ones, of all units that ``work`` gave out."""
         self.kept = np.zeros(len(index), dtype=bool)
         """(rows of the index,) whether the unit is unchanged, so that its row is carried over."""
         self.present = np.zeros(len(index), dtype=bool)
@@ -120,7 +125,9 @@ class Planner:
         """The units that a run must look at; the others are marked in ``kept``."""
         for unit, fingerprint, row, fresh in self.compare(units):
             if not fresh:
-                yield Work(unit, fingerprint, self._model.seconds(unit, row), self._model.memory(unit, row))
+                seconds = self._model.seconds(unit, row, self._made, self.stages)
+                self.seconds_behind += self._model.seconds(unit, row, self.stages)
+                yield Work(unit, fingerprint, seconds, self._model.memory(unit, row))
 
     def entry(self, unit: Unit, row: int, fresh: bool) -> PlanEntry:
         """What would become of one unit, exactly."""
@@ -137,14 +144,14 @@ class Planner:
         if unit.fault is not None:
             return self._quarantined_entry(unit, str(unit.fault))
         try:
-            return self._walk(unit, old)
+            return self._walk(unit, row, old)
         except (StageError, InputError) as error:
             return self._quarantined_entry(unit, str(error))
 
     def _quarantined_entry(self, unit: Unit, detail: str) -> PlanEntry:
         return PlanEntry(unit.unit_id, unit.partition, "QUARANTINED", detail=detail)
 
-    def _walk(self, unit: Unit, old: Receipt | None) -> PlanEntry:
+    def _walk(self, unit: Unit, row: int, old: Receipt | None) -> PlanEntry:
         before = {stage.stage: stage for stage in old.stages} if old else {}
         chain = Chain(self.pipeline, self.keyer, self.commits, self._shared, unit)
         stages: list[tuple[str, StagePlan]] = []
@@ -174,7 +181,7 @@ class Planner:
         first = chain.at
         if not (chain.done and chain.done[-1].skipped):
             stages += self._behind(unit, first, before, reasons)
-        seconds, possible = self._costs(unit, stages, before)
+        seconds, possible = self._costs(unit, row, stages)
         status: UnitPlan = "MISSING" if old is None else "STALE"
         if all(plan == "FRESH" for _, plan in stages):
             # Everything is committed, by an interrupted run say: publishing is all that is left.
@@ -232,15 +239,12 @@ class Planner:
             else:
                 yield stage.name, "FRESH"
 
-    def _costs(
-        self, unit: Unit, stages: list[tuple[str, StagePlan]], before: Mapping[str, StageReceipt]
-    ) -> tuple[float, float]:
-        share = self._model.seconds(unit, -1) / len(self.pipeline.stages)
+    def _costs(self, unit: Unit, row: int, stages: list[tuple[str, StagePlan]]) -> tuple[float, float]:
         sums = {"certain": 0.0, "possible": 0.0}
         for name, plan in stages:
             if plan != "FRESH":
-                known = before.get(name)
-                sums["possible" if plan == "POSSIBLE" else "certain"] += known.seconds if known else share
+                expected = self._model.stage_seconds(unit, row, name)
+                sums["possible" if plan == "POSSIBLE" else "certain"] += expected
         return sums["certain"], sums["possible"]
 
     def renamed(self, missing: Mapping[bytes, str]) -> tuple[tuple[str, str], ...]:

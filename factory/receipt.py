@@ -25,8 +25,11 @@ class TableReceipt:
 class StageReceipt:
     """One stage of a unit: its key and the parts of it (16 bytes each), and what it cost when it was made.
 
+    seconds : by the clock
     made : it was made just now, rather than found committed
     skipped : it ended the unit's chain
+    cpu_seconds : CPU seconds of its process; 0 where they were not recorded
+    estimate : what the unit's own estimate said, in CPU seconds of the reference machine (``factory.speed``)
     """
 
     stage: str
@@ -40,6 +43,8 @@ class StageReceipt:
     made: bool
     skipped: bool
     tables: tuple[TableReceipt, ...]
+    cpu_seconds: float = 0.0
+    estimate: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +68,7 @@ class Failure:
 class Receipt:
     """One unit, done with.
 
-    estimate : the unit's own estimate of its seconds, from which the cost model learns
+    expected : CPU seconds that were expected of it, by which a run tells how much is left; set by the executor
     content : hash of its files' bytes without their paths, by which a renamed unit is known
     """
 
@@ -75,7 +80,7 @@ class Receipt:
     stages: tuple[StageReceipt, ...]
     failure: Failure | None = None
     attempts: int = 1
-    estimate: float = 0.0
+    expected: float = 0.0
     content: bytes = b""
 
     @property
@@ -85,8 +90,13 @@ class Receipt:
 
     @property
     def seconds(self) -> float:
-        """Seconds spent just now."""
+        """Seconds spent just now, by the clock."""
         return sum(stage.seconds for stage in self.stages if stage.made)
+
+    @property
+    def cpu_seconds(self) -> float:
+        """CPU seconds spent just now."""
+        return sum(stage.cpu_seconds for stage in self.stages if stage.made)
 
     @property
     def rows(self) -> int:

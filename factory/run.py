@@ -197,8 +197,10 @@ class _Run:
             due = [a for a in waiting if self.pipeline.position(a.after) == position]
             self._first_pass(units, position + 1, due, pins)
         damaged: set[str] = set()
+        made = max((self.pipeline.position(a.after) + 1 for a in waiting), default=0)
         for _ in range(_REPAIRS):
-            table = self._pass(units, frozenset(damaged))
+            table = self._pass(units, frozenset(damaged), made)
+            made = 0
             if table is None:
                 return
             damaged = self.publisher.publish(table, self._context(), self.report)
@@ -236,11 +238,16 @@ class _Run:
                     self.progress.note(f"{error}: made again, and others like it")
         raise StoreError("committed files keep getting damaged", where=self.store.url, remedy="Check the disk.")
 
-    def _pass(self, units: Iterable[Unit], again: frozenset[str]) -> pa.Table | None:
-        """The new index; None when nothing at all changed. Units in ``again`` are looked at in any case."""
+    def _pass(self, units: Iterable[Unit], again: frozenset[str], made: int) -> pa.Table | None:
+        """The new index; None when nothing at all changed. Units in ``again`` are looked at in any case.
+
+        made : how many stages the first passes of this run made for every unit
+        """
         report = self.report
         self._begin()
-        planner = Planner(self.pipeline, self.commits, self.index, self.shared, self.quarantined, again=again)
+        planner = Planner(
+            self.pipeline, self.commits, self.index, self.shared, self.quarantined, made=made, again=again
+        )
         writer = IndexWriter(self.pipeline)
         with Spool(planner.work(units)) as spool:
             kept = np.nonzero(planner.kept)[0]

@@ -39,6 +39,7 @@ class RunLog:
                 "key": stage.key.hex(),
                 "made": stage.made,
                 "seconds": round(stage.seconds, 4),
+                "cpu_seconds": round(stage.cpu_seconds, 4),
                 "peak_rss": stage.peak_rss,
                 "rows": {table.table: table.rows for table in stage.tables},
             }

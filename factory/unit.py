@@ -33,7 +33,7 @@ class Unit:
     partition : folder ``source=<partition>`` that its rows are published in
     inputs : what its first stage (and every stage with ``reads_inputs``) is keyed on; order is free
     payload : handed to the stages as it is (root folder, scene name); never keyed
-    cost : estimated seconds of all stages together
+    costs : estimated CPU seconds on the reference machine (``factory.speed``), by stage; one left out counts as free
     memory : estimated bytes at the peak
     fault : the unit could not even be listed: it is quarantined with this error, and so not lost
     """
@@ -42,9 +42,14 @@ class Unit:
     partition: str
     inputs: tuple[InputFile, ...] = ()
     payload: Mapping[str, JSON] = field(default_factory=dict)
-    cost: float = 1.0
+    costs: Mapping[str, float] = field(default_factory=dict)
     memory: int = 256 * 1024 * 1024
     fault: InputError | None = None
+
+    @property
+    def cost(self) -> float:
+        """Estimated CPU seconds of all stages on the reference machine."""
+        return sum(self.costs.values())
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +57,7 @@ class Work:
     """One unit as a run gives it to a worker.
 
     fingerprint : hash of all that its chain can depend on (16 bytes)
-    seconds : expected cost
+    seconds : expected CPU seconds on this machine
     memory : expected peak in bytes
     """
 

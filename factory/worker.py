@@ -14,6 +14,7 @@ from __future__ import annotations
 import errno
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Final
 
 import pyarrow as pa
@@ -131,10 +132,9 @@ class Worker:
             status=status,
             reason=reason,
             fingerprint=fingerprint,
-            stages=tuple(chain.done),
+            stages=tuple(replace(s, estimate=unit.costs.get(s.stage, 0.0)) for s in chain.done),
             failure=failure,
             attempts=attempts,
-            estimate=unit.cost,
             content=self.keyer.content(unit),
         )
 
@@ -150,7 +150,7 @@ class Worker:
     def _make(self, unit: Unit, chain: Chain, stage: Stage, key: StageKey) -> tuple[UnitCommit, Mapping[str, pa.Table]]:
         self.faults.reach("unit-before-run")
         machine.reset_peak_rss()
-        started = time.perf_counter()
+        started, cpu = time.perf_counter(), time.process_time()
         output, tables = self._run(unit, chain, stage)
         records = {}
         for name, table in tables.items():
@@ -176,6 +176,7 @@ class Worker:
             files={},
             measures=output.measures,
             seconds=time.perf_counter() - started,
+            cpu_seconds=time.process_time() - cpu,
             peak_rss=machine.peak_rss(),
             host=machine.host(),
             libraries=machine.library_versions(),

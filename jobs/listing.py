@@ -47,8 +47,8 @@ def _read(path: Path, inputs: str) -> list[Unit] | None:
             return None
         files = [InputFile(*file) for file in document["files"]]
         return [
-            Unit(unit_id, partition, tuple(files[at] for at in inputs), payload, cost, memory)
-            for unit_id, partition, inputs, payload, cost, memory in document["units"]
+            Unit(unit_id, partition, tuple(files[at] for at in inputs), payload, costs, memory)
+            for unit_id, partition, inputs, payload, costs, memory in document["units"]
         ]
     except (OSError, ValueError, KeyError, TypeError, IndexError):
         return None  # it is only a memory
@@ -62,7 +62,7 @@ def _write(path: Path, inputs: str, units: list[Unit]) -> None:
             unit.partition,
             [numbers.setdefault(file, len(numbers)) for file in unit.inputs],
             unit.payload,
-            unit.cost,
+            unit.costs,
             unit.memory,
         )
         for unit in units

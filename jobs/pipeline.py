@@ -14,6 +14,7 @@ from condvln.sources.registry import open_source
 from condvln.sources.source import HashFile, Source
 from factory.pipeline import Pipeline, TableSpec
 from factory.unit import InputFile, Unit
+from jobs.costs import stage_costs
 from jobs.stages import EpisodeStage, PriorsAggregate, ProgramStage, RelationStage, SceneStage, TextStage
 from schemas.config import Config, InstructionsConfig, SourceConfig
 from schemas.errors import ConfigError
@@ -23,9 +24,6 @@ __all__ = ["build_pipeline", "list_units", "open_configured"]
 
 BYTES_BASE: Final = 300 * 2**20
 """Memory of a worker before it reads a scene: interpreter, numpy, Arrow, compiled kernels."""
-
-SECONDS_PER_EPISODE: Final = 0.015
-"""Sampling, placing and wording of one episode on one core; refined by the factory from what units really took."""
 
 _STAGE_OF: Final[dict[str, str | tuple[str, ...]]] = {
     "scenes": "scene",
@@ -86,7 +84,7 @@ def list_units(config: Config, hash_file: HashFile) -> list[Unit]:
     """All scenes of all sources as units; one that can't even be listed is a unit with its fault."""
     units = []
     wanted = config.instructions
-    episodes = sum(cell.count for cell in _sampling(wanted).wanted) + GROUP_SIZE * wanted.counterfactual_groups
+    asked = sum(cell.count for cell in _sampling(wanted).wanted) + GROUP_SIZE * wanted.counterfactual_groups
     for source in config.sources:
         for handle in open_configured(config, source, hash_file).handles():
             payload: dict[str, Any] = {
@@ -102,7 +100,7 @@ def list_units(config: Config, hash_file: HashFile) -> list[Unit]:
                     partition=handle.family,
                     inputs=tuple(InputFile(i.path, i.size, i.sha256) for i in handle.inputs),
                     payload=payload,
-                    cost=handle.cost + SECONDS_PER_EPISODE * episodes,
+                    costs={} if handle.fault else stage_costs(handle.family, handle.counts, asked),
                     memory=BYTES_BASE + 4 * sum(i.size for i in handle.inputs),
                     fault=handle.fault,
                 )

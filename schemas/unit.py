@@ -66,6 +66,9 @@ class UnitCommit(VersionedDocument):
     files: dict[FileName, ShardRecord]
     measures: dict[str, Finite]
     seconds: Annotated[float, Field(ge=0)]
+    """By the clock."""
+    cpu_seconds: Annotated[float, Field(ge=0)] = 0.0
+    """Of its process, which is what the cost model learns from; 0 in commits from before they were recorded."""
     peak_rss: Annotated[int, Field(ge=0)]
     host: str
     libraries: dict[str, str]

@@ -49,6 +49,8 @@ class GibsonSource(SceneSource):
     """
 
     family: ClassVar[str] = "gibson"
+    bytes_per_object: ClassVar[float] = 750.0
+    objects_per_room: ClassVar[float] = 3.6
 
     def __init__(self, root: Path, options: SourceOptions) -> None:
         super().__init__(root, options)

@@ -14,11 +14,16 @@ __all__ = ["InputLedger"]
 
 
 class InputLedger:
-    """Files, and entries of shared files, that one scene depends on."""
+    """Files, and entries of shared files, that one scene depends on.
+
+    objects, rooms : how many the scene has, where whoever noted its inputs has read as much; None otherwise
+    """
 
     def __init__(self) -> None:
         self._files: set[str] = set()
         self._entries: dict[str, bytes] = {}
+        self.objects: int | None = None
+        self.rooms: int | None = None
 
     def file(self, path: str) -> None:
         """Note a whole file, by its path relative to the root."""

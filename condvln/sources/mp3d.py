@@ -43,6 +43,8 @@ class Mp3dSource(SceneSource):
     """
 
     family: ClassVar[str] = "mp3d"
+    bytes_per_object: ClassVar[float] = 11_000.0
+    objects_per_room: ClassVar[float] = 25.0
 
     def __init__(self, root: Path, options: SourceOptions) -> None:
         super().__init__(root, options)

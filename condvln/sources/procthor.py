@@ -170,7 +170,9 @@ class ProcthorSource(SceneSource):
         """Note what reading a house would open, without building it."""
         ledger.record(name, data)
         database = self._assets()
-        for asset_id in _asset_ids(data, str(self.root / name)):
+        rooms, asset_ids = _rooms_and_assets(data, str(self.root / name))
+        ledger.rooms, ledger.objects = rooms, len(asset_ids)
+        for asset_id in set(asset_ids):
             database.asset(asset_id, ledger)
         if self.options.regions is not None:
             side_regions(self.options.regions, [scene_id], self.family, ledger)
@@ -249,23 +251,25 @@ def _unknown_assets(house: House, kinds: dict[str, Asset | None]) -> Iterator[Sc
         yield SceneWarning("unknown_asset", asset_id, f"not in the asset database: extent of {count} unknown")
 
 
-def _asset_ids(data: bytes, where: str) -> set[str]:
-    """Asset ids of all objects of a house; the full reader is asked only where something is amiss.
+def _rooms_and_assets(data: bytes, where: str) -> tuple[int, list[str]]:
+    """(number of rooms, asset id of every object) of a house; the full reader is asked only where something is amiss.
 
     Raises
     ------
     FormatError : the house is malformed
     """
     try:
-        waiting: list[Any] = list(orjson.loads(data)["objects"])
-        found: set[str] = set()
+        document = orjson.loads(data)
+        waiting: list[Any] = list(document["objects"])
+        found: list[Any] = []
         while waiting:
             item = waiting.pop()
-            found.add(item["assetId"])
+            found.append(item["assetId"])
             waiting.extend(item.get("children") or ())
-        return {a for a in found if isinstance(a, str)}
+        return len(document["rooms"]), [a for a in found if isinstance(a, str)]
     except (orjson.JSONDecodeError, KeyError, TypeError, AttributeError, RecursionError):
-        return {o.asset_id for o in read_house(parse_json(data, where)).objects}
+        house = read_house(parse_json(data, where))
+        return len(house.rooms), [o.asset_id for o in house.objects]
 
 
 def _fail(error: InputError, ledger: InputLedger) -> NoReturn:

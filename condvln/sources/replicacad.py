@@ -105,6 +105,7 @@ class ReplicaCadSource(SceneSource):
         reader = BodyReader(dataset, lexicon, self.family, ledger)
         stage = () if instance.stage is None else reader.stage(instance.stage)
         bodies = [reader.rigid(p) for p in instance.objects] + [reader.articulated(p) for p in instance.articulated]
+        ledger.objects = len(bodies)
         navmesh, said = self._navmesh(dataset, posixpath.basename(scene_id), instance, ledger)
         regions = () if annotated is None else read_regions(annotated[1], "dataset", self.family)
         if self.options.regions is not None:
@@ -112,6 +113,7 @@ class ReplicaCadSource(SceneSource):
             if instance.stage is not None:
                 names.append(posixpath.basename(instance.stage.template))
             regions = side_regions(self.options.regions, names, self.family, ledger) or regions
+        ledger.rooms = len(regions) or 1
         return Assembly(bodies, stage, regions, navmesh, [*reader.warnings, *said, *navmesh.warnings])
 
     def _rooms(self, scene_id: str, assembly: Assembly, objects: Sequence[SceneObject]) -> tuple[Room, ...]:

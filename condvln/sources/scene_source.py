@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Final
@@ -14,7 +15,7 @@ from condvln.scene.geometry import SceneGeometry
 from condvln.sources.dataset_root import DatasetRoot
 from condvln.sources.input_ledger import InputLedger
 from condvln.sources.scene_choice import SceneChoice
-from condvln.sources.source import HashFile, SceneHandle
+from condvln.sources.source import HashFile, SceneCounts, SceneHandle, SceneInput
 from schemas.errors import ConfigError, InputError, MissingFileError
 
 __all__ = ["Note", "SceneSource", "SourceOptions"]
@@ -22,9 +23,8 @@ __all__ = ["Note", "SceneSource", "SourceOptions"]
 Note = Callable[[InputLedger], object]
 """Notes all inputs of one scene; raises InputError where that already fails."""
 
-# Seconds, measured on two cores: a scene's own work, and that for each byte that it reads.
-COST_OF_SCENE: Final = 0.05
-COST_OF_BYTE: Final = 5e-8
+MESHES: Final = (".glb", ".gltf", ".obj", ".ply", ".stl")
+NAVMESHES: Final = (".navmesh",)
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +42,10 @@ class SceneSource(ABC):
     """A dataset on disk, of one family."""
 
     family: ClassVar[str]
+    bytes_per_object: ClassVar[float] = 1000.0
+    """Bytes of annotation for one object, about, where the listing counts no objects. Measured on real scenes."""
+    objects_per_room: ClassVar[float] = math.inf
+    """Objects of one room, about, where the listing counts no rooms; infinite where scenes are one room."""
 
     def __init__(self, root: Path, options: SourceOptions) -> None:
         self.root = root
@@ -80,7 +84,7 @@ class SceneSource(ABC):
                 where=self.root,
                 remedy="Mend the source's 'scenes' and 'exclude', or put the dataset's scenes there",
             )
-        found += [SceneHandle(self.family, s, (), 0.0, self.not_there(s)) for s in missing]
+        found += [SceneHandle(self.family, s, (), SceneCounts(), self.not_there(s)) for s in missing]
         return sorted(found, key=lambda h: h.scene_id)
 
     def not_there(self, scene_id: str) -> MissingFileError:
@@ -102,5 +106,12 @@ class SceneSource(ABC):
             inputs = ledger.inputs(self.files, self.options.hash_file)
         except InputError as error:
             inputs, fault = (), fault or error
-        cost = COST_OF_SCENE + COST_OF_BYTE * sum(i.size for i in inputs)
-        return SceneHandle(self.family, scene_id, inputs, cost, fault)
+        return SceneHandle(self.family, scene_id, inputs, self._counts(ledger, inputs), fault)
+
+    def _counts(self, ledger: InputLedger, inputs: Sequence[SceneInput]) -> SceneCounts:
+        navmesh = max((i.size for i in inputs if i.path.endswith(NAVMESHES)), default=0)
+        meshes = sum(i.size for i in inputs if i.path.endswith(MESHES))
+        annotation = sum(i.size for i in inputs if not i.path.endswith(NAVMESHES + MESHES))
+        objects = float(ledger.objects) if ledger.objects is not None else annotation / self.bytes_per_object
+        rooms = float(ledger.rooms) if ledger.rooms is not None else objects / self.objects_per_room
+        return SceneCounts(round(objects, 1), round(max(rooms, 1.0), 1), navmesh, meshes)

@@ -12,7 +12,16 @@ from condvln.scene import Scene
 from condvln.scene.geometry import SceneGeometry
 from schemas.errors import InputError
 
-__all__ = ["MAX_OBJECTS", "UNKNOWN_LABEL", "HashFile", "SceneHandle", "SceneInput", "Source", "hash_file"]
+__all__ = [
+    "MAX_OBJECTS",
+    "UNKNOWN_LABEL",
+    "HashFile",
+    "SceneCounts",
+    "SceneHandle",
+    "SceneInput",
+    "Source",
+    "hash_file",
+]
 
 HashFile: TypeAlias = Callable[[Path], tuple[int, str]]
 """Size in bytes and SHA-256 (hex) of a file; the caller may cache it."""
@@ -41,18 +50,33 @@ class SceneInput:
 
 
 @dataclass(frozen=True, slots=True)
+class SceneCounts:
+    """How big a scene is, as far as its listing knows: what the cost of a run is estimated from.
+
+    objects, rooms : counted where the listing reads them, else estimated from the bytes of the annotation
+    navmesh_bytes : of the biggest navmesh that is shipped for it; 0 where there is none
+    mesh_bytes : of the meshes that it is put together from
+    """
+
+    objects: float = 0.0
+    rooms: float = 1.0
+    navmesh_bytes: int = 0
+    mesh_bytes: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class SceneHandle:
     """A scene that can be asked for.
 
     inputs : all that reading it would open, sorted by path
-    cost : seconds that reading it may take; rough, for scheduling only
+    counts : how big it is; rough, for estimates of the cost only
     fault : why it can't be read, where listing it already showed that; such a scene is quarantined, never lost
     """
 
     family: str
     scene_id: str
     inputs: tuple[SceneInput, ...]
-    cost: float
+    counts: SceneCounts
     fault: InputError | None = None
 
 

@@ -38,6 +38,7 @@ class ThorSceneSource(SceneSource):
     The floor is at height 0 (the simulator's agent stands there). A side file may draw rooms; else the scene is one.
     """
 
+    bytes_per_object: ClassVar[float] = 2000.0
     annotation: ClassVar[Literal["dataset", "scene"]]
     """Whether the one room is a room to the dataset, or only the whole scene."""
 

@@ -25,7 +25,7 @@ units = st.builds(
     partition=st.sampled_from(["a", "b"]),
     inputs=inputs,
     payload=st.dictionaries(names, st.integers(), max_size=2),
-    cost=st.floats(0, 100),
+    costs=st.just({"count": 1.0}),
     memory=st.integers(0, 2**32),
 )
 hashes = st.text("0123456789abcdef", min_size=32, max_size=32)
@@ -52,7 +52,7 @@ def test_the_first_key_changes_iff_an_input_does(one: Unit, two: Unit) -> None:
 def test_order_of_files_payload_cost_and_memory_are_not_keyed(unit: Unit, random: Any) -> None:
     shuffled = list(unit.inputs)
     random.shuffle(shuffled)
-    other = replace(unit, inputs=tuple(shuffled), payload={"else": 1}, cost=3.0, memory=5, partition="c")
+    other = replace(unit, inputs=tuple(shuffled), payload={"else": 1}, costs={"count": 3.0}, memory=5, partition="c")
     keyer = Keyer(toys.pipeline())
     assert keyer.key(unit, 0, {}, None) == keyer.key(other, 0, {}, None)
 

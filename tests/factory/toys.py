@@ -202,9 +202,10 @@ def pipeline(
 def unit(
     name: str, size: int = 5, *, partition: str = "a", cost: float = 1.0, content: str = "", **payload: JSON
 ) -> Unit:
-    """A unit whose one input has ``size``."""
+    """A unit whose one input has ``size``; ``cost`` is shared evenly by its stages."""
     sha = hashlib.sha256(f"{name} {size} {content}".encode()).hexdigest()
-    return Unit(name, partition, (InputFile(f"{name}.json", size, sha),), payload, cost, 1 << 20)
+    costs = dict.fromkeys(("count", "square", "word"), cost / 3)
+    return Unit(name, partition, (InputFile(f"{name}.json", size, sha),), payload, costs, 1 << 20)
 
 
 def units(count: int = 12, **payload: JSON) -> list[Unit]:

@@ -31,7 +31,11 @@ def test_inputs_are_all_that_is_read_and_no_more(made: Any) -> None:
         "urdf/fridge/fridge.urdf",
     ]
     assert (flat.family, flat.scene_id, other.scene_id) == ("replicacad", "flat", "other")
-    assert flat.cost > 0
+    # What the cost of a run is estimated from.
+    scene = made.source().read("flat")
+    assert (flat.counts.objects, flat.counts.rooms) == (len(scene.objects), len(scene.rooms))
+    assert flat.counts.navmesh_bytes == max(i.size for i in flat.inputs if i.path.endswith(".navmesh"))
+    assert flat.counts.mesh_bytes == sum(i.size for i in flat.inputs if i.path.endswith(".glb"))
 
 
 def test_a_change_elsewhere_in_a_shared_file_changes_no_input(made: Any) -> None:

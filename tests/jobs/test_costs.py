@@ -1,0 +1,105 @@
+"""Estimates before a first run: the counts that they go by, and how they become CPU seconds of stages."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from condvln.sources.registry import FAMILIES, open_source
+from condvln.sources.source import SceneCounts
+from jobs.costs import COEFFICIENTS, FEATURES, LIKE, counts_of, stage_costs
+from jobs.pipeline import build_pipeline, list_units
+from jobs.workspace import file_hashes, hasher
+from schemas.config import Config, InstructionsConfig, SourceConfig
+
+
+def config(family: str, root: Path, store: Path, per: int = 12) -> Config:
+    return Config(
+        name="costs",
+        store=store,
+        sources=(SourceConfig(family=family, root=root),),
+        instructions=InstructionsConfig(per_category={"simple": per}),
+    )
+
+
+def test_every_family_and_every_stage_has_coefficients(tmp_path: Path) -> None:
+    stages = {stage.name for stage in build_pipeline(config("ithor", tmp_path, tmp_path)).stages}
+    assert {LIKE.get(family, family) for family in FAMILIES} == set(COEFFICIENTS)
+    for table in COEFFICIENTS.values():
+        assert set(table) == set(FEATURES) == stages
+        for stage, coefficients in table.items():
+            assert len(coefficients) == len(FEATURES[stage])
+            assert min(coefficients) >= 0
+            assert max(coefficients) > 0
+
+
+@given(
+    st.sampled_from(sorted(FAMILIES)),
+    st.floats(0, 1e5),
+    st.floats(1, 500),
+    st.integers(0, 10**7),
+    st.integers(0, 10**9),
+    st.integers(0, 10**4),
+)
+def test_more_of_anything_never_costs_less(
+    family: str, objects: float, rooms: float, navmesh: int, meshes: int, asked: int
+) -> None:
+    def seconds(objects: float, asked: int) -> dict[str, float]:
+        return stage_costs(family, SceneCounts(objects, rooms, navmesh, meshes), asked)
+
+    least, more = seconds(objects, asked), seconds(objects + 10, asked + 10)
+    assert all(0 <= least[stage] <= more[stage] for stage in FEATURES)
+
+
+def test_the_counts_of_a_scene() -> None:
+    counts = SceneCounts(objects=100.0, rooms=4.0, navmesh_bytes=0, mesh_bytes=3_000_000)
+    assert counts_of("mp3d", counts, 50) == {
+        "scene": 1.0,
+        "objects": 100.0,
+        "kilopairs": 2.5,
+        "asked": 0.5,
+        "placed": 0.5,
+        "placed_kiloobjects": 5.0,
+        "mesh_mb": 3.0,
+    }
+    # Without navmesh and without anything to build one from no episode is placed; a shipped navmesh builds none.
+    assert counts_of("gibson", SceneCounts(100.0, 4.0), 50)["placed"] == 0
+    assert counts_of("gibson", SceneCounts(100.0, 4.0, 10, 3_000_000), 50)["mesh_mb"] == 0
+    assert counts_of("ithor", SceneCounts(100.0), 50)["placed"] == 0.5
+
+
+def test_a_huge_room_is_known_to_be_huge() -> None:
+    """A room of 10,000 objects was once estimated at nothing."""
+    costs = stage_costs("replicacad", SceneCounts(10_000.0, 1.0, 20_000), 72)
+    assert costs["relations"] > 1000
+
+
+@pytest.mark.parametrize("family", ["gibson", "ithor", "procthor", "replicacad", "mp3d"])
+def test_counts_of_real_scenes_are_about_right(family: str, real_data: Path) -> None:
+    source = open_source(family, real_data / family)
+    ratios = []
+    for handle in source.handles()[::4]:
+        if handle.fault is not None:
+            continue
+        scene = source.read(handle.scene_id)
+        if len(scene.objects) < 2:
+            continue
+        ratios.append(handle.counts.objects / len(scene.objects))
+        assert 1 / 3 <= ratios[-1] <= 3, handle.scene_id
+        assert 1 / 3 <= handle.counts.rooms / len(scene.rooms) <= 3, handle.scene_id
+    assert 0.75 <= sum(ratios) / len(ratios) <= 1.3
+
+
+def test_a_unit_carries_the_estimate_of_each_stage(tmp_path: Path, real_data: Path) -> None:
+
+    def listed(per: int) -> list[dict[str, float]]:
+        wanted = config("ithor", real_data / "ithor", tmp_path, per)
+        return [dict(unit.costs) for unit in list_units(wanted, hasher(file_hashes(wanted)))]
+
+    few, many = listed(2), listed(40)
+    assert all(set(costs) == set(FEATURES) for costs in few)
+    assert all(few[at]["scene"] == many[at]["scene"] for at in range(len(few)))
+    assert sum(sum(c.values()) for c in few) < sum(sum(c.values()) for c in many)
