@@ -89,7 +89,7 @@ def test_receipts_hold_cpu_seconds_and_the_estimate(store: LocalStore) -> None:
         row = int(index.rows_of([unit.unit_id])[0])
         for stage in index.receipt(row, toys.pipeline()).stages:
             assert stage.estimate == pytest.approx(unit.costs[stage.stage])
-            assert 0 < stage.cpu_seconds
+            assert stage.cpu_seconds > 0
             assert found.stage_seconds(unit, row, stage.stage) == pytest.approx(stage.cpu_seconds, rel=1e-5)
         # It slept, and sleeping is no work.
         first = index.receipt(row, toys.pipeline()).stages[0]
@@ -126,6 +126,6 @@ def test_every_stage_of_a_first_run_is_counted_once(store: LocalStore) -> None:
 def test_the_probe_is_short_and_repeats() -> None:
     assert slowness() == slowness()
     found = probe()
-    assert 0 < found
+    assert found > 0
     assert slowness() > 0
     assert REFERENCE_PROBE_SECONDS > 0
