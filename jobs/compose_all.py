@@ -12,8 +12,8 @@ import orjson
 from rich.console import Console
 
 from condvln.export.compose import compose_scene, is_composed
+from condvln.export.contents import INDEX
 from condvln.export.licences import SOURCES
-from condvln.export.snapshot import INDEX
 from condvln.export.streams import read_unpacked
 from condvln.export.vlnce import scene_file
 from condvln.navigation.agent import Agent

@@ -2,27 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Final, TypedDict
 
+from condvln.export.contents import ORIGIN, exported_snapshot
 from condvln.export.graph_episodes import GraphEpisodes
 from condvln.export.graphs import GraphFolder
+from condvln.export.report import ExportReport
 from condvln.export.rows import Row
-from condvln.export.snapshot import ExportConfig, export_snapshot, exported_snapshot
+from condvln.export.snapshot import ExportConfig, export_snapshot
+from condvln.export.staging import staged
+from condvln.export.streams import atomic_stream
 from condvln.export.tables import FolderTables
-from condvln.export.viewpoints import FOLDER, write_viewpoints
+from condvln.export.viewpoints import FOLDER, ViewpointReport, write_viewpoints
 from factory.snapshot import Snapshot, read_manifest, read_ref
 from jobs.bias import add_bias, priors_behind
 from jobs.built_navmeshes import built_navmeshes
-from jobs.export_lock import alone_in
+from jobs.export_lock import alone_in_export
+from jobs.export_origin import Origin, refuse_losses
+from jobs.listing import listed_units
 from jobs.oracle import linear_text
 from jobs.report import Report, Section
 from jobs.workspace import graph_folders, published, snapshot_folder
 from schemas.config import Config
-from schemas.errors import ConfigError, StoreError
+from schemas.errors import CondVLNError, ConfigError, SmallerExportError, StoreError
 from schemas.program import Program
 
-__all__ = ["add_viewpoints", "export_snapshot_of", "graphs_of", "run_export"]
+__all__ = ["export_snapshot_of", "graphs_of", "run_export", "write_export"]
 
 
 _COMPARED: Final = ("episodes", "instructions", "scenes")
@@ -36,30 +43,52 @@ class _Texts(TypedDict):
     preamble: bool
 
 
-def run_export(config: Config) -> Report:
-    """Write the splits that the configuration asks for."""
+def run_export(config: Config, *, allow_shrink: bool = False) -> Report:
+    """Write the splits that the configuration asks for.
+
+    allow_shrink : also where the export would hold fewer episodes than the one in place, whatever the reason
+    """
     if config.export is None:
         raise ConfigError(
             "no export folder is named", place="export", remedy="Set export: FOLDER, or --set export=FOLDER."
         )
-    return export_snapshot_of(config)
+    report = export_snapshot_of(config, allow_shrink=allow_shrink)
+    if not report.document:
+        report.exit_code = SmallerExportError.exit_code
+    return report
 
 
-def export_snapshot_of(config: Config) -> Report:
+def export_snapshot_of(config: Config, *, allow_shrink: bool = False) -> Report:
     """Export what is published under the configuration's name.
 
     Raises
     ------
-    StoreError : the disk refused, or another export is writing the folder
+    SmallerExportError : it would hold fewer episodes than the export in place, which is kept
+    StoreError : the disk refused, or another command is writing the folder
+    """
+    with alone_in_export(config):
+        return write_export(config, allow_shrink=allow_shrink)
+
+
+def write_export(config: Config, *, allow_shrink: bool = False, renewed: bool = False) -> Report:
+    """As :func:`export_snapshot_of`, for who holds the folder already (``jobs.export_lock``).
+
+    renewed : the priors were renewed on purpose
     """
     assert config.export is not None
-    with alone_in(config.export):
-        return _export(config)
-
-
-def _export(config: Config) -> Report:
-    assert config.export is not None
     snapshot = published(config)
+    guard = _Guard(config, snapshot, allow_shrink, renewed)
+    if not snapshot.manifest.tables["episodes"].rows:
+        return _viewpoints_alone(config, snapshot, guard)
+    viewpoints = ViewpointReport()
+
+    def complete(new: Path, report: ExportReport) -> None:
+        nonlocal viewpoints
+        guard.check(report.episodes, report.left_out)
+        guard.record(new)
+        viewpoints = _write_viewpoints(config, snapshot, new)
+        report.files |= viewpoints.files
+
     texts = _Texts(seed=config.seed, preamble=config.instructions.preamble)
     done = export_snapshot(
         FolderTables(snapshot_folder(config.store, snapshot)),
@@ -74,11 +103,10 @@ def _export(config: Config) -> Report:
         navmeshes=built_navmeshes(config, snapshot),
         graphs=graphs_of(config),
         former=_former(config, snapshot),
+        complete=complete,
     )
     rows = [(split, len(done.scenes[split]), count) for split, count in done.episodes.items()]
-    lines = [f"export of snapshot {snapshot.snapshot_id} in {config.export}"]
-    if done.left_out:
-        lines.append("left out: " + ", ".join(f"{n} {reason}" for reason, n in done.left_out.items()))
+    lines = [f"export of snapshot {snapshot.snapshot_id} in {config.export}", *guard.said, *_left_out(done)]
     sections = [Section("Splits", ("split", "scenes", "episodes"), [*rows])]
     if done.shortfalls:
         short = [(c.split, c.source, c.category, c.gold_leaf, c.wanted, c.selected) for c in done.shortfalls]
@@ -86,21 +114,92 @@ def _export(config: Config) -> Report:
         columns = ("split", "source", "category", "gold leaf", "wanted", "selected")
         sections.append(Section("Cells that are short", columns, [*short]))
     report = Report(done.document(), lines, sections)
+    if guard.said:
+        report.document["smaller"] = guard.said
+    if not sum(done.episodes.values()):
+        report.exit_code = SmallerExportError.exit_code
     failed = done.bias is not None and not done.bias.passed
     add_bias(report, done.bias, config.splits.bias, priors_behind(snapshot, config.name) if failed else None)
-    add_viewpoints(report, config, snapshot)
+    _add_viewpoints(report, config, viewpoints)
     return report
 
 
-def add_viewpoints(report: Report, config: Config, snapshot: Snapshot) -> None:
-    """Place the instructions of scans without a mesh on their viewpoint graphs, where there are such, and say so."""
+def _left_out(done: ExportReport) -> list[str]:
+    """Splits that stayed empty, and episodes that are in none, with the reasons."""
+    chosen, left = sum(done.episodes.values()), sum(done.left_out.values())
+    lines = [f"split {split} is EMPTY: {why}" for split, why in done.empty_splits.items()]
+    if not chosen:
+        lines.insert(0, "WARNING: the export holds no episodes")
+    if left:
+        reasons = "; ".join(f"{count} {reason}" for reason, count in done.left_out.items())
+        lines.append(f"{left} of {chosen + left} episodes are in no split: {reasons}")
+    return lines
+
+
+class _Guard:
+    """Compares an export that is about to take its place with the one there, and records what it is made of."""
+
+    def __init__(self, config: Config, snapshot: Snapshot, allow_shrink: bool, renewed: bool) -> None:
+        self._config = config
+        self._origin = Origin.of(config, snapshot)
+        self._allow = allow_shrink
+        self._renewed = renewed
+        self.said: list[str] = []
+
+    def check(self, episodes: Mapping[str, int], left_out: Mapping[str, int]) -> None:
+        """Refuse what :func:`refuse_losses` refuses, unless it is allowed."""
+        assert self._config.export is not None
+        try:
+            self.said = refuse_losses(
+                self._config.export, self._origin, episodes, left_out, renewed=self._renewed, listed=self._listed
+            )
+        except SmallerExportError as error:
+            if not self._allow:
+                raise
+            self.said = [f"allowed by --allow-shrink: {error.what}"]
+
+    def record(self, new: Path) -> None:
+        """Write what the export is made of."""
+        with atomic_stream(new / ORIGIN) as stream:
+            stream.write(self._origin.as_bytes())
+
+    def _listed(self) -> set[str]:
+        """Scenes in the sources now; none where they can't be listed here, as on a machine without them."""
+        try:
+            return {unit.unit_id for unit in listed_units(self._config)}
+        except (CondVLNError, OSError):
+            return set()
+
+
+def _viewpoints_alone(config: Config, snapshot: Snapshot, guard: _Guard) -> Report:
+    """The export of a snapshot without episodes on a navmesh: what can be placed on viewpoint graphs, if anything."""
     assert config.export is not None
+    report = Report({}, ["no episodes on a navmesh to export; the tables scenes and rejections say why"])
     graphs = graphs_of(config)
     if not graphs:
-        return
+        guard.check({}, {})
+        return report
+    with staged(config.export) as new:
+        guard.check({}, {})
+        guard.record(new)
+        viewpoints = _write_viewpoints(config, snapshot, new)
+    report.lines += guard.said
+    _add_viewpoints(report, config, viewpoints)
+    return report
+
+
+def _write_viewpoints(config: Config, snapshot: Snapshot, new: Path) -> ViewpointReport:
+    """Place the instructions of scans without a mesh on their viewpoint graphs, where there are such."""
+    graphs = graphs_of(config)
+    if not graphs:
+        return ViewpointReport()
     tables = FolderTables(snapshot_folder(config.store, snapshot))
     episodes = GraphEpisodes(tables, graphs, config.splits, config.seed, config.instructions.preamble)
-    done = write_viewpoints(config.export, episodes, snapshot.snapshot_id, episodes.left_out)
+    return write_viewpoints(new, episodes, snapshot.snapshot_id, episodes.left_out)
+
+
+def _add_viewpoints(report: Report, config: Config, done: ViewpointReport) -> None:
+    assert config.export is not None
     if done.episodes or done.left_out:
         report.document["viewpoints"] = done.document()
         made = ", ".join(f"{count} {split}" for split, count in done.episodes.items()) or "none"

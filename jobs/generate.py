@@ -15,7 +15,8 @@ from factory.executor import Executor, InlineExecutor
 from factory.report import ABORTED, RunReport
 from factory.run import run
 from factory.unit import Unit
-from jobs.export import add_viewpoints, export_snapshot_of
+from jobs.export import write_export
+from jobs.export_lock import alone_in_export
 from jobs.funnel import add_funnel
 from jobs.listing import listed_units
 from jobs.pipeline import build_pipeline
@@ -23,6 +24,7 @@ from jobs.progress import LoggedRun, RunProgress
 from jobs.report import Report, Section
 from jobs.workspace import git_revision, local_state, open_store, published
 from schemas.config import Config
+from schemas.errors import SmallerExportError
 
 __all__ = ["add_export", "bring_up_to_date", "run_generate", "run_report"]
 
@@ -40,19 +42,20 @@ def run_generate(
 ) -> Report:
     """Bring the published snapshot up to date with the sources, and the export with the snapshot."""
     console = console or Console(stderr=True)
-    done = bring_up_to_date(
-        config,
-        listed_units(config),
-        inline=inline,
-        retry_quarantined=retry_quarantined,
-        renew_priors=renew_priors,
-        console=console,
-    )
-    report = run_report(done)
-    if done.snapshot_id is not None:
-        add_funnel(report, published(config))
-    if config.export is not None and done.exit_code != ABORTED and done.snapshot_id is not None:
-        add_export(report, config)
+    with alone_in_export(config):
+        done = bring_up_to_date(
+            config,
+            listed_units(config),
+            inline=inline,
+            retry_quarantined=retry_quarantined,
+            renew_priors=renew_priors,
+            console=console,
+        )
+        report = run_report(done)
+        if done.snapshot_id is not None:
+            add_funnel(report, published(config))
+        if config.export is not None and done.exit_code != ABORTED and done.snapshot_id is not None:
+            add_export(report, config, renewed=renew_priors)
     return report
 
 
@@ -102,18 +105,26 @@ def bring_up_to_date(
     return done
 
 
-def add_export(report: Report, config: Config) -> None:
-    """Export what is published, and say so in `report`."""
-    snapshot = published(config)
-    if not snapshot.manifest.tables["episodes"].rows:
-        report.lines.append("no episodes on a navmesh to export; the tables scenes and rejections say why")
-        add_viewpoints(report, config, snapshot)
-        return
-    exported = export_snapshot_of(config)
-    report.document["export"] = exported.document
+def add_export(report: Report, config: Config, *, renewed: bool = False) -> bool:
+    """Export what is published, and say so in `report`; False where the export in place was kept instead.
+
+    The folder is held by the caller (``jobs.export_lock``). renewed : the priors were renewed on purpose
+    """
+    try:
+        exported = write_export(config, renewed=renewed)
+    except SmallerExportError as error:
+        report.lines.append(f"REFUSED: {error}")
+        report.document["export_refused"] = str(error)
+        report.exit_code = max(report.exit_code, error.exit_code)
+        return False
+    if "episodes" in exported.document:
+        report.document["export"] = exported.document
+    elif "viewpoints" in exported.document:
+        report.document["viewpoints"] = exported.document["viewpoints"]
     report.lines += exported.lines
     report.sections += exported.sections
     report.exit_code = max(report.exit_code, exported.exit_code)
+    return True
 
 
 @contextmanager

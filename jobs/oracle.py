@@ -9,7 +9,7 @@ from typing import Any, Final
 import orjson
 
 from condvln.evaluation.walker import heading_of
-from condvln.export.snapshot import INDEX
+from condvln.export.contents import INDEX
 from condvln.export.streams import atomic_copy
 from condvln.export.twin import TwinReport, read_manifest, rewrite_split
 from condvln.instructions import oracle_linear, render_moves, with_preamble

@@ -55,7 +55,10 @@ def run_rebuild(
         if if_changed and not asked and watch.unchanged:
             assert watch.memory is not None
             return _nothing(f"{NOTHING}: no file changed since {watch.memory.looked_at}", watch.memory.quarantined)
-        return _rebuild(config, store, watch, renew_priors, retry_quarantined, verify, inline, console)
+        from jobs.export_lock import alone_in_export  # what looks for changes loads little
+
+        with alone_in_export(config):
+            return _rebuild(config, store, watch, renew_priors, retry_quarantined, verify, inline, console)
 
 
 def _rebuild(
@@ -94,7 +97,8 @@ def _rebuild(
         return report  # stopped, or another run was faster: nothing of ours is published
     exported = False
     if config.export is not None and done.snapshot_id is not None and not watch.export_stands(done.snapshot_id):
-        add_export(report, config)
+        if not add_export(report, config, renewed=renew_priors):
+            return report  # nothing is remembered, so that the next rebuild refuses again
         exported = "export" in report.document
     if done.published and config.keep.sweep:
         _sweep(config, store, report)

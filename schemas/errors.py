@@ -13,6 +13,7 @@
     ├── StoreError              the store refused or is damaged
     │   ├── CorruptShardError   bytes on disk differ from their recorded hash
     │   └── PublishConflictError  another publisher moved the ref first
+    ├── SmallerExportError      a new export would hold less for no known reason        exit 3
     ├── TransientIOError        worth another try (network, busy disk)
     ├── StageError              a stage broke its contract (wrong columns, repeated keys, an undeclared table)
     ├── DeadlineError           a unit ran longer than its deadline
@@ -39,6 +40,7 @@ __all__ = [
     "PathEscapeError",
     "ProofError",
     "PublishConflictError",
+    "SmallerExportError",
     "StageError",
     "StoreError",
     "TransientIOError",
@@ -124,6 +126,12 @@ class CorruptShardError(StoreError):
 
 class PublishConflictError(StoreError):
     """Another publisher moved the ref between our read and our write."""
+
+
+class SmallerExportError(CondVLNError):
+    """An export would hold fewer episodes than the one in place, and nothing that changed explains it."""
+
+    exit_code = 3
 
 
 class TransientIOError(CondVLNError):

@@ -22,9 +22,8 @@ import pyarrow as pa
 from condvln.export.pool import FIT, Hashes, Pool, hashes_of
 from condvln.export.splits import SPLITS, Split
 
-__all__ = ["CHANGELOG", "Changes", "Generated", "PublishedEpisodes", "changes_between", "with_entry"]
+__all__ = ["Changes", "Generated", "PublishedEpisodes", "changes_between", "with_entry"]
 
-CHANGELOG: Final = "CHANGELOG.md"
 _TITLE: Final = "# Changelog\n"
 _EXAMPLES: Final = 5
 _GEOMETRY: Final = ("start_position", "start_rotation", "leaves", "max_steps", "success_distance")

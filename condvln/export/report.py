@@ -33,6 +33,8 @@ class ExportReport:
     cells: list[Cell] = field(default_factory=list)
     left_out: dict[str, int] = field(default_factory=dict)
     """Episodes of the pool in no split, by reason."""
+    empty_splits: dict[str, str] = field(default_factory=dict)
+    """Splits that were asked for and have no episode, with the reason."""
     truth_imbalance: dict[str, float] = field(default_factory=dict)
     """By source: 0 = conditions on a label in a room type are true as often as false; 1 = the label gives it away."""
     shapes: dict[str, dict[str, dict[str, int]]] = field(default_factory=dict)

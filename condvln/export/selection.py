@@ -16,14 +16,17 @@ import numpy as np
 import numpy.typing as npt
 
 from condvln.export.pool import FIT, Pool
-from condvln.export.splits import SPLITS, Split, fractions, scene_group
+from condvln.export.splits import GROUPS, SPLITS, Group, Split, fractions, scene_group
 from schemas.config import SplitsConfig
 from schemas.program import CATEGORIES, SHAPES, Category
 
-__all__ = ["OUT", "Cell", "Selection", "select"]
+__all__ = ["OUT", "VERSION", "Cell", "Selection", "select"]
 
 OUT: Final = -1
 """Code of an episode that is in no split."""
+
+VERSION: Final = 1
+"""Raised when an equal pool and configuration give other episodes than before."""
 
 LOOKAHEAD: Final = 64
 """Candidates looked at for each place: the more, the evener the truths; the fewer, the faster."""
@@ -62,6 +65,8 @@ class Selection:
     left_out: Counter[str] = field(default_factory=Counter)
     truth_imbalance: dict[str, float] = field(default_factory=dict)
     """By source: Σ |true − false| ÷ Σ (true + false) over label × room type × kind of condition, before and after."""
+    empty: dict[Split, str] = field(default_factory=dict)
+    """Splits that were asked for and have no episode, with the reason."""
 
 
 def select(pool: Pool, config: SplitsConfig) -> Selection:
@@ -95,7 +100,32 @@ def select(pool: Pool, config: SplitsConfig) -> Selection:
     for source, label in enumerate(pool.sources):
         inside = pool.source == source
         selection.truth_imbalance[label] = _imbalance(pool, inside & (selection.split != OUT))
+    selection.empty = _empty_splits(pool, config, selection)
     return selection
+
+
+def _empty_splits(pool: Pool, config: SplitsConfig, selection: Selection) -> dict[Split, str]:
+    """Why splits have no episode. One that the configuration gives no share and no scenes is not asked for."""
+    groups = Counter(scene_group(family, scene, config) for family, scene in pool.scenes)
+    shares = dict(zip(GROUPS, config.fractions, strict=True))
+    found: dict[Split, str] = {}
+    for code, split in enumerate(SPLITS):
+        group: Group = "train" if split == "val_seen" else split
+        asked = bool(shares[group] > 0 or group in config.scenes or groups[group])
+        if (selection.split == code).any() or not asked or (split == "val_seen" and config.val_seen_share == 0):
+            continue
+        available = sum(cell.available for cell in selection.cells if cell.split == split)
+        if not groups[group]:
+            why = f"none of the {len(pool.scenes)} scenes with episodes belongs to it; splits.scenes.{group} names some"
+        elif not available:
+            why = f"no episode of the {groups[group]} scenes of group {group} falls in it"
+        else:
+            why = (
+                f"none of its {available} episodes could be chosen, since each source and category needs one of every "
+                "gold leaf; more scenes or more episodes a scene may fill it"
+            )
+        found[split] = why
+    return found
 
 
 def _place(pool: Pool, config: SplitsConfig, left_out: Counter[str]) -> npt.NDArray[np.int8]:

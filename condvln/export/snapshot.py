@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
-from pathlib import Path, PurePosixPath
-from typing import Any, Final
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,8 +13,9 @@ import orjson
 
 from condvln.bias import judge_export
 from condvln.export.card import dataset_card
-from condvln.export.changelog import CHANGELOG, Generated, PublishedEpisodes, changes_between, with_entry
+from condvln.export.changelog import Generated, PublishedEpisodes, changes_between, with_entry
 from condvln.export.consumers import consumer_files
+from condvln.export.contents import CHANGELOG, INDEX, exported_snapshot, index_digest
 from condvln.export.croissant import croissant
 from condvln.export.densify import PATH_SPACING
 from condvln.export.oracle import ORACLE_COLUMNS, OracleText, oracle_text_of
@@ -26,6 +26,7 @@ from condvln.export.rows import Row, rows_of
 from condvln.export.scene_table import NavmeshBytes, SceneTable
 from condvln.export.selection import OUT, Selection, select
 from condvln.export.splits import SPLITS, Split
+from condvln.export.staging import staged
 from condvln.export.streams import atomic_stream
 from condvln.export.tables import SnapshotTables, joined_by_scene
 from condvln.export.tokens import TOKEN_LENGTH, Vocabulary
@@ -34,10 +35,10 @@ from condvln.export.writer import ExportWriter, Layout
 from schemas.config import SplitsConfig
 from schemas.errors import InputError, StoreError
 
-__all__ = ["INDEX", "ExportConfig", "NavmeshBytes", "export_snapshot", "exported_snapshot"]
+__all__ = ["ExportConfig", "NavmeshBytes", "export_snapshot"]
 
-INDEX: Final = "export.json"
-"""The export's own record, written when all else is in place."""
+Complete = Callable[[Path, ExportReport], None]
+"""Called with the new files and their report before they take the place of the former export."""
 
 Progress = Callable[[int, int], None]
 """Told how many episodes of how many are written."""
@@ -73,11 +74,14 @@ def export_snapshot(
     graphs: Graphs | None = None,
     former: SnapshotTables | None = None,
     progress: Progress | None = None,
+    complete: Complete | None = None,
 ) -> ExportReport:
-    """Write all splits of a snapshot below ``out`` in one pass over its rows, a scene in memory at a time.
+    """Write all splits of a snapshot in one pass over its rows, a scene in memory at a time.
 
-    Each file appears under its name when it is complete; ``export.json`` appears last and lists them all with their
-    hashes. The same snapshot and configuration give the same bytes (``CHANGELOG.md`` aside, the history of the folder).
+    The export is written beside ``out`` and takes its place at once, whole or not at all (``condvln.export.staging``);
+    one process at a time may write an ``out``. Files of the user in ``out`` are kept. ``export.json`` lists all files
+    with their hashes. The same snapshot and configuration give the same bytes (``CHANGELOG.md`` aside, the history of
+    the folder).
 
     Parameters
     ----------
@@ -87,43 +91,58 @@ def export_snapshot(
     former : the snapshot published before, against which ``CHANGELOG.md`` is written where the folder holds no other
         export; where it holds that one's, it tells what was generated but not chosen
 
+    complete : may add files, or raise to keep the former export
+
     Raises
     ------
     StoreError : the snapshot has no episodes, is damaged, or the disk refused
     """
-    config = config or ExportConfig()
+    with staged(out) as new:
+        return _write_export(
+            tables, out, new, config or ExportConfig(), oracle_texts, navmeshes, graphs, former, progress, complete
+        )
+
+
+def _write_export(
+    tables: SnapshotTables,
+    out: Path,
+    new: Path,
+    config: ExportConfig,
+    oracle_texts: OracleText | None,
+    navmeshes: NavmeshBytes | None,
+    graphs: Graphs | None,
+    former: SnapshotTables | None,
+    progress: Progress | None,
+    complete: Complete | None,
+) -> ExportReport:
+    """The export that takes the place of ``out``, written in the folder ``new``."""
     report = ExportReport(tables.id, dict(config.texts))
     scenes = SceneTable(tables, navmeshes)
     selection, splits_of, generated = _choose(tables, config, scenes)
     report.cells = selection.cells
     report.left_out = dict(sorted(selection.left_out.items()))
+    report.empty_splits = {str(split): why for split, why in selection.empty.items()}
     report.truth_imbalance = selection.truth_imbalance
     vocabulary = config.vocabulary or Vocabulary.of(_texts(tables, splits_of, oracle_texts))
     report.vocabulary = len(vocabulary.words)
     report.episodes = dict.fromkeys(SPLITS, 0)
     report.scenes = {split: [] for split in SPLITS}
-    former_files, former_snapshot = _former_export(out)
-    published, before = _formerly(out, former_snapshot, tables.id, former, config)
+    published, before = _formerly(out, exported_snapshot(out), tables.id, former, config)
     layout = Layout(dict(config.scene_patterns), config.token_length, config.path_spacing, config.sharded, tables.id)
-    writer = ExportWriter(out, layout, vocabulary, scenes, report, oracle_texts=oracle_texts, graphs=graphs)
+    writer = ExportWriter(new, layout, vocabulary, scenes, report, oracle_texts=oracle_texts, graphs=graphs)
     with writer.open():
         _write_rows(tables, splits_of, writer, report, progress)
     if config.splits.bias != "off":
-        report.bias = judge_export(out)
-    _write_documents(out, config.name, report)
-    if published is not None:
-        _write_changelog(out, published, before, generated)
-    with atomic_stream(out / INDEX) as stream:
-        stream.write(orjson.dumps(report.document(), option=orjson.OPT_INDENT_2) + b"\n")
-    for path in former_files - set(report.files):
-        with suppress(OSError):
-            (out / path).unlink()
+        report.bias = judge_export(new)
+    _write_documents(new, config.name, report)
+    _write_changelog(out, new, published, before, generated)
+    if complete is not None:
+        complete(new, report)
+    document = report.document()
+    document["digest"] = index_digest(document)
+    with atomic_stream(new / INDEX) as stream:
+        stream.write(orjson.dumps(document, option=orjson.OPT_INDENT_2) + b"\n")
     return report
-
-
-def exported_snapshot(out: Path) -> str:
-    """Id of the snapshot that a folder's export was made of; empty where it holds none."""
-    return _former_export(out)[1]
 
 
 def _write_rows(
@@ -188,15 +207,19 @@ def _chosen_rows(tables: SnapshotTables, splits_of: SplitCodes) -> Iterator[tupl
         yield from ((SPLITS[code], source, row) for row, code in zip(rows, codes.tolist(), strict=True) if code != OUT)
 
 
-def _write_changelog(out: Path, former: PublishedEpisodes, before: Generated | None, generated: Generated) -> None:
-    new = PublishedEpisodes.of_export(out)
-    if new is None:  # nothing is published now: the card says so
-        return
-    path = out / CHANGELOG
-    text = path.read_text(encoding="utf-8") if path.exists() else ""
-    changes = changes_between(former, new, before=before, now=generated)
-    with atomic_stream(path) as stream:
-        stream.write(with_entry(text, changes).encode())
+def _write_changelog(
+    out: Path, new: Path, former: PublishedEpisodes | None, before: Generated | None, generated: Generated
+) -> None:
+    try:
+        text = (out / CHANGELOG).read_text(encoding="utf-8")
+    except (OSError, ValueError):
+        text = ""
+    now = PublishedEpisodes.of_export(new) if former is not None else None
+    if former is not None and now is not None:  # where nothing is published now, the card says so
+        text = with_entry(text, changes_between(former, now, before=before, now=generated))
+    if text:
+        with atomic_stream(new / CHANGELOG) as stream:
+            stream.write(text.encode())
 
 
 SplitCodes = dict[str, npt.NDArray[np.int8]]
@@ -237,14 +260,3 @@ def _texts(tables: SnapshotTables, splits_of: SplitCodes, oracle_texts: OracleTe
                     yield row["instruction_text"]
                     yield oracle_text_of(oracle_texts, row, instructions[row["instruction_id"]])
                 at += 1
-
-
-def _former_export(out: Path) -> tuple[set[str], str]:
-    """Files that an earlier export wrote here by its own record, only what lies below ``out``; and its snapshot."""
-    try:
-        index = orjson.loads((out / INDEX).read_bytes())
-        paths = [PurePosixPath(name) for name in index["files"]]
-        snapshot = str(index["snapshot"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return set(), ""
-    return {str(path) for path in paths if not path.is_absolute() and ".." not in path.parts}, snapshot

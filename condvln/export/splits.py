@@ -21,7 +21,7 @@ import orjson
 from schemas.config import SplitsConfig
 from schemas.errors import ConfigError
 
-__all__ = ["SPLITS", "Group", "Split", "fractions", "hash_fraction", "scene_group"]
+__all__ = ["GROUPS", "SPLITS", "Group", "Split", "fractions", "hash_fraction", "scene_group"]
 
 Split = Literal["train", "val_seen", "val_unseen", "test"]
 SPLITS: Final[tuple[Split, ...]] = ("train", "val_seen", "val_unseen", "test")
@@ -29,7 +29,7 @@ SPLITS: Final[tuple[Split, ...]] = ("train", "val_seen", "val_unseen", "test")
 Group = Literal["train", "val_unseen", "test"]
 """A set of scenes; the group train holds the splits train and val_seen."""
 
-_GROUPS: Final[tuple[Group, ...]] = ("train", "val_unseen", "test")
+GROUPS: Final[tuple[Group, ...]] = ("train", "val_unseen", "test")
 _LISTED: Final = ("mp3d", "gibson")
 
 # Floor plans 1-30 of kitchens, 201-230, 301-330 and 401-430 of the other room types: within each, 1-20 train, 21-25
@@ -56,7 +56,7 @@ def scene_group(family: str, scene_id: str, config: SplitsConfig) -> Group:
         return official
     at = hash_fraction(config.seed, family, scene_id)
     bounds = (config.fractions[0], config.fractions[0] + config.fractions[1])
-    return _GROUPS[0] if at < bounds[0] else _GROUPS[1] if at < bounds[1] else _GROUPS[2]
+    return GROUPS[0] if at < bounds[0] else GROUPS[1] if at < bounds[1] else GROUPS[2]
 
 
 def fractions(hashes: npt.NDArray[np.uint64], seed: int, purpose: str) -> npt.NDArray[np.float64]:
@@ -81,7 +81,7 @@ def hash_fraction(seed: int, *names: str) -> float:
 
 def _configured(family: str, scene_id: str, config: SplitsConfig) -> Group | None:
     name = f"{family}/{scene_id}"
-    found = [g for g in _GROUPS if any(fnmatchcase(name, pattern) for pattern in config.scenes.get(g, ()))]
+    found = [g for g in GROUPS if any(fnmatchcase(name, pattern) for pattern in config.scenes.get(g, ()))]
     if len(found) > 1:
         raise ConfigError(
             f"{name} is in {found[0]} and in {found[1]}",
@@ -99,13 +99,13 @@ def _official(family: str, scene_id: str) -> Group | None:
         within = int(found[1]) % 100
         return "train" if within <= 20 else "val_unseen" if within <= 25 else "test"
     if family == "robothor" and (found := _ROBOTHOR.match(scene_id)):
-        return {"train": _GROUPS[0], "val": _GROUPS[1], "test": _GROUPS[2]}[found[1].lower()]
+        return {"train": GROUPS[0], "val": GROUPS[1], "test": GROUPS[2]}[found[1].lower()]
     if family == "replicacad" and (found := _REPLICACAD.match(scene_id)):
-        return {"0": _GROUPS[0], "1": _GROUPS[1]}.get(found[1] or "", "test")
+        return {"0": GROUPS[0], "1": GROUPS[1]}.get(found[1] or "", "test")
     return None
 
 
 @cache
 def _list_of(family: str) -> dict[str, Group]:
     lists = orjson.loads((resources.files("condvln.export") / "official" / f"{family}.json").read_bytes())
-    return {scene: group for group in _GROUPS for scene in lists[group].split()}
+    return {scene: group for group in GROUPS for scene in lists[group].split()}

@@ -14,6 +14,7 @@ from typing import Any, Final
 
 from condvln.export.graph_episodes import GraphEpisode
 from condvln.export.manifest import manifest_row
+from condvln.export.report import WrittenFile
 from condvln.export.splits import SPLITS
 from condvln.export.streams import ByteStream, JsonArrayStream, atomic_stream
 from condvln.export.vlnce import encode
@@ -31,6 +32,8 @@ class ViewpointReport:
     episodes: dict[str, int] = field(default_factory=dict)
     scans: dict[str, list[str]] = field(default_factory=dict)
     left_out: dict[str, int] = field(default_factory=dict)
+    files: dict[str, WrittenFile] = field(default_factory=dict)
+    """By path below the export's folder."""
 
     def document(self) -> dict[str, Any]:
         """As plain values."""
@@ -78,6 +81,9 @@ def write_viewpoints(
             scans = report.scans.setdefault(split, [])
             if scan not in scans:
                 scans.append(scan)
+    for stream in [each for items_of, manifest in opened.values() for each in (items_of.stream, manifest)]:
+        name = stream.path.relative_to(out).as_posix()
+        report.files[name] = WrittenFile(stream.size, stream.digest.hexdigest())
     report.left_out = dict(sorted((left_out or Counter()).items()))
     for split in SPLITS:
         if split not in opened:

@@ -33,6 +33,10 @@ def export(
     ] = None,
     navmesh_root: NavmeshRoots = None,
     connectivity: Graphs = None,
+    allow_shrink: Annotated[
+        bool,
+        typer.Option("--allow-shrink", help="replace the export in place even by one with fewer episodes"),
+    ] = False,
     overrides: Overrides = None,
     as_json: AsJson = False,
 ) -> None:
@@ -52,7 +56,7 @@ def export(
     from jobs.configuration import load_config
     from jobs.export import run_export
 
-    report = run_export(load_config(config, overrides or (), check_roots=False))
+    report = run_export(load_config(config, overrides or (), check_roots=False), allow_shrink=allow_shrink)
     answer(report, as_json)
     leave(report.exit_code)
 

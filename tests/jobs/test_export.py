@@ -9,12 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from condvln.export.changelog import CHANGELOG
+from condvln.export.contents import CHANGELOG
 from condvln.export.streams import read_unpacked
 from jobs.configuration import load_config
 from jobs.export import export_snapshot_of, graphs_of
 from jobs.export_lock import alone_in
 from jobs.generate import run_generate
+from jobs.rebuild import run_rebuild
 from jobs.report import Report
 from jobs.validate import validate_files
 from schemas.config import Config, InstructionsConfig, SplitsConfig
@@ -93,10 +94,33 @@ def test_one_export_at_a_time_writes_a_folder(made_run: tuple[Config, Report], t
     config = made_run[0].model_copy(update={"export": tmp_path / "out"})
     export_snapshot_of(config)
     before = {path: path.read_bytes() for path in sorted((tmp_path / "out").rglob("*")) if path.is_file()}
-    with alone_in(tmp_path / "out"), pytest.raises(StoreError, match="another export is writing this folder"):
+    with (
+        alone_in(tmp_path / "out"),
+        pytest.raises(StoreError, match=r"another .* is writing this folder"),
+    ):
         export_snapshot_of(config)
     export_snapshot_of(config)  # and who is done holds it no more
     assert before == {path: path.read_bytes() for path in sorted((tmp_path / "out").rglob("*")) if path.is_file()}
+
+
+def test_the_folder_is_held_before_any_scene_is_made(
+    made_dataset: Path, tmp_path: Path, configured: Callable[..., Config]
+) -> None:
+    """Else the second of two runs does all its work and then learns that it was for nothing."""
+    config = configured(made_dataset, export=tmp_path / "out")
+    with alone_in(tmp_path / "out"):
+        for start in (run_generate, run_rebuild):
+            with pytest.raises(StoreError, match="Wait until it is done"):
+                start(config, inline=True)
+    assert not (Path(config.store) / "units").exists()
+    assert not (tmp_path / ".out.lock").exists()
+
+
+def test_a_killed_holder_blocks_nobody(tmp_path: Path) -> None:
+    (tmp_path / ".out.lock").touch()
+    with alone_in(tmp_path / "out"):
+        assert (tmp_path / ".out.lock").exists()
+    assert [*tmp_path.iterdir()] == []
 
 
 def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:

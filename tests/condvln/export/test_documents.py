@@ -14,8 +14,9 @@ import pytest
 import yaml
 
 from condvln.export.axes import route_class, words_class
-from condvln.export.changelog import CHANGELOG, Changes, PublishedEpisodes, changes_between, with_entry
+from condvln.export.changelog import Changes, PublishedEpisodes, changes_between, with_entry
 from condvln.export.consumers import LINK
+from condvln.export.contents import CHANGELOG
 from condvln.export.snapshot import export_snapshot
 from condvln.export.splits import SPLITS
 from condvln.export.tables import MemoryTables

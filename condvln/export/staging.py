@@ -1,0 +1,254 @@
+"""An export is written beside the one in place and takes its place at once, whole or not at all.
+
+For an export folder ``NAME`` three siblings may be there for a while: ``.NAME.new`` is being written or removed,
+``.NAME.ready`` is complete (and holds the former export once the two were exchanged), ``.NAME.old`` is the former
+export where the file system can't exchange two folders. A process that is killed leaves some of them; the next export
+removes them, see :func:`recover`.
+
+Files of the user in the export's folder are kept: they are linked into the new one before the exchange.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from condvln.export.contents import file_hashes, owned_files, stale_proofs
+from condvln.export.streams import sync
+from schemas.errors import StoreError
+
+__all__ = ["check_place", "placed", "recover", "staged"]
+
+_AT_FDCWD: Final = -100
+_RENAME_EXCHANGE: Final = 2
+_NO_EXCHANGE: Final = {errno.ENOSYS, errno.EINVAL, errno.ENOTSUP}
+"""What the system says where it knows no exchange of two names (NFS, kernels before 3.15)."""
+_NO_LINK: Final = {errno.EPERM, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK, errno.EACCES}
+_REMEDY: Final = "The export in place is as it was. Free some space or choose another export folder, then export again."
+
+
+@dataclass(frozen=True)
+class _Place:
+    """The export's folder and its temporary siblings."""
+
+    here: Path
+    new: Path
+    ready: Path
+    old: Path
+
+    @classmethod
+    def of(cls, out: Path) -> _Place:
+        here = placed(out)
+        new, ready, old = (here.with_name(f".{here.name}.{state}") for state in ("new", "ready", "old"))
+        return cls(here, new, ready, old)
+
+
+def placed(out: Path) -> Path:
+    """The folder that ``out`` leads to: of a link its target, which is what gets replaced."""
+    return Path(os.path.realpath(out))
+
+
+def check_place(out: Path) -> None:
+    """Make the parent of an export's folder, and look whether the folder can be replaced.
+
+    Raises
+    ------
+    StoreError : the parent can't be written, or the folder is a file, a mount point, or holds one
+    """
+    here = placed(out)
+    try:
+        here.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StoreError(
+            f"can't be made: {error.strerror or error}", where=here.parent, remedy="Choose another export folder."
+        ) from error
+    if here.exists() and not here.is_dir():
+        raise StoreError("the export folder is a file", where=here, remedy="Choose another export folder.")
+    if not os.access(here.parent, os.W_OK | os.X_OK):
+        raise StoreError(
+            "the parent of the export folder can't be written, and a new export is written beside the old one",
+            where=here.parent,
+            remedy="Choose an export folder whose parent can be written.",
+        )
+    mounted = next((path for path in (here, *_folders(here)) if os.path.ismount(path)), None)
+    if mounted is not None:
+        where = "is" if mounted == here else f"holds, at {mounted},"
+        raise StoreError(
+            f"the export folder {where} a mount point, which can't be exchanged for a new folder",
+            where=here,
+            remedy=f"Export to a folder below the mount: export: {here / 'export'}"
+            if mounted == here
+            else "Unmount it or choose another export folder.",
+        )
+
+
+@contextmanager
+def staged(out: Path) -> Iterator[Path]:
+    """A folder beside ``out`` that replaces it when the block ends well; else ``out`` stays as it is.
+
+    One at a time for each ``out``: the caller sees to it. Everything is on disk before the exchange.
+
+    Raises
+    ------
+    StoreError : the disk refused, or the folder can't be replaced (see :func:`check_place`)
+    """
+    check_place(out)
+    recover(out)
+    place = _Place.of(out)
+    try:
+        with _refusals(place.here):
+            place.new.mkdir()
+        yield place.new
+        with _refusals(place.here):
+            if place.here.exists():
+                _keep_foreign(place.here, place.new)
+                _copy_attributes(place.here, place.new)
+            _sync_folders(place.new)
+            os.rename(place.new, place.ready)
+            _take_place(place)
+    finally:
+        recover(out)
+
+
+def recover(out: Path) -> None:
+    """Remove what a killed export left beside ``out``; where it was killed between two renames, ``out`` is put back.
+
+    Raises
+    ------
+    StoreError : the disk refused
+    """
+    place = _Place.of(out)
+    with _refusals(place.here):
+        if place.old.exists() and not place.here.exists():
+            os.rename(place.old, place.here)
+    _clear(place)
+
+
+def _take_place(place: _Place) -> None:
+    if not place.here.exists():
+        os.rename(place.ready, place.here)
+    elif not _exchange(place.ready, place.here):
+        os.rename(place.here, place.old)
+        os.rename(place.ready, place.here)
+    with suppress(OSError):  # it is in place now, whatever the disk says of the folder above
+        sync(place.here.parent)
+
+
+def _clear(place: _Place) -> None:
+    """Remove the temporary siblings. What the user put into the former export while it was exchanged is kept."""
+    _remove(place.new)
+    for former in (place.ready, place.old):
+        if former.exists():
+            with suppress(OSError):  # the export is in place; the next one removes what is left
+                if place.here.exists():
+                    _move_foreign(former, place.here)
+                os.rename(former, place.new)  # so that one that is half removed is never taken for an export
+                _remove(place.new)
+
+
+def _remove(folder: Path) -> None:
+    shutil.rmtree(folder, ignore_errors=True)
+    if folder.exists():  # folders that nobody may write
+        for path in (folder, *_folders(folder)):
+            with suppress(OSError):
+                path.chmod(0o700)
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _foreign(folder: Path, new: Path) -> Iterator[str]:
+    """Paths of what outlives the export in ``folder`` when ``new`` takes its place: files and links of the user, proofs
+    that hold for both, and folders that are empty."""
+    owned = owned_files(folder) | stale_proofs(folder, file_hashes(new))
+    for parent, folders, files in os.walk(folder):
+        base = Path(parent).relative_to(folder)
+        links = [name for name in folders if Path(parent, name).is_symlink()]
+        for name in sorted([*files, *links]):
+            path = (base / name).as_posix()
+            if path not in owned:
+                yield path
+        if not folders and not files and base != Path():
+            yield base.as_posix()
+
+
+def _keep_foreign(former: Path, new: Path) -> None:
+    """Link the user's files into the new export; where it has a file of that name, its own is kept."""
+    for path in _foreign(former, new):
+        source, target = former / path, new / path
+        if os.path.lexists(target) or not _parent_made(new, target):
+            continue
+        if source.is_dir() and not source.is_symlink():
+            target.mkdir()
+            continue
+        try:
+            os.link(source, target, follow_symlinks=False)
+        except OSError as error:
+            if error.errno not in _NO_LINK:
+                raise
+            shutil.copy2(source, target, follow_symlinks=False)
+            sync(target)
+
+
+def _move_foreign(former: Path, here: Path) -> None:
+    for path in [*_foreign(former, here)]:
+        if not os.path.lexists(here / path) and _parent_made(here, here / path):
+            os.rename(former / path, here / path)
+
+
+def _parent_made(root: Path, target: Path) -> bool:
+    """Make the folders above ``target``; False where the new export has a file in their place."""
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError):
+        return False
+    return target.parent.resolve().is_relative_to(root.resolve())
+
+
+def _copy_attributes(former: Path, new: Path) -> None:
+    """Mode, group and access lists of the folder, so that those who could read the former export can read this one."""
+    with suppress(OSError):
+        os.chown(new, -1, former.stat().st_gid)
+    with suppress(OSError):
+        shutil.copystat(former, new)
+
+
+def _folders(folder: Path) -> Iterator[Path]:
+    for parent, folders, _ in os.walk(folder):
+        yield from (Path(parent, name) for name in folders)
+
+
+def _sync_folders(folder: Path) -> None:
+    """Names are on disk only when their folder is; files were synced when they were closed."""
+    for parent in [*_folders(folder), folder]:
+        if not parent.is_symlink():
+            sync(parent)
+
+
+def _exchange(one: Path, other: Path) -> bool:
+    """Exchange two names at once (Linux's ``renameat2``); False where the system knows no such thing."""
+    renameat2 = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
+    if renameat2 is None:
+        return False
+    names = os.fsencode(one), os.fsencode(other)
+    if renameat2(_AT_FDCWD, names[0], _AT_FDCWD, names[1], _RENAME_EXCHANGE) == 0:
+        return True
+    number = ctypes.get_errno()
+    if number in _NO_EXCHANGE:
+        return False
+    raise OSError(number, os.strerror(number), str(other))
+
+
+@contextmanager
+def _refusals(where: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise StoreError(
+            f"the export can't take its place: {error.strerror or error}", where=where, remedy=_REMEDY
+        ) from error

@@ -1,0 +1,276 @@
+"""What an export was made of, and whether a smaller one is explained by what changed since.
+
+``origin.json`` stands in each export: the configuration, the versions of the code, the priors, and for each scene its
+status, its files' hash, its key and its episodes. The next export is compared with it. A smaller export is accepted
+where the configuration, the code or a source changed; where none of them did, published episodes were lost.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from pydantic import Field, ValidationError
+
+from condvln.export.contents import ORIGIN, read_index
+from condvln.export.selection import VERSION
+from factory.snapshot import Snapshot
+from schemas.base import Document
+from schemas.config import Config
+from schemas.errors import SmallerExportError
+
+__all__ = ["Origin", "SceneOrigin", "Shrinkage", "refuse_losses"]
+
+LOST_NAVMESH: Final = "the navmesh built for its scene is missing or changed"
+_KEPT_OUT: Final = {"store", "export", "ray", "keep", "name"}
+"""Keys of the configuration that decide nothing of an export's content."""
+_PATHS: Final = {"root", "regions", "houses", "connectivity"}
+"""Keys of a source that are folders of a machine."""
+_SHOWN: Final = 5
+_LAST_STAGE: Final = "text"
+_FIRST_STAGE: Final = "scene"
+
+
+class SceneOrigin(Document):
+    """One scene as its snapshot had it."""
+
+    status: str
+    """ok, skipped or quarantined."""
+    data: str = ""
+    """Hash of its files."""
+    key: str = ""
+    """Key of its last stage: equal keys mean equal episodes."""
+    episodes: int = 0
+    """Episodes in the snapshot, exported or not."""
+
+
+class Origin(Document):
+    """``origin.json``."""
+
+    snapshot: str
+    configuration: dict[str, Any] = Field(default_factory=dict)
+    """By key, such as ``instructions.moves``; without folders."""
+    code: dict[str, int] = Field(default_factory=dict)
+    """Version of each stage, and of the export's choice as ``select``."""
+    priors: dict[str, str] = Field(default_factory=dict)
+    scenes: dict[str, SceneOrigin] = Field(default_factory=dict)
+    """By ``<source>/<scene>``."""
+
+    @classmethod
+    def of(cls, config: Config, snapshot: Snapshot) -> Origin:
+        """Of the export that is made of a snapshot under a configuration."""
+        index = snapshot.index().table
+        columns = [f"{_FIRST_STAGE}.inputs", "content", f"{_LAST_STAGE}.key", f"{_LAST_STAGE}/episodes.rows"]
+        known = [name for name in ("unit_id", "status", *columns) if name in index.column_names]
+        scenes = {}
+        for row in index.select(known).to_pylist():
+            data, key = row.get("content") or row.get(columns[0]) or b"", row.get(columns[2]) or b""
+            scenes[row["unit_id"]] = SceneOrigin(
+                status=row["status"], data=data.hex(), key=key.hex(), episodes=row.get(columns[3]) or 0
+            )
+        stages = {name: totals.version for name, totals in snapshot.manifest.stages.items()}
+        return cls(
+            snapshot=snapshot.snapshot_id,
+            configuration=_flat(_deciding(config)),
+            code={**stages, "select": VERSION},
+            priors=dict(snapshot.manifest.aggregates),
+            scenes=scenes,
+        )
+
+    @classmethod
+    def read(cls, folder: Path) -> Origin | None:
+        """Of the export in a folder; None where it has none, or none that can be read."""
+        try:
+            return cls.model_validate_json((folder / ORIGIN).read_bytes())
+        except (OSError, ValidationError):
+            return None
+
+    def as_bytes(self) -> bytes:
+        """The file."""
+        return self.model_dump_json(indent=1).encode() + b"\n"
+
+
+def _deciding(config: Config) -> dict[str, Any]:
+    document = config.model_dump(mode="json", exclude=_KEPT_OUT)
+    sources = document.pop("sources")
+    document["sources"] = {}
+    for source in sources:
+        document["sources"].setdefault(source["family"], []).append(
+            {name: value is not None if name in _PATHS else value for name, value in source.items()}
+        )
+    return document
+
+
+def _flat(document: Mapping[str, Any], above: str = "") -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, value in sorted(document.items()):
+        if isinstance(value, dict) and value:
+            found |= _flat(value, f"{above}{name}.")
+        else:
+            found[above + name] = value
+    return found
+
+
+@dataclass
+class Shrinkage:
+    """Why an export holds fewer episodes than the one in place."""
+
+    causes: list[str] = field(default_factory=list)
+    """What changed in the configuration, the code or the sources."""
+    losses: list[str] = field(default_factory=list)
+    """Episodes that are gone though nothing they were made of changed; never accepted."""
+    doubts: list[str] = field(default_factory=list)
+    """What makes the export smaller and is neither in the configuration nor in the sources."""
+
+
+def compare(
+    former: Origin | None, now: Origin, *, renewed: bool = False, listed: Callable[[], set[str]] | None = None
+) -> Shrinkage:
+    """What changed between the origins of two exports.
+
+    Parameters
+    ----------
+    renewed : the priors were renewed on purpose
+    listed : gives the scenes that the sources hold now; asked only where some are gone from the snapshot
+    """
+    found = Shrinkage()
+    if former is None:
+        found.doubts.append(f"the export in place has no readable {ORIGIN}, so it can't be said what changed since")
+        return found
+    changed = _differing(former.configuration, now.configuration)
+    if changed:
+        found.causes.append(f"the configuration changed ({_some(changed)})")
+    versions = _differing(former.code, now.code)
+    if versions:
+        found.causes.append(f"the code changed ({_some(versions)})")
+    elif former.priors != now.priors and renewed:
+        found.causes.append("the label priors were renewed")
+    explained = bool(changed or versions)
+    gone = {name for name, scene in former.scenes.items() if scene.episodes and name not in now.scenes}
+    if gone:
+        _gone(gone, former, now, found, explained, listed)
+    by_kind: dict[str, list[str]] = {}
+    for name, before in former.scenes.items():
+        here = now.scenes.get(name)
+        if here is not None and before.episodes > here.episodes:
+            by_kind.setdefault(_kind(before, here, explained, renewed and former.priors != now.priors), []).append(name)
+    for kind, names in sorted(by_kind.items()):
+        target, what = _KINDS[kind]
+        getattr(found, target).append(f"{_scenes(len(names))} {what} ({_some(names)})")
+    return found
+
+
+_KINDS: Final = {
+    "lost": ("losses", "lost episodes in the snapshot though nothing changed that they are made of"),
+    "quarantine": ("doubts", "went into quarantine though their files, the configuration and the code are as before"),
+    "other": ("doubts", "have fewer episodes though their files, the configuration and the code are as before"),
+    "data": ("causes", "have other files in their source"),
+    "explained": ("causes", "have fewer episodes by the changed configuration, code or priors"),
+    "skipped": ("causes", "are skipped now"),
+}
+
+
+def _kind(before: SceneOrigin, here: SceneOrigin, explained: bool, renewed: bool) -> str:
+    if here.status == "ok" and before.key and before.key == here.key:
+        return "lost"
+    if before.data != here.data or not here.data:
+        return "data"
+    if explained or renewed:
+        return "explained"
+    return {"quarantined": "quarantine", "skipped": "skipped"}.get(here.status, "other")
+
+
+def _gone(
+    gone: set[str],
+    former: Origin,
+    now: Origin,
+    found: Shrinkage,
+    explained: bool,
+    listed: Callable[[], set[str]] | None,
+) -> None:
+    """Scenes that the snapshot no longer has: removed from the source, or lost, or their source is not there."""
+    left = Counter(name.split("/", 1)[0] for name in now.scenes)
+    empty = sorted({name.split("/", 1)[0] for name in gone if not left[name.split("/", 1)[0]]})
+    configured = {key.split(".")[1] for key in now.configuration if key.startswith("sources.")}
+    for family in empty:
+        if family in configured and not explained:
+            found.doubts.append(f"the source {family} has no scene any more; is its folder mounted and complete?")
+    still = gone & listed() if listed is not None and not explained else set()
+    if still:
+        found.losses.append(f"{_scenes(len(still))} are in their source and not in the snapshot ({_some(still)})")
+    removed = {name for name in gone - still if explained or name.split("/", 1)[0] not in empty}
+    if removed:
+        found.causes.append(f"{_scenes(len(removed))} are no longer listed by their source ({_some(removed)})")
+
+
+def _differing(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
+    missing = object()
+    return sorted(key for key in {*one, *other} if one.get(key, missing) != other.get(key, missing))
+
+
+def _some(names: set[str] | list[str]) -> str:
+    shown = sorted(names)
+    return ", ".join(shown[:_SHOWN]) + (f" and {len(shown) - _SHOWN} more" if len(shown) > _SHOWN else "")
+
+
+def _scenes(count: int) -> str:
+    return f"{count} scene{'s' if count != 1 else ''}"
+
+
+def refuse_losses(
+    folder: Path, now: Origin, episodes: Mapping[str, int], left_out: Mapping[str, int], **known: Any
+) -> list[str]:
+    """Refuse an export that holds less than the one in ``folder`` without a reason; the reasons otherwise, in words.
+
+    Parameters
+    ----------
+    episodes : of the new export, by split
+    left_out : of the new export, by reason
+    known : ``renewed`` and ``listed`` of :func:`compare`
+
+    Raises
+    ------
+    SmallerExportError : it would hold fewer, and neither the configuration nor the code nor the sources say why
+    """
+    before = _counts(folder)
+    if before is None:
+        return []
+    had, have = sum(before.values()), sum(episodes.values())
+    fewer = [split for split, count in before.items() if episodes.get(split, 0) < count]
+    found = compare(Origin.read(folder), now, **known)
+    if left_out.get(LOST_NAVMESH):
+        found.losses.append(f"{left_out[LOST_NAVMESH]} episodes are left out: {LOST_NAVMESH}")
+    if had and not have:
+        found.doubts.append("it would be empty")
+    if not fewer and not found.losses:
+        return []
+    if fewer and not found.causes and not found.doubts:
+        found.doubts.append("neither the configuration nor the code nor a source changed")
+    parts = ", ".join(f"{split} {before[split]} → {episodes.get(split, 0)}" for split in fewer)
+    size = f"{had} → {have} episodes" + (f" ({parts})" if parts else "")
+    if found.losses or found.doubts:
+        why = "; ".join([*found.losses, *found.doubts])
+        raise SmallerExportError(
+            f"the new export would hold less than the one in place, {size}: {why}",
+            where=folder,
+            remedy="The export in place is kept. Run condvln rebuild CONFIG --verify to make again what was lost; or, "
+            "where the smaller export is wanted, condvln export CONFIG --allow-shrink.",
+        )
+    return [f"the export is smaller than the one before, {size}: {'; '.join(found.causes)}"]
+
+
+def _counts(folder: Path) -> dict[str, int] | None:
+    """Episodes by split of the export in place: by its own record, else by its manifests; None where there is none."""
+    index = read_index(folder)
+    if index is not None and isinstance(index.get("episodes"), dict):
+        return {str(split): int(count) for split, count in index["episodes"].items()}
+    counts = {}
+    for path in sorted((folder / "manifest").glob("*.jsonl")):
+        try:
+            counts[path.stem] = path.read_bytes().count(b"\n")
+        except OSError:
+            continue
+    return counts or None
