@@ -74,7 +74,7 @@ def run_demo(out: Path, *, scenes: int, seed: int, workers: int | None, console:
         ],
         [Section("Tables", ("table", "rows"), [(n, t.rows) for n, t in sorted(snapshot.manifest.tables.items())])],
     )
-    printed.print(proof.lines[0])
+    printed.print(proof if proof.exit_code else proof.lines[0])
     if measured is not None:
         printed.print(measured)
     printed.print(closing)

@@ -13,9 +13,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+import orjson
 from pydantic import Field, ValidationError
 
-from condvln.export.contents import ORIGIN, read_index
+from condvln.export.contents import ORIGIN, document_digest, read_document, read_index
 from condvln.export.selection import VERSION
 from factory.snapshot import Snapshot
 from schemas.base import Document
@@ -58,6 +59,8 @@ class Origin(Document):
     priors: dict[str, str] = Field(default_factory=dict)
     scenes: dict[str, SceneOrigin] = Field(default_factory=dict)
     """By ``<source>/<scene>``."""
+    digest: str = ""
+    """Hash of all the rest."""
 
     @classmethod
     def of(cls, config: Config, snapshot: Snapshot) -> Origin:
@@ -83,14 +86,19 @@ class Origin(Document):
     @classmethod
     def read(cls, folder: Path) -> Origin | None:
         """Of the export in a folder; None where it has none, or none that can be read."""
+        document = read_document(folder / ORIGIN)
         try:
-            return cls.model_validate_json((folder / ORIGIN).read_bytes())
-        except (OSError, ValidationError):
+            if document is None or document_digest(document) != document["digest"]:
+                return None
+            return cls.model_validate(document)
+        except (KeyError, ValidationError):
             return None
 
     def as_bytes(self) -> bytes:
         """The file."""
-        return self.model_dump_json(indent=1).encode() + b"\n"
+        document = self.model_dump(mode="json", exclude={"digest"})
+        document["digest"] = document_digest(document)
+        return orjson.dumps(document, option=orjson.OPT_INDENT_2) + b"\n"
 
 
 def _deciding(config: Config) -> dict[str, Any]:

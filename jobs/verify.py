@@ -3,53 +3,113 @@
 from __future__ import annotations
 
 from collections import Counter
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 import orjson
 
+from condvln.export.contents import CERTIFICATES, INDEX, SUMMARY, read_index
 from condvln.export.streams import ByteStream, atomic_stream
 from condvln.scene import Scene
 from condvln.sources.source import Source, hash_file
 from condvln.verify import FACTS, Certificate, Rules, Surfaces, prove_export
+from condvln.verify.completeness import Fault, find_faults, row_counts
 from jobs.pipeline import open_configured
 from jobs.report import Report, Section
+from jobs.workspace import published
 from schemas.config import Config
-from schemas.errors import MissingFileError, ProofError
+from schemas.errors import InputError, MissingFileError, ProofError, StoreError
 
-__all__ = ["CERTIFICATES", "SUMMARY", "verify_export"]
+__all__ = ["verify_export"]
 
-CERTIFICATES: Final = "certificates"
-"""Folder of the export that holds ``<split>.jsonl``, one certificate an episode, and the summary."""
-SUMMARY: Final = "summary.json"
+MANIFEST: Final = "manifest"
 SHOWN: Final = 20
-"""Disagreements shown on a terminal; the certificates have all of them."""
+"""Disagreements and faults shown on a terminal; the certificates and the summary have all of them."""
 
 
-def verify_export(config: Config, export_dir: Path) -> Report:
-    """Prove every episode of an export from its text and the raw source files; certificates stand beside it.
+def verify_export(config: Config, export_dir: Path, *, without_store: bool = False) -> Report:
+    """Prove every episode of an export from its text and the raw source files, and that the export is whole.
 
-    The report's exit code is ProofError's where any fact disagrees.
+    Certificates are written to ``certificates/`` of the export. The files are compared with the export's own record,
+    and its episodes with the published snapshot. The report's exit code is ProofError's where any fact disagrees,
+    where anything is missing, and where there is nothing to prove.
+
+    without_store : leave the snapshot out, as where the store is elsewhere
 
     Raises
     ------
-    MissingFileError, FormatError : `export_dir` is no export, or its files are cut
+    MissingFileError, FormatError : `export_dir` is no export, or its files are cut in a way its record does not show
     """
     tally = _Tally()
+    tally.faults += find_faults(export_dir)
+    if not without_store:
+        tally.faults += _faults_of_snapshot(config, export_dir)
     folder = export_dir / CERTIFICATES
-    with ExitStack() as stack:
-        streams: dict[str, ByteStream] = {}
-        for certificate in prove_export(export_dir, Rules.of(config), _Scenes(config)):
-            tally.add(certificate)
-            if certificate.split not in streams:
-                streams[certificate.split] = stack.enter_context(atomic_stream(folder / f"{certificate.split}.jsonl"))
-            streams[certificate.split].write(_line(certificate))
+    try:
+        with ExitStack() as stack:
+            streams: dict[str, ByteStream] = {}
+            for certificate in prove_export(export_dir, Rules.of(config), _Scenes(config)):
+                tally.add(certificate)
+                name = f"{certificate.split}.jsonl"
+                if name not in streams:
+                    streams[name] = stack.enter_context(atomic_stream(folder / name))
+                streams[name].write(_line(certificate))
+        for path in folder.glob("*.jsonl"):
+            if path.name not in streams:
+                path.unlink()
+    except InputError as error:
+        if not tally.faults:
+            raise
+        tally.faults.append(Fault(_relative(error.where, export_dir), error.what))
+    if not sum(row_counts(export_dir).values()):
+        tally.faults.append(Fault(MANIFEST, "the export holds no episodes, so nothing is proven"))
     document = {**tally.document(), "files": _hashes(export_dir)}
     with atomic_stream(folder / SUMMARY) as stream:
         stream.write(orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_SORT_KEYS) + b"\n")
     return tally.report(document, folder)
+
+
+def _faults_of_snapshot(config: Config, export_dir: Path) -> Iterator[Fault]:
+    """What an export has that the published snapshot has not, and what it does not account for."""
+    index = read_index(export_dir)
+    if index is None:
+        return
+    try:
+        snapshot = published(config)
+        if index.get("snapshot") != snapshot.snapshot_id:
+            yield Fault(
+                INDEX,
+                f"the export is of snapshot {index.get('snapshot')}, and {snapshot.snapshot_id} is published as "
+                f"{config.name!r}; run condvln export",
+            )
+            return
+        known: set[str] = set()
+        for source in snapshot.manifest.tables["episodes"].partitions:
+            known.update(snapshot.table("episodes", ["episode_id"], source).column("episode_id").to_pylist())
+    except (StoreError, FileNotFoundError) as error:
+        yield Fault(str(config.store), f"the published snapshot can't be read: {error} --without-store leaves it out.")
+        return
+    for path in sorted(export_dir.glob("manifest/*.jsonl")):
+        for name in _episode_ids(path):
+            if name not in known:
+                yield Fault(f"{MANIFEST}/{path.name}", f"episode {name} is not in the snapshot")
+    counts = [count for part in ("episodes", "left_out") for count in (index.get(part) or {}).values()]
+    if sum(counts) != len(known):
+        yield Fault(INDEX, f"accounts for {sum(counts)} of the {len(known)} episodes of the snapshot")
+
+
+def _episode_ids(manifest: Path) -> Iterator[str]:
+    for line in manifest.read_bytes().splitlines():
+        with suppress(ValueError, KeyError, TypeError):
+            yield orjson.loads(line)["episode_id"]
+
+
+def _relative(where: str, export_dir: Path) -> str:
+    path = Path(where)
+    return path.relative_to(export_dir).as_posix() if path.is_relative_to(export_dir) else where
 
 
 class _Scenes:
@@ -83,6 +143,8 @@ class _Tally:
         self.checked: Counter[str] = Counter()
         self.disagreed: Counter[str] = Counter()
         self.examples: list[tuple[str, str]] = []
+        self.faults: list[Fault] = []
+        """What is wrong with the export as a whole."""
 
     def add(self, certificate: Certificate) -> None:
         """One more."""
@@ -99,6 +161,7 @@ class _Tally:
         return {
             "episodes": self.episodes.total(),
             "proven": self.proven.total(),
+            "faults": [fault.document() for fault in self.faults],
             "splits": {
                 split: {"episodes": count, "proven": self.proven[split]} for split, count in self.episodes.items()
             },
@@ -112,12 +175,15 @@ class _Tally:
         """The summary for people and scripts."""
         total, proven = self.episodes.total(), self.proven.total()
         lines = [f"{proven:,} of {total:,} episodes proven, {self.checked.total():,} facts checked"]
+        lines += [f"NOT WHOLE: {fault}" for fault in self.faults[:SHOWN]]
+        if len(self.faults) > SHOWN:
+            lines.append(f"… and {len(self.faults) - SHOWN:,} more, see {folder / SUMMARY}")
         lines += [f"episode {episode_id}: {text}" for episode_id, text in self.examples]
         if self.disagreed.total() > len(self.examples):
             lines.append(f"… and {self.disagreed.total() - len(self.examples):,} more")
         lines.append(f"certificates in {folder}")
         facts = [(fact, FACTS[fact], self.checked[fact], self.disagreed[fact]) for fact in FACTS if self.checked[fact]]
-        exit_code = ProofError.exit_code if self.disagreed else 0
+        exit_code = ProofError.exit_code if self.disagreed or self.faults else 0
         return Report(
             document, lines, [Section("Facts", ("fact", "meaning", "checked", "disagreed"), [*facts])], exit_code
         )

@@ -15,10 +15,11 @@ __all__ = [
     "INDEX",
     "ORIGIN",
     "SUMMARY",
+    "document_digest",
     "exported_snapshot",
     "file_hashes",
-    "index_digest",
     "owned_files",
+    "read_document",
     "read_index",
     "stale_proofs",
 ]
@@ -44,17 +45,22 @@ _PROOFS: Final = (f"{CERTIFICATES}/*.jsonl", f"{CERTIFICATES}/{SUMMARY}")
 
 def read_index(folder: Path) -> dict[str, Any] | None:
     """The export's own record; None where the folder has none, or none that can be read."""
+    return read_document(folder / INDEX)
+
+
+def read_document(path: Path) -> dict[str, Any] | None:
+    """A JSON object in a file; None where there is none, or none that can be read."""
     try:
-        index = orjson.loads((folder / INDEX).read_bytes())
+        document = orjson.loads(path.read_bytes())
     except (OSError, ValueError):
         return None
-    return index if isinstance(index, dict) else None
+    return document if isinstance(document, dict) else None
 
 
-def index_digest(index: Mapping[str, Any]) -> str:
-    """SHA-256 over the record without its own ``digest``: a record that was changed or cut does not have it."""
-    document = {key: value for key, value in index.items() if key != "digest"}
-    return hashlib.sha256(orjson.dumps(document, option=orjson.OPT_SORT_KEYS)).hexdigest()
+def document_digest(document: Mapping[str, Any]) -> str:
+    """SHA-256 over a document without its own ``digest``, by which one that was changed or cut is known."""
+    rest = {key: value for key, value in document.items() if key != "digest"}
+    return hashlib.sha256(orjson.dumps(rest, option=orjson.OPT_SORT_KEYS)).hexdigest()
 
 
 def exported_snapshot(folder: Path) -> str:

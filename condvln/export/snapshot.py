@@ -15,7 +15,7 @@ from condvln.bias import judge_export
 from condvln.export.card import dataset_card
 from condvln.export.changelog import Generated, PublishedEpisodes, changes_between, with_entry
 from condvln.export.consumers import consumer_files
-from condvln.export.contents import CHANGELOG, INDEX, exported_snapshot, index_digest
+from condvln.export.contents import CHANGELOG, INDEX, document_digest, exported_snapshot
 from condvln.export.croissant import croissant
 from condvln.export.densify import PATH_SPACING
 from condvln.export.oracle import ORACLE_COLUMNS, OracleText, oracle_text_of
@@ -139,7 +139,7 @@ def _write_export(
     if complete is not None:
         complete(new, report)
     document = report.document()
-    document["digest"] = index_digest(document)
+    document["digest"] = document_digest(document)
     with atomic_stream(new / INDEX) as stream:
         stream.write(orjson.dumps(document, option=orjson.OPT_INDENT_2) + b"\n")
     return report

@@ -20,10 +20,13 @@ def verify(
     export: Annotated[
         Path | None, typer.Option("--export", metavar="DIR", help="export to prove; by default the configuration's")
     ] = None,
+    without_store: Annotated[
+        bool, typer.Option("--without-store", help="do not compare with the published snapshot")
+    ] = False,
     overrides: Overrides = None,
     as_json: AsJson = False,
 ) -> None:
-    """Independent proof of every published episode, from its text and the raw source files."""
+    """Independent proof of every published episode, from its text and the raw source files, and of its completeness."""
     from jobs.configuration import load_config
     from jobs.verify import verify_export
 
@@ -31,7 +34,7 @@ def verify(
     folder = export or loaded.export
     if folder is None:
         raise UsageError("no export folder is named", place="export", remedy="Set export: FOLDER, or say --export DIR.")
-    report = verify_export(loaded, folder)
+    report = verify_export(loaded, folder, without_store=without_store)
     answer(report, as_json)
     leave(report.exit_code)
 

@@ -1,0 +1,124 @@
+"""``condvln verify`` of an export that is not whole, empty, or not the published one."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from condvln.export.contents import CERTIFICATES, INDEX, SUMMARY
+from jobs.export import export_snapshot_of
+from jobs.report import Report
+from jobs.verify import verify_export
+from schemas.config import Config
+
+
+@pytest.fixture(scope="module")
+def made(made_run: tuple[Config, Report], tmp_path_factory: pytest.TempPathFactory) -> Config:
+    """The made configuration with an export; read only."""
+    config = made_run[0].model_copy(update={"export": tmp_path_factory.mktemp("exported") / "out"})
+    assert export_snapshot_of(config).exit_code == 0
+    return config
+
+
+@pytest.fixture
+def folder(made: Config, tmp_path: Path) -> Path:
+    assert made.export is not None
+    return Path(shutil.copytree(made.export, tmp_path / "out"))
+
+
+def faults(config: Config, folder: Path) -> list[str]:
+    report = verify_export(config, folder)
+    assert report.exit_code == (3 if report.document["faults"] else 0)
+    summary = json.loads((folder / CERTIFICATES / SUMMARY).read_text())
+    assert summary["faults"] == report.document["faults"]
+    return [f"{fault['file']}: {fault['what']}" for fault in report.document["faults"]]
+
+
+def largest(folder: Path) -> str:
+    counts: dict[str, int] = json.loads((folder / INDEX).read_text())["episodes"]
+    return max(counts, key=lambda split: counts[split])
+
+
+def test_a_whole_export_is_proven(made: Config, folder: Path) -> None:
+    assert faults(made, folder) == []
+
+
+def test_an_empty_export_is_no_success(made: Config, folder: Path) -> None:
+    for path in [*folder.glob("manifest/*.jsonl")]:
+        path.write_bytes(b"")
+    found = faults(made, folder)
+    assert found[-1] == "manifest: the export holds no episodes, so nothing is proven"
+    assert any(f"manifest/{largest(folder)}.jsonl: has 0 bytes" in fault for fault in found)
+
+
+def test_nothing_of_nothing_is_no_success(made: Config, folder: Path) -> None:
+    """Also where the export's own record says that it is empty, and no snapshot is at hand."""
+    for path in [*folder.iterdir()]:
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+    (folder / "manifest").mkdir()
+    (folder / "manifest" / "train.jsonl").touch()
+    (folder / "vlnce" / "train").mkdir(parents=True)
+    (folder / "vlnce" / "train" / "train.json.gz").write_bytes(gzip.compress(b'{"episodes":[]}'))
+    (folder / "vlnce" / "train" / "train_gt.json.gz").write_bytes(gzip.compress(b"{}"))
+    (folder / INDEX).write_text('{"files": {}, "episodes": {}}')
+    report = verify_export(made, folder, without_store=True)
+    assert report.exit_code == 3
+    assert "NOT WHOLE: manifest: the export holds no episodes, so nothing is proven" in report.lines
+
+
+def test_an_export_of_another_snapshot_is_named(made: Config, folder: Path) -> None:
+    from condvln.export.contents import document_digest
+
+    index = json.loads((folder / INDEX).read_text())
+    index["snapshot"] = "f" * 32
+    index["digest"] = document_digest(index)
+    (folder / INDEX).write_text(json.dumps(index))
+    found = faults(made, folder)
+    assert any("export.json: the export is of snapshot ffff" in fault for fault in found)
+
+
+def test_what_is_missing_is_named_and_the_rest_is_proven(made: Config, folder: Path) -> None:
+    split = largest(folder)
+    shutil.rmtree(folder / "ansr")
+    path = folder / "manifest" / f"{split}.jsonl"
+    rows = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(b"".join(rows[1:]))
+    found = faults(made, folder)
+    assert any(fault.startswith(f"ansr/{split}/{split}.json.gz: can't be read: No such file") for fault in found)
+    assert any(fault.startswith(f"manifest/{split}.jsonl: has") for fault in found)
+    assert f"manifest/{split}.jsonl: holds {len(rows) - 1} episodes, export.json says {len(rows)}" in found
+
+
+def test_a_cut_file_is_one_fault_more_and_no_traceback(made: Config, folder: Path) -> None:
+    split = largest(folder)
+    path = folder / "vlnce" / split / f"{split}.json.gz"
+    path.write_bytes(path.read_bytes()[:-20])
+    found = faults(made, folder)
+    assert any(fault.startswith(f"vlnce/{split}/{split}.json.gz: has") for fault in found)
+    assert found[-1].startswith(f"vlnce/{split}/{split}.json.gz: damaged gzip")
+
+
+def test_a_snapshot_that_is_damaged_or_gone_is_named(made: Config, folder: Path, tmp_path: Path) -> None:
+    store = Path(shutil.copytree(Path(made.store), tmp_path / "store"))
+    config = made.model_copy(update={"store": store})
+    part = next(store.glob("snapshots/*/episodes/*/part-*.parquet"))
+    part.write_bytes(part.read_bytes()[:-100])
+    (fault,) = faults(config, folder)
+    assert "the published snapshot can't be read" in fault
+    assert part.name in fault
+    (store / "refs" / "made.json").unlink()
+    (fault,) = faults(config, folder)
+    assert "nothing is published as 'made'" in fault
+    assert verify_export(config, folder, without_store=True).exit_code == 0
+
+
+def test_an_episode_that_the_snapshot_does_not_have_is_named(made: Config, folder: Path) -> None:
+    path = folder / "manifest" / f"{largest(folder)}.jsonl"
+    lines = path.read_bytes().splitlines(keepends=True)
+    row = json.loads(lines[0])
+    path.write_bytes(lines[0].replace(row["episode_id"].encode(), b"0123456789abcdef") + b"".join(lines[1:]))
+    assert f"manifest/{path.name}: episode 0123456789abcdef is not in the snapshot" in faults(made, folder)
