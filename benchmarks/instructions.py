@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from condvln.instructions import (
-    InstructionConfig,
     LabelPriors,
     ProgramSampler,
+    apart_by_centres,
     instruction_id,
     parse,
     reading_of,
@@ -28,10 +28,14 @@ from condvln.labels import vocabulary
 from condvln.relations import relate_scene, text_facts
 from condvln.scene import Room, Scene, SceneObject, round_mm
 from condvln.sources.registry import open_source
+from schemas.config import InstructionsConfig, PlacesConfig, SamplingConfig, Thresholds
 from schemas.program import CATEGORIES
 
+T = Thresholds()
+
 SCENES = 12
-CONFIG = InstructionConfig(per_category=dict.fromkeys(CATEGORIES, 10), candidates_per_episode=5)
+WANTED = InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, 10))
+SAMPLING = SamplingConfig(candidates_per_episode=5)
 
 ROOMS = {
     "kitchen": "refrigerator,sink,stove,microwave,table,chair,stool,trash can,plate,mug,toaster,kettle,bowl,knife,pan",
@@ -68,16 +72,25 @@ def houses() -> tuple[str, list[Scene]]:
 def main() -> None:
     """Print the rates."""
     name, scenes = houses()
-    facts = [{room: text_facts(relations) for room, relations in relate_scene(scene).items()} for scene in scenes]
+    facts = [{room: text_facts(relations, T) for room, relations in relate_scene(scene, T).items()} for scene in scenes]
     start = time.process_time()
-    priors = LabelPriors.merged(LabelPriors.of_scene(scene) for scene in scenes)
+    priors = LabelPriors.merged(LabelPriors.of_scene(scene, T, SAMPLING.anchor_size) for scene in scenes)
     seconds = {"priors": time.process_time() - start}
     parser()
 
     start = time.process_time()
     drawn = []
     for scene, known in zip(scenes, facts, strict=True):
-        sampler = ProgramSampler(scene, known, priors.bits(scene), CONFIG, seed=0)
+        sampler = ProgramSampler(
+            scene,
+            known,
+            priors.bits(scene, SAMPLING.plausible_share),
+            WANTED,
+            SAMPLING,
+            seed=0,
+            stops=apart_by_centres(scene, PlacesConfig()),
+            preamble=True,
+        )
         for category in CATEGORIES:
             for program in sampler.candidates(category):
                 drawn.append((instruction_id(scene.family, scene.scene_id, program), program))

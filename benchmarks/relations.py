@@ -18,7 +18,6 @@ from condvln.relations import (
     CANONICAL,
     COMPASS,
     TEXT_PREDICATES,
-    RelationThresholds,
     RoomRelations,
     TextFacts,
     relate_room,
@@ -28,6 +27,7 @@ from condvln.relations.solids import MeshSolid
 from condvln.relations.surface import solid_distance
 from condvln.scene import RoomArrays, SceneObject, round_mm
 from condvln.scene.meshes import WorldMesh
+from schemas.config import Thresholds
 
 SECONDS = 0.25
 """Least time each measurement runs."""
@@ -35,7 +35,7 @@ SECONDS = 0.25
 ROUNDS = 6
 """Measurements of each; the best counts, since other work on the machine only ever slows one down."""
 
-T = RelationThresholds()
+T = Thresholds()
 
 
 def furnished_room(count: int, seed: int = 0) -> RoomArrays:

@@ -9,7 +9,6 @@ from typing import Any, Final
 from condvln.export.compose import ComposedScene, compose_scene
 from condvln.export.streams import atomic_stream
 from condvln.export.vlnce import scene_file
-from condvln.navigation.agent import Agent
 from condvln.navigation.navmesh_file import MAX_FILE_BYTES, NavMeshFile, parse_navmesh
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Scene
@@ -55,7 +54,7 @@ def compose(config: Config, scene_id: str, out: Path, *, own_navmesh: bool = Fal
             place="--own-navmesh",
             remedy="Leave it out: the navmesh that is built then is the one of the episodes, too.",
         )
-    composed = compose_scene(scene, source.geometry(scene), Agent(**config.agent.model_dump()))
+    composed = compose_scene(scene, source.geometry(scene), config.agent)
     walked = composed.navmesh if shipped is None else shipped
     navmesh = out.with_suffix(NAVMESH)
     # The navmesh first: a loader that finds a scene finds its navmesh too.

@@ -16,7 +16,6 @@ from condvln.export.contents import INDEX
 from condvln.export.licences import SOURCES
 from condvln.export.streams import read_unpacked
 from condvln.export.vlnce import scene_file
-from condvln.navigation.agent import Agent
 from condvln.navigation.navmesh_file import NavMeshFile
 from condvln.scene import Scene
 from condvln.sources.dataset_root import DatasetRoot
@@ -26,7 +25,7 @@ from jobs.compose import NAVMESH, refuse_export, shipped_navmesh, write_changed
 from jobs.pipeline import open_configured
 from jobs.progress import RunProgress
 from jobs.report import Report
-from schemas.config import Config
+from schemas.config import AgentConfig, Config
 from schemas.errors import FormatError, InputError, MissingFileError
 
 __all__ = ["compose_all"]
@@ -73,7 +72,7 @@ def compose_all(config: Config, folder: Path, *, own_navmesh: bool = False, cons
     }
     for parent in dict.fromkeys((folder / target).parent for target in targets.values()):
         refuse_export(config.export, parent)
-    writer = _Writer(folder, known, Agent(**config.agent.model_dump()), export, own_navmesh)
+    writer = _Writer(folder, known, config.agent, export, own_navmesh)
     with RunProgress(console or Console(stderr=True, quiet=True)) as progress:
         progress.phase("compose", len(targets), SECONDS * len(targets))
         for name, target in targets.items():
@@ -155,7 +154,7 @@ class _Writer:
 
     folder: Path
     known: dict[Name, Source | InputError]
-    agent: Agent
+    agent: AgentConfig
     export: _Export | None
     own_navmesh: bool
 

@@ -10,7 +10,7 @@ from typing import Any, Final, get_args
 
 from pydantic import ValidationError
 
-from schemas.config import Config
+from schemas.config import MOVED, Config
 from schemas.errors import ConfigError
 
 __all__ = ["config_error", "nearest"]
@@ -91,6 +91,9 @@ def _said(fault: Mapping[str, Any], location: tuple[str | int, ...]) -> tuple[st
     kind, given, context = fault["type"], fault.get("input"), fault.get("ctx", {})
     got = f"got {_shown(given)}"
     if kind == "extra_forbidden":
+        moved = MOVED.get(".".join(map(str, location)))
+        if moved is not None:
+            return f"the key is called {moved} now", f"Move it to {moved}."
         allowed = _allowed(location[:-1])
         return _unknown(location[-1], allowed)
     if kind == "literal_error" and fault["loc"][-1] == _KEY_OF_MAPPING:

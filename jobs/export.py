@@ -89,14 +89,12 @@ def write_export(config: Config, *, allow_shrink: bool = False, renewed: bool = 
         viewpoints = _write_viewpoints(config, snapshot, new)
         report.files |= viewpoints.files
 
-    texts = _Texts(seed=config.seed, preamble=config.instructions.preamble)
+    texts = _Texts(seed=config.seed, preamble=config.text.preamble)
     done = export_snapshot(
         FolderTables(snapshot_folder(config.store, snapshot)),
         config.export,
         ExportConfig(
             splits=config.splits,
-            path_spacing=config.episodes.path_spacing,
-            sharded=config.splits.sharded,
             texts=texts,
         ),
         oracle_texts=_linear_text(**texts),
@@ -194,7 +192,7 @@ def _write_viewpoints(config: Config, snapshot: Snapshot, new: Path) -> Viewpoin
     if not graphs:
         return ViewpointReport()
     tables = FolderTables(snapshot_folder(config.store, snapshot))
-    episodes = GraphEpisodes(tables, graphs, config.splits, config.seed, config.instructions.preamble)
+    episodes = GraphEpisodes(tables, graphs, config.splits, config.seed, config.text.preamble)
     return write_viewpoints(new, episodes, snapshot.snapshot_id, episodes.left_out)
 
 

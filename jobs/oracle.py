@@ -13,7 +13,7 @@ from condvln.export.contents import INDEX
 from condvln.export.streams import atomic_copy
 from condvln.export.twin import TwinReport, read_manifest, rewrite_split
 from condvln.instructions import oracle_linear, render_moves, with_preamble
-from condvln.instructions.config import COMPASS
+from condvln.instructions.predicates import COMPASS
 from jobs.report import Report
 from schemas.errors import UsageError
 from schemas.evaluation import ManifestEpisode

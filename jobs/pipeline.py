@@ -5,18 +5,14 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any, Final
 
-from condvln.episodes.rules import EpisodeRules
-from condvln.instructions.config import Cell, InstructionConfig
 from condvln.instructions.counterfactuals import GROUP_SIZE
-from condvln.navigation.agent import Agent
-from condvln.relations import RelationThresholds
 from condvln.sources.registry import open_source
 from condvln.sources.source import HashFile, Source
 from factory.pipeline import Pipeline, TableSpec
 from factory.unit import InputFile, Unit
 from jobs.costs import stage_costs
 from jobs.stages import EpisodeStage, PriorsAggregate, ProgramStage, RelationStage, SceneStage, TextStage
-from schemas.config import Config, InstructionsConfig, SourceConfig
+from schemas.config import Config, SourceConfig
 from schemas.errors import ConfigError
 from schemas.tables import SORT_KEYS, TABLES
 
@@ -39,29 +35,26 @@ _STAGE_OF: Final[dict[str, str | tuple[str, ...]]] = {
 
 def build_pipeline(config: Config) -> Pipeline:
     """The five stages under `config`, and the eight tables they publish."""
-    agent = _agent(config)
-    thresholds = _mirror(RelationThresholds, config.thresholds)
-    rules = _mirror(EpisodeRules, config.episodes)
-    wanted = config.instructions
-    sampling = _sampling(wanted)
+    agent, preamble = config.agent, config.text.preamble
     return Pipeline(
         name="condvln",
         stages=(
             SceneStage(agent, config.limits),
-            RelationStage(thresholds),
-            ProgramStage(sampling, thresholds, rules, agent, config.seed),
-            EpisodeStage(
-                sampling.wanted,
-                wanted.counterfactual_groups,
-                wanted.label_cap,
-                wanted.preamble,
-                rules,
-                agent,
+            RelationStage(config.thresholds),
+            ProgramStage(
+                config.thresholds,
+                config.places,
+                config.instructions,
+                config.sampling,
+                config.goals,
+                agent.max_climb,
+                preamble,
                 config.seed,
             ),
-            TextStage(rules, wanted.preamble, config.seed),
+            EpisodeStage(config.places, config.instructions, config.episodes, agent.max_climb, preamble, config.seed),
+            TextStage(config.text, config.episodes.max_steps, config.seed),
         ),
-        aggregates=(PriorsAggregate(wanted.plausible_share),),
+        aggregates=(PriorsAggregate(config.thresholds, config.sampling.anchor_size),),
         tables={name: TableSpec(TABLES[name], SORT_KEYS[name], _STAGE_OF[name]) for name in TABLES},
     )
 
@@ -73,7 +66,7 @@ def open_configured(config: Config, source: SourceConfig, hash_file: HashFile) -
         source.root,
         scenes=source.scenes,
         exclude=source.exclude,
-        agent=_agent(config),
+        agent=config.agent,
         regions=source.regions,
         houses=source.houses,
         hash_file=hash_file,
@@ -84,7 +77,7 @@ def list_units(config: Config, hash_file: HashFile) -> list[Unit]:
     """All scenes of all sources as units; one that can't even be listed is a unit with its fault."""
     units = []
     wanted = config.instructions
-    asked = sum(cell.count for cell in _sampling(wanted).wanted) + GROUP_SIZE * wanted.counterfactual_groups
+    asked = sum(cell.count for cell in wanted.wanted) + GROUP_SIZE * wanted.counterfactual_groups
     for source in config.sources:
         for handle in open_configured(config, source, hash_file).handles():
             payload: dict[str, Any] = {
@@ -112,24 +105,3 @@ def list_units(config: Config, hash_file: HashFile) -> list[Unit]:
                 remedy="Keep one of them, or part them with 'scenes' and 'exclude'.",
             )
     return units
-
-
-def _agent(config: Config) -> Agent:
-    agent: Agent = _mirror(Agent, config.agent)
-    return agent
-
-
-def _sampling(wanted: InstructionsConfig) -> InstructionConfig:
-    cells = tuple(_mirror(Cell, cell) for cell in wanted.cells)
-    config: InstructionConfig = _mirror(InstructionConfig, wanted, cells=cells)
-    return config
-
-
-def _mirror(kind: type[Any], model: Any, **changes: Any) -> Any:
-    """A frozen dataclass of the science from its configuration model: the same names on both sides, or an error."""
-    values = model.model_dump() | changes
-    known = set(kind.__dataclass_fields__)
-    unknown = set(values) - known
-    if unknown:
-        raise AssertionError(f"{kind.__name__} does not know {sorted(unknown)}")
-    return kind(**values)

@@ -8,7 +8,7 @@ it reads, what it is keyed on, and where its rows go. A change of what a stage m
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Final
@@ -17,10 +17,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from condvln.episodes.candidates import Candidate, candidates_from_table, candidates_table, draw_candidates
+from condvln.episodes.goals import blocked_footprints, scene_goals
 from condvln.episodes.observability import Observer
-from condvln.episodes.placing import Placer
+from condvln.episodes.placing import Placer, reachable_stops
 from condvln.episodes.pool import Pool, fill_pool
-from condvln.episodes.rules import EpisodeRules
+from condvln.episodes.routes import GoalField
 from condvln.episodes.table import (
     PLACEMENTS,
     funnel_table,
@@ -33,21 +34,19 @@ from condvln.episodes.table import (
 from condvln.episodes.unplaced import unplaced_programs, unplaced_table
 from condvln.episodes.view import SceneView
 from condvln.instructions import (
-    Cell,
-    InstructionConfig,
     LabelPriors,
     PriorBits,
     ProgramSampler,
+    apart_by_centres,
     instruction_table,
     names_compass,
     programs_from_table,
     render,
     with_preamble,
 )
-from condvln.navigation.agent import Agent
 from condvln.navigation.navmesh_file import parse_navmesh
 from condvln.navigation.pathfinder import Pathfinder
-from condvln.relations import RelationThresholds, RoomRelations, relate_scene, relation_table, text_facts
+from condvln.relations import RoomRelations, relate_scene, relation_table, text_facts
 from condvln.scene import Scene
 from condvln.scene.limits import check_limits
 from condvln.scene.meshes import MeshLibrary
@@ -58,7 +57,18 @@ from condvln.sources.source import Source
 from factory.stage import Aggregate, Stage, StageOutput
 from factory.unit import Unit
 from schemas.canonical import JSON
-from schemas.config import LimitsConfig
+from schemas.config import (
+    AgentConfig,
+    EpisodeConfig,
+    GoalsConfig,
+    InstructionsConfig,
+    LimitsConfig,
+    PlacesConfig,
+    SamplingConfig,
+    Section,
+    TextConfig,
+    Thresholds,
+)
 
 __all__ = ["EpisodeStage", "PriorsAggregate", "ProgramStage", "RelationStage", "SceneStage", "TextStage"]
 
@@ -74,13 +84,13 @@ def _navmeshes_table(scene_id: str, data: bytes | None) -> pa.Table:
 
 
 @lru_cache(maxsize=8)
-def _source(family: str, root: str, regions: str | None, houses: str | None, agent: Agent) -> Source:
+def _source(family: str, root: str, regions: str | None, houses: str | None, agent: AgentConfig) -> Source:
     """One reader a process and dataset: its shared files are read once."""
     side, house_folder = (None if path is None else Path(path) for path in (regions, houses))
     return open_source(family, Path(root), agent=agent, regions=side, houses=house_folder)
 
 
-def _source_of(unit: Unit, agent: Agent) -> Source:
+def _source_of(unit: Unit, agent: AgentConfig) -> Source:
     regions, houses = (None if path is None else str(path) for path in map(unit.payload.get, ("regions", "houses")))
     return _source(str(unit.payload["family"]), str(unit.payload["root"]), regions, houses, agent)
 
@@ -97,8 +107,14 @@ def _pathfinder(scene: Scene, tables: Tables) -> Pathfinder:
     return Pathfinder.load(scene.root / scene.navmesh.path)
 
 
-def _view(unit: Unit, scene: Scene, agent: Agent) -> SceneView:
-    return SceneView(scene, _source_of(unit, agent).geometry(scene))
+def _view(unit: Unit, scene: Scene) -> SceneView:
+    # Surfaces are those of the scene, whoever walks there.
+    return SceneView(scene, _source_of(unit, AgentConfig()).geometry(scene))
+
+
+def _dump(section: Section) -> JSON:
+    document: JSON = section.model_dump(mode="json")
+    return document
 
 
 @dataclass
@@ -109,7 +125,7 @@ class SceneStage(Stage):
     and no episodes.
     """
 
-    agent: Agent
+    agent: AgentConfig
     limits: LimitsConfig
     name: str = "scene"
     version: int = 3
@@ -117,7 +133,7 @@ class SceneStage(Stage):
     reads_inputs: bool = True
 
     def parameters(self, unit: Unit) -> JSON:
-        return {"agent": asdict(self.agent), "limits": self.limits.model_dump()}
+        return {"agent": _dump(self.agent), "limits": _dump(self.limits)}
 
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
         source = _source_of(unit, self.agent)
@@ -143,7 +159,7 @@ class SceneStage(Stage):
 class RelationStage(Stage):
     """rooms, objects (and their meshes) → relations."""
 
-    thresholds: RelationThresholds
+    thresholds: Thresholds
     name: str = "relations"
     version: int = 1
     tables: tuple[str, ...] = ("relations",)
@@ -151,7 +167,7 @@ class RelationStage(Stage):
     reads_inputs: bool = True
 
     def parameters(self, unit: Unit) -> JSON:
-        return {"thresholds": asdict(self.thresholds)}
+        return {"thresholds": _dump(self.thresholds)}
 
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
         scene = _scene(unit, upstream)
@@ -161,17 +177,19 @@ class RelationStage(Stage):
 
 @dataclass
 class PriorsAggregate(Aggregate):
-    """Which labels are plausible in which type of room, over all scenes of all sources."""
+    """Which labels are usual in which type of room, and how often a statement is true there, over all scenes of all
+    sources."""
 
-    plausible_share: float
+    thresholds: Thresholds
+    anchor_size: float
     name: str = "priors"
     version: int = 2
     after: str = "scene"
     tables: tuple[str, ...] = ("rooms", "objects")
 
     def build(self, tables: Iterator[tuple[str, Tables]]) -> pa.Table:
-        parts = (LabelPriors.of_tables(t["rooms"], t["objects"]) for _, t in tables)
-        return LabelPriors.merged(parts, self.plausible_share).table()
+        parts = (LabelPriors.of_tables(t["rooms"], t["objects"], self.thresholds, self.anchor_size) for _, t in tables)
+        return LabelPriors.merged(parts).table()
 
 
 @dataclass
@@ -179,10 +197,13 @@ class ProgramStage(Stage):
     """relations + navmesh + surfaces → where objects are stood at, and candidate programs, in the order in which they
     will be tried."""
 
-    config: InstructionConfig
-    thresholds: RelationThresholds
-    rules: EpisodeRules
-    agent: Agent
+    thresholds: Thresholds
+    places: PlacesConfig
+    instructions: InstructionsConfig
+    sampling: SamplingConfig
+    goals: GoalsConfig
+    max_climb: float
+    preamble: bool
     seed: int
     name: str = "programs"
     version: int = 5
@@ -192,13 +213,17 @@ class ProgramStage(Stage):
     needs: tuple[str, ...] = ("priors",)
 
     def parameters(self, unit: Unit) -> JSON:
-        # The number of words is decided by the wording, which is another stage's to change.
-        wording: dict[str, JSON] = {"text": TextStage.version} if any(c.words for c in self.config.cells) else {}
+        wording: dict[str, JSON] = {}
+        if any(cell.words for cell in self.instructions.cells):
+            # The number of words is decided by the wording, which is another stage's to change.
+            wording = {"text": {"preamble": self.preamble}, "wording": TextStage.version}
         return wording | {
-            "config": self.config.document(),
-            "thresholds": asdict(self.thresholds),
-            "rules": asdict(self.rules),
-            "agent": asdict(self.agent),
+            "thresholds": _dump(self.thresholds),
+            "places": _dump(self.places),
+            "instructions": _dump(self.instructions),
+            "sampling": _dump(self.sampling),
+            "goals": _dump(self.goals),
+            "agent": {"max_climb": self.max_climb},
             "seed": self.seed,
         }
 
@@ -206,7 +231,7 @@ class ProgramStage(Stage):
         return dict(self._bits(_scene(unit, upstream), shared).document())
 
     def _bits(self, scene: Scene, shared: Tables) -> PriorBits:
-        return LabelPriors.from_table(shared["priors"], self.config.plausible_share).bits(scene)
+        return LabelPriors.from_table(shared["priors"]).bits(scene, self.sampling.plausible_share)
 
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
         scene = _scene(unit, upstream)
@@ -215,23 +240,29 @@ class ProgramStage(Stage):
             arrays = scene.arrays(room.room_id)
             relations = RoomRelations.from_table(upstream["relations"], arrays, self.thresholds)
             facts[room.room_id] = text_facts(relations, self.thresholds)
-        placer = None
+        goals = {}
+        stops = apart_by_centres(scene, self.places)
         if scene.navmesh is not None:
-            placer = Placer(
-                scene,
-                _pathfinder(scene, upstream),
-                self.rules,
-                self.seed,
-                max_climb=self.agent.max_climb,
-                view=_view(unit, scene, self.agent),
-            )
+            pathfinder = _pathfinder(scene, upstream)
+            obstacles = blocked_footprints(scene, pathfinder, self.max_climb)
+            goals = scene_goals(scene, pathfinder, self.places, self.goals, obstacles, _view(unit, scene))
+            separation = self.places.leaf_separation(scene.single_room)
+            stops = reachable_stops(pathfinder, GoalField(pathfinder, goals), separation)
         # Leaves are checked before the gold one is drawn among them, so that the check can't favour a truth.
-        stops = None if placer is None else placer.stops
-        sampler = ProgramSampler(scene, facts, self._bits(scene, shared), self.config, self.seed, stops=stops)
+        sampler = ProgramSampler(
+            scene,
+            facts,
+            self._bits(scene, shared),
+            self.instructions,
+            self.sampling,
+            self.seed,
+            stops=stops,
+            preamble=self.preamble,
+        )
         candidates = draw_candidates(sampler)
         return StageOutput(
             tables={
-                "stops": stops_table(scene.scene_id, {} if placer is None else placer.field.goals),
+                "stops": stops_table(scene.scene_id, goals),
                 "candidates": candidates_table(scene.scene_id, candidates),
                 "rejections": rejections_table(scene.scene_id, self.name, sampler.rejections),
             },
@@ -243,12 +274,11 @@ class ProgramStage(Stage):
 class EpisodeStage(Stage):
     """Candidate programs + navmesh + surfaces → placed episodes and what is seen on them, without their words."""
 
-    wanted: tuple[Cell, ...]
-    groups: int
-    label_cap: float
+    places: PlacesConfig
+    instructions: InstructionsConfig
+    rules: EpisodeConfig
+    max_climb: float
     preamble: bool
-    rules: EpisodeRules
-    agent: Agent
     seed: int
     name: str = "episodes"
     version: int = 6
@@ -258,37 +288,38 @@ class EpisodeStage(Stage):
 
     def parameters(self, unit: Unit) -> JSON:
         return {
-            "rules": asdict(self.rules),
-            "wanted": [cell.document() for cell in self.wanted],
-            "groups": self.groups,
-            "label_cap": self.label_cap,
-            "preamble": self.preamble,
-            "agent": asdict(self.agent),
+            "places": _dump(self.places),
+            "instructions": _dump(self.instructions),
+            "episodes": _dump(self.rules),
+            "agent": {"max_climb": self.max_climb},
+            "text": {"preamble": self.preamble},
             "seed": self.seed,
         }
 
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
         scene = _scene(unit, upstream)
-        candidates = candidates_from_table(upstream["candidates"], self.wanted)
+        wanted, groups = self.instructions.wanted, self.instructions.counterfactual_groups
+        candidates = candidates_from_table(upstream["candidates"], wanted)
         if scene.navmesh is None:
             return self._without_navmesh(scene, candidates)
         placer = Placer(
             scene,
             _pathfinder(scene, upstream),
+            goals_from_table(upstream["stops"]),
+            self.places,
             self.rules,
             self.seed,
-            max_climb=self.agent.max_climb,
-            goals=goals_from_table(upstream["stops"]),
+            max_climb=self.max_climb,
         )
-        observer = Observer(scene, _view(unit, scene, self.agent), placer.pathfinder, self.rules, placer.obstacles)
+        observer = Observer(scene, _view(unit, scene), placer.pathfinder, self.places, self.rules, placer.obstacles)
         pool = fill_pool(
             candidates,
             placer,
-            self.wanted,
-            self.label_cap,
+            wanted,
+            self.instructions.label_cap,
             lambda program: self.preamble and names_compass(program),
             observer,
-            self.groups,
+            groups,
         )
         compositions = dict(
             zip(*(upstream["candidates"][c].to_pylist() for c in ("instruction_id", "composition")), strict=True)
@@ -298,7 +329,7 @@ class EpisodeStage(Stage):
                 "placements": placements_table(scene.scene_id, pool, compositions, scene.navmesh.sha256),
                 "unplaced": unplaced_table(()),
                 "rejections": rejections_table(scene.scene_id, self.name, pool.rejections, pool.examples),
-                "funnel": funnel_table(scene.scene_id, self.wanted, pool, self.groups),
+                "funnel": funnel_table(scene.scene_id, wanted, pool, groups),
             },
             measures={"episodes": float(len(pool.episodes)), "candidates": float(len(candidates))},
         )
@@ -306,6 +337,7 @@ class EpisodeStage(Stage):
     def _without_navmesh(self, scene: Scene, candidates: list[Candidate]) -> StageOutput:
         """Instructions as many as wanted; every candidate counts as one that could not be placed."""
         pool = Pool()
+        wanted, groups = self.instructions.wanted, self.instructions.counterfactual_groups
         for candidate in candidates:
             pool.candidates[candidate.cell] += 1
             pool.reject(candidate, "no_navmesh")
@@ -314,7 +346,7 @@ class EpisodeStage(Stage):
                 "placements": PLACEMENTS.empty_table(),
                 "unplaced": unplaced_table(unplaced_programs(candidates)),
                 "rejections": rejections_table(scene.scene_id, self.name, pool.rejections, pool.examples),
-                "funnel": funnel_table(scene.scene_id, self.wanted, pool, self.groups),
+                "funnel": funnel_table(scene.scene_id, wanted, pool, groups),
             },
             measures={"episodes": 0.0, "candidates": float(len(candidates))},
         )
@@ -324,8 +356,8 @@ class EpisodeStage(Stage):
 class TextStage(Stage):
     """Placed programs → their words: instructions and episodes as they are published."""
 
-    rules: EpisodeRules
-    preamble: bool
+    text: TextConfig
+    max_steps: int
     seed: int
     name: str = "text"
     version: int = 3
@@ -334,9 +366,8 @@ class TextStage(Stage):
 
     def parameters(self, unit: Unit) -> JSON:
         return {
-            "max_steps": self.rules.max_steps,
-            "steps_per_word": self.rules.steps_per_word,
-            "preamble": self.preamble,
+            "text": _dump(self.text),
+            "episodes": {"max_steps": self.max_steps},
             "seed": self.seed,
         }
 
@@ -352,13 +383,13 @@ class TextStage(Stage):
         texts = {}
         for row in placements.select(["episode_id", "instruction_id", "start_heading_degrees"]).to_pylist():
             name = row["instruction_id"]
-            named = self.preamble and names_compass(programs[name])
+            named = self.text.preamble and names_compass(programs[name])
             texts[row["episode_id"]] = (
                 with_preamble(bodies[name], row["start_heading_degrees"]) if named else bodies[name]
             )
         return StageOutput(
             tables={
                 "instructions": instruction_table(str(unit.payload["scene_id"]), programs.items(), bodies, groups),
-                "episodes": with_text(placements, texts, self.rules.max_steps, self.rules.steps_per_word),
+                "episodes": with_text(placements, texts, self.max_steps, self.text.steps_per_word),
             }
         )

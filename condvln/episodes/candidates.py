@@ -8,15 +8,18 @@ from typing import Final
 
 import pyarrow as pa
 
-from condvln.instructions.config import Cell, cell_name
 from condvln.instructions.counterfactuals import group_id
 from condvln.instructions.ids import instruction_id
 from condvln.instructions.sampling import ProgramSampler
 from condvln.instructions.tables import instruction_table, programs_from_table
+from schemas.config import InstructionCell
 from schemas.program import CATEGORIES, Program
 from schemas.tables import INSTRUCTIONS
 
-__all__ = ["Candidate", "candidates_from_table", "candidates_table", "draw_candidates"]
+__all__ = ["Candidate", "candidates_from_table", "candidates_table", "cell_name", "draw_candidates"]
+
+GROUPS: Final = "counterfactual groups"
+"""In place of a cell's name."""
 
 _CELL: Final = pa.field("cell", pa.string(), nullable=False)
 _GROUP: Final = INSTRUCTIONS.field("group_id")
@@ -28,8 +31,13 @@ class Candidate:
 
     instruction_id: str
     program: Program
-    cell: Cell | None
+    cell: InstructionCell | None
     group_id: str | None = None
+
+
+def cell_name(cell: InstructionCell | None) -> str:
+    """What the tables call a cell, or with None what is of counterfactual groups."""
+    return GROUPS if cell is None else cell.name
 
 
 def draw_candidates(sampler: ProgramSampler) -> list[Candidate]:
@@ -54,7 +62,7 @@ def candidates_table(scene_id: str, candidates: Sequence[Candidate]) -> pa.Table
     return table.append_column(_CELL, pa.array([cell_name(c.cell) for c in candidates], _CELL.type))
 
 
-def candidates_from_table(table: pa.Table, cells: Iterable[Cell]) -> list[Candidate]:
+def candidates_from_table(table: pa.Table, cells: Iterable[InstructionCell]) -> list[Candidate]:
     """Candidates of the rows that `candidates_table` made, in their order; `cells` are those that were drawn for."""
     named = {cell.name: cell for cell in cells}
     columns = (table[name].to_pylist() for name in (_CELL.name, _GROUP.name))

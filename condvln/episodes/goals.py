@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from shapely import Polygon, contains_xy
 
 from condvln.episodes.footprint import Footprint
-from condvln.episodes.rules import EpisodeRules
 from condvln.episodes.view import SceneView
 from condvln.navigation.protocol import PathfinderProtocol
 from condvln.navigation.sight import View, eyes_at
 from condvln.scene import Room, Scene, SceneObject, round_mm
+from schemas.config import GoalsConfig, PlacesConfig
 
-__all__ = ["blocked_footprints", "goal_points", "is_standable", "wide_islands"]
+__all__ = ["blocked_footprints", "goal_points", "is_standable", "scene_goals", "wide_islands"]
 
 F64 = NDArray[np.float64]
 
@@ -39,21 +39,21 @@ FLOOR_STANDING: Final = 0.5
 """Objects whose bottom is lower than this above the floor stand in the agent's way."""
 
 
-def wide_islands(pathfinder: PathfinderProtocol, rules: EpisodeRules) -> tuple[int, ...]:
+def wide_islands(pathfinder: PathfinderProtocol, places: PlacesConfig) -> tuple[int, ...]:
     """Islands that an episode may stand on: wide enough, and with floor (a few are all slivers without area)."""
     return tuple(
         k
         for k in range(pathfinder.num_islands)
-        if pathfinder.island_radius(k) >= rules.island_radius and pathfinder.island_area(k) > 0
+        if pathfinder.island_radius(k) >= places.island_radius and pathfinder.island_area(k) > 0
     )
 
 
-def is_standable(pathfinder: PathfinderProtocol, points: F64, rules: EpisodeRules) -> NDArray[np.bool_]:
+def is_standable(pathfinder: PathfinderProtocol, points: F64, places: PlacesConfig) -> NDArray[np.bool_]:
     """Which points (n, 3), already rounded to 1 mm, lie on an island wide enough."""
     snapped = pathfinder.snap_points(points)
     near = np.hypot(*(snapped - points)[:, [0, 2]].T) <= SNAP_TOLERANCE
     level = np.abs(snapped[:, 1] - points[:, 1]) <= SNAP_TOLERANCE
-    wide = np.isin(pathfinder.get_islands(points), wide_islands(pathfinder, rules))
+    wide = np.isin(pathfinder.get_islands(points), wide_islands(pathfinder, places))
     return np.asarray(near & level & wide, dtype=np.bool_)
 
 
@@ -93,15 +93,35 @@ def _stands_low(item: SceneObject, pathfinder: PathfinderProtocol) -> bool:
     return bool(np.isfinite(snapped).all() and item.aabb[0][1] - snapped[0, 1] < FLOOR_STANDING)
 
 
+def scene_goals(
+    scene: Scene,
+    pathfinder: PathfinderProtocol,
+    places: PlacesConfig,
+    rules: GoalsConfig,
+    obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
+    view: SceneView | None = None,
+) -> dict[str, F64]:
+    """Goal points (k, 3) of every object that has some, by object id in the order of ids."""
+    goals = {}
+    for object_id, item in sorted(scene.object_of.items()):
+        room = scene.room_of.get(item.room_id)
+        if room is not None:
+            points = goal_points(item, room, pathfinder, places, rules, obstacles, view)
+            if len(points):
+                goals[object_id] = points
+    return goals
+
+
 def goal_points(
     item: SceneObject,
     room: Room,
     pathfinder: PathfinderProtocol,
-    rules: EpisodeRules,
+    places: PlacesConfig,
+    rules: GoalsConfig,
     obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
     view: SceneView | None = None,
 ) -> F64:
-    """Navigable points (k, 3) around `item`, nearest to its box first, at most ``rules.goal_points``; empty if none.
+    """Navigable points (k, 3) around `item`, nearest to its box first, at most ``rules.points``; empty if none.
 
     From all of them some of the object is seen, by the camera or by an eye low enough to look under a table; this is
     not asked without a `view`. All lie on one side of any wall: their geodesic to the point nearest the box is at most
@@ -111,10 +131,10 @@ def goal_points(
     if box is None:
         box = Footprint(item.center[[0, 2]], np.zeros(2), np.eye(2))
     bottom = float(item.aabb[0][1]) if item.aabb is not None else float(item.center[1])
-    for offsets, reach in ((RING_OFFSETS, rules.goal_reach), (FAR_RING_OFFSETS, rules.goal_reach_at_most)):
-        found = _standing_places(item, room, box, bottom, offsets, reach, pathfinder, rules, obstacles, view)
+    for offsets, reach in ((RING_OFFSETS, rules.reach), (FAR_RING_OFFSETS, rules.reach_at_most)):
+        found = _standing_places(item, room, box, bottom, offsets, reach, pathfinder, places, obstacles, view)
         if len(found):
-            return _spread(found, box, rules.goal_points)
+            return _spread(found, box, rules.points)
     return np.empty((0, 3))
 
 
@@ -126,7 +146,7 @@ def _standing_places(
     offsets: Sequence[float],
     reach: float,
     pathfinder: PathfinderProtocol,
-    rules: EpisodeRules,
+    places: PlacesConfig,
     obstacles: Sequence[tuple[SceneObject, Footprint]],
     view: SceneView | None,
 ) -> F64:
@@ -135,7 +155,7 @@ def _standing_places(
     height = bottom if room.annotation == "scene" else room.floor_y
     asked = np.column_stack([flat[:, 0], np.full(len(flat), height), flat[:, 1]])
     # Asked island by island, so that the top of a table never hides the floor beneath it.
-    islands = wide_islands(pathfinder, rules)
+    islands = wide_islands(pathfinder, places)
     tries = np.concatenate([asked] * len(islands)) if islands else asked[:0]
     snapped = np.concatenate([pathfinder.snap_points(asked, island) for island in islands] or [asked[:0]])
     good = np.isfinite(snapped).all(axis=1)
@@ -145,7 +165,7 @@ def _standing_places(
         return points
     hang = bottom - points[:, 1]
     keep = (
-        (hang <= STOREY) & (hang >= -SINK) & (box.distance(points) <= reach) & is_standable(pathfinder, points, rules)
+        (hang <= STOREY) & (hang >= -SINK) & (box.distance(points) <= reach) & is_standable(pathfinder, points, places)
     )
     if room.annotation != "scene":
         keep &= np.abs(points[:, 1] - room.floor_y) <= SINK
@@ -156,7 +176,7 @@ def _standing_places(
             keep &= footprint.distance(points) > 0.0
     points = points[keep]
     if view is not None:
-        points = points[_seeing(points, item, view, rules)]
+        points = points[_seeing(points, item, view, places)]
     if not len(points):
         return points
     order = np.lexsort((points[:, 2], points[:, 0], box.distance(points)))
@@ -166,13 +186,13 @@ def _standing_places(
     return np.asarray(points[same_side], dtype=np.float64)
 
 
-def _seeing(points: F64, item: SceneObject, view: SceneView, rules: EpisodeRules) -> NDArray[np.bool_]:
+def _seeing(points: F64, item: SceneObject, view: SceneView, places: PlacesConfig) -> NDArray[np.bool_]:
     """Which points (n, 3) some of the object can be seen from."""
     seen = np.zeros(len(points), dtype=bool)
-    for height in (rules.eye_height, LOW_EYE):
+    for height in (places.eye_height, LOW_EYE):
         left = np.flatnonzero(~seen)
         if len(left):
-            seen[left] = view.glimpsed(eyes_at(points[left], height), item.object_id, View(range=rules.sight_range))
+            seen[left] = view.glimpsed(eyes_at(points[left], height), item.object_id, View(range=places.sight_range))
     return seen
 
 

@@ -19,12 +19,12 @@ from condvln.episodes.floor import floor_points
 from condvln.episodes.footprint import Footprint
 from condvln.episodes.goals import wide_islands
 from condvln.episodes.placing import Prospect
-from condvln.episodes.rules import EpisodeRules
 from condvln.episodes.view import SceneView
 from condvln.labels import Vocabulary, vocabulary
 from condvln.navigation.protocol import PathfinderProtocol
 from condvln.navigation.sight import SightTarget, View, eyes_at, in_view
 from condvln.scene import Scene, SceneObject
+from schemas.config import EpisodeConfig, PlacesConfig
 from schemas.episode import Observability
 from schemas.program import Condition, Program
 
@@ -95,14 +95,16 @@ class Observer:
         scene: Scene,
         view: SceneView,
         pathfinder: PathfinderProtocol,
-        rules: EpisodeRules,
+        places: PlacesConfig,
+        rules: EpisodeConfig,
         obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
         words: Vocabulary = vocabulary,
     ) -> None:
-        self._scene, self._view, self._pathfinder, self._rules, self._words = scene, view, pathfinder, rules, words
-        self._obstacles, self._islands = obstacles, wide_islands(pathfinder, rules)
-        self._around = View(range=rules.sight_range)
-        self._front = View(range=rules.sight_range, horizontal_fov=FRONT_FOV, vertical_fov=FRONT_FOV)
+        self._scene, self._view, self._pathfinder, self._words = scene, view, pathfinder, words
+        self._places, self._rules = places, rules
+        self._obstacles, self._islands = obstacles, wide_islands(pathfinder, places)
+        self._around = View(range=places.sight_range)
+        self._front = View(range=places.sight_range, horizontal_fov=FRONT_FOV, vertical_fov=FRONT_FOV)
         self._targets: dict[_Target, SightTarget | None] = {}
         self._seen: dict[tuple[_Target, bytes], Bools] = {}
 
@@ -111,7 +113,7 @@ class Observer:
         asked = [
             {k: self._needs(program.conditions[k]) for k in sorted(set(program.route()[0]))} for program, _ in placed
         ]
-        starts = [eyes_at(prospect.start, self._rules.eye_height) for _, prospect in placed]
+        starts = [eyes_at(prospect.start, self._places.eye_height) for _, prospect in placed]
         self._look(
             (target, eye)
             for needs, eye in zip(asked, starts, strict=True)
@@ -143,7 +145,7 @@ class Observer:
 
     def _eyes_on_the_way(self, prospect: Prospect) -> F64:
         prefix = common_prefix(prospect.paths)
-        return eyes_at(_spaced(prefix, EYE_SPACING)[1:], self._rules.eye_height)
+        return eyes_at(_spaced(prefix, EYE_SPACING)[1:], self._places.eye_height)
 
     def _needs(self, condition: Condition) -> _Needs:
         room = condition.room.room_id

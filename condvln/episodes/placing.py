@@ -14,18 +14,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from condvln.episodes.footprint import Footprints
-from condvln.episodes.goals import blocked_footprints, goal_points, is_standable, wide_islands
+from condvln.episodes.goals import blocked_footprints, is_standable, wide_islands
 from condvln.episodes.routes import GoalField, Route, clearance
-from condvln.episodes.rules import EpisodeRules
-from condvln.episodes.view import SceneView
 from condvln.instructions.stops import Stops
 from condvln.navigation.follower import FollowedRoute, Follower
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Scene, round_mm
 from condvln.seeding import generator
+from schemas.config import EpisodeConfig, PlacesConfig
 from schemas.program import Program
 
-__all__ = ["PlacedLeaf", "Placement", "Placer", "Prospect", "Rejected", "heading_degrees", "yaw_quaternion"]
+__all__ = [
+    "PlacedLeaf",
+    "Placement",
+    "Placer",
+    "Prospect",
+    "Rejected",
+    "heading_degrees",
+    "reachable_stops",
+    "yaw_quaternion",
+]
 
 F64 = NDArray[np.float64]
 
@@ -111,51 +119,54 @@ def heading_degrees(yaw: float) -> float:
     return round(math.degrees(-yaw) % 360.0, 6) % 360.0
 
 
+def reachable_stops(pathfinder: Pathfinder, field: GoalField, separation: float) -> Stops:
+    """What a sampler of programs needs to know: which objects can be stood at, and which lie apart.
+
+    separation : least geodesic between goals of two leaves, metres
+    """
+    on = np.zeros((len(field.goals), pathfinder.num_islands), dtype=bool)
+    for k, points in enumerate(field.goals.values()):
+        on[k, pathfinder.get_islands(points)] = True
+    # Two stops that no way connects are not apart: a program could not lead from one to the other.
+    shared = (on.astype(np.int64) @ on.T.astype(np.int64)) > 0
+    return Stops(tuple(field.goals), (field.gaps(separation) >= separation) & shared)
+
+
 class Placer:
-    """Places programs in one scene. Pure in (scene, navmesh, rules, seed): the order of calls changes nothing.
+    """Places programs in one scene. Pure in (scene, navmesh, goals, rules, seed): the order of calls changes nothing.
 
     Parameters
     ----------
+    goals : goal points (k, 3) by object id, see ``goals.scene_goals``
     max_climb : metres that the agent steps up
-    view : what can be seen, so that every object is seen from its goal points
-    goals : goal points (k, 3) by object id as ``field.goals`` of an equal placer has them, so as not to find them again
     """
 
     def __init__(
         self,
         scene: Scene,
         pathfinder: Pathfinder,
-        rules: EpisodeRules,
+        goals: Mapping[str, F64],
+        places: PlacesConfig,
+        rules: EpisodeConfig,
         seed: int,
         *,
         max_climb: float,
-        view: SceneView | None = None,
-        goals: Mapping[str, F64] | None = None,
     ) -> None:
         self.scene = scene
         self.pathfinder = pathfinder
+        self.places = places
         self.rules = rules
         self.seed = seed
-        self.tau = rules.success(scene.single_room)
+        self.tau = places.success(scene.single_room)
         self.obstacles = blocked_footprints(scene, pathfinder, max_climb)
         self._follower = Follower(pathfinder, max_actions=max(1, rules.max_steps // 2 - 1))  # and STOP
         self._solid = Footprints([footprint for _, footprint in self.obstacles])
-        self.field = GoalField(pathfinder, self._goals(view) if goals is None else goals)
-
-    def _goals(self, view: SceneView | None) -> dict[str, F64]:
-        goals = {}
-        for object_id, item in sorted(self.scene.object_of.items()):
-            room = self.scene.room_of.get(item.room_id)
-            if room is not None:
-                points = goal_points(item, room, self.pathfinder, self.rules, self.obstacles, view)
-                if len(points):
-                    goals[object_id] = points
-        return goals
+        self.field = GoalField(pathfinder, goals)
 
     @cached_property
     def starts(self) -> F64:
         """Seeded pool of starts (s, 3): on a wide island, on the floor, not inside anything that stands there."""
-        islands = wide_islands(self.pathfinder, self.rules)
+        islands = wide_islands(self.pathfinder, self.places)
         if not islands:
             return np.empty((0, 3))
         rng = generator(self.seed, self.scene.scene_id, "starts")
@@ -163,7 +174,7 @@ class Placer:
             [self.pathfinder.get_random_navigable_points(2 * self.rules.starts, rng, island) for island in islands]
         )
         points = np.unique(round_mm(drawn), axis=0)
-        keep = is_standable(self.pathfinder, points, self.rules)
+        keep = is_standable(self.pathfinder, points, self.places)
         for _, footprint in self.obstacles:
             keep &= footprint.distance(points) > 0.0
         points = points[keep]
@@ -182,17 +193,7 @@ class Placer:
     @property
     def leaf_separation(self) -> float:
         """Least geodesic between goals of two leaves."""
-        return 2 * self.tau + self.rules.leaf_gap
-
-    @cached_property
-    def stops(self) -> Stops:
-        """What a sampler of programs needs to know: which objects can be stood at, and which lie apart."""
-        on = np.zeros((len(self.field.goals), self.pathfinder.num_islands), dtype=bool)
-        for k, points in enumerate(self.field.goals.values()):
-            on[k, self.pathfinder.get_islands(points)] = True
-        # Far apart is no virtue where there is no way from one to the other.
-        shared = (on.astype(np.int64) @ on.T.astype(np.int64)) > 0
-        return Stops(tuple(self.field.goals), (self._gaps >= self.leaf_separation) & shared)
+        return self.places.leaf_separation(self.scene.single_room)
 
     def gap(self, one: str, other: str) -> float:
         """Least geodesic between two objects' goal points, or the leaf separation where they are surely farther."""

@@ -11,7 +11,7 @@ from typing import Final
 from condvln.episodes.candidates import Candidate
 from condvln.episodes.observability import FIRST_VIEW, Observation, Observer
 from condvln.episodes.placing import Fit, Placement, Placer, Prospect, Rejected
-from condvln.instructions.config import Cell
+from schemas.config import InstructionCell
 from schemas.program import SHAPES, Program
 
 __all__ = ["Pool", "PooledEpisode", "fill_pool"]
@@ -50,9 +50,9 @@ class Pool:
     """
 
     episodes: list[PooledEpisode] = field(default_factory=list)
-    candidates: Counter[Cell | None] = field(default_factory=Counter)
-    rejections: Counter[tuple[Cell | None, str]] = field(default_factory=Counter)
-    examples: dict[tuple[Cell | None, str], str] = field(default_factory=dict)
+    candidates: Counter[InstructionCell | None] = field(default_factory=Counter)
+    rejections: Counter[tuple[InstructionCell | None, str]] = field(default_factory=Counter)
+    examples: dict[tuple[InstructionCell | None, str], str] = field(default_factory=dict)
 
     def reject(self, candidate: Candidate, reason: str) -> None:
         """Count one rejection, keeping the first id as its example."""
@@ -61,7 +61,7 @@ class Pool:
         self.examples.setdefault(key, candidate.instruction_id)
 
     @property
-    def placed(self) -> Counter[Cell | None]:
+    def placed(self) -> Counter[InstructionCell | None]:
         """Episodes by cell, of groups under None."""
         return Counter(episode.candidate.cell for episode in self.episodes)
 
@@ -69,7 +69,7 @@ class Pool:
 def fill_pool(
     candidates: Iterable[Candidate],
     placer: Placer,
-    cells: Sequence[Cell],
+    cells: Sequence[InstructionCell],
     label_cap: float,
     names_compass: Callable[[Program], bool],
     observer: Observer | None = None,
@@ -117,8 +117,8 @@ class _Filling:
         self._most_of_label = most_of_label
         self._pool = Pool()
         self._groups = 0
-        self._taken: Counter[Cell] = Counter()
-        self._golds: defaultdict[Cell, Counter[int]] = defaultdict(Counter)
+        self._taken: Counter[InstructionCell] = Counter()
+        self._golds: defaultdict[InstructionCell, Counter[int]] = defaultdict(Counter)
         self._labels: Counter[str] = Counter()
         self._seen: set[Program] = set()
 
@@ -130,7 +130,7 @@ class _Filling:
             self._pool.episodes = [replace(e, observation=o) for e, o in zip(self._pool.episodes, found, strict=True)]
         return self._pool
 
-    def try_one(self, candidate: Candidate, cell: Cell) -> None:
+    def try_one(self, candidate: Candidate, cell: InstructionCell) -> None:
         """An episode, or a reason why not."""
         program = candidate.program
         gold = program.gold_leaf()
@@ -182,7 +182,7 @@ class _Filling:
             self._pool.episodes.append(PooledEpisode(member, own))
         return True
 
-    def _fit(self, cell: Cell, program: Program) -> Fit | None:
+    def _fit(self, cell: InstructionCell, program: Program) -> Fit | None:
         asked, observer = cell.observability, self._observer
         if asked is None:
             return None

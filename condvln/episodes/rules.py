@@ -1,48 +1,10 @@
-"""The numbers that decide whether an instruction can be placed, and the names of the ways it can fail."""
+"""The names of the ways in which an instruction can't be placed."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final
 
-__all__ = ["REASONS", "EpisodeRules"]
-
-
-@dataclass(frozen=True, slots=True)
-class EpisodeRules:
-    """Rules on starts, goals and paths; the same for every leaf. Metres unless said otherwise.
-
-    sight_range, eye_height : how far an agent sees, and from how far above its feet
-    floor_seen, object_seen : shares of a room's floor and of an object's surface that count as having seen it
-    """
-
-    success_distance_single_room: float = 0.5
-    success_distance: float = 1.0
-    island_radius: float = 1.5
-    distance_single_room: tuple[float, float] = (1.0, 10.0)
-    distance: tuple[float, float] = (2.0, 30.0)
-    leaf_gap: float = 0.5
-    goal_reach: float = 0.5
-    goal_reach_at_most: float = 1.0
-    goal_points: int = 8
-    starts: int = 96
-    starts_per_program: int = 24
-    path_spacing: float = 0.25
-    max_steps: int = 500
-    steps_per_word: int = 10
-    sight_range: float = 5.0
-    eye_height: float = 1.25
-    floor_seen: float = 0.8
-    object_seen: float = 0.05
-
-    def success(self, single_room: bool) -> float:
-        """Success distance τ of a scene."""
-        return self.success_distance_single_room if single_room else self.success_distance
-
-    def range(self, single_room: bool) -> tuple[float, float]:
-        """Allowed geodesic distance from the start to any leaf."""
-        return self.distance_single_room if single_room else self.distance
-
+__all__ = ["REASONS"]
 
 REASONS: Final[dict[str, str]] = {
     "object_without_goal_point": "no navigable point of the main floor lies near the object",

@@ -11,12 +11,13 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from condvln.episodes.candidates import cell_name
 from condvln.episodes.observability import Observation
 from condvln.episodes.placing import PlacedLeaf, heading_degrees, yaw_quaternion
 from condvln.episodes.pool import Pool, PooledEpisode
-from condvln.instructions.config import Cell, cell_name
 from condvln.instructions.counterfactuals import GROUP_SIZE
 from condvln.scene import round_mm
+from schemas.config import InstructionCell
 from schemas.tables import EPISODES, FUNNEL, REJECTIONS, VEC3
 
 __all__ = [
@@ -161,8 +162,8 @@ def with_text(placements: pa.Table, texts: Mapping[str, str], max_steps: int, st
 def rejections_table(
     scene_id: str,
     stage: str,
-    counts: Mapping[tuple[Cell | None, str], int],
-    examples: Mapping[tuple[Cell | None, str], str] | None = None,
+    counts: Mapping[tuple[InstructionCell | None, str], int],
+    examples: Mapping[tuple[InstructionCell | None, str], str] | None = None,
 ) -> pa.Table:
     """Counts by (cell, reason) as REJECTIONS rows."""
     rows = [
@@ -180,10 +181,10 @@ def rejections_table(
     return pa.Table.from_pylist(rows, schema=REJECTIONS)
 
 
-def funnel_table(scene_id: str, cells: Sequence[Cell], pool: Pool, groups: int = 0) -> pa.Table:
+def funnel_table(scene_id: str, cells: Sequence[InstructionCell], pool: Pool, groups: int = 0) -> pa.Table:
     """What came of each cell that was wanted, and of counterfactual groups, as FUNNEL rows; all count episodes."""
     placed = pool.placed
-    wanted: list[tuple[Cell | None, int]] = [(cell, cell.count) for cell in cells]
+    wanted: list[tuple[InstructionCell | None, int]] = [(cell, cell.count) for cell in cells]
     if groups:
         wanted.append((None, groups * GROUP_SIZE))
     rows = [

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import pyarrow as pa
 
 from condvln.episodes.candidates import Candidate
-from condvln.instructions.config import Cell
+from schemas.config import InstructionCell
 
 __all__ = ["UNPLACED", "unplaced_programs", "unplaced_table"]
 
@@ -23,8 +23,8 @@ def unplaced_programs(candidates: Iterable[Candidate]) -> list[str]:
     seen and no route begins, so what a cell asks of observability and of routes is left open, and what shares a start
     has none to share.
     """
-    taken: Counter[Cell] = Counter()
-    golds: dict[Cell, Counter[int]] = defaultdict(Counter)
+    taken: Counter[InstructionCell] = Counter()
+    golds: dict[InstructionCell, Counter[int]] = defaultdict(Counter)
     chosen = []
     for candidate in candidates:
         cell, gold = candidate.cell, candidate.program.gold_leaf()

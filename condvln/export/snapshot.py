@@ -17,7 +17,6 @@ from condvln.export.changelog import Generated, PublishedEpisodes, changes_betwe
 from condvln.export.consumers import consumer_files
 from condvln.export.contents import CHANGELOG, INDEX, document_digest, exported_snapshot
 from condvln.export.croissant import croissant
-from condvln.export.densify import PATH_SPACING
 from condvln.export.oracle import ORACLE_COLUMNS, OracleText, oracle_text_of
 from condvln.export.pool import INSTRUCTION_COLUMNS, POOL_COLUMNS, PoolBuilder
 from condvln.export.r2r import Graphs
@@ -52,12 +51,8 @@ class ExportConfig:
     scene_patterns: Mapping[str, str] = field(default_factory=lambda: dict(SCENE_PATTERNS))
     """``scene_id`` by family, with ``{family}``, ``{scene}`` and ``{name}``; the entry ``""`` serves the others."""
     token_length: int = TOKEN_LENGTH
-    path_spacing: float = PATH_SPACING
-    """Metres between ground-truth locations at most, where no walked locations are known."""
     vocabulary: Vocabulary | None = None
     """A foreign vocabulary (that of a trained agent) in place of our own; its unknown words become UNK."""
-    sharded: bool = False
-    """Episodes in one file a scene, ``<split>/content/<scene>.json.gz``, as Habitat's own datasets have them."""
     name: str = "CondVLN"
     """Title of the dataset card."""
     texts: Mapping[str, Any] = field(default_factory=dict)
@@ -128,7 +123,8 @@ def _write_export(
     report.episodes = dict.fromkeys(SPLITS, 0)
     report.scenes = {split: [] for split in SPLITS}
     published, before = _formerly(out, exported_snapshot(out), tables.id, former, config)
-    layout = Layout(dict(config.scene_patterns), config.token_length, config.path_spacing, config.sharded, tables.id)
+    splits = config.splits
+    layout = Layout(dict(config.scene_patterns), config.token_length, splits.path_spacing, splits.sharded, tables.id)
     writer = ExportWriter(new, layout, vocabulary, scenes, report, oracle_texts=oracle_texts, graphs=graphs)
     with writer.open():
         _write_rows(tables, splits_of, writer, report, progress)

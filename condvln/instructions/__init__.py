@@ -1,6 +1,5 @@
 """Relation graph → typed conditional programs → text, and text → reading."""
 
-from condvln.instructions.config import Cell, InstructionConfig
 from condvln.instructions.counterfactuals import counterfactual_group, group_id
 from condvln.instructions.ids import instruction_id, program_key
 from condvln.instructions.oracle import oracle_linear
@@ -9,17 +8,16 @@ from condvln.instructions.priors import LabelPriors, PriorBits
 from condvln.instructions.reading import Reading, reading_of
 from condvln.instructions.rendering import names_compass, render, render_moves, with_preamble
 from condvln.instructions.sampling import ProgramSampler
-from condvln.instructions.stops import Stops
+from condvln.instructions.stops import Stops, apart_by_centres
 from condvln.instructions.tables import instruction_table, programs_from_table
 
 __all__ = [
-    "Cell",
-    "InstructionConfig",
     "LabelPriors",
     "PriorBits",
     "ProgramSampler",
     "Reading",
     "Stops",
+    "apart_by_centres",
     "counterfactual_group",
     "group_id",
     "instruction_id",

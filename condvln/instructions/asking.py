@@ -12,12 +12,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from condvln.instructions.conditions import ConditionPool, Question
-from condvln.instructions.config import PREDICATE_GROUPS, InstructionConfig
 from condvln.instructions.degeneracy import Claim, Presupposed, clash
 from condvln.instructions.draws import Draws
+from condvln.instructions.predicates import PREDICATE_GROUPS
 from condvln.instructions.referents import Referents
 from condvln.instructions.rejection import GivenUp
 from condvln.labels import Vocabulary
+from schemas.config import SamplingConfig
 from schemas.program import Condition, ObjectRef, Predicate, Program, Qualifier, RoomRef
 
 __all__ = ["Asker"]
@@ -49,13 +50,13 @@ class Asker:
     def __init__(
         self,
         rooms: Mapping[str, tuple[Referents, ConditionPool]],
-        config: InstructionConfig,
+        sampling: SamplingConfig,
         vocabulary: Vocabulary,
         *,
         single_room: bool,
     ) -> None:
-        self._config, self._vocabulary = config, vocabulary
-        self._label_only = config.label_only(single_room)
+        self._sampling, self._vocabulary = sampling, vocabulary
+        self._label_only = sampling.label_only(single_room)
         parts = {name: _Room(referents, pool, self._groups(pool)) for name, (referents, pool) in sorted(rooms.items())}
         self._rooms = {name: part for name, part in parts.items() if part.groups or part.pool.presence}
         self.rooms = tuple(self._rooms)
@@ -63,9 +64,9 @@ class Asker:
         self._made: dict[tuple[RoomRef, Question], Condition] = {}
 
     def _groups(self, pool: ConditionPool) -> tuple[tuple[tuple[Predicate, ...], float], ...]:
-        weights = self._config.group_weights
+        weights = self._sampling.predicates
         groups = [
-            (tuple(p for p in predicates if p in pool.relations), weights[group])
+            (tuple(p for p in predicates if p in pool.relations), getattr(weights, group))
             for group, predicates in PREDICATE_GROUPS.items()
         ]
         there = [(predicates, weight) for predicates, weight in groups if predicates]
@@ -91,7 +92,7 @@ class Asker:
         asked: list[Condition] = []
         for truth in truths:
             claims = [Claim.of(condition) for condition in asked]
-            for _ in range(self._config.attempts if rooms else 0):
+            for _ in range(self._sampling.attempts if rooms else 0):
                 room = draws.choice(rooms)
                 pair = self._pair(names[room], self._statements(room, draws), claims, given, draws)
                 if pair is not None:
@@ -135,7 +136,7 @@ class Asker:
         question, sums = statements
         found: dict[bool, Condition] = {}
         for truth in (True, False):
-            for _ in range(self._config.attempts):
+            for _ in range(self._sampling.attempts):
                 condition = self._condition(room, question(truth, draws.cumulative(sums[truth])))
                 rule = clash(Claim.of(condition), claims, given, self._vocabulary)
                 if rule is None:

@@ -18,7 +18,7 @@ from typing import Any, Final
 
 import yaml
 
-from condvln.instructions.config import PREDICATES
+from condvln.instructions.predicates import PREDICATES
 from condvln.labels import vocabulary
 from schemas.program import CATEGORIES, SHAPES, Category
 

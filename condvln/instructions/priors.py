@@ -20,7 +20,6 @@ import orjson
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from condvln.instructions.config import PLAUSIBLE_SHARE, InstructionConfig
 from condvln.instructions.referents import Referents
 from condvln.instructions.statements import statement_truths
 from condvln.labels import vocabulary
@@ -28,6 +27,7 @@ from condvln.relations import relate_room, text_facts
 from condvln.scene import Room, RoomArrays, Scene, SceneObject
 from condvln.scene.layouts import layout_of
 from schemas.canonical import JSON
+from schemas.config import Thresholds
 
 __all__ = ["PRIORS", "LabelPriors", "PriorBits", "Statement"]
 
@@ -57,9 +57,6 @@ RATE_STEPS: Final = 64
 
 MERGE_ROWS: Final = 200_000
 """Rows gathered before they are summed up: bounds memory without summing for every scene."""
-
-ANCHOR_SIZE: Final = InstructionConfig().anchor_size
-"""Metres; the default, so that priors don't depend on a run's configuration."""
 
 EVIDENCE: Final = 8
 """Rooms in which a statement must have been seen before one that never varied is held to be foretold by its words."""
@@ -107,26 +104,29 @@ class LabelPriors:
     """Counts that merge by addition, so that their order and grouping never matter.
 
     parts : tables of schema `PRIORS`, to be summed
-    share : a label is plausible in a room type when seen in this share of its rooms
     """
 
     parts: tuple[pa.Table, ...]
-    share: float = PLAUSIBLE_SHARE
 
     @classmethod
-    def of_scene(cls, scene: Scene, share: float = PLAUSIBLE_SHARE) -> LabelPriors:
-        """Counts of one scene, its objects taken as boxes."""
+    def of_scene(cls, scene: Scene, thresholds: Thresholds, anchor_size: float) -> LabelPriors:
+        """Counts of one scene, its objects taken as boxes.
+
+        thresholds, anchor_size : those that conditions are drawn with, so that what is counted is what is asked
+        """
         boxes = [(room, scene.arrays(room.room_id)) for room in scene.rooms]
-        return cls(_of_rooms(layout_of(scene.scene_id), boxes), share)
+        return cls(_of_rooms(layout_of(scene.scene_id), boxes, thresholds, anchor_size))
 
     @classmethod
-    def of_tables(cls, rooms: pa.Table, objects: pa.Table, share: float = PLAUSIBLE_SHARE) -> LabelPriors:
-        """Counts of the ``rooms`` and ``objects`` tables of any number of scenes of one family."""
+    def of_tables(cls, rooms: pa.Table, objects: pa.Table, thresholds: Thresholds, anchor_size: float) -> LabelPriors:
+        """Counts of the ``rooms`` and ``objects`` tables of any number of scenes of one family; see `of_scene`."""
         scenes = _boxes(rooms, objects)
-        return cls(tuple(part for name, boxes in scenes for part in _of_rooms(layout_of(name), boxes)), share)
+        return cls(
+            tuple(part for name, boxes in scenes for part in _of_rooms(layout_of(name), boxes, thresholds, anchor_size))
+        )
 
     @classmethod
-    def merged(cls, parts: Iterable[LabelPriors], share: float = PLAUSIBLE_SHARE) -> LabelPriors:
+    def merged(cls, parts: Iterable[LabelPriors]) -> LabelPriors:
         """Sum of all `parts`, in whatever order they come."""
         pending: list[pa.Table] = []
         rows = 0
@@ -135,7 +135,7 @@ class LabelPriors:
             rows += sum(table.num_rows for table in part.parts)
             if rows > MERGE_ROWS:
                 pending, rows = [_summed(pending)], 0
-        return cls((_summed(pending),) if pending else (), share)
+        return cls((_summed(pending),) if pending else ())
 
     @cached_property
     def _counts(self) -> pa.Table:
@@ -146,12 +146,12 @@ class LabelPriors:
         return self._counts
 
     @classmethod
-    def from_table(cls, table: pa.Table, share: float = PLAUSIBLE_SHARE) -> LabelPriors:
+    def from_table(cls, table: pa.Table) -> LabelPriors:
         """The counts back from `table`."""
-        return cls((table,), share)
+        return cls((table,))
 
-    def bits(self, scene: Scene) -> PriorBits:
-        """The bits that `scene` reads."""
+    def bits(self, scene: Scene, plausible_share: float) -> PriorBits:
+        """The bits that `scene` reads; a label is plausible in a room type seen in `plausible_share` of its rooms."""
         types = sorted({room.label for room in scene.rooms})
         seen = sorted({o.label for o in scene.objects})
         held = pc.is_in(self._counts["label"], pa.array([*seen, ""], pa.string()))
@@ -165,8 +165,8 @@ class LabelPriors:
         own = _by_statement(rows.filter(pc.equal(rows["layout"], layout))) if layout else {}
         rooms = {t: pooled.pop((t, "", "", ""), (0, 0))[0] for t in types}
         presence = {(t, x): n for (t, x, predicate, _), (n, _) in pooled.items() if not predicate}
-        plausible = {key for key, n in presence.items() if n >= self.share * rooms[key[0]]}
-        varies = {key for key in plausible if rooms[key[0]] - presence[key] >= self.share * rooms[key[0]]}
+        plausible = {key for key, n in presence.items() if n >= plausible_share * rooms[key[0]]}
+        varies = {key for key in plausible if rooms[key[0]] - presence[key] >= plausible_share * rooms[key[0]]}
         stagings = {t: own.pop((t, "", "", ""), (0, 0))[0] for t in types}
         staged = frozenset(t for t in types if stagings[t] >= STAGINGS)
         counts = pooled
@@ -204,21 +204,26 @@ def _summed(parts: Sequence[pa.Table]) -> pa.Table:
     return sums.sort_by([(key, "ascending") for key in _KEYS]).cast(PRIORS)
 
 
-def _of_rooms(layout: str, boxes: Sequence[tuple[Room, RoomArrays]]) -> tuple[pa.Table, ...]:
+def _of_rooms(
+    layout: str, boxes: Sequence[tuple[Room, RoomArrays]], thresholds: Thresholds, anchor_size: float
+) -> tuple[pa.Table, ...]:
     """Counts of each room of one scene."""
     labels = [set(arrays.labels) for _, arrays in boxes]
     return tuple(
-        _of_room(layout, room, arrays, set().union(*labels[:k], *labels[k + 1 :]))
+        _of_room(layout, room, arrays, set().union(*labels[:k], *labels[k + 1 :]), thresholds, anchor_size)
         for k, (room, arrays) in enumerate(boxes)
     )
 
 
-def _of_room(layout: str, room: Room, arrays: RoomArrays, elsewhere: set[str]) -> pa.Table:
+def _of_room(
+    layout: str, room: Room, arrays: RoomArrays, elsewhere: set[str], thresholds: Thresholds, anchor_size: float
+) -> pa.Table:
     here = set(arrays.labels)
     absent = {label for label in elsewhere if not here & vocabulary.overlapping(label)}
     parts = [_rows(["", *here], "", "", [1] * (1 + len(here)), 0), _rows(list(absent), "", "", 0, [1] * len(absent))]
     if room.complete and len(arrays):
-        referents = Referents.of(room, arrays, text_facts(relate_room(arrays)), vocabulary, ANCHOR_SIZE)
+        facts = text_facts(relate_room(arrays, thresholds), thresholds)
+        referents = Referents.of(room, arrays, facts, vocabulary, anchor_size)
         named = np.array(arrays.labels, dtype=object)
         for truths in statement_truths(referents, vocabulary):
             rows, columns = np.nonzero(truths.true | truths.false)

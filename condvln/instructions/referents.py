@@ -15,7 +15,7 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.instructions.config import PREDICATE_GROUPS
+from condvln.instructions.predicates import PREDICATE_GROUPS
 from condvln.labels import Vocabulary
 from condvln.scene import Room, RoomArrays
 from schemas.program import ObjectRef, Predicate, Qualifier, RoomRef

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from typing import Final
 
-from condvln.instructions.config import COMPASS
 from condvln.instructions.draws import Draws
 from condvln.instructions.language import Language, Slot, language
+from condvln.instructions.predicates import COMPASS
 from condvln.seeding import generator, stable_hash
 from schemas.errors import UsageError
 from schemas.program import Condition, Leaf, ObjectRef, Program, Qualifier, RoomRef

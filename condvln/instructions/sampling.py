@@ -17,7 +17,6 @@ from typing import Final
 from condvln.instructions.asking import Asker
 from condvln.instructions.composition import composition
 from condvln.instructions.conditions import ConditionPool
-from condvln.instructions.config import Cell, InstructionConfig
 from condvln.instructions.counterfactuals import Group, counterfactual_group
 from condvln.instructions.degeneracy import idle_conditions, is_circular, outcomes
 from condvln.instructions.draws import Draws
@@ -26,10 +25,12 @@ from condvln.instructions.priors import PriorBits
 from condvln.instructions.referents import ALTERNATIVES, Facts, Referents, object_refs, room_refs
 from condvln.instructions.rejection import GivenUp
 from condvln.instructions.rendering import word_count
-from condvln.instructions.stops import Stops, Target, TargetLot, apart_by_centres, targets
+from condvln.instructions.stops import Stops, Target, TargetLot, targets
 from condvln.labels import Vocabulary, vocabulary
 from condvln.scene import Scene
 from condvln.seeding import generator
+from schemas.config import InstructionCell, InstructionsConfig, SamplingConfig
+from schemas.episode import Composition
 from schemas.program import CATEGORIES, SHAPES, Category, Leaf, ObjectRef, Program, RoomRef
 
 __all__ = ["ProgramSampler"]
@@ -56,7 +57,8 @@ class ProgramSampler:
     ----------
     facts : facts fit for text, per room id
     bits : the priors' bits that this scene reads (``LabelPriors.bits``)
-    stops : what the navigation knows; by default all objects, apart by their centres
+    stops : what the navigation knows; ``apart_by_centres`` where there is no navmesh
+    preamble : whether texts that use compass words open with the start heading; cells may bound the number of words
 
     Attributes
     ----------
@@ -69,24 +71,29 @@ class ProgramSampler:
         scene: Scene,
         facts: Mapping[str, Facts],
         bits: PriorBits,
-        config: InstructionConfig,
+        wanted: InstructionsConfig,
+        sampling: SamplingConfig,
         seed: int,
         *,
-        stops: Stops | None = None,
+        stops: Stops,
+        preamble: bool,
         words: Vocabulary = vocabulary,
     ) -> None:
-        self.scene, self.config, self.seed = scene, config, seed
+        self.scene, self.wanted, self.sampling, self.seed = scene, wanted, sampling, seed
+        self.preamble = preamble
         self.words = words
-        self.rejections: Counter[tuple[Cell | None, str]] = Counter()
+        self.rejections: Counter[tuple[InstructionCell | None, str]] = Counter()
         self.referents = {
-            room.room_id: Referents.of(room, scene.arrays(room.room_id), facts[room.room_id], words, config.anchor_size)
+            room.room_id: Referents.of(
+                room, scene.arrays(room.room_id), facts[room.room_id], words, sampling.anchor_size
+            )
             for room in sorted(scene.rooms, key=lambda r: r.room_id)
             if room.room_id in facts
         }
         self._names = room_refs(list(self.referents.values()), words)
-        self.targets = targets(self.referents, self._names, stops or apart_by_centres(scene, config), config)
+        self.targets = targets(self.referents, self._names, stops, sampling)
         pools = {name: (self.referents[name], self._pool(name, bits)) for name in self._names}
-        self.asker = Asker(pools, config, words, single_room=scene.single_room)
+        self.asker = Asker(pools, sampling, words, single_room=scene.single_room)
         self._refs: dict[tuple[RoomRef, str], tuple[ObjectRef, ...]] = {}
 
     def _pool(self, room_id: str, bits: PriorBits) -> ConditionPool:
@@ -121,11 +128,11 @@ class ProgramSampler:
     @cached_property
     def label_cap(self) -> float:
         """Largest share of leaf targets a label may have; an equal share where the scene has too few labels."""
-        return max(self.config.label_cap, 1.0 / max(1, len(self._members)))
+        return max(self.wanted.label_cap, 1.0 / max(1, len(self._members)))
 
     def _lot(self, category: Category, used: Counter[str]) -> TargetLot:
         """Goals: labels by weight and rarity, none beyond its share."""
-        candidates = sum(self.config.candidates(cell) for cell in self.config.cells_of(category))
+        candidates = sum(self.sampling.candidates(cell) for cell in self.wanted.cells_of(category))
         most = max(1.0, self.label_cap * candidates * SHAPES[category].leaves)
         weights = {t.label: t.weight / (1 + used[t.label]) for t in self.targets if used[t.label] + 1 <= most}
         return TargetLot(self._members, weights)
@@ -134,16 +141,16 @@ class ProgramSampler:
         """Distinct programs of all that is wanted of a category, in a seeded order."""
         return (program for _, program in self.drawn(category))
 
-    def drawn(self, category: Category) -> Iterator[tuple[Cell, Program]]:
-        """Up to ``config.candidates(cell)`` programs of each cell of a category, all distinct, each with its cell."""
+    def drawn(self, category: Category) -> Iterator[tuple[InstructionCell, Program]]:
+        """Up to ``sampling.candidates(cell)`` programs of each cell of a category, all distinct, each with its cell."""
         seen: set[Program] = set()
         used: Counter[str] = Counter()
-        for cell in self.config.cells_of(category):
+        for cell in self.wanted.cells_of(category):
             for program in self._drawn(cell, seen, used):
                 yield cell, program
 
-    def _drawn(self, cell: Cell, seen: set[Program], used: Counter[str]) -> Iterator[Program]:
-        category, wanted = cell.category, self.config.candidates(cell)
+    def _drawn(self, cell: InstructionCell, seen: set[Program], used: Counter[str]) -> Iterator[Program]:
+        category, wanted = cell.category, self.sampling.candidates(cell)
         if wanted and not self.asker.rooms:
             self.rejections[cell, "nothing_to_ask"] += 1
             return
@@ -157,7 +164,7 @@ class ProgramSampler:
             failed += 1
             # What is hard to draw is not given up for what is easy: a wish stands until it is met.
             wish = self._wish(cell, draws)
-            for _ in range(self.config.draws_per_candidate):
+            for _ in range(self.sampling.draws_per_candidate):
                 program = None
                 with self._counted(cell):
                     program = self._worded(cell, _unseen(self._draw(category, wish, draws, lot), seen))
@@ -170,19 +177,19 @@ class ProgramSampler:
                 yield program
                 break
 
-    def _worded(self, cell: Cell, program: Program) -> Program:
+    def _worded(self, cell: InstructionCell, program: Program) -> Program:
         """`program`, if its text has as many words as the cell asks for."""
         if cell.words is not None:
             name = instruction_id(self.scene.family, self.scene.scene_id, program)
             least, most = cell.words
-            if not least <= word_count(program, self.seed, name, preamble=self.config.preamble) <= most:
+            if not least <= word_count(program, self.seed, name, preamble=self.preamble) <= most:
                 raise GivenUp("words_missed")
         return program
 
     def groups(self) -> Iterator[Group]:
         """Counterfactual groups, as many candidates as for so many episodes, their categories in turn; all distinct."""
-        wanted = self.config.counterfactual_groups * self.config.candidates_per_episode
-        cells = [cells for cells in map(self.config.cells_of, CATEGORIES) if cells]
+        wanted = self.wanted.counterfactual_groups * self.sampling.candidates_per_episode
+        cells = [cells for cells in map(self.wanted.cells_of, CATEGORIES) if cells]
         if not wanted or not cells or not self.asker.rooms:
             return
         draws = Draws(generator(self.seed, self.scene.family, self.scene.scene_id, "counterfactual groups"))
@@ -192,7 +199,7 @@ class ProgramSampler:
         for k in range(wanted):
             cell = draws.choice(order[k % len(order)])
             wish = self._wish(cell, draws)
-            for _ in range(self.config.draws_per_candidate):
+            for _ in range(self.sampling.draws_per_candidate):
                 group = None
                 with self._counted(None):
                     group = self._group(
@@ -204,7 +211,7 @@ class ProgramSampler:
                     break
 
     @contextmanager
-    def _counted(self, cell: Cell | None) -> Iterator[None]:
+    def _counted(self, cell: InstructionCell | None) -> Iterator[None]:
         """Counts why what is done within was given up, and what the asker passed over."""
         try:
             yield
@@ -220,18 +227,22 @@ class ProgramSampler:
             raise GivenUp("no_twin")
         return group
 
-    def _wish(self, cell: Cell, draws: Draws) -> _Wish:
+    def _wish(self, cell: InstructionCell, draws: Draws) -> _Wish:
         category, wanted = cell.category, cell.composition
         if wanted is None:
-            weights = self.config.compositions
-            possible = {"C0": self._roomy(category), "C1": len(self._held) > 1, "C2": len(self._held) > 2}
-            options = {name: weights.get(name, 0.0) for name, there_are_rooms in possible.items() if there_are_rooms}
+            weights = self.sampling.compositions
+            possible: dict[Composition, tuple[bool, float]] = {
+                "C0": (bool(self._roomy(category)), weights.C0),
+                "C1": (len(self._held) > 1, weights.C1),
+                "C2": (len(self._held) > 2, weights.C2),
+            }
+            options = {name: weight for name, (there_are_rooms, weight) in possible.items() if there_are_rooms}
             if any(options.values()):
                 wanted = draws.weighted(tuple(options), tuple(options.values()))
         n_leaves = SHAPES[category].leaves
         if cell.moves is not None:
             return _Wish(wanted, (cell.moves,) * n_leaves)
-        shares = tuple(accumulate(self.config.moves))
+        shares = tuple(accumulate(self.sampling.moves))
         return _Wish(wanted, tuple(1 + draws.cumulative(shares) for _ in range(n_leaves)))
 
     def _roomy(self, category: Category) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.instructions.config import PREDICATES
+from condvln.instructions.predicates import PREDICATES
 from condvln.instructions.referents import Referents, overlap_matrix
 from condvln.labels import Vocabulary
 from schemas.program import Predicate

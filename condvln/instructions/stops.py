@@ -10,10 +10,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.instructions.config import InstructionConfig
 from condvln.instructions.draws import Draws
 from condvln.instructions.referents import Referents
 from condvln.scene import Scene
+from schemas.config import PlacesConfig, SamplingConfig
 
 __all__ = ["Stops", "Target", "TargetLot", "apart_by_centres", "targets"]
 
@@ -85,17 +85,17 @@ class TargetLot:
         return not allowed & ~drawable
 
 
-def apart_by_centres(scene: Scene, config: InstructionConfig) -> Stops:
+def apart_by_centres(scene: Scene, places: PlacesConfig) -> Stops:
     """Every object, apart where the horizontal distance of centres says so; for want of geodesics."""
     ordered = sorted(scene.objects, key=lambda o: o.object_id)
-    least = config.leaf_separation_single_room if scene.single_room else config.leaf_separation
+    least = places.leaf_separation(scene.single_room)
     ground = np.array([o.center[[0, 2]] for o in ordered], dtype=np.float64).reshape(-1, 2)
     distance = np.linalg.norm(ground[:, None] - ground[None, :], axis=-1)
     return Stops(tuple(o.object_id for o in ordered), np.asarray(distance >= least))
 
 
 def targets(
-    referents: Mapping[str, Referents], rooms: Iterable[str], stops: Stops, config: InstructionConfig
+    referents: Mapping[str, Referents], rooms: Iterable[str], stops: Stops, sampling: SamplingConfig
 ) -> tuple[Target, ...]:
     """The usable objects of the named `rooms` that can be stood at, in order of room and object id."""
     row_of = {name: k for k, name in enumerate(stops.object_ids)}
@@ -115,7 +115,7 @@ def targets(
             room_id=room_id,
             index=i,
             label=referents[room_id].arrays.labels[i],
-            weight=1.0 if referents[room_id].arrays.labels[i] in large else config.small_target_weight,
+            weight=1.0 if referents[room_id].arrays.labels[i] in large else sampling.small_target_weight,
             apart=_bits(apart[k]),
         )
         for k, (room_id, i, _) in enumerate(chosen)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from condvln.navigation.agent import Agent
+from schemas.config import AgentConfig
 
 __all__ = ["NavMeshSettings"]
 
@@ -52,7 +52,7 @@ class NavMeshSettings:
     """Objects with static motion are part of the floor plan."""
 
     @classmethod
-    def furnished(cls, agent: Agent) -> NavMeshSettings:
+    def furnished(cls, agent: AgentConfig) -> NavMeshSettings:
         """For this agent, with the scene's objects as part of the floor plan: they stand in its way."""
         return cls(
             agent_height=agent.height,

@@ -7,7 +7,6 @@ from condvln.relations.room import SEMANTIC, RoomRelations, relate_room, relate_
 from condvln.relations.surface import MeshOf, surface_distances
 from condvln.relations.table import CONTAINS, relation_table
 from condvln.relations.text import TEXT_PREDICATES, TextFacts, text_facts
-from condvln.relations.thresholds import RelationThresholds
 
 __all__ = [
     "CANONICAL",
@@ -18,7 +17,6 @@ __all__ = [
     "TEXT_PREDICATES",
     "MeshOf",
     "PairMetrics",
-    "RelationThresholds",
     "RoomRelations",
     "TextFacts",
     "pair_metrics",

@@ -6,17 +6,15 @@ from collections.abc import Mapping
 
 import networkx as nx
 
-from condvln.relations.room import DEFAULT_THRESHOLDS, RoomRelations
+from condvln.relations.room import RoomRelations
 from condvln.relations.table import relation_table
-from condvln.relations.thresholds import RelationThresholds
 from condvln.scene import Scene
+from schemas.config import Thresholds
 
 __all__ = ["to_networkx"]
 
 
-def to_networkx(
-    scene: Scene, relations: Mapping[str, RoomRelations], thresholds: RelationThresholds = DEFAULT_THRESHOLDS
-) -> nx.MultiDiGraph[str]:
+def to_networkx(scene: Scene, relations: Mapping[str, RoomRelations], thresholds: Thresholds) -> nx.MultiDiGraph[str]:
     """A directed multigraph: nodes are rooms and objects, edges the rows of the relations table.
 
     Nodes carry ``kind`` (``room`` or ``object``), ``label`` and ``raw_label``, objects their ``room_id`` and

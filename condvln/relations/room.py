@@ -14,16 +14,14 @@ from numpy.typing import NDArray
 from condvln.relations.compass import COINCIDENT, canonical_codes
 from condvln.relations.metrics import PairMetrics, pair_metrics
 from condvln.relations.surface import MeshOf, surface_distances
-from condvln.relations.thresholds import RelationThresholds
 from condvln.scene import RoomArrays, Scene
+from schemas.config import Thresholds
 from schemas.errors import StoreError
 
-__all__ = ["DEFAULT_THRESHOLDS", "SEMANTIC", "RoomRelations", "relate_room", "relate_scene"]
+__all__ = ["SEMANTIC", "RoomRelations", "relate_room", "relate_scene"]
 
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-DEFAULT_THRESHOLDS: Final = RelationThresholds()
 
 SEMANTIC: Final = ("near", "far from", "higher than", "lower than", "above", "below")
 """Predicates that have an edge where their thresholds hold, beside the one canonical edge of a pair."""
@@ -57,9 +55,7 @@ class RoomRelations:
         return self.objects.room_id
 
     @classmethod
-    def from_table(
-        cls, rows: pa.Table, arrays: RoomArrays, thresholds: RelationThresholds = DEFAULT_THRESHOLDS
-    ) -> RoomRelations:
+    def from_table(cls, rows: pa.Table, arrays: RoomArrays, thresholds: Thresholds) -> RoomRelations:
         """The relations of one room from its stored rows; nothing is measured anew with FCL.
 
         rows : rows of the relations table of one scene, made with the same `thresholds`; other rooms' are passed over
@@ -98,9 +94,7 @@ class RoomRelations:
         return -self.metrics.delta[..., 1] + 0.0
 
 
-def relate_room(
-    arrays: RoomArrays, thresholds: RelationThresholds = DEFAULT_THRESHOLDS, meshes: MeshOf | None = None
-) -> RoomRelations:
+def relate_room(arrays: RoomArrays, thresholds: Thresholds, meshes: MeshOf | None = None) -> RoomRelations:
     """Relations of one room.
 
     meshes : gives an object's mesh in the scene's frame; without it boxes stand for all objects
@@ -110,14 +104,12 @@ def relate_room(
     return _decide(arrays, metrics, surface, thresholds)
 
 
-def relate_scene(
-    scene: Scene, thresholds: RelationThresholds = DEFAULT_THRESHOLDS, meshes: MeshOf | None = None
-) -> dict[str, RoomRelations]:
+def relate_scene(scene: Scene, thresholds: Thresholds, meshes: MeshOf | None = None) -> dict[str, RoomRelations]:
     """Relations of every room of a scene, by room id in the scene's order."""
     return {room.room_id: relate_room(scene.arrays(room.room_id), thresholds, meshes) for room in scene.rooms}
 
 
-def _decide(arrays: RoomArrays, metrics: PairMetrics, surface: F64, thresholds: RelationThresholds) -> RoomRelations:
+def _decide(arrays: RoomArrays, metrics: PairMetrics, surface: F64, thresholds: Thresholds) -> RoomRelations:
     """The predicates that follow from metrics and thresholds."""
     dy = -metrics.delta[..., 1] + 0.0
     others = ~np.eye(len(arrays), dtype=np.bool_)

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from condvln.relations.compass import CANONICAL
 from condvln.relations.metrics import USED_METRICS
-from condvln.relations.room import DEFAULT_THRESHOLDS, SEMANTIC, RoomRelations
+from condvln.relations.room import SEMANTIC, RoomRelations
 from condvln.relations.text import text_facts
-from condvln.relations.thresholds import RelationThresholds
 from condvln.scene import RoomArrays, Scene
+from schemas.config import Thresholds
 from schemas.tables import RELATIONS, SORT_KEYS, VEC3
 
 __all__ = ["CONTAINS", "relation_table"]
@@ -27,9 +27,7 @@ CONTAINS: Final = "contains"
 _KINDS: Final = ("containment", "canonical", "semantic")
 
 
-def relation_table(
-    scene: Scene, relations: Mapping[str, RoomRelations], thresholds: RelationThresholds = DEFAULT_THRESHOLDS
-) -> pa.Table:
+def relation_table(scene: Scene, relations: Mapping[str, RoomRelations], thresholds: Thresholds) -> pa.Table:
     """All edges of a scene in the schema `RELATIONS`, sorted by its keys.
 
     Per room: one containment edge an object (``room contains object``, without metrics), one canonical edge an
@@ -60,7 +58,7 @@ def _containment(scene_id: str, objects: RoomArrays) -> pa.Table:
     return pa.table([columns.get(f.name, pa.nulls(n, f.type)) for f in RELATIONS], schema=RELATIONS)
 
 
-def _edges(scene_id: str, relations: RoomRelations, thresholds: RelationThresholds) -> pa.Table:
+def _edges(scene_id: str, relations: RoomRelations, thresholds: Thresholds) -> pa.Table:
     facts = text_facts(relations, thresholds)
     subjects, targets, predicates, kinds, status, margins = [], [], [], [], [], []
     for predicate, kind, i, j in _groups(relations):

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from condvln.relations.compass import COMPASS, sector_deviation
 from condvln.relations.metrics import CENTRE
-from condvln.relations.room import DEFAULT_THRESHOLDS, RoomRelations
-from condvln.relations.thresholds import RelationThresholds
+from condvln.relations.room import RoomRelations
+from schemas.config import SECTOR_HALF_WIDTH, Thresholds
 
 __all__ = ["TEXT_PREDICATES", "TextFacts", "text_facts"]
 
@@ -38,7 +38,7 @@ class TextFacts:
     margin: Mapping[str, F64]
 
 
-def text_facts(relations: RoomRelations, thresholds: RelationThresholds = DEFAULT_THRESHOLDS) -> TextFacts:
+def text_facts(relations: RoomRelations, thresholds: Thresholds) -> TextFacts:
     """What text may say of a room's pairs."""
     t, metrics, dy = thresholds, relations.metrics, relations.subject_above_target
     facts = {
@@ -78,7 +78,7 @@ def _rising(value: F64, emitted: float, text: float) -> F64:
     return scaled
 
 
-def _near(relations: RoomRelations, t: RelationThresholds) -> _Fact:
+def _near(relations: RoomRelations, t: Thresholds) -> _Fact:
     used, surface = relations.metrics.used, relations.surface
     true = (used <= t.near_true) & (surface <= t.near_true)
     # Where surfaces were not measured, the distance of boxes or of bounding spheres is still a lower bound of theirs;
@@ -91,7 +91,7 @@ def _near(relations: RoomRelations, t: RelationThresholds) -> _Fact:
     return _fact(true, false, when_true, when_false)
 
 
-def _far(used: F64, t: RelationThresholds) -> _Fact:
+def _far(used: F64, t: Thresholds) -> _Fact:
     return _fact(
         used >= t.far_true,
         used <= t.far_false,
@@ -100,7 +100,7 @@ def _far(used: F64, t: RelationThresholds) -> _Fact:
     )
 
 
-def _higher(dy: F64, t: RelationThresholds) -> _Fact:
+def _higher(dy: F64, t: Thresholds) -> _Fact:
     return _fact(
         dy >= t.height_true,
         dy <= t.height_false,
@@ -109,7 +109,7 @@ def _higher(dy: F64, t: RelationThresholds) -> _Fact:
     )
 
 
-def _above(dy: F64, horizontal: F64, footprint_overlap: F64, t: RelationThresholds) -> _Fact:
+def _above(dy: F64, horizontal: F64, footprint_overlap: F64, t: Thresholds) -> _Fact:
     true = (dy >= t.height_true) & (horizontal <= t.over_horizontal_true) & (footprint_overlap >= t.over_footprint_true)
     false = (dy <= t.height_false) | (horizontal >= t.over_horizontal_false)
     when_true = np.minimum(
@@ -124,8 +124,8 @@ def _above(dy: F64, horizontal: F64, footprint_overlap: F64, t: RelationThreshol
     return _fact(true, false, when_true, when_false)
 
 
-def _compass(deviation: F64, clear: Mask, clearance: F64, t: RelationThresholds) -> _Fact:
-    beside = deviation - t.sector_half_width
-    when_true = np.minimum(beside * (1.0 / (t.sector_true - t.sector_half_width)), clearance)
-    when_false = beside * (1.0 / (t.sector_false - t.sector_half_width))
+def _compass(deviation: F64, clear: Mask, clearance: F64, t: Thresholds) -> _Fact:
+    beside = deviation - SECTOR_HALF_WIDTH
+    when_true = np.minimum(beside * (1.0 / (t.sector_true - SECTOR_HALF_WIDTH)), clearance)
+    when_false = beside * (1.0 / (t.sector_false - SECTOR_HALF_WIDTH))
     return _fact((deviation <= t.sector_true) & clear, deviation > t.sector_false, when_true, when_false)

@@ -6,12 +6,12 @@ import hashlib
 from dataclasses import replace
 from urllib.parse import quote
 
-from condvln.navigation.agent import Agent
 from condvln.navigation.navmesh_file import NavMeshFile
 from condvln.navigation.recast import build_navmesh
 from condvln.navigation.settings import NavMeshSettings
 from condvln.scene import NavmeshFile, Scene, SceneWarning
 from condvln.scene.geometry import SceneGeometry
+from schemas.config import AgentConfig
 from schemas.errors import InputError
 
 __all__ = ["built_path", "with_built_navmesh"]
@@ -22,7 +22,7 @@ def built_path(family: str, scene_id: str) -> str:
     return f"navmeshes/{family}/{quote(scene_id, safe='')}.navmesh"
 
 
-def with_built_navmesh(scene: Scene, geometry: SceneGeometry, agent: Agent) -> tuple[Scene, bytes | None]:
+def with_built_navmesh(scene: Scene, geometry: SceneGeometry, agent: AgentConfig) -> tuple[Scene, bytes | None]:
     """The scene with a navmesh of its own, and that navmesh's bytes.
 
     Objects count as built in: they stand in the agent's way. A scene on whose surfaces no agent can stand keeps going

@@ -6,13 +6,13 @@ import posixpath
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from condvln.navigation.agent import Agent
 from condvln.navigation.navmesh_file import MAX_FILE_BYTES, parse_navmesh
 from condvln.navigation.settings import NavMeshSettings
 from condvln.scene import NavmeshFile, SceneWarning
 from condvln.sources.dataset_root import DatasetRoot
 from condvln.sources.input_ledger import InputLedger
 from condvln.sources.source import HashFile
+from schemas.config import AgentConfig
 
 __all__ = ["NavmeshChoice", "choose_navmesh", "shipped_navmeshes"]
 
@@ -47,7 +47,7 @@ def shipped_navmeshes(
 
 
 def choose_navmesh(
-    root: DatasetRoot, candidates: Sequence[str], agent: Agent, hash_file: HashFile, ledger: InputLedger
+    root: DatasetRoot, candidates: Sequence[str], agent: AgentConfig, hash_file: HashFile, ledger: InputLedger
 ) -> NavmeshChoice:
     """The first candidate whose settings fit the agent, else the first that is there, with a warning.
 

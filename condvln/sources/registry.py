@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from condvln.navigation.agent import Agent
 from condvln.sources.gibson import GibsonSource
 from condvln.sources.ithor import IthorSource
 from condvln.sources.mp3d import Mp3dSource
@@ -17,6 +16,7 @@ from condvln.sources.robothor import RobothorSource
 from condvln.sources.scene_choice import SceneChoice
 from condvln.sources.scene_source import SceneSource, SourceOptions
 from condvln.sources.source import HashFile, Source, hash_file
+from schemas.config import AgentConfig
 from schemas.errors import ConfigError
 
 __all__ = ["FAMILIES", "open_source"]
@@ -38,7 +38,7 @@ def open_source(
     *,
     scenes: Sequence[str] = ("*",),
     exclude: Sequence[str] = (),
-    agent: Agent | None = None,
+    agent: AgentConfig | None = None,
     navmesh: str | None = None,
     regions: Path | None = None,
     houses: Path | None = None,
@@ -68,7 +68,7 @@ def open_source(
             remedy="Download the dataset, or set the source's 'root' to the folder it stands in",
         )
     choice = SceneChoice(tuple(scenes), tuple(exclude))
-    options = SourceOptions(choice, agent or Agent(), navmesh, regions, hash_file)
+    options = SourceOptions(choice, agent or AgentConfig(), navmesh, regions, hash_file)
     if houses is None:
         return FAMILIES[family](root, options)
     if family != ProcthorHabitatSource.family:

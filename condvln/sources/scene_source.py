@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Final
 
-from condvln.navigation.agent import Agent
 from condvln.scene import Scene
 from condvln.scene.geometry import SceneGeometry
 from condvln.sources.dataset_root import DatasetRoot
 from condvln.sources.input_ledger import InputLedger
 from condvln.sources.scene_choice import SceneChoice
 from condvln.sources.source import HashFile, SceneCounts, SceneHandle, SceneInput
+from schemas.config import AgentConfig
 from schemas.errors import ConfigError, InputError, MissingFileError
 
 __all__ = ["Note", "SceneSource", "SourceOptions"]
@@ -32,7 +32,7 @@ class SourceOptions:
     """How a dataset is to be read; see `open_source`."""
 
     choice: SceneChoice
-    agent: Agent
+    agent: AgentConfig
     navmesh: str | None
     regions: Path | None
     hash_file: HashFile

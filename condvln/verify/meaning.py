@@ -55,7 +55,7 @@ def _check_rooms(program: Program, referents: Referents, certificate: Certificat
 def _check_heading(row: ManifestEpisode, reading: Reading, rules: Rules, certificate: Certificate) -> None:
     phrases = [*reading.conditions, *(stop for moves in reading.moves for stop in moves)]
     directed = any(phrase.qualifier is not None and phrase.qualifier[0] in DIRECTIONS for phrase in phrases)
-    if directed and rules.preamble:
+    if directed and rules.text.preamble:
         certificate.holds("heading_stated", reading.heading is not None, "compass words", "no heading")
     yaw = yaw_of(row.start_rotation)
     if reading.heading is not None and yaw is not None:

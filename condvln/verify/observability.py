@@ -107,10 +107,10 @@ def sight_of(
     """
 
     def floor(room_id: str) -> F64:
-        room, radius = scene.room_of[room_id], rules.episodes.island_radius
+        room, radius = scene.room_of[room_id], rules.places.island_radius
         return ground_points(scene, room, pathfinder, radius, obstacles.grounds)
 
-    return Sight(scene, surfaces(), referents.is_structure, floor, rules.episodes)
+    return Sight(scene, surfaces(), referents.is_structure, floor, rules.places, rules.episodes)
 
 
 def _asked(row: ManifestEpisode, certificate: Certificate, referents: Referents, eye_height: float) -> _Asked:

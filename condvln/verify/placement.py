@@ -131,12 +131,11 @@ class _Lines:
 
 class _Checker:
     def __init__(self, scene: Scene, rules: Rules) -> None:
-        episodes = rules.episodes
         single = scene.single_room
-        self.rules = episodes
-        self.success = episodes.success_distance_single_room if single else episodes.success_distance
-        self.range = episodes.distance_single_room if single else episodes.distance
-        self.separation = 2 * self.success + episodes.leaf_gap
+        self.goals, self.island_radius = rules.goals, rules.places.island_radius
+        self.success = rules.places.success(single)
+        self.range = rules.episodes.range(single)
+        self.separation = rules.places.leaf_separation(single)
         self.walks = Walks()
         self.reach = Reach(scene)
         self._inside: dict[int, str] = {}
@@ -223,7 +222,7 @@ class _Checker:
         certificate.holds("standable", not off, "on the floor", off)
         islands = {walks.islands[p] for p in points}
         certificate.holds("island", len(islands) == 1, "one island", sorted(islands))
-        radius, least = walks.island_radii[placed.start], self.rules.island_radius
+        radius, least = walks.island_radii[placed.start], self.island_radius
         certificate.holds("island", radius >= least, f"radius of at least {least}", radius, "start")
         inside = [self._inside[p] for p in sorted(points & self._inside.keys())]
         certificate.holds("in_the_way", not inside, "free points", inside)
@@ -238,7 +237,7 @@ class _Checker:
         if around is not None:
             walk = min(max(self.walks.metres(ways)) for ways in placed.around)
             certificate.holds("goal_side", walk <= around + DETOUR + ROUNDING, around + DETOUR, walk, name)
-        most = self.rules.goal_points
+        most = self.goals.points
         certificate.holds("goal_side", len(leaf.goals) <= most, most, len(leaf.goals), name)
 
     def _check_near(
@@ -254,7 +253,7 @@ class _Checker:
             certificate.holds("goal_reach", False, object_id, "no such object", name)
             return
         # Farther points only where nothing nearer can be stood on, so never both.
-        reach = self.rules.goal_reach if min(away) <= self.rules.goal_reach else self.rules.goal_reach_at_most
+        reach = self.goals.reach if min(away) <= self.goals.reach else self.goals.reach_at_most
         farthest = max(away)
         certificate.holds("goal_reach", farthest <= reach + ROUNDING, (object_id, reach), farthest, name)
         wrong = [] if all(here) else [place for place, good in zip(positions, here, strict=True) if not good]
@@ -325,7 +324,7 @@ def _check_budget(
         route = follower.follow(row.start_position, yaw, stops)
         certificate.holds("budget", route.arrived, "a walk that arrives", route.outcome, f"leaf {k}")
         steps = max(steps, len(route.actions))
-    ceiling, per_word = rules.episodes.max_steps, rules.episodes.steps_per_word
+    ceiling, per_word = rules.episodes.max_steps, rules.text.steps_per_word
     certificate.holds("budget", 2 * steps <= ceiling, f"at most {ceiling}", 2 * steps, "twice the actions")
     words = per_word * groups.words(row, certificate)
     certificate.same("budget", row.max_steps, min(ceiling, max(words, 2 * steps)))

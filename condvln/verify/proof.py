@@ -126,7 +126,7 @@ def prove_scene(
         check_truth(row.manifest, row.truth, follower, rules.path_spacing, certificate)
     if any(row.observability is not None for row in manifests):
         sight = sight_of(scene, surfaces, referents, navmesh.pathfinder, obstacles, rules)
-        check_observability(manifests, certificates, sight, referents, rules.episodes.eye_height)
+        check_observability(manifests, certificates, sight, referents, rules.places.eye_height)
 
 
 def find_navmesh(scene: Scene, folder: Path, claimed: str) -> Navmesh:

@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from schemas.config import AgentConfig, Config, EpisodeConfig, Thresholds
+from schemas.config import (
+    AgentConfig,
+    Config,
+    EpisodeConfig,
+    GoalsConfig,
+    PlacesConfig,
+    SplitsConfig,
+    TextConfig,
+    Thresholds,
+)
 
 __all__ = ["Rules"]
 
@@ -14,16 +23,27 @@ class Rules:
     """The parts of a configuration that decide whether an episode is sound."""
 
     thresholds: Thresholds = field(default_factory=Thresholds)
+    places: PlacesConfig = field(default_factory=PlacesConfig)
+    goals: GoalsConfig = field(default_factory=GoalsConfig)
     episodes: EpisodeConfig = field(default_factory=EpisodeConfig)
+    text: TextConfig = field(default_factory=TextConfig)
     agent: AgentConfig = field(default_factory=AgentConfig)
-    preamble: bool = True
+    splits: SplitsConfig = field(default_factory=SplitsConfig)
 
     @property
     def path_spacing(self) -> float:
         """Metres between two ground-truth locations at most."""
-        return self.episodes.path_spacing
+        return self.splits.path_spacing
 
     @classmethod
     def of(cls, config: Config) -> Rules:
         """The rules of a run."""
-        return cls(config.thresholds, config.episodes, config.agent, config.instructions.preamble)
+        return cls(
+            config.thresholds,
+            config.places,
+            config.goals,
+            config.episodes,
+            config.text,
+            config.agent,
+            config.splits,
+        )

@@ -23,7 +23,7 @@ from condvln.navigation.sight import View, in_view
 from condvln.navigation.surface_samples import box_samples, mesh_samples
 from condvln.scene import Scene, SceneObject
 from condvln.scene.geometry import STRUCTURE, SceneGeometry
-from schemas.config import EpisodeConfig
+from schemas.config import EpisodeConfig, PlacesConfig
 
 __all__ = ["Sight", "Sought", "evenly", "much"]
 
@@ -107,11 +107,12 @@ class Sight:
         geometry: SceneGeometry | None,
         is_structure: Callable[[SceneObject], bool],
         floor: Callable[[str], F64],
+        places: PlacesConfig,
         rules: EpisodeConfig,
     ) -> None:
         self._scene, self._floor, self._rules = scene, floor, rules
-        self._around = View(range=rules.sight_range)
-        self._ahead = View(range=rules.sight_range, horizontal_fov=FIRST_VIEW, vertical_fov=FIRST_VIEW)
+        self._around = View(range=places.sight_range)
+        self._ahead = View(range=places.sight_range, horizontal_fov=FIRST_VIEW, vertical_fov=FIRST_VIEW)
         known = None if geometry is None or not len(geometry.faces) else geometry
         self.approximate = known is None or known.approximate
         self._geometry = None if self.approximate else known

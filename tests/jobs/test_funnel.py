@@ -19,7 +19,7 @@ from jobs.report import Report
 from jobs.stages import TextStage
 from jobs.workspace import published
 from schemas.canonical import JSON
-from schemas.config import Config, EpisodeConfig, InstructionCell, InstructionsConfig
+from schemas.config import Config, EpisodeConfig, InstructionCell, InstructionsConfig, PlacesConfig
 
 runner = CliRunner()
 
@@ -81,7 +81,7 @@ def test_a_scene_that_yields_nothing_says_why(dataset: Path, configured: Callabl
         ["replicacad/made_000", "replicacad/made_001"], "no_start_in_range"
     )
     assert all("no start has every leaf" in why for why in funnel.barren.values())
-    narrow = configured(dataset, episodes=EpisodeConfig(island_radius=90.0))
+    narrow = configured(dataset, places=PlacesConfig(island_radius=90.0))
     funnel = funnel_of(published_after(narrow))
     assert funnel is not None
     for name, flow in funnel.scenes.items():

@@ -16,6 +16,7 @@ from condvln.export.streams import read_unpacked
 from jobs.command import app
 from jobs.oracle import oracle_split
 from jobs.validate import validate_files
+from schemas.config import SplitsConfig
 from schemas.errors import FormatError, MissingFileError, UsageError
 from tests.made_snapshot import made_snapshot
 
@@ -98,7 +99,7 @@ def test_another_seed_tells_it_in_other_words(export: Path, split: str, tmp_path
 
 
 def test_shards_are_rewritten_each(tmp_path: Path) -> None:
-    export_snapshot(made_snapshot(), tmp_path, ExportConfig(sharded=True))
+    export_snapshot(made_snapshot(), tmp_path, ExportConfig(SplitsConfig(sharded=True)))
     report = oracle_split(tmp_path, "train")
     shards = sorted((tmp_path / "vlnce" / "train" / "content").glob("*.json.gz"))
     assert shards

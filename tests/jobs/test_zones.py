@@ -89,7 +89,7 @@ def test_zones_are_the_rooms_of_a_scene(family: str, tmp_path: Path) -> None:
     # Two rooms make a scene of several rooms, one-room datasets too.
     episodes = snapshot.table("episodes").to_pylist()
     assert len(episodes) >= 5
-    assert {row["success_distance"] for row in episodes} == {config.episodes.success_distance}
+    assert {row["success_distance"] for row in episodes} == {config.places.success_distance}
     texts = " ".join(row["text"] for row in snapshot.table("instructions").to_pylist())
     assert set(re.findall(r"in the (kitchen|bedroom)", texts)) == {"kitchen", "bedroom"}
     assert verify_export(config, tmp_path / "export").exit_code == 0

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from condvln.export.compose.part import GlbPart, read_part
 from condvln.export.compose.writer import GlbWriter
-from condvln.navigation.agent import Agent
 from condvln.navigation.navmesh_file import NavMeshFile
 from condvln.navigation.recast import build_navmesh
 from condvln.navigation.recast.meshes import Z_UP, glb_triangles
@@ -28,6 +27,7 @@ from condvln.scene.frames import Z_UP_TO_HABITAT
 from condvln.scene.geometry import STRUCTURE, SceneGeometry
 from condvln.sources.dataset_root import DatasetRoot
 from condvln.sources.glb import MAX_GLB_BYTES
+from schemas.config import AgentConfig
 from schemas.errors import InputError
 
 __all__ = ["ComposedScene", "compose_scene"]
@@ -64,7 +64,7 @@ class ComposedScene:
     approximate: bool
 
 
-def compose_scene(scene: Scene, geometry: SceneGeometry | None, agent: Agent) -> ComposedScene:
+def compose_scene(scene: Scene, geometry: SceneGeometry | None, agent: AgentConfig) -> ComposedScene:
     """One file of a scene's stage and bodies where it has meshes, of its drawn surfaces where it has none.
 
     Parameters
@@ -158,6 +158,6 @@ def _colour(label: str) -> Colour:
     return round(red, 3), round(green, 3), round(blue, 3)
 
 
-def _navmesh(glb: bytes, scene: Scene, agent: Agent) -> NavMeshFile:
+def _navmesh(glb: bytes, scene: Scene, agent: AgentConfig) -> NavMeshFile:
     vertices, faces = glb_triangles(glb, f"{scene.family}/{scene.scene_id}, composed", Z_UP)
     return build_navmesh(vertices, faces, NavMeshSettings.furnished(agent))

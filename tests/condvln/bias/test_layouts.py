@@ -11,10 +11,14 @@ import pytest
 
 from condvln.bias import judge
 from condvln.bias.report import ALL
-from condvln.instructions import InstructionConfig, LabelPriors, ProgramSampler
+from condvln.instructions import LabelPriors
 from condvln.relations import TextFacts, relate_scene, text_facts
 from condvln.scene import Room, Scene, SceneObject, round_mm
+from schemas.config import Thresholds
 from schemas.program import Category
+from tests.condvln.instructions.made_sampler import made_sampler
+
+T = Thresholds()
 
 LABELS = (
     "sofa", "bed", "table", "chair", "stool", "lamp", "sink", "refrigerator", "plant", "desk", "television", "bicycle",
@@ -48,12 +52,12 @@ def staging(layout: int, number: int) -> Scene:
 @pytest.fixture(scope="module")
 def scenes() -> list[tuple[Scene, dict[str, TextFacts]]]:
     made = [staging(layout, number) for layout in range(2) for number in range(STAGINGS)]
-    return [(scene, {room: text_facts(found) for room, found in relate_scene(scene).items()}) for scene in made]
+    return [(scene, {room: text_facts(found, T) for room, found in relate_scene(scene, T).items()}) for scene in made]
 
 
 @pytest.fixture(scope="module")
 def priors(scenes) -> LabelPriors:
-    return LabelPriors.merged(LabelPriors.of_scene(scene) for scene, _ in scenes)
+    return LabelPriors.merged(LabelPriors.of_scene(scene, T, 0.3) for scene, _ in scenes)
 
 
 @pytest.fixture(scope="module")
@@ -65,11 +69,11 @@ def over_all(priors: LabelPriors) -> LabelPriors:
 
 
 def sampled(scenes, priors: LabelPriors, rows_of) -> list[dict[str, Any]]:
-    config = InstructionConfig(per_category=dict.fromkeys(CATEGORIES, 20), candidates_per_episode=1)
+    wanted = dict.fromkeys(CATEGORIES, 20)
     return [
         row
         for scene, facts in scenes
-        for row in rows_of(ProgramSampler(scene, facts, priors.bits(scene), config, seed=0))
+        for row in rows_of(made_sampler(scene, facts, priors.bits(scene, 0.05), per_category=wanted, candidates=1))
     ]
 
 
@@ -86,8 +90,8 @@ def test_what_a_layout_foretells_is_found(scenes, over_all: LabelPriors, rows_of
 def test_few_stagings_are_enough_to_know_what_varies(rows_of) -> None:
     """With as few, what never varied among all scenes would not yet be called foretold."""
     made = [staging(layout, number) for layout in range(4) for number in range(4)]
-    scenes = [(scene, {room: text_facts(found) for room, found in relate_scene(scene).items()}) for scene in made]
-    priors = LabelPriors.merged(LabelPriors.of_scene(scene) for scene in made)
+    scenes = [(scene, {room: text_facts(found, T) for room, found in relate_scene(scene, T).items()}) for scene in made]
+    priors = LabelPriors.merged(LabelPriors.of_scene(scene, T, 0.3) for scene in made)
     report = judge(sampled(scenes, priors, rows_of))
     assert report.passed, report.verdict()
     (found,) = [f for f in report.findings if f.guesser == "statement in its layout" and f.category == ALL]

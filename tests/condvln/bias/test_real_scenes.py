@@ -11,12 +11,16 @@ import pyarrow as pa
 import pytest
 
 from condvln.bias import BiasReport, judge
-from condvln.instructions import InstructionConfig, LabelPriors, PriorBits, ProgramSampler
+from condvln.instructions import LabelPriors, PriorBits
 from condvln.relations import relate_scene, text_facts
 from condvln.scene import Scene
 from condvln.scene.layouts import layout_of
 from condvln.sources.registry import open_source
+from schemas.config import Thresholds
 from schemas.program import Category
+from tests.condvln.instructions.made_sampler import made_sampler
+
+T = Thresholds()
 
 CATEGORIES: tuple[Category, ...] = ("simple", "long_chain", "deep_nested")
 
@@ -29,26 +33,26 @@ def test_the_gate_sees_statements_that_are_foregone_conclusions(real_data: Path,
     read = [source.read(handle.scene_id) for handle in source.handles()]
     scenes = [scene for scene in read if len(scene.objects) > 1]
     assert Counter(layout_of(scene.scene_id) for scene in scenes) == {"v3_sc0": 21, "v3_sc1": 21, "": 3}
-    facts = [{room: text_facts(found) for room, found in relate_scene(scene).items()} for scene in scenes]
-    priors = LabelPriors.merged(LabelPriors.of_scene(scene) for scene in scenes)
+    facts = [{room: text_facts(found, T) for room, found in relate_scene(scene, T).items()} for scene in scenes]
+    priors = LabelPriors.merged(LabelPriors.of_scene(scene, T, 0.3) for scene in scenes)
     table = priors.table()
     nameless = pa.repeat("", table.num_rows)
     pooled = LabelPriors.merged([LabelPriors.from_table(table.set_column(0, table.schema.field(0), nameless))])
-    config = InstructionConfig(per_category=dict.fromkeys(CATEGORIES, 2), candidates_per_episode=8)
+    wanted = dict.fromkeys(CATEGORIES, 2)
 
     def verdict(bits_of: Callable[[Scene], PriorBits]) -> BiasReport:
         samplers = [
-            ProgramSampler(scene, known, bits_of(scene), config, seed=0)
+            made_sampler(scene, known, bits_of(scene), per_category=wanted)
             for scene, known in zip(scenes, facts, strict=True)
         ]
         return judge(row for sampler in samplers for row in rows_of(sampler))
 
-    fair = verdict(priors.bits)
+    fair = verdict(lambda scene: priors.bits(scene, 0.05))
     assert fair.passed, fair.verdict()
     assert fair.episodes > 2000
     # Without the counts of the priors, statements that are true everywhere are asked as readily as any.
-    uninformed = verdict(lambda scene: replace(priors.bits(scene), counts={}))
+    uninformed = verdict(lambda scene: replace(priors.bits(scene, 0.05), counts={}))
     assert "whole statement" in {finding.guesser for finding in uninformed.beaten}
     # With counts over both layouts together, those that are true all over one and false all over the other.
-    mixed = verdict(pooled.bits)
+    mixed = verdict(lambda scene: pooled.bits(scene, 0.05))
     assert {finding.guesser for finding in mixed.beaten} == {"statement in its layout"}

@@ -6,13 +6,32 @@ from pathlib import Path
 
 import numpy as np
 
+from condvln.episodes.goals import blocked_footprints, scene_goals
+from condvln.episodes.placing import Placer
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.polygon_tile import tile_of_polygons
 from condvln.scene import Room, Scene, SceneObject
 from condvln.scene.geometry import SceneGeometry
+from schemas.config import EpisodeConfig, GoalsConfig, PlacesConfig
 from schemas.program import SHAPES, Condition, Leaf, ObjectRef, Program, RoomRef
 
 CELL = 0.25
+
+
+def placer_of(
+    scene: Scene,
+    pathfinder: Pathfinder,
+    rules: EpisodeConfig | None = None,
+    places: PlacesConfig | None = None,
+    *,
+    seed: int = 5,
+    max_climb: float = 0.2,
+) -> Placer:
+    """A placer of a scene whose objects are stood at wherever they can be reached; other rules are the defaults."""
+    places = places or PlacesConfig()
+    obstacles = blocked_footprints(scene, pathfinder, max_climb)
+    goals = scene_goals(scene, pathfinder, places, GoalsConfig(), obstacles)
+    return Placer(scene, pathfinder, goals, places, rules or EpisodeConfig(), seed, max_climb=max_climb)
 
 
 def grid_floor(width: float, depth: float, solid) -> Pathfinder:

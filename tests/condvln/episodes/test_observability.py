@@ -16,9 +16,7 @@ from condvln.episodes.floor import FLOOR_POINTS, LIFT, floor_points
 from condvln.episodes.footprint import Footprint
 from condvln.episodes.observability import STRAY, Observation, Observer, common_prefix
 from condvln.episodes.placing import Prospect
-from condvln.episodes.rules import EpisodeRules
 from condvln.episodes.view import SceneView
-from condvln.navigation.agent import Agent
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.sight import View, eyes_at
 from condvln.samples import make_samples
@@ -26,10 +24,11 @@ from condvln.scene import Room, Scene, SceneObject
 from condvln.scene.geometry import STRUCTURE, SceneGeometry
 from condvln.sources.registry import open_source
 from condvln.sources.source import Source
+from schemas.config import AgentConfig, EpisodeConfig, PlacesConfig
 from schemas.program import SHAPES, Condition, Leaf, ObjectRef, Program, Qualifier, RoomRef
 from tests.condvln.episodes.floors import box, box_triangles, grid_floor, inside, surfaces_of
 
-RULES = EpisodeRules()
+PLACES, RULES = PlacesConfig(), EpisodeConfig()
 WEST, EAST = RoomRef(room_id="west", label="kitchen"), RoomRef(room_id="east", label="bedroom")
 # The wall stands at x = 4 and leaves a doorway from z = 3 to z = 4.
 WALL = np.array([[4, 0, 0], [4, 0, 3], [4, 2.5, 3], [4, 2.5, 0]], float)
@@ -92,11 +91,11 @@ def observed(
     placement: Prospect,
     *objects: SceneObject,
     geometry: str = "exact",
-    rules: EpisodeRules = RULES,
+    rules: EpisodeConfig = RULES,
 ) -> Observation:
     scene = two_rooms(*objects)
     known = None if geometry == "none" else surfaces(scene, approximate=geometry == "approximate")
-    observer = Observer(scene, SceneView(scene, known), floor_of(scene), rules)
+    observer = Observer(scene, SceneView(scene, known), floor_of(scene), PLACES, rules)
     return observer.observe([(program, placement)])[0]
 
 
@@ -164,7 +163,7 @@ def test_a_relation_is_known_by_a_witness_and_its_anchor(geometry) -> None:
 
 
 def test_a_relation_is_refuted_by_all_that_could_hold_it() -> None:
-    never = dataclasses.replace(RULES, floor_seen=2.0)
+    never = RULES.model_copy(update={"floor_seen": 2.0})
     refuted = asking(present("lamp", WEST, near="table"))
     assert observed(refuted, STAYING, rules=never).observability == "O0"
     screen = thing("screen", "west", 3, 2.2, half=0.3, top=2.4)
@@ -207,8 +206,8 @@ def test_each_is_judged_as_if_alone() -> None:
     conditions = [present(o.label, WEST if o.room_id == "west" else EAST, o.object_id) for o in OBJECTS]
     placed = [(asking(c), way) for c in (*conditions, present("sofa", EAST)) for way in (STAYING, INTO_THE_EAST)]
     view, floor = SceneView(scene, surfaces(scene, approximate=False)), floor_of(scene)
-    together = Observer(scene, view, floor, RULES).observe(placed)
-    shared = Observer(scene, view, floor, RULES)
+    together = Observer(scene, view, floor, PLACES, RULES).observe(placed)
+    shared = Observer(scene, view, floor, PLACES, RULES)
     alone = [shared.observe([one])[0] for one in reversed(placed)][::-1]
     assert together == alone
     assert {o.observability for o in together} == {"O0", "O1", "O2"}
@@ -287,7 +286,7 @@ def walls_hide(source: Source, scene_id: str) -> None:
     elsewhere = np.zeros(2, int)
     for room in scene.rooms:
         points = floor_points(scene, room, NO_FLOOR, ())
-        eyes = eyes_at(points[rng.permutation(len(points))[:6]], RULES.eye_height)
+        eyes = eyes_at(points[rng.permutation(len(points))[:6]], PLACES.eye_height)
         outline = shapely.Polygon(room.polygon)
         convex = outline.area > 0.999 * outline.convex_hull.area
         for item in scene.objects:
@@ -303,12 +302,12 @@ def walls_hide(source: Source, scene_id: str) -> None:
 
 def test_walls_of_a_made_house_hide_its_other_rooms(tmp_path: Path) -> None:
     make_samples(tmp_path, family="procthor", scenes=2, seed=3)
-    source = open_source("procthor", tmp_path, agent=Agent())
+    source = open_source("procthor", tmp_path, agent=AgentConfig())
     for handle in source.handles():
         walls_hide(source, handle.scene_id)
 
 
 def test_walls_of_real_houses_hide_their_other_rooms(real_data: Path) -> None:
-    source = open_source("procthor", real_data / "procthor", agent=Agent())
+    source = open_source("procthor", real_data / "procthor", agent=AgentConfig())
     for handle in source.handles()[:6:3]:
         walls_hide(source, handle.scene_id)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from itertools import combinations
 
 import numpy as np
@@ -12,18 +11,27 @@ from condvln.episodes.candidates import Candidate
 from condvln.episodes.goals import blocked_footprints, goal_points
 from condvln.episodes.placing import Placement, Placer, Rejected
 from condvln.episodes.pool import fill_pool
-from condvln.episodes.rules import REASONS, EpisodeRules
+from condvln.episodes.rules import REASONS
 from condvln.episodes.table import goals_from_table, stops_table
 from condvln.episodes.view import SceneView
-from condvln.instructions import Cell
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.sight import View, eyes_at
 from condvln.scene import Scene
 from condvln.scene.geometry import STRUCTURE
+from schemas.config import EpisodeConfig, GoalsConfig, InstructionCell, PlacesConfig
 from schemas.program import Program
-from tests.condvln.episodes.floors import apartment, box, box_triangles, grid_floor, inside, program, surfaces_of
+from tests.condvln.episodes.floors import (
+    apartment,
+    box,
+    box_triangles,
+    grid_floor,
+    inside,
+    placer_of,
+    program,
+    surfaces_of,
+)
 
-RULES = EpisodeRules()
+PLACES, GOALS, RULES = PlacesConfig(), GoalsConfig(), EpisodeConfig()
 
 
 OBJECTS = (box("sofa", 1, 1), box("sink", 7, 1), box("lamp", 7, 5), box("bed", 1, 5), box("table", 4, 3))
@@ -38,11 +46,11 @@ def flat() -> tuple[Scene, Pathfinder]:
 def test_goal_points_stand_around_the_box(flat) -> None:
     scene, pathfinder = flat
     for item in OBJECTS:
-        points = goal_points(item, scene.rooms[0], pathfinder, RULES)
-        assert 4 <= len(points) <= RULES.goal_points
+        points = goal_points(item, scene.rooms[0], pathfinder, PLACES, GOALS)
+        assert 4 <= len(points) <= GOALS.points
         outside = np.maximum(np.abs(points - item.center)[:, [0, 2]] - 0.3, 0)
         reach = np.hypot(*outside.T)
-        assert reach.max() <= RULES.goal_reach
+        assert reach.max() <= GOALS.reach
         assert (np.diff(reach) >= 0).all(), "nearest to the box first"
         assert all(pathfinder.is_navigable(p) for p in points)
         np.testing.assert_array_equal(points, np.round(points, 3))
@@ -52,11 +60,11 @@ def test_goal_points_keep_to_one_side_of_a_wall() -> None:
     picture = box("picture", 3.8, 3, half=0.05, bottom=1.2, top=1.8)
     # A wall x ∈ [4, 4.25) with a doorway at the far end only: its other side is near the picture, but a long way round.
     pathfinder = grid_floor(8, 6, lambda x, z: 4 < x < 4.25 and z < 5.5)
-    points = goal_points(picture, apartment(picture).rooms[0], pathfinder, RULES)
+    points = goal_points(picture, apartment(picture).rooms[0], pathfinder, PLACES, GOALS)
     assert len(points)
     assert (points[:, 0] <= 4.0).all()
     through = grid_floor(8, 6, lambda x, z: False)
-    assert (goal_points(picture, apartment(picture).rooms[0], through, RULES)[:, 0] > 4.0).any()
+    assert (goal_points(picture, apartment(picture).rooms[0], through, PLACES, GOALS)[:, 0] > 4.0).any()
 
 
 def test_an_object_is_seen_from_its_goal_points() -> None:
@@ -66,9 +74,9 @@ def test_an_object_is_seen_from_its_goal_points() -> None:
     scene = apartment(picture)
     pillar = box_triangles([4.005, 0, 2.5], [4.25, 2.5, 3.5])
     view = SceneView(scene, surfaces_of([(STRUCTURE, pillar), (0, box_triangles(*picture.aabb))]))
-    around = goal_points(picture, scene.rooms[0], pathfinder, RULES)
+    around = goal_points(picture, scene.rooms[0], pathfinder, PLACES, GOALS)
     assert (around[:, 0] > 4.25).any()
-    seeing = goal_points(picture, scene.rooms[0], pathfinder, RULES, view=view)
+    seeing = goal_points(picture, scene.rooms[0], pathfinder, PLACES, GOALS, view=view)
     assert len(seeing) >= 3
     assert (seeing[:, 0] <= 4.0).all()
     assert len({*map(tuple, seeing)} & {*map(tuple, around)}) >= 3
@@ -80,21 +88,21 @@ def test_what_stands_under_a_table_is_seen_from_lower_down_and_what_is_shut_away
     own = (0, box_triangles(*shoe.aabb))
     plate = (STRUCTURE, box_triangles([3.3, 0.7, 2.3], [4.7, 0.75, 3.7]))
     under = SceneView(scene, surfaces_of([own, plate]))
-    points = goal_points(shoe, scene.rooms[0], pathfinder, RULES, view=under)
+    points = goal_points(shoe, scene.rooms[0], pathfinder, PLACES, GOALS, view=under)
     assert len(points) >= 4
     assert not under.glimpsed(eyes_at(points), "shoe", View()).any()
     chest = (STRUCTURE, box_triangles([3.8, 0, 2.8], [4.2, 0.5, 3.2]))
     assert not len(
-        goal_points(shoe, scene.rooms[0], pathfinder, RULES, view=SceneView(scene, surfaces_of([own, chest])))
+        goal_points(shoe, scene.rooms[0], pathfinder, PLACES, GOALS, view=SceneView(scene, surfaces_of([own, chest])))
     )
 
 
 def test_goal_points_are_kept_in_a_table_without_loss(flat) -> None:
     scene, pathfinder = flat
-    placer = Placer(scene, pathfinder, RULES, seed=5, max_climb=0.2)
+    placer = placer_of(scene, pathfinder)
     goals = goals_from_table(stops_table("flat", placer.field.goals))
     assert list(goals) == list(placer.field.goals)
-    again = Placer(scene, pathfinder, RULES, seed=5, max_climb=0.2, goals=goals)
+    again = Placer(scene, pathfinder, goals, PLACES, RULES, seed=5, max_climb=0.2)
     for name, points in placer.field.goals.items():
         np.testing.assert_array_equal(again.field.goals[name], points)
     made = program(("sofa",), ("sink",))
@@ -105,8 +113,11 @@ def test_goal_points_are_kept_in_a_table_without_loss(flat) -> None:
 
 def test_an_object_in_the_middle_of_nothing_has_none(flat) -> None:
     scene, pathfinder = flat
-    assert goal_points(box("moon", 40, 40), scene.rooms[0], pathfinder, RULES).shape == (0, 3)
-    assert goal_points(box("chandelier", 4, 1, bottom=3, top=3.5), scene.rooms[0], pathfinder, RULES).shape == (0, 3)
+    assert goal_points(box("moon", 40, 40), scene.rooms[0], pathfinder, PLACES, GOALS).shape == (0, 3)
+    assert goal_points(box("chandelier", 4, 1, bottom=3, top=3.5), scene.rooms[0], pathfinder, PLACES, GOALS).shape == (
+        0,
+        3,
+    )
 
 
 def test_furniture_the_navmesh_ignores_is_found(flat) -> None:
@@ -149,7 +160,7 @@ def recheck(placement: Placement, made: Program, pathfinder: Pathfinder, tau: fl
 
     start = placement.start
     assert pathfinder.is_navigable(start)
-    assert pathfinder.island_radius(start) >= RULES.island_radius
+    assert pathfinder.island_radius(start) >= PLACES.island_radius
     for leaf, placed in zip(made.leaves, placement.leaves, strict=True):
         assert placed.objects == tuple(m.object_id for m in leaf.moves)
         direct = to_any(start, placed.goals)
@@ -170,7 +181,7 @@ def recheck(placement: Placement, made: Program, pathfinder: Pathfinder, tau: fl
         assert 2 * placed.steps <= RULES.max_steps
         check_walk(placed.walk, start, placement.yaw, placed.route.stops, pathfinder)
     for one, other in combinations(placement.leaves, 2):
-        assert min(to_any(p, other.goals) for p in one.goals) >= 2 * tau + RULES.leaf_gap
+        assert min(to_any(p, other.goals) for p in one.goals) >= 2 * tau + PLACES.leaf_gap
     for one in placement.leaves:
         for other in placement.leaves:
             if one is other:
@@ -182,7 +193,7 @@ def recheck(placement: Placement, made: Program, pathfinder: Pathfinder, tau: fl
 
 def test_every_rule_holds_for_every_leaf(flat) -> None:
     scene, pathfinder = flat
-    placer = Placer(scene, pathfinder, RULES, seed=5, max_climb=0.2)
+    placer = placer_of(scene, pathfinder)
     placed, reasons = 0, set()
     for made in (
         program(("sofa",), ("sink",)),
@@ -197,7 +208,7 @@ def test_every_rule_holds_for_every_leaf(flat) -> None:
                 reasons.add(rejected.reason)
                 continue
             placed += 1
-            recheck(placement, made, pathfinder, RULES.success_distance_single_room)
+            recheck(placement, made, pathfinder, PLACES.success_distance_single_room)
             if k % 2 == 0:
                 assert (np.degrees(placement.yaw) / 45) == pytest.approx(round(np.degrees(placement.yaw) / 45))
     assert placed >= 12
@@ -207,17 +218,15 @@ def test_every_rule_holds_for_every_leaf(flat) -> None:
 def test_stop_counts_against_the_step_ceiling(flat) -> None:
     scene, pathfinder = flat
     made = program(("sofa",), ("sink",))
-    steps = max(
-        leaf.steps for leaf in Placer(scene, pathfinder, RULES, 5, max_climb=0.2).place(made, "i", compass=False).leaves
-    )
-    just = dataclasses.replace(RULES, max_steps=2 * steps)
-    placement = Placer(scene, pathfinder, just, 5, max_climb=0.2).place(made, "i", compass=False)
+    steps = max(leaf.steps for leaf in placer_of(scene, pathfinder).place(made, "i", compass=False).leaves)
+    just = RULES.model_copy(update={"max_steps": 2 * steps})
+    placement = placer_of(scene, pathfinder, just).place(made, "i", compass=False)
     assert max(leaf.steps for leaf in placement.leaves) == steps
     reasons = set()
     for ceiling in range(2 * steps - 2, 10, -2):
-        tight = dataclasses.replace(RULES, max_steps=ceiling)
+        tight = RULES.model_copy(update={"max_steps": ceiling})
         try:
-            placement = Placer(scene, pathfinder, tight, 5, max_climb=0.2).place(made, "i", compass=False)
+            placement = placer_of(scene, pathfinder, tight).place(made, "i", compass=False)
         except Rejected as rejected:
             reasons.add(rejected.reason)
             break
@@ -226,7 +235,7 @@ def test_stop_counts_against_the_step_ceiling(flat) -> None:
 
 
 @pytest.mark.parametrize(
-    ("objects", "leaves", "rules", "reason"),
+    ("objects", "leaves", "changed", "reason"),
     [
         (("a", "b", "far"), (("a",), ("far",)), {}, "object_without_goal_point"),
         (("a", "beside a"), (("a",), ("beside a",)), {}, "leaves_too_close"),
@@ -236,11 +245,13 @@ def test_stop_counts_against_the_step_ceiling(flat) -> None:
         (("a", "b"), (("a",), ("b",)), {"island_radius": 50.0}, "no_start"),
     ],
 )
-def test_reasons(objects, leaves, rules, reason) -> None:
+def test_reasons(objects, leaves, changed, reason) -> None:
     places = {"a": (1, 1), "b": (7, 5), "beside a": (1.8, 1), "beside b": (7, 4.2), "far": (60, 60)}
     scene = apartment(*(box(name, *places[name]) for name in objects))
     pathfinder = grid_floor(8, 6, lambda x, z: any(inside(o, x, z) for o in scene.objects))
-    placer = Placer(scene, pathfinder, dataclasses.replace(RULES, **rules), seed=0, max_climb=0.2)
+    rules = EpisodeConfig(**{k: v for k, v in changed.items() if k in EpisodeConfig.model_fields})
+    stood = PlacesConfig(**{k: v for k, v in changed.items() if k in PlacesConfig.model_fields})
+    placer = placer_of(scene, pathfinder, rules, stood, seed=0)
     with pytest.raises(Rejected) as caught:
         placer.place(program(*leaves), "i", compass=False)
     assert caught.value.reason == reason
@@ -250,7 +261,7 @@ def test_a_corridor_past_one_leaf_to_the_other_is_refused() -> None:
     # Both objects stand along a corridor 0.75 m wide: whoever comes from the open end passes the first.
     scene = apartment(box("a", 3, 0.4, half=0.1, bottom=0.6), box("b", 6, 0.4, half=0.1, bottom=0.6))
     pathfinder = grid_floor(8, 2, lambda x, z: z > 0.75 and x > 1.5)
-    placer = Placer(scene, pathfinder, RULES, seed=0, max_climb=0.2)
+    placer = placer_of(scene, pathfinder, seed=0)
     with pytest.raises(Rejected) as caught:
         placer.place(program(("a",), ("b",)), "i", compass=False)
     assert caught.value.reason in {"path_enters_other_leaf", "no_start_in_range"}
@@ -259,8 +270,8 @@ def test_a_corridor_past_one_leaf_to_the_other_is_refused() -> None:
 def test_order_of_calls_changes_nothing(flat) -> None:
     scene, pathfinder = flat
     programs = [program(("sofa",), ("sink",)), program(("bed",), ("lamp",)), program(("table", "sofa"), ("lamp",))]
-    one = Placer(scene, pathfinder, RULES, seed=5, max_climb=0.2)
-    other = Placer(scene, pathfinder, RULES, seed=5, max_climb=0.2)
+    one = placer_of(scene, pathfinder)
+    other = placer_of(scene, pathfinder)
     first = [one.place(p, f"{k}", compass=False) for k, p in enumerate(programs)]
     second = [other.place(p, f"{k}", compass=False) for k, p in reversed(list(enumerate(programs)))][::-1]
     for a, b in zip(first, second, strict=True):
@@ -270,9 +281,9 @@ def test_order_of_calls_changes_nothing(flat) -> None:
 
 def test_pool_keeps_quota_gold_balance_and_label_cap(flat) -> None:
     scene, pathfinder = flat
-    placer = Placer(scene, pathfinder, RULES, seed=5, max_climb=0.2)
+    placer = placer_of(scene, pathfinder)
     names = [o.object_id for o in OBJECTS]
-    cell = Cell("simple", count=8)
+    cell = InstructionCell(category="simple", count=8)
     candidates = [Candidate(f"{a}-{b}", program((a,), (b,)), cell) for a in names for b in names if a != b]
     pool = fill_pool(candidates * 2, placer, (cell,), 0.3, lambda _: False)
     assert 0 < len(pool.episodes) <= 8

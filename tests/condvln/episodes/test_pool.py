@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from itertools import permutations
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -12,24 +13,29 @@ import pytest
 from condvln.episodes import pool as pool_module
 from condvln.episodes.candidates import Candidate, candidates_from_table, candidates_table
 from condvln.episodes.observability import Observer
-from condvln.episodes.placing import Placer, Rejected
+from condvln.episodes.placing import Rejected
 from condvln.episodes.pool import Pool, fill_pool
-from condvln.episodes.rules import REASONS, EpisodeRules
+from condvln.episodes.rules import REASONS
 from condvln.episodes.table import funnel_table, placements_table, rejections_table, with_text
 from condvln.episodes.unplaced import unplaced_programs
 from condvln.episodes.view import SceneView
-from condvln.instructions import Cell
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Scene
+from schemas.config import EpisodeConfig, InstructionCell, PlacesConfig
 from schemas.program import SHAPES, Condition, Leaf, ObjectRef, Program, RoomRef
 from schemas.tables import EPISODES
-from tests.condvln.episodes.floors import apartment, box, grid_floor, inside
+from tests.condvln.episodes.floors import apartment, box, grid_floor, inside, placer_of
 
-RULES = EpisodeRules()
+PLACES, RULES = PlacesConfig(), EpisodeConfig()
 ZONE = RoomRef(room_id="zone", label="apartment")
 OBJECTS = (box("sofa", 1, 1), box("sink", 9, 1), box("lamp", 9, 5), box("bed", 1, 5), box("table", 5, 3))
 SCREEN = box("screen", 3, 3, half=0.4, top=2.4)
 NAMES = [o.object_id for o in OBJECTS]
+
+
+def simple(**axes: Any) -> InstructionCell:
+    """A cell of the category with one condition."""
+    return InstructionCell(category="simple", **axes)
 
 
 @pytest.fixture(scope="module")
@@ -47,14 +53,14 @@ def asking(first: str, second: str, witness: str, truth: bool) -> Program:
     return Program(category="simple", conditions=(condition,), branches=SHAPES["simple"].branches, leaves=tuple(leaves))
 
 
-def filled(flat, candidates: list[Candidate], cells: tuple[Cell, ...], label_cap: float = 1.0) -> Pool:
+def filled(flat, candidates: list[Candidate], cells: tuple[InstructionCell, ...], label_cap: float = 1.0) -> Pool:
     scene, pathfinder = flat
-    placer = Placer(scene, pathfinder, RULES, seed=5, max_climb=0.2)
-    observer = Observer(scene, SceneView(scene), pathfinder, RULES, placer.obstacles)
+    placer = placer_of(scene, pathfinder)
+    observer = Observer(scene, SceneView(scene), pathfinder, PLACES, RULES, placer.obstacles)
     return fill_pool(candidates, placer, cells, label_cap, lambda _: True, observer)
 
 
-def drawn(*cells: Cell) -> list[Candidate]:
+def drawn(*cells: InstructionCell) -> list[Candidate]:
     """Every program for every cell, of both truths in turn."""
     programs = [
         asking(first, second, witness, truth)
@@ -68,7 +74,7 @@ LEVELS = ("O0f", "O0", "O1", "O2")
 
 
 def test_every_cell_gets_what_it_asks_for(flat) -> None:
-    cells = tuple(Cell("simple", observability=level, count=6) for level in LEVELS)
+    cells = tuple(simple(observability=level, count=6) for level in LEVELS)
     pool = filled(flat, drawn(*cells), cells)
     for cell in cells:
         found = [e for e in pool.episodes if e.candidate.cell == cell]
@@ -85,7 +91,7 @@ def test_every_cell_gets_what_it_asks_for(flat) -> None:
 
 def test_a_cell_bounds_the_routes_to_all_leaves(flat) -> None:
     bounds = ((2.0, 4.5), (4.0, 6.0), (5.5, 12.0), (40.0, 50.0))
-    cells = tuple(Cell("simple", route=route, count=4) for route in bounds)
+    cells = tuple(simple(route=route, count=4) for route in bounds)
     pool = filled(flat, drawn(*cells), cells)
     for cell in cells[:3]:
         least, most = cell.route
@@ -107,7 +113,7 @@ def test_a_cell_bounds_the_routes_to_all_leaves(flat) -> None:
 
 def test_bounds_of_a_route_may_be_met_and_those_beyond_every_route_change_nothing(flat) -> None:
     scene, pathfinder = flat
-    placer = Placer(scene, pathfinder, RULES, seed=5, max_climb=0.2)
+    placer = placer_of(scene, pathfinder)
     one_stop = asking("sofa", "sink", "bed", truth=True)
     stops = [tuple(ObjectRef(object_id=n, label=n, room=ZONE) for n in names) for names in (("bed", "sink"), ("sofa",))]
     for program in (one_stop, one_stop.model_copy(update={"leaves": tuple(Leaf(moves=moves) for moves in stops)})):
@@ -125,7 +131,10 @@ def test_bounds_of_a_route_may_be_met_and_those_beyond_every_route_change_nothin
 
 
 def test_every_candidate_is_an_episode_or_is_counted_once(flat) -> None:
-    cells = (Cell("simple", observability="O0", count=5), Cell("simple", moves=1, count=4))
+    cells = (
+        simple(observability="O0", count=5),
+        simple(moves=1, count=4),
+    )
     candidates = drawn(*cells)
     pool = filled(flat, candidates, cells, label_cap=0.3)
     rejections = rejections_table("flat", "episodes", pool.rejections, pool.examples).to_pylist()
@@ -147,7 +156,10 @@ def test_every_candidate_is_an_episode_or_is_counted_once(flat) -> None:
 
 
 def test_what_is_asked_of_one_cell_leaves_the_others_alone(flat) -> None:
-    plain, seen = Cell("simple", count=6), Cell("simple", observability="O0f", count=6)
+    plain, seen = (
+        simple(count=6),
+        simple(observability="O0f", count=6),
+    )
     alone = filled(flat, drawn(plain), (plain,))
     beside = filled(flat, drawn(plain) + drawn(seen), (plain, seen))
     kept = [e for e in beside.episodes if e.candidate.cell == plain]
@@ -161,7 +173,10 @@ def test_what_is_asked_of_one_cell_leaves_the_others_alone(flat) -> None:
 
 
 def test_instructions_without_episodes_keep_to_cells_and_gold_balance() -> None:
-    cells = (Cell("simple", observability="O1", count=5), Cell("simple", count=4))
+    cells = (
+        simple(observability="O1", count=5),
+        simple(count=4),
+    )
     candidates = drawn(*cells)
     chosen = [c for c in candidates if c.instruction_id in set(unplaced_programs(candidates))]
     assert Counter(c.cell for c in chosen) == {cells[0]: 5, cells[1]: 4}
@@ -179,13 +194,13 @@ def quadruple(first: str, second: str, witness: str, name: str) -> list[Candidat
 
 
 def test_a_counterfactual_group_shares_its_start_and_comes_whole(flat) -> None:
-    cell = Cell("simple", count=8)
+    cell = simple(count=8)
     groups = [
         member for k, names in enumerate(permutations(NAMES, 3)) for member in quadruple(*names, name=f"group {k}")
     ]
     scene, pathfinder = flat
-    placer = Placer(scene, pathfinder, RULES, seed=5, max_climb=0.2)
-    observer = Observer(scene, SceneView(scene), pathfinder, RULES)
+    placer = placer_of(scene, pathfinder)
+    observer = Observer(scene, SceneView(scene), pathfinder, PLACES, RULES)
     pool = fill_pool([*drawn(cell), *groups], placer, (cell,), 0.5, lambda p: p.conditions[0].truth, observer, 3)
     members: dict[str, list] = {}
     for episode in pool.episodes:
@@ -218,7 +233,7 @@ def test_a_group_is_trimmed_away_whole(flat) -> None:
     pool = filled(flat, [], ())
     assert pool.episodes == []
     scene, pathfinder = flat
-    placer = Placer(scene, pathfinder, RULES, seed=5, max_climb=0.2)
+    placer = placer_of(scene, pathfinder)
     groups = [
         m
         for k, names in enumerate([("sofa", "sink", "bed"), ("sofa", "lamp", "bed"), ("sofa", "table", "bed")])
@@ -236,7 +251,7 @@ def test_a_group_is_trimmed_away_whole(flat) -> None:
 
 def test_a_group_has_one_step_budget_by_its_longest_text(flat) -> None:
     scene, pathfinder = flat
-    placer = Placer(scene, pathfinder, RULES, seed=5, max_climb=0.2)
+    placer = placer_of(scene, pathfinder)
     candidates = quadruple("sofa", "sink", "bed", "g")
     pool = fill_pool(candidates, placer, (), 1.0, lambda _: False, None, 1)
     placements = placements_table("flat", pool, {c.instruction_id: "C0" for c in candidates}, "0" * 64)
@@ -254,6 +269,9 @@ def test_a_group_has_one_step_budget_by_its_longest_text(flat) -> None:
 
 
 def test_candidates_are_kept_in_a_table_without_loss(flat) -> None:
-    cells = (Cell("simple", observability="O1", count=5), Cell("simple", count=4))
+    cells = (
+        simple(observability="O1", count=5),
+        simple(count=4),
+    )
     candidates = [*drawn(*cells), *quadruple("sofa", "sink", "bed", "g")]
     assert candidates_from_table(candidates_table("flat", candidates), cells) == candidates

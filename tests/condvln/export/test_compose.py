@@ -21,7 +21,6 @@ from PIL import Image
 from condvln.export.compose import ComposedScene, compose_scene
 from condvln.export.compose.part import GlbPart, read_part
 from condvln.export.compose.writer import GlbWriter
-from condvln.navigation.agent import Agent
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.recast.meshes import Z_UP, glb_triangles
 from condvln.samples.maker import make_layouts, make_samples, write_replicacad
@@ -31,6 +30,7 @@ from condvln.sources.glb import glb_chunks, read_glb
 from condvln.sources.navmesh_build import with_built_navmesh
 from condvln.sources.registry import open_source
 from condvln.sources.source import Source
+from schemas.config import AgentConfig
 from schemas.errors import FormatError, InputError
 
 F64 = NDArray[np.float64]
@@ -55,7 +55,7 @@ def first(source: Source) -> tuple[Scene, SceneGeometry]:
 
 def composed(source: Source) -> tuple[Scene, SceneGeometry, ComposedScene]:
     scene, geometry = first(source)
-    return scene, geometry, compose_scene(scene, geometry, Agent())
+    return scene, geometry, compose_scene(scene, geometry, AgentConfig())
 
 
 def signed(vertices: F64, faces: NDArray[np.integer]) -> F64:
@@ -124,7 +124,7 @@ def test_the_navmesh_leads_as_the_shipped_one_does(made: Path) -> None:
     source = open_source("replicacad", made / "replicacad")
     for handle in source.handles():
         scene = source.read(handle.scene_id)
-        whole = compose_scene(scene, source.geometry(scene), Agent())
+        whole = compose_scene(scene, source.geometry(scene), AgentConfig())
         assert scene.navmesh is not None
         assert scene.navmesh.fits
         shipped, ours = Pathfinder.load(scene.root / scene.navmesh.path), Pathfinder(whole.navmesh)
@@ -151,7 +151,7 @@ def test_real_furniture_stands_where_the_shipped_navmesh_goes_around_it(real_dat
     source = open_source("replicacad", root, scenes=("v3_sc[01]_staging_00",))
     for handle in source.handles():
         scene = source.read(handle.scene_id)
-        whole = compose_scene(scene, source.geometry(scene), Agent())
+        whole = compose_scene(scene, source.geometry(scene), AgentConfig())
         assert scene.navmesh is not None
         shipped, ours = Pathfinder.load(root / scene.navmesh.path), Pathfinder(whole.navmesh)
         main = max(range(shipped.num_islands), key=shipped.island_area)
@@ -169,7 +169,7 @@ def test_real_furniture_stands_where_the_shipped_navmesh_goes_around_it(real_dat
 def test_drawn_scenes_have_the_navmesh_of_their_episodes(made: Path, family: str) -> None:
     """Byte for byte that which was built for the scene, so that distances hold in the simulator."""
     scene, geometry, whole = composed(open_source(family, made / family))
-    assert with_built_navmesh(scene, geometry, Agent())[1] == whole.navmesh.to_bytes()
+    assert with_built_navmesh(scene, geometry, AgentConfig())[1] == whole.navmesh.to_bytes()
 
 
 @pytest.mark.parametrize(
@@ -182,18 +182,18 @@ def test_real_scenes_have_the_navmesh_of_their_episodes(real_data: Path, family:
         scene = source.read(handle.scene_id)
         geometry = source.geometry(scene)
         assert geometry is not None
-        whole = compose_scene(scene, geometry, Agent())
-        assert with_built_navmesh(scene, geometry, Agent())[1] == whole.navmesh.to_bytes()
+        whole = compose_scene(scene, geometry, AgentConfig())
+        assert with_built_navmesh(scene, geometry, AgentConfig())[1] == whole.navmesh.to_bytes()
 
 
 def test_the_navmesh_is_the_agents(made: Path) -> None:
     scene, geometry = first(open_source("procthor", made / "procthor"))
-    wide = compose_scene(scene, geometry, Agent(radius=0.3, height=1.0))
+    wide = compose_scene(scene, geometry, AgentConfig(radius=0.3, height=1.0))
     assert (wide.navmesh.known_settings.agent_radius, wide.navmesh.known_settings.agent_height) == (
         pytest.approx(0.3),
         pytest.approx(1.0),
     )
-    narrow = compose_scene(scene, geometry, Agent())
+    narrow = compose_scene(scene, geometry, AgentConfig())
     assert wide.glb == narrow.glb
     assert Pathfinder(wide.navmesh).navigable_area < Pathfinder(narrow.navmesh).navigable_area
 
@@ -202,7 +202,7 @@ def test_without_surfaces_there_is_nothing_to_compose(real_data: Path) -> None:
     source = open_source("replicacad", real_data / "replicacad")
     scene = source.read("v3_sc0_staging_00")
     with pytest.raises(InputError, match="neither a mesh nor walls") as caught:
-        compose_scene(scene, source.geometry(scene), Agent())
+        compose_scene(scene, source.geometry(scene), AgentConfig())
     assert caught.value.where == "replicacad/v3_sc0_staging_00"
 
 

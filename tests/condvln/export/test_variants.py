@@ -20,6 +20,7 @@ from condvln.export.splits import SPLITS
 from condvln.export.tables import MemoryTables
 from condvln.navigation.connectivity import read_connectivity
 from condvln.navigation.graph_pathfinder import GraphPathfinder
+from schemas.config import SplitsConfig
 from tests.condvln.export.conftest import linear_text
 from tests.made_snapshot import made_snapshot
 from tests.strict_loader import AnsrEpisode, RxRInstruction, load_split, read
@@ -49,7 +50,7 @@ def test_numbers_of_a_million_ids_do_not_collide() -> None:
 
 
 def test_shards_hold_the_episodes_scene_by_scene(exported: Path, tables: MemoryTables, tmp_path: Path) -> None:
-    report = export_snapshot(tables, tmp_path, ExportConfig(sharded=True), oracle_texts=linear_text)
+    report = export_snapshot(tables, tmp_path, ExportConfig(SplitsConfig(sharded=True)), oracle_texts=linear_text)
     for variant, kind in (("vlnce", None), ("ansr", AnsrEpisode), ("oracle", None)):
         for split in SPLITS:
             whole = read(exported / variant / split / f"{split}.json.gz")
@@ -76,14 +77,14 @@ def test_two_sources_with_one_scene_name_get_two_shards(tmp_path: Path) -> None:
         episode["instruction_text"] += " b"
     renamed["episodes"] = pa.Table.from_pylist(episodes, renamed["episodes"].schema)
     both = MemoryTables("both", {"procthor": made.tables["procthor"], "ithor": renamed})
-    report = export_snapshot(both, tmp_path, ExportConfig(sharded=True))
+    report = export_snapshot(both, tmp_path, ExportConfig(SplitsConfig(sharded=True)))
     written = [path for path in report.files if path.startswith("vlnce/") and "/content/" in path]
     assert len(written) == sum(len(scenes) for scenes in report.scenes.values())
     assert sum(len(read(tmp_path / path)["episodes"]) for path in written) == sum(report.episodes.values())
 
 
 def test_files_of_former_shards_do_not_linger(tables: MemoryTables, tmp_path: Path) -> None:
-    export_snapshot(tables, tmp_path, ExportConfig(sharded=True))
+    export_snapshot(tables, tmp_path, ExportConfig(SplitsConfig(sharded=True)))
     assert list((tmp_path / "vlnce" / "train" / "content").iterdir())
     export_snapshot(tables, tmp_path)
     assert not list((tmp_path / "vlnce").rglob("content/*.json.gz"))

@@ -8,12 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from condvln.instructions import InstructionConfig, LabelPriors, ProgramSampler
+from condvln.instructions import LabelPriors, ProgramSampler
 from condvln.instructions.degeneracy import degeneracies
 from condvln.labels import vocabulary
 from condvln.relations import TextFacts, relate_scene, text_facts
 from condvln.scene import Room, Scene, SceneObject, round_mm
+from schemas.config import Thresholds
 from schemas.program import CATEGORIES, Condition, ObjectRef, Program, RoomRef
+from tests.condvln.instructions.made_sampler import made_sampler
+
+T = Thresholds()
 
 HOUSE = ("kitchen", "living room", "bedroom", "bedroom", "bathroom")
 
@@ -107,7 +111,7 @@ FactsMaker = Callable[[Scene], dict[str, TextFacts]]
 
 def facts_of(scene: Scene) -> dict[str, TextFacts]:
     """Facts fit for text of all rooms of a scene."""
-    return {room_id: text_facts(relations) for room_id, relations in relate_scene(scene).items()}
+    return {room_id: text_facts(relations, T) for room_id, relations in relate_scene(scene, T).items()}
 
 
 @pytest.fixture(scope="session")
@@ -121,12 +125,12 @@ def sampled() -> list[tuple[Scene, dict[str, TextFacts], ProgramSampler, list[Pr
     """Two houses and two apartments with their facts, sampler and programs, all categories."""
     kinds = [(HOUSE, 18), (HOUSE, 14), (("apartment",), 30), (("apartment",), 26)]
     scenes = [made_scene(seed, rooms, n) for seed, (rooms, n) in enumerate(kinds)]
-    priors = LabelPriors.merged(LabelPriors.of_scene(scene) for scene in scenes)
-    config = InstructionConfig(per_category=dict.fromkeys(CATEGORIES, 6), candidates_per_episode=10)
+    priors = LabelPriors.merged(LabelPriors.of_scene(scene, T, 0.3) for scene in scenes)
+    wanted = dict.fromkeys(CATEGORIES, 6)
     found = []
     for scene in scenes:
         facts = facts_of(scene)
-        sampler = ProgramSampler(scene, facts, priors.bits(scene), config, seed=0)
+        sampler = made_sampler(scene, facts, priors.bits(scene, 0.05), per_category=wanted, candidates=10)
         found.append((scene, facts, sampler, [p for c in CATEGORIES for p in sampler.candidates(c)]))
     return found
 

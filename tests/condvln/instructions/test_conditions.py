@@ -14,6 +14,7 @@ from condvln.instructions.conditions import ConditionPool, Question, balanced_we
 from condvln.instructions.priors import EVIDENCE, STAGINGS, PriorBits
 from condvln.instructions.referents import Referents
 from condvln.labels import vocabulary
+from schemas.config import Thresholds
 
 NO_BITS = PriorBits({}, {}, {})
 
@@ -48,7 +49,7 @@ def questions_of(pool: ConditionPool) -> list[Question]:
 def test_statements_hold(make_scene, facts_maker, seed: int, rich: bool) -> None:
     scenes = [make_scene(s, objects=14) for s in range(seed, seed + (12 if rich else 1))]
     scene, facts = scenes[0], facts_maker(scenes[0])
-    bits = LabelPriors.merged(LabelPriors.of_scene(s) for s in scenes).bits(scene)
+    bits = LabelPriors.merged(LabelPriors.of_scene(s, Thresholds(), 0.3) for s in scenes).bits(scene, 0.05)
     kinds = set()
     for room in scene.rooms:
         referents = Referents.of(room, scene.arrays(room.room_id), facts[room.room_id], vocabulary, 0.3)

@@ -6,10 +6,12 @@ from collections import Counter
 
 import numpy as np
 
-from condvln.instructions import Cell, InstructionConfig, LabelPriors, ProgramSampler
+from condvln.instructions import LabelPriors
 from condvln.instructions.counterfactuals import counterfactual_group, group_id, swapped
 from condvln.instructions.draws import Draws
 from condvln.labels import vocabulary
+from schemas.config import InstructionCell, Thresholds
+from tests.condvln.instructions.made_sampler import made_sampler
 
 
 def test_groups(sampled, prove) -> None:
@@ -52,12 +54,12 @@ def test_groups(sampled, prove) -> None:
 def test_a_sampler_s_groups_take_the_categories_in_turn(make_scene, facts_maker, prove) -> None:
     scene = make_scene(0, side=8.0)
     facts = facts_maker(scene)
-    bits = LabelPriors.of_scene(scene).bits(scene)
+    bits = LabelPriors.of_scene(scene, Thresholds(), 0.3).bits(scene, 0.05)
     wanted = {"simple": 3, "nested": 3, "chain": 3}
+    asked = {"per_category": wanted, "counterfactual_groups": 3}
 
     def groups(**changes) -> list[tuple]:
-        config = InstructionConfig(per_category=wanted, candidates_per_episode=6, counterfactual_groups=3, **changes)
-        return list(ProgramSampler(scene, facts, bits, config, 0).groups())
+        return list(made_sampler(scene, facts, bits, candidates=6, **asked, **changes).groups())
 
     found = groups()
     assert 12 <= len(found) <= 18
@@ -68,20 +70,13 @@ def test_a_sampler_s_groups_take_the_categories_in_turn(make_scene, facts_maker,
         assert len({program.category for program in group}) == 1
         for program in group:
             prove(program, scene, facts)
-    sampler = ProgramSampler(
-        scene,
-        facts,
-        bits,
-        InstructionConfig(per_category=wanted, candidates_per_episode=6, counterfactual_groups=3),
-        0,
-    )
+    sampler = made_sampler(scene, facts, bits, candidates=6, **asked)
     before = [p for c in wanted for p in sampler.candidates(c)]
     assert list(sampler.groups()) == found, "whatever was drawn before"
-    none = InstructionConfig(per_category=wanted, candidates_per_episode=6)
-    alone = ProgramSampler(scene, facts, bits, none, 0)
+    alone = made_sampler(scene, facts, bits, candidates=6, per_category=wanted, counterfactual_groups=0)
     assert [p for c in wanted for p in alone.candidates(c)] == before
     assert list(alone.groups()) == []
-    in_cells = groups(cells=(Cell("chain", "C1", 2, count=4),))
+    in_cells = groups(cells=(InstructionCell(category="chain", composition="C1", moves=2, count=4),))
     assert {len(leaf.moves) for g in in_cells for p in g if p.category == "chain" for leaf in p.leaves} == {2}
 
 

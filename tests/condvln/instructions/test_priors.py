@@ -13,6 +13,12 @@ from condvln.instructions.priors import EVIDENCE, PRIORS, STAGINGS
 from condvln.labels import vocabulary
 from condvln.scene import Scene
 from condvln.scene.tables import scene_tables
+from schemas.config import SamplingConfig, Thresholds
+
+
+def counted(scene: Scene) -> LabelPriors:
+    """Counts of one scene under the configuration's defaults."""
+    return LabelPriors.of_scene(scene, Thresholds(), SamplingConfig().anchor_size)
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +27,7 @@ def scenes(make_scene):
 
 
 def test_order_and_grouping_do_not_matter(scenes) -> None:
-    parts = [LabelPriors.of_scene(scene) for scene in scenes]
+    parts = [counted(scene) for scene in scenes]
     whole = LabelPriors.merged(parts).table()
     for seed in range(5):
         shuffled = random.Random(seed).sample(parts, len(parts))
@@ -37,12 +43,12 @@ def test_order_and_grouping_do_not_matter(scenes) -> None:
 
 def test_tables_give_what_scenes_give(scenes) -> None:
     tables = [scene_tables(scene) for scene in scenes]
-    parts = [LabelPriors.of_tables(t["rooms"], t["objects"]) for t in tables]
-    assert LabelPriors.merged(parts).table().equals(LabelPriors.merged(map(LabelPriors.of_scene, scenes)).table())
+    parts = [LabelPriors.of_tables(t["rooms"], t["objects"], Thresholds(), 0.3) for t in tables]
+    assert LabelPriors.merged(parts).table().equals(LabelPriors.merged(map(counted, scenes)).table())
 
 
 def test_counts_are_those_of_the_rooms(scenes) -> None:
-    bits = LabelPriors.merged(map(LabelPriors.of_scene, scenes), 0.5).bits(scenes[0])
+    bits = LabelPriors.merged(map(counted, scenes)).bits(scenes[0], 0.5)
     rooms = [
         (
             room.label,
@@ -65,7 +71,7 @@ def test_counts_are_those_of_the_rooms(scenes) -> None:
 
 
 def test_relations_are_counted_once_a_room(scenes, facts_maker) -> None:
-    bits = LabelPriors.merged(map(LabelPriors.of_scene, scenes)).bits(scenes[0])
+    bits = LabelPriors.merged(map(counted, scenes)).bits(scenes[0], 0.05)
     for room_type, label, predicate, anchor in bits.counts:
         true, false = bits.counts[room_type, label, predicate, anchor]
         assert true + false <= sum(room.label == room_type for scene in scenes for room in scene.rooms)
@@ -74,7 +80,7 @@ def test_relations_are_counted_once_a_room(scenes, facts_maker) -> None:
 
 
 def test_a_scene_reads_only_its_own_rooms_and_labels(scenes) -> None:
-    bits = LabelPriors.merged(map(LabelPriors.of_scene, scenes)).bits(scenes[3])
+    bits = LabelPriors.merged(map(counted, scenes)).bits(scenes[3], 0.05)
     seen = {o.label for o in scenes[3].objects}
     types = {room.label for room in scenes[3].rooms}
     assert {key[0] for key in bits.counts} <= types
@@ -83,19 +89,19 @@ def test_a_scene_reads_only_its_own_rooms_and_labels(scenes) -> None:
 
 def test_a_scene_of_one_room_reads_all_labels_of_its_type(make_scene) -> None:
     scenes = [make_scene(seed, ("apartment",), 6) for seed in range(8)]
-    bits = LabelPriors.merged(map(LabelPriors.of_scene, scenes)).bits(scenes[0])
+    bits = LabelPriors.merged(map(counted, scenes)).bits(scenes[0], 0.05)
     everywhere = {o.label for scene in scenes for o in scene.objects}
     assert {key[1] for key in bits.counts if not key[2]} == everywhere
 
 
 def test_the_document_changes_with_what_is_read_and_only_then(scenes, make_scene) -> None:
-    priors = LabelPriors.merged(map(LabelPriors.of_scene, scenes))
-    elsewhere = LabelPriors.of_scene(make_scene(77, ("apartment",)))
-    document = priors.bits(scenes[0]).document()
-    assert LabelPriors.merged([priors, elsewhere]).bits(scenes[0]).document() == document
-    more = LabelPriors.merged([priors, LabelPriors.of_scene(make_scene(78))])
-    assert more.bits(scenes[0]).document() != document
-    assert LabelPriors.from_table(priors.table()).bits(scenes[0]).document() == document
+    priors = LabelPriors.merged(map(counted, scenes))
+    elsewhere = counted(make_scene(77, ("apartment",)))
+    document = priors.bits(scenes[0], 0.05).document()
+    assert LabelPriors.merged([priors, elsewhere]).bits(scenes[0], 0.05).document() == document
+    more = LabelPriors.merged([priors, counted(make_scene(78))])
+    assert more.bits(scenes[0], 0.05).document() != document
+    assert LabelPriors.from_table(priors.table()).bits(scenes[0], 0.05).document() == document
 
 
 @pytest.mark.parametrize("rooms", [("apartment",), ("kitchen", "bedroom")], ids=["one room", "two rooms"])
@@ -106,19 +112,19 @@ def test_a_staging_reads_the_counts_of_its_layout(make_scene, rooms: tuple[str, 
 
     stagings = made("v3_sc0_staging_{:02}", STAGINGS, 0)
     others = made("v3_sc1_staging_{:02}", STAGINGS - 1, 100) + made("apt_{}", 5, 200)
-    priors = LabelPriors.merged(map(LabelPriors.of_scene, [*stagings, *others]))
+    priors = LabelPriors.merged(map(counted, [*stagings, *others]))
     pooled = LabelPriors.merged(
-        LabelPriors.of_scene(replace(scene, scene_id=f"apt_{k}")) for k, scene in enumerate([*stagings, *others])
+        counted(replace(scene, scene_id=f"apt_{k}")) for k, scene in enumerate([*stagings, *others])
     )
-    alone = LabelPriors.merged(map(LabelPriors.of_scene, stagings))
+    alone = LabelPriors.merged(map(counted, stagings))
     for scene in stagings:
-        found = priors.bits(scene)
+        found = priors.bits(scene, 0.05)
         # What is plausible is a matter of all scenes, what is foretold one of the layout.
-        assert (found.plausible, found.varies) == (pooled.bits(scene).plausible, pooled.bits(scene).varies)
+        assert (found.plausible, found.varies) == (pooled.bits(scene, 0.05).plausible, pooled.bits(scene, 0.05).varies)
         assert found.staged == set(rooms)
         assert {found.evidence(room) for room in rooms} == {STAGINGS}
         assert found.document()["staged"] == sorted(rooms)
-        own = alone.bits(scene).counts
+        own = alone.bits(scene, 0.05).counts
         assert {key: seen for key, seen in found.counts.items() if seen[0] or key[2]} == {
             key: seen for key, seen in own.items() if seen[0] or key[2]
         }
@@ -130,6 +136,6 @@ def test_a_staging_reads_the_counts_of_its_layout(make_scene, rooms: tuple[str, 
             assert presence == {label: (labels[label], STAGINGS - labels[label]) for label in everywhere}
     for scene in others:
         # Too few stagings, or none at all.
-        assert priors.bits(scene) == pooled.bits(scene)
-        assert {priors.bits(scene).evidence(room) for room in rooms} == {EVIDENCE}
-        assert "staged" not in priors.bits(scene).document()
+        assert priors.bits(scene, 0.05) == pooled.bits(scene, 0.05)
+        assert {priors.bits(scene, 0.05).evidence(room) for room in rooms} == {EVIDENCE}
+        assert "staged" not in priors.bits(scene, 0.05).document()

@@ -13,9 +13,7 @@ from sklearn.linear_model import LogisticRegression
 from sklearn.model_selection import GroupKFold
 
 from condvln.instructions import (
-    InstructionConfig,
     LabelPriors,
-    ProgramSampler,
     instruction_id,
     parse,
     reading_of,
@@ -23,7 +21,9 @@ from condvln.instructions import (
 )
 from condvln.scene import Scene
 from condvln.sources.registry import open_source
+from schemas.config import Thresholds
 from schemas.program import CATEGORIES, SHAPES, Category, Program
+from tests.condvln.instructions.made_sampler import made_sampler
 
 FAMILIES = ("replicacad", "procthor", "ithor", "gibson")
 
@@ -39,12 +39,12 @@ def read(real_data: Path, family: str, count: int | None) -> list[Scene]:
 @pytest.mark.parametrize("family", FAMILIES)
 def test_programs_of_real_scenes_are_proven(real_data: Path, facts_maker, prove, family: str) -> None:
     scenes = read(real_data, family, 4)
-    priors = LabelPriors.merged(LabelPriors.of_scene(scene) for scene in scenes)
-    config = InstructionConfig(per_category=dict.fromkeys(CATEGORIES, 1), candidates_per_episode=8)
+    priors = LabelPriors.merged(LabelPriors.of_scene(scene, Thresholds(), 0.3) for scene in scenes)
+    wanted = dict.fromkeys(CATEGORIES, 1)
     drawn = 0
     for scene in scenes:
         facts = facts_maker(scene)
-        sampler = ProgramSampler(scene, facts, priors.bits(scene), config, seed=0)
+        sampler = made_sampler(scene, facts, priors.bits(scene, 0.05), per_category=wanted)
         for category in CATEGORIES:
             for program in sampler.candidates(category):
                 prove(program, scene, facts)
@@ -81,14 +81,14 @@ def guessed(drawn: Sequence[tuple[str, Program]]) -> float:
 def test_words_alone_do_not_tell_the_gold_leaf(real_data: Path, facts_maker, family: str) -> None:
     scenes = read(real_data, family, None)
     known = [facts_maker(scene) for scene in scenes]
-    priors = LabelPriors.merged(LabelPriors.of_scene(scene) for scene in scenes)
+    priors = LabelPriors.merged(LabelPriors.of_scene(scene, Thresholds(), 0.3) for scene in scenes)
 
     def drawn(category: Category, informed: bool) -> list[tuple[str, Program]]:
-        config = InstructionConfig(per_category={category: 5}, candidates_per_episode=8)
         found = []
         for scene, facts in zip(scenes, known, strict=True):
-            bits = priors.bits(scene)
-            sampler = ProgramSampler(scene, facts, bits if informed else replace(bits, counts={}), config, seed=0)
+            bits = priors.bits(scene, 0.05)
+            known_bits = bits if informed else replace(bits, counts={})
+            sampler = made_sampler(scene, facts, known_bits, per_category={category: 5})
             found += [(scene.scene_id, program) for program in sampler.candidates(category)]
         return found
 

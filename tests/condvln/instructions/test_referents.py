@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from condvln.instructions.config import PREDICATE_GROUPS, PREDICATES
+from condvln.instructions.predicates import PREDICATE_GROUPS, PREDICATES
 from condvln.instructions.referents import Referents, object_refs, room_refs
 from condvln.labels import vocabulary
 from condvln.scene import Room, RoomArrays, SceneObject

@@ -4,24 +4,31 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from pydantic import ValidationError
 from scipy.stats import chisquare
 
-from condvln.instructions import Cell, InstructionConfig, LabelPriors, ProgramSampler
+from condvln.instructions import LabelPriors, ProgramSampler
 from condvln.instructions.composition import composition
 from condvln.instructions.ids import instruction_id
 from condvln.instructions.rejection import REASONS
 from condvln.instructions.rendering import names_compass, render, with_preamble, word_count
 from condvln.instructions.stops import Stops
 from condvln.scene import Scene
-from schemas.config import InstructionsConfig
+from schemas.config import InstructionCell, InstructionsConfig, Thresholds
 from schemas.program import CATEGORIES, Condition, Program
+from tests.condvln.instructions.made_sampler import made_sampler
 
 ALPHA = 1e-4
 """False alarms that a statistical test with a fixed seed may have when it is first written."""
+
+
+def simple(**axes: Any) -> InstructionCell:
+    """A cell of the category with one condition."""
+    return InstructionCell(category="simple", **axes)
 
 
 def test_every_program_is_proven(sampled, prove) -> None:
@@ -120,10 +127,10 @@ def test_compositions(sampled) -> None:
 @pytest.mark.parametrize("moves", [1, 3])
 def test_a_cell_can_be_asked_for(make_scene, facts_maker, composition_: str, moves: int) -> None:
     scene = make_scene(0, side=8.0)
-    facts, bits = facts_maker(scene), LabelPriors.of_scene(scene).bits(scene)
-    cells = (Cell("nested", composition_, moves, count=2),)
-    config = InstructionConfig(per_category={"nested": 90}, candidates_per_episode=10, cells=cells)
-    programs = list(ProgramSampler(scene, facts, bits, config, 0).candidates("nested"))
+    facts, bits = facts_maker(scene), LabelPriors.of_scene(scene, Thresholds(), 0.3).bits(scene, 0.05)
+    cells = (InstructionCell(category="nested", composition=composition_, moves=moves, count=2),)
+    sampler = made_sampler(scene, facts, bits, per_category={"nested": 90}, cells=cells, candidates=10)
+    programs = list(sampler.candidates("nested"))
     assert {composition(p) for p in programs} == {composition_}
     assert {len(leaf.moves) for p in programs for leaf in p.leaves} == {moves}
     assert len(programs) >= 15, "a small room can't fulfil every wish"
@@ -131,10 +138,9 @@ def test_a_cell_can_be_asked_for(make_scene, facts_maker, composition_: str, mov
 
 def test_a_cell_that_cannot_be_had_says_why(make_scene, facts_maker) -> None:
     scene = make_scene(0, ("apartment",), 20)
-    cell = Cell("nested", "C2", count=1)
-    config = InstructionConfig(candidates_per_episode=5, cells=(cell,))
-    bits = LabelPriors.of_scene(scene).bits(scene)
-    sampler = ProgramSampler(scene, facts_maker(scene), bits, config, 0)
+    cell = InstructionCell(category="nested", composition="C2", count=1)
+    bits = LabelPriors.of_scene(scene, Thresholds(), 0.3).bits(scene, 0.05)
+    sampler = made_sampler(scene, facts_maker(scene), bits, cells=(cell,), candidates=5)
     assert list(sampler.candidates("nested")) == []
     assert set(sampler.rejections) == {(cell, "no_targets")}
 
@@ -142,11 +148,10 @@ def test_a_cell_that_cannot_be_had_says_why(make_scene, facts_maker) -> None:
 @pytest.mark.parametrize("preamble", [True, False])
 def test_a_cell_bounds_the_words_of_the_published_text(make_scene, facts_maker, preamble: bool) -> None:
     scene = make_scene(0, side=8.0)
-    facts, bits = facts_maker(scene), LabelPriors.of_scene(scene).bits(scene)
+    facts, bits = facts_maker(scene), LabelPriors.of_scene(scene, Thresholds(), 0.3).bits(scene, 0.05)
 
-    def drawn(*cells: Cell) -> tuple[ProgramSampler, list[Program]]:
-        config = InstructionConfig(cells=cells, candidates_per_episode=10, preamble=preamble)
-        sampler = ProgramSampler(scene, facts, bits, config, 0)
+    def drawn(*cells: InstructionCell) -> tuple[ProgramSampler, list[Program]]:
+        sampler = made_sampler(scene, facts, bits, cells=cells, candidates=10, preamble=preamble)
         return sampler, list(sampler.candidates("simple"))
 
     def texts(program: Program) -> list[str]:
@@ -161,39 +166,34 @@ def test_a_cell_bounds_the_words_of_the_published_text(make_scene, facts_maker, 
         assert word_count(program, 0, name, preamble=preamble) == count
         return count
 
-    _, free = drawn(Cell("simple", count=4))
+    _, free = drawn(simple(count=4))
     assert len({len(texts(program)) for program in free}) == (2 if preamble else 1), "some name the heading, some don't"
     least, middle, most = (int(n) for n in np.percentile([words(p) for p in free], [0, 50, 100]))
     assert least < middle < most
-    low, high = Cell("simple", words=(least, middle), count=4), Cell("simple", words=(middle, most), count=4)
+    low, high = (
+        simple(words=(least, middle), count=4),
+        simple(words=(middle, most), count=4),
+    )
     sampler, bounded = drawn(low, high)
     found = Counter(
         cell for cell, program in sampler.drawn("simple") if cell.words[0] <= words(program) <= cell.words[1]
     )
     assert found.total() == len(bounded)
     assert min(found[low], found[high]) >= 20
-    one = Cell("simple", words=(middle, middle), count=1)
+    one = simple(words=(middle, middle), count=1)
     assert {words(program) for program in drawn(one)[1]} == {middle}, "both bounds are allowed"
-    none = Cell("simple", words=(1, least // 2), count=1)
+    none = simple(words=(1, least // 2), count=1)
     sampler, programs = drawn(none)
     assert programs == []
     assert sampler.rejections[none, "words_missed"] > 100
 
 
-def test_bounds_that_are_not_given_leave_names_and_keys_as_they_were() -> None:
-    plain = Cell("chain", "C2", 3, "O1", count=5)
-    assert plain.document() == {
-        "category": "chain",
-        "composition": "C2",
-        "moves": 3,
-        "observability": "O1",
-        "count": 5,
-    }
-    bounded = replace(plain, route=(5.0, 12.5), words=(20, 60))
+def test_names_tell_what_a_cell_fixes() -> None:
+    plain = InstructionCell(category="chain", composition="C2", moves=3, observability="O1", count=5)
+    assert plain.name == "chain C2 O1 3 moves"
+    bounded = plain.model_copy(update={"route": (5.0, 12.5), "words": (20, 60)})
     assert bounded.name == "chain C2 O1 3 moves 5-12.5 m 20-60 words"
-    assert bounded.document() == {**plain.document(), "route": (5.0, 12.5), "words": (20, 60)}
-    assert InstructionConfig(cells=(plain, bounded)).document()["cells"] == [plain.document(), bounded.document()]
-    assert Cell("chain", route=(5.0, 12.5)).drawn
+    assert InstructionCell(category="chain", route=(5.0, 12.5), count=1).drawn
 
 
 def test_reasons_are_named(sampled) -> None:
@@ -203,9 +203,8 @@ def test_reasons_are_named(sampled) -> None:
 
 
 def draw(scene: Scene, facts, seed: int = 0, stops: Stops | None = None) -> dict[str, list[Program]]:
-    bits = LabelPriors.of_scene(scene).bits(scene)
-    config = InstructionConfig(per_category=dict.fromkeys(CATEGORIES, 1), candidates_per_episode=8)
-    sampler = ProgramSampler(scene, facts, bits, config, seed, stops=stops)
+    bits = LabelPriors.of_scene(scene, Thresholds(), 0.3).bits(scene, 0.05)
+    sampler = made_sampler(scene, facts, bits, per_category=dict.fromkeys(CATEGORIES, 1), seed=seed, stops=stops)
     return {c: list(sampler.candidates(c)) for c in CATEGORIES}
 
 
@@ -217,9 +216,9 @@ def test_programs_depend_on_the_seed_and_on_nothing_else(make_scene, facts_maker
     assert draw(turned, dict(reversed(facts.items()))) == first
     assert draw(scene, facts, seed=1) != first
     # A category's programs don't depend on which others are drawn, or when.
-    bits = LabelPriors.of_scene(scene).bits(scene)
-    alone = InstructionConfig(per_category={"chain": 1}, candidates_per_episode=8)
-    assert list(ProgramSampler(scene, facts, bits, alone, 0).candidates("chain")) == first["chain"]
+    bits = LabelPriors.of_scene(scene, Thresholds(), 0.3).bits(scene, 0.05)
+    alone = made_sampler(scene, facts, bits, per_category={"chain": 1})
+    assert list(alone.candidates("chain")) == first["chain"]
 
 
 def test_what_navigation_knows_is_kept_to(make_scene, facts_maker) -> None:
@@ -241,14 +240,18 @@ def test_what_navigation_knows_is_kept_to(make_scene, facts_maker) -> None:
 def test_a_scene_with_nothing_to_tell_apart_yields_nothing_and_says_so(make_scene, facts_maker) -> None:
     scene = make_scene(0, ("apartment",), 3)
     same = replace(scene, objects=tuple(replace(o, label="chair") for o in scene.objects))
-    sampler = ProgramSampler(same, facts_maker(same), LabelPriors.of_scene(same).bits(same), InstructionConfig(), 0)
+    bits = LabelPriors.of_scene(same, Thresholds(), 0.3).bits(same, 0.05)
+    sampler = made_sampler(same, facts_maker(same), bits)
     assert list(sampler.candidates("simple")) == []
-    assert sampler.rejections == {(Cell("simple", count=20), "nothing_to_ask"): 1}
+    assert sampler.rejections == {(simple(count=20), "nothing_to_ask"): 1}
 
 
 def test_cells_take_the_place_of_their_category_s_number() -> None:
-    cells = (Cell("chain", "C2", 3, "O1", count=50), Cell("chain", count=7))
-    config = InstructionConfig(per_category={"simple": 4, "chain": 9, "nested": 0}, cells=cells)
+    cells = (
+        InstructionCell(category="chain", composition="C2", moves=3, observability="O1", count=50),
+        InstructionCell(category="chain", count=7),
+    )
+    config = InstructionsConfig(per_category={"simple": 4, "chain": 9, "nested": 0}, cells=cells)
     assert [(cell.name, cell.count) for cell in config.wanted] == [
         ("simple", 4),
         ("chain C2 O1 3 moves", 50),
@@ -258,14 +261,18 @@ def test_cells_take_the_place_of_their_category_s_number() -> None:
 
 def test_two_cells_of_one_category_share_no_program(make_scene, facts_maker) -> None:
     scene = make_scene(0, side=8.0)
-    bits = LabelPriors.of_scene(scene).bits(scene)
-    cells = (Cell("simple", "C1", 1, count=3), Cell("simple", "C1", 1, "O1", count=1), Cell("simple", count=2))
-    sampler = ProgramSampler(scene, facts_maker(scene), bits, InstructionConfig(cells=cells), 0)
+    bits = LabelPriors.of_scene(scene, Thresholds(), 0.3).bits(scene, 0.05)
+    cells = (
+        simple(composition="C1", moves=1, count=3),
+        simple(composition="C1", moves=1, observability="O1", count=1),
+        simple(count=2),
+    )
+    sampler = made_sampler(scene, facts_maker(scene), bits, cells=cells)
     drawn = list(sampler.drawn("simple"))
     assert len({program for _, program in drawn}) == len(drawn)
     counts = Counter(cell for cell, _ in drawn)
     assert list(counts) == list(cells)
-    assert all(0 < counts[cell] <= sampler.config.candidates(cell) for cell in cells)
+    assert all(0 < counts[cell] <= sampler.sampling.candidates(cell) for cell in cells)
 
 
 @pytest.mark.parametrize(

@@ -11,10 +11,13 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
-from condvln.relations import RelationThresholds, RoomRelations, relate_scene, relation_table, text_facts
+from condvln.relations import RoomRelations, relate_scene, relation_table, text_facts
 from condvln.scene import Scene
 from condvln.scene.meshes import MeshLibrary
 from condvln.sources.registry import open_source
+from schemas.config import Thresholds
+
+T = Thresholds()
 
 SAMPLE = ("v3_sc0_staging_00", "v3_sc1_staging_03", "apt_0")
 
@@ -31,19 +34,17 @@ def scenes(real_data: Path, names: tuple[str, ...]) -> Iterator[tuple[Scene, Mes
 
 
 def check_scene(scene: Scene, meshes: MeshLibrary) -> RoomRelations:
-    relations = relate_scene(scene, meshes=meshes.world_mesh)
-    table = relation_table(scene, relations)
+    relations = relate_scene(scene, T, meshes=meshes.world_mesh)
+    table = relation_table(scene, relations, T)
     for room_id, room in relations.items():
         aabb, surface = room.metrics.aabb, room.surface
         asked = ~np.isnan(surface) & ~np.eye(len(room), dtype=bool)
-        np.testing.assert_array_equal(
-            asked, (aabb <= RelationThresholds().surface_within) & ~np.eye(len(room), dtype=bool)
-        )
+        np.testing.assert_array_equal(asked, (aabb <= T.surface_within) & ~np.eye(len(room), dtype=bool))
         assert (aabb[asked] <= surface[asked] + ROUNDING).all()
-        again = RoomRelations.from_table(table, scene.arrays(room_id))
+        again = RoomRelations.from_table(table, scene.arrays(room_id), T)
         np.testing.assert_array_equal(again.surface, surface)
-        for predicate, status in text_facts(again).status.items():
-            np.testing.assert_array_equal(status, text_facts(room).status[predicate])
+        for predicate, status in text_facts(again, T).status.items():
+            np.testing.assert_array_equal(status, text_facts(room, T).status[predicate])
     return next(iter(relations.values()))
 
 
@@ -58,7 +59,7 @@ def test_every_edge_re_derives_from_its_own_metrics(
     real_data: Path, name: str, check_edges: Callable[[pa.Table, Scene], None]
 ) -> None:
     for scene, meshes in scenes(real_data, (name,)):
-        check_edges(relation_table(scene, relate_scene(scene, meshes=meshes.world_mesh)), scene)
+        check_edges(relation_table(scene, relate_scene(scene, T, meshes=meshes.world_mesh), T), scene)
 
 
 @pytest.mark.soak
@@ -104,7 +105,7 @@ def test_surfaces_against_points_sampled_on_them(real_data: Path) -> None:
 def test_edges_of_a_real_kitchen_read_true(real_data: Path) -> None:
     """What one sees in the render of this apartment, as the table says it."""
     ((scene, meshes),) = scenes(real_data, ("v3_sc1_staging_03",))
-    rows = relation_table(scene, relate_scene(scene, meshes=meshes.world_mesh)).to_pylist()
+    rows = relation_table(scene, relate_scene(scene, T, meshes=meshes.world_mesh), T).to_pylist()
     said = {(r["subject"].split(":")[0], r["predicate"], r["target"].split(":")[0]) for r in rows if r["true_in_text"]}
     assert ("kitchenCupboard_01", "above", "kitchen_counter") in said
     assert ("fridge", "near", "kitchen_counter") in said

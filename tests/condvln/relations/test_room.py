@@ -8,8 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from condvln.relations import CANONICAL, COMPASS, SECTORS, SEMANTIC, RelationThresholds, RoomRelations, relate_room
+from condvln.relations import CANONICAL, COMPASS, SECTORS, SEMANTIC, RoomRelations, relate_room
 from condvln.scene import RoomArrays, SceneObject, round_mm
+from schemas.config import Thresholds
+
+T = Thresholds()
 
 Maker = Callable[..., SceneObject]
 RoomOf = Callable[[Sequence[SceneObject]], RoomArrays]
@@ -52,7 +55,8 @@ def test_edges_read_as_english(make: Maker, room_of: RoomOf) -> None:
                 make("clock", (0.1, 1.8, 0), (0.1, 0.1, 0.02)),
                 make("door", (4.5, 0.4, 0), (0.05, 0.4, 0.5)),
             ]
-        )
+        ),
+        T,
     )
     assert names(relations, "stool", "dishwasher") == {"north of", "near"}
     assert names(relations, "dishwasher", "stool") == {"south of", "near"}
@@ -82,7 +86,7 @@ def test_edges_read_as_english(make: Maker, room_of: RoomOf) -> None:
 def test_semantic_thresholds_are_closed(
     make: Maker, room_of: RoomOf, shift: tuple[float, float, float], expected: set[str]
 ) -> None:
-    relations = relate_room(room_of([make("a", shift, (0.1,) * 3), make("b", (0, 0, 0), (0.1,) * 3)]))
+    relations = relate_room(room_of([make("a", shift, (0.1,) * 3), make("b", (0, 0, 0), (0.1,) * 3)]), T)
     assert names(relations, "a", "b") & set(SEMANTIC) == expected
 
 
@@ -97,7 +101,8 @@ def test_degenerate_and_coincident_pairs(make: Maker, room_of: RoomOf) -> None:
                 make("d", (0.001, 0, 0), half),
                 make("e", (0.1, 0, 0), half),
             ]
-        )
+        ),
+        T,
     )
     assert names(relations, "a", "b") == {"near"}
     assert names(relations, "c", "a") == {"up of", "near", "higher than", "above"}
@@ -107,7 +112,7 @@ def test_degenerate_and_coincident_pairs(make: Maker, room_of: RoomOf) -> None:
 
 
 def test_opposites_hold_both_ways(furnished: list[SceneObject], room_of: RoomOf) -> None:
-    relations = relate_room(room_of(furnished))
+    relations = relate_room(room_of(furnished), T)
     for predicate, opposite in OPPOSITE.items():
         np.testing.assert_array_equal(relations.semantic[predicate], relations.semantic[opposite].T)
     np.testing.assert_array_equal(relations.degenerate, relations.degenerate.T)
@@ -125,8 +130,8 @@ def opposite_direction(predicate: str) -> str:
 def test_a_quarter_turn_turns_every_sector_by_two(furnished: list[SceneObject], room_of: RoomOf) -> None:
     """Counter-clockwise from above takes east (+X) to north (−Z)."""
     quarter = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
-    before = relate_room(room_of(furnished))
-    after = relate_room(room_of([moved(o, quarter, np.zeros(3)) for o in furnished]))
+    before = relate_room(room_of(furnished), T)
+    after = relate_room(room_of([moved(o, quarter, np.zeros(3)) for o in furnished]), T)
     circle = before.canonical < 3 * len(COMPASS)
     sector = before.canonical % len(SECTORS)
     turned = before.canonical - sector + (sector + 2) % len(SECTORS)
@@ -142,14 +147,14 @@ def test_a_quarter_turn_turns_every_sector_by_two(furnished: list[SceneObject], 
 def test_moving_a_scene_changes_nothing(
     furnished: list[SceneObject], room_of: RoomOf, shift: tuple[float, float, float]
 ) -> None:
-    before = relate_room(room_of(furnished))
-    after = relate_room(room_of([moved(o, np.eye(3), np.array(shift)) for o in furnished]))
+    before = relate_room(room_of(furnished), T)
+    after = relate_room(room_of([moved(o, np.eye(3), np.array(shift)) for o in furnished]), T)
     assert_same(before, after)
 
 
 def test_order_of_objects_changes_nothing(furnished: list[SceneObject], room_of: RoomOf) -> None:
     order = np.random.default_rng(5).permutation(len(furnished))
-    assert_same(relate_room(room_of(furnished)), relate_room(room_of([furnished[k] for k in order])))
+    assert_same(relate_room(room_of(furnished), T), relate_room(room_of([furnished[k] for k in order]), T))
 
 
 def assert_same(a: RoomRelations, b: RoomRelations) -> None:
@@ -164,7 +169,7 @@ def assert_same(a: RoomRelations, b: RoomRelations) -> None:
 
 @pytest.mark.parametrize("count", [0, 1])
 def test_small_rooms_have_no_pairs(make: Maker, room_of: RoomOf, count: int) -> None:
-    relations = relate_room(room_of([make("a", (0, 0, 0), (1, 1, 1))][:count]))
+    relations = relate_room(room_of([make("a", (0, 0, 0), (1, 1, 1))][:count]), T)
     assert len(relations) == count
     assert not any(mask.any() for mask in relations.semantic.values())
     assert (relations.canonical == -1).all()
@@ -178,11 +183,11 @@ def test_small_rooms_have_no_pairs(make: Maker, room_of: RoomOf, count: int) -> 
         {"far_false": 3.0},
         {"height_true": 0.2},
         {"over_horizontal_true": 0.0},
-        {"sector_half_width": 20.0},
+        {"sector_true": 22.5},
         {"near_false": 1.3},
         {"sector_true": float("nan")},
     ],
 )
 def test_thresholds_that_contradict_are_refused(numbers: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match=r"threshold|sector_half_width|surface_within"):
-        RelationThresholds(**numbers)
+    with pytest.raises(ValueError, match=r"threshold|greater than|finite|surface_within"):
+        Thresholds(**numbers)

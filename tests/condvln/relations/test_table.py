@@ -11,8 +11,9 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from condvln.relations import RelationThresholds, RoomRelations, relate_scene, relation_table, text_facts, to_networkx
+from condvln.relations import RoomRelations, relate_scene, relation_table, text_facts, to_networkx
 from condvln.scene import Scene, SceneObject
+from schemas.config import Thresholds
 from schemas.errors import StoreError
 from schemas.relation import RelationRecord
 from schemas.tables import RELATIONS, SORT_KEYS
@@ -27,7 +28,7 @@ def scene(furnished: list[SceneObject], scene_of: SceneOf) -> Scene:
 
 @pytest.fixture
 def table(scene: Scene) -> pa.Table:
-    return relation_table(scene, relate_scene(scene))
+    return relation_table(scene, relate_scene(scene, Thresholds()), Thresholds())
 
 
 def test_every_edge_re_derives_from_its_own_metrics(
@@ -37,8 +38,8 @@ def test_every_edge_re_derives_from_its_own_metrics(
 
 
 def test_what_text_may_say_stands_in_the_rows(table: pa.Table, scene: Scene) -> None:
-    relations = relate_scene(scene)["room"]
-    facts = text_facts(relations)
+    relations = relate_scene(scene, Thresholds())["room"]
+    facts = text_facts(relations, Thresholds())
     index = {name: k for k, name in enumerate(relations.objects.object_ids)}
     for row in table.to_pylist():
         if row["predicate"] in facts.status:
@@ -66,11 +67,11 @@ def test_schema_order_and_containment(table: pa.Table, scene: Scene) -> None:
 
 
 def test_round_trip(table: pa.Table, scene: Scene) -> None:
-    before = relate_scene(scene)["room"]
-    after = RoomRelations.from_table(table, scene.arrays("room"))
+    before = relate_scene(scene, Thresholds())["room"]
+    after = RoomRelations.from_table(table, scene.arrays("room"), Thresholds())
     np.testing.assert_array_equal(after.surface, before.surface)
     np.testing.assert_array_equal(after.canonical, before.canonical)
-    again = relation_table(scene, {"room": after})
+    again = relation_table(scene, {"room": after}, Thresholds())
     assert again.equals(table)
 
 
@@ -78,13 +79,13 @@ def test_each_room_takes_its_own_rows(furnished: list[SceneObject], scene_of: Sc
     one = scene_of(furnished)
     moved = tuple(replace(o, object_id=f"other {o.object_id}", room_id="other") for o in furnished[::2])
     two = replace(one, rooms=(*one.rooms, replace(one.rooms[0], room_id="other")), objects=one.objects + moved)
-    relations = relate_scene(two)
-    table = relation_table(two, relations)
-    assert table.num_rows == relation_table(one, {"room": relations["room"]}).num_rows + sum(
+    relations = relate_scene(two, Thresholds())
+    table = relation_table(two, relations, Thresholds())
+    assert table.num_rows == relation_table(one, {"room": relations["room"]}, Thresholds()).num_rows + sum(
         row == "other" for row in table["room_id"].to_pylist()
     )
-    again = {room: RoomRelations.from_table(table, two.arrays(room)) for room in ("room", "other")}
-    assert relation_table(two, again).equals(table)
+    again = {room: RoomRelations.from_table(table, two.arrays(room), Thresholds()) for room in ("room", "other")}
+    assert relation_table(two, again, Thresholds()).equals(table)
 
 
 def test_rows_of_other_objects_are_refused(
@@ -95,13 +96,13 @@ def test_rows_of_other_objects_are_refused(
     more = scene_of([*furnished, make("new", (0, 0, 0), (1, 1, 1))])
     for other in (fewer, shifted, more):
         with pytest.raises(StoreError, match=r"room 'room'.*Relate the scene again"):
-            RoomRelations.from_table(table, other.arrays("room"))
+            RoomRelations.from_table(table, other.arrays("room"), Thresholds())
     with pytest.raises(StoreError):
-        RoomRelations.from_table(table, scene_of(furnished).arrays("room"), RelationThresholds(near=0.9))
+        RoomRelations.from_table(table, scene_of(furnished).arrays("room"), Thresholds(near=0.9))
 
 
 def test_networkx_has_the_same_edges(table: pa.Table, scene: Scene) -> None:
-    graph = to_networkx(scene, relate_scene(scene))
+    graph = to_networkx(scene, relate_scene(scene, Thresholds()), Thresholds())
     assert graph.number_of_nodes() == len(scene.objects) + len(scene.rooms)
     assert graph.number_of_edges() == table.num_rows
     rows = Counter((r["subject"], r["target"], r["predicate"]) for r in table.to_pylist())
@@ -116,14 +117,14 @@ def test_networkx_has_the_same_edges(table: pa.Table, scene: Scene) -> None:
 
 def test_a_scene_without_objects_has_an_empty_table(scene_of: SceneOf) -> None:
     empty = scene_of([])
-    table = relation_table(empty, relate_scene(empty))
+    table = relation_table(empty, relate_scene(empty, Thresholds()), Thresholds())
     assert table.num_rows == 0
     assert table.schema.equals(RELATIONS)
-    assert to_networkx(empty, relate_scene(empty)).number_of_nodes() == 1
+    assert to_networkx(empty, relate_scene(empty, Thresholds()), Thresholds()).number_of_nodes() == 1
 
 
 def test_the_table_does_not_depend_on_the_order_of_objects(
     table: pa.Table, furnished: list[SceneObject], scene_of: SceneOf
 ) -> None:
     backwards = scene_of(furnished[::-1])
-    assert relation_table(backwards, relate_scene(backwards)).equals(table)
+    assert relation_table(backwards, relate_scene(backwards, Thresholds()), Thresholds()).equals(table)

@@ -11,7 +11,10 @@ from condvln.relations import CANONICAL, COMPASS, SEMANTIC, TEXT_PREDICATES, rel
 from condvln.relations.text import TextFacts
 from condvln.scene import RoomArrays, SceneObject
 from condvln.scene.meshes import WorldMesh
+from schemas.config import Thresholds
 from schemas.program import Predicate
+
+T = Thresholds()
 
 Maker = Callable[..., SceneObject]
 RoomOf = Callable[[Sequence[SceneObject]], RoomArrays]
@@ -22,7 +25,7 @@ BALL = (HALF, HALF, HALF)
 
 def facts_of(make: Maker, room_of: RoomOf, center: Sequence[float], half: Sequence[float] | None = BALL) -> TextFacts:
     """Facts about "a" (row 0) at `center` and "b" (row 1) at the origin."""
-    return text_facts(relate_room(room_of([make("a", center, half), make("b", (0, 0, 0), BALL)])))
+    return text_facts(relate_room(room_of([make("a", center, half), make("b", (0, 0, 0), BALL)]), T), T)
 
 
 def test_predicates_are_those_of_the_program() -> None:
@@ -101,10 +104,10 @@ def test_near_needs_the_surface_too(make: Maker, room_of: RoomOf) -> None:
     for gap, status in ((0.5, 1), (0.9, 0), (1.2, 0)):
         x = 1.0 - gap
         plate = WorldMesh(np.array([[x, -1, -1], [x, 1, -1], [x, 0, 1]], float), np.array([[0, 1, 2]], np.int32), False)
-        relations = relate_room(room, meshes=lambda o, plate=plate: plate if o.object_id == "a" else None)
+        relations = relate_room(room, T, meshes=lambda o, plate=plate: plate if o.object_id == "a" else None)
         assert relations.surface[0, 1] == round(gap, 3)
         assert relations.semantic["near"][0, 1]
-        assert text_facts(relations).status["near"][0, 1] == status
+        assert text_facts(relations, T).status["near"][0, 1] == status
 
 
 def test_unknown_extent_proves_no_nearness(make: Maker, room_of: RoomOf) -> None:
@@ -112,16 +115,16 @@ def test_unknown_extent_proves_no_nearness(make: Maker, room_of: RoomOf) -> None
     for distance in (0.1, 1.0, 1.2, 9.0):
         assert facts_of(make, room_of, (distance, 0, 0), None).status["near"][0, 1] == 0
     balls = [make("a", (0, 0, 0), None, radius=0.5), make("b", (1.0, 0, 0), None, radius=0.5)]
-    assert text_facts(relate_room(room_of(balls))).status["near"][0, 1] == 0
+    assert text_facts(relate_room(room_of(balls), T), T).status["near"][0, 1] == 0
     apart = [balls[0], make("b", (2.15, 0, 0), None, radius=0.5)]
-    assert text_facts(relate_room(room_of(apart))).status["near"][0, 1] == -1
+    assert text_facts(relate_room(room_of(apart), T), T).status["near"][0, 1] == -1
     assert facts_of(make, room_of, (0, 1, 0), None).status["above"][0, 1] == 0
     assert facts_of(make, room_of, (0, 0.1, 0), None).status["above"][0, 1] == -1
 
 
 def test_text_is_stricter_than_the_edges(furnished: list[SceneObject], room_of: RoomOf) -> None:
-    relations = relate_room(room_of(furnished))
-    facts = text_facts(relations)
+    relations = relate_room(room_of(furnished), T)
+    facts = text_facts(relations, T)
     for predicate in TEXT_PREDICATES:
         emitted = (
             relations.semantic[predicate]
@@ -140,7 +143,7 @@ def test_text_is_stricter_than_the_edges(furnished: list[SceneObject], room_of: 
 
 
 def test_opposites_are_usable_together(furnished: list[SceneObject], room_of: RoomOf) -> None:
-    facts = text_facts(relate_room(room_of(furnished)))
+    facts = text_facts(relate_room(room_of(furnished), T), T)
     opposites = [("near", "near"), ("far from", "far from"), ("above", "below"), ("higher than", "lower than")]
     opposites += [(COMPASS[k], COMPASS[(k + 4) % 8]) for k in range(8)]
     for predicate, opposite in opposites:

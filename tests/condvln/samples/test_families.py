@@ -19,6 +19,7 @@ from condvln.samples.native_labels import native_labels
 from condvln.samples.thor_metadata import FLOOR_PLANS
 from condvln.scene import RoomArrays
 from condvln.sources.registry import open_source
+from schemas.config import Thresholds
 
 SCENES, SEED = 3, 21
 
@@ -149,7 +150,7 @@ def _edges(family: str, folder: Path) -> Counter[tuple[object, ...]]:
         scene = source.read(handle.scene_id)
         for room in scene.rooms:
             objects = [o for o in scene.objects if o.room_id == room.room_id and vocabulary.fit_for_text(o.label)]
-            found = relate_room(RoomArrays.of(room.room_id, objects))
+            found = relate_room(RoomArrays.of(room.room_id, objects), Thresholds())
             ends = [(o.label, *_shape(o.aabb)) for o in found.objects.objects]
             for i, j in zip(*np.nonzero(~np.eye(len(ends), dtype=bool)), strict=True):
                 names = [CANONICAL[found.canonical[i, j]] if found.canonical[i, j] >= 0 else "none"]

@@ -22,7 +22,7 @@ from condvln.sources.source import Source
 from jobs.generate import run_generate
 from jobs.verify import verify_export
 from jobs.workspace import published
-from schemas.config import Config, InstructionsConfig, SourceConfig
+from schemas.config import Config, InstructionsConfig, SourceConfig, Thresholds
 from schemas.errors import ConfigError, FormatError, MissingFileError
 
 SCENES, SEED = 3, 21
@@ -52,7 +52,7 @@ def graph(scene: Scene) -> Counter[tuple[object, ...]]:
     edges: Counter[tuple[object, ...]] = Counter()
     for room in scene.rooms:
         objects = [o for o in scene.objects if o.room_id == room.room_id and vocabulary.fit_for_text(o.label)]
-        found = relate_room(RoomArrays.of(room.room_id, objects))
+        found = relate_room(RoomArrays.of(room.room_id, objects), Thresholds())
         ends = [(o.label, *np.round(o.aabb, 3).ravel().tolist()) for o in found.objects.objects if o.aabb is not None]
         for i, j in zip(*np.nonzero(~np.eye(len(ends), dtype=bool)), strict=True):
             names = [CANONICAL[found.canonical[i, j]] if found.canonical[i, j] >= 0 else "none"]

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from condvln.navigation.agent import Agent
+from schemas.config import AgentConfig
 from schemas.errors import FormatError
 from tests.condvln.sources.replicacad_reading import codes, faults, read
 
@@ -33,14 +33,14 @@ def test_the_navmesh_that_fits_the_agent_is_taken(made: Any) -> None:
         False,
     )
     assert scene.navmesh.agent_radius == 0.1
-    wide = read(made, agent=Agent(radius=0.3))
+    wide = read(made, agent=AgentConfig(radius=0.3))
     assert wide.navmesh is not None
     assert (wide.navmesh.path, wide.navmesh.fits) == ("navmeshes/flat.navmesh", True)
     assert wide.warnings == ()
 
 
 def test_else_a_shipped_one_with_a_warning(made: Any) -> None:
-    scene = read(made, agent=Agent(radius=0.2))
+    scene = read(made, agent=AgentConfig(radius=0.2))
     assert scene.navmesh is not None
     assert (scene.navmesh.path, scene.navmesh.fits, scene.navmesh.agent_radius) == (
         "navmeshes/flat.navmesh",

@@ -18,6 +18,7 @@ from condvln.verify.corpus import Corpus
 from condvln.verify.files import Row
 from condvln.verify.proof import prove_scene
 from condvln.verify.surfaces import Shapes
+from schemas.config import Thresholds
 
 sys.path.insert(0, str(Path(__file__).parent))
 from mutants import MUTATORS, Files, World
@@ -36,8 +37,8 @@ def _mutants(made_export, seed: int, rounds: int):
     rng = np.random.default_rng(seed)
     for run in made_export.runs:
         scene = made_export.scenes[run.scene_id]
-        relations = relate_scene(scene, meshes=MeshLibrary(scene.root).world_mesh)
-        world = World(scene, {room_id: text_facts(found) for room_id, found in relations.items()})
+        relations = relate_scene(scene, Thresholds(), meshes=MeshLibrary(scene.root).world_mesh)
+        world = World(scene, {room_id: text_facts(found, Thresholds()) for room_id, found in relations.items()})
         rows = made.setdefault(run.scene_id, [])
         for row in run.rows:
             if row.manifest.group_id is not None:
@@ -100,8 +101,8 @@ def test_mutants_of_groups_are_caught(made_export) -> None:
     tried, survivors = 0, []
     for run in made_export.runs:
         scene = made_export.scenes[run.scene_id]
-        relations = relate_scene(scene, meshes=MeshLibrary(scene.root).world_mesh)
-        world = World(scene, {room_id: text_facts(found) for room_id, found in relations.items()})
+        relations = relate_scene(scene, Thresholds(), meshes=MeshLibrary(scene.root).world_mesh)
+        world = World(scene, {room_id: text_facts(found, Thresholds()) for room_id, found in relations.items()})
         groups = {}
         for row in run.rows:
             groups.setdefault(row.manifest.group_id, []).append(row)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from condvln.relations import TEXT_PREDICATES, RelationThresholds, relate_room, text_facts
+from condvln.relations import TEXT_PREDICATES, relate_room, text_facts
 from condvln.scene import OrientedBox, RoomArrays, SceneObject, round_mm
 from condvln.scene.quaternions import rotation_y
 from condvln.verify.predicates import FALSE, TRUE, UNDECIDED, Judge, Thing
@@ -34,7 +34,7 @@ def verdict(predicate: str, one: SceneObject, other: SceneObject) -> int:
 def compare(objects: list[SceneObject]) -> int:
     """Every predicate of every pair, by both; the number of them that are not undecided."""
     arrays = RoomArrays.of("room", objects)
-    facts = text_facts(relate_room(arrays))
+    facts = text_facts(relate_room(arrays, Thresholds()), Thresholds())
     decide, things = judge(), [Thing.of(item, item.label) for item in arrays.objects]
     decided = 0
     for predicate in TEXT_PREDICATES:
@@ -133,8 +133,8 @@ def test_thresholds_are_those_of_the_configuration() -> None:
     facts = text_facts(
         relate_room(
             RoomArrays.of("room", [one.item, other.item]),
-            RelationThresholds(near_true=0.5, near=2.0, near_false=3.0, surface_within=3.0),
+            Thresholds(near_true=0.5, near=2.0, near_false=3.0, surface_within=3.0),
         ),
-        RelationThresholds(near_true=0.5, near=2.0, near_false=3.0, surface_within=3.0),
+        Thresholds(near_true=0.5, near=2.0, near_false=3.0, surface_within=3.0),
     )
     assert facts.status["near"][0, 1] == UNDECIDED

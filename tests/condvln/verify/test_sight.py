@@ -12,7 +12,6 @@ from scipy.stats import binom
 
 from condvln.episodes.floor import floor_points
 from condvln.episodes.goals import blocked_footprints, wide_islands
-from condvln.episodes.rules import EpisodeRules
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Room, Scene
 from condvln.scene.geometry import STRUCTURE, SceneGeometry
@@ -20,7 +19,7 @@ from condvln.verify.ground_points import ground_points
 from condvln.verify.proof import find_navmesh
 from condvln.verify.sight import ODDS, OWN_POINTS, Sight, _Points, evenly, much
 from condvln.verify.standing import Obstacles
-from schemas.config import EpisodeConfig
+from schemas.config import EpisodeConfig, PlacesConfig
 from tests.condvln.episodes.floors import box, box_triangles, surfaces_of
 
 LEAST = 0.05
@@ -105,6 +104,7 @@ def sees(geometry: SceneGeometry | None, structure: tuple[str, ...] = (), yaw: f
         geometry,
         lambda item: item.object_id in structure,
         lambda room_id: np.array([[0.4, 0.05, 0.0], [0.4, 0.05, 1.0], [9.0, 0.05, 0.0], [-2.0, 0.05, 0.0]]),
+        PlacesConfig(),
         EpisodeConfig(floor_seen=0.7),
     )
     sought = [("thing", "chest"), ("thing", "vase"), ("floor", "r"), ("thing", "ghost"), ("floor", "cellar")]
@@ -140,7 +140,7 @@ def test_the_first_view_is_ahead() -> None:
 
 
 def test_floors_are_the_factory_s(made_export) -> None:
-    rules = EpisodeRules()
+    places = PlacesConfig()
     kinds = set()
     for run in made_export.runs:
         scene = made_export.scenes[run.scene_id]
@@ -150,8 +150,8 @@ def test_floors_are_the_factory_s(made_export) -> None:
         for room in scene.rooms:
             kinds.add(room.polygon is None)
             np.testing.assert_allclose(
-                ground_points(scene, room, pathfinder, rules.island_radius, ours),
-                floor_points(scene, room, pathfinder, wide_islands(pathfinder, rules), theirs),
+                ground_points(scene, room, pathfinder, places.island_radius, ours),
+                floor_points(scene, room, pathfinder, wide_islands(pathfinder, places), theirs),
                 atol=1e-9,
             )
     assert kinds

@@ -1,0 +1,42 @@
+"""The one configuration file: its sections, each with its keys, units, defaults and bounds.
+
+The science takes these sections as its parameters: there is no second set of defaults. A section is what one stage or
+several read whole, so that a changed key makes stale what reads it and nothing else (``docs/configuration.md``).
+"""
+
+from schemas.config.episodes import AgentConfig, EpisodeConfig, GoalsConfig, PlacesConfig
+from schemas.config.instructions import (
+    CompositionWeights,
+    InstructionCell,
+    InstructionsConfig,
+    PredicateWeights,
+    SamplingConfig,
+    TextConfig,
+)
+from schemas.config.relations import SECTOR_HALF_WIDTH, Thresholds
+from schemas.config.run import MOVED, Config, Family, KeepConfig, LimitsConfig, RayConfig, SourceConfig, SplitsConfig
+from schemas.config.section import Section
+
+__all__ = [
+    "MOVED",
+    "SECTOR_HALF_WIDTH",
+    "AgentConfig",
+    "CompositionWeights",
+    "Config",
+    "EpisodeConfig",
+    "Family",
+    "GoalsConfig",
+    "InstructionCell",
+    "InstructionsConfig",
+    "KeepConfig",
+    "LimitsConfig",
+    "PlacesConfig",
+    "PredicateWeights",
+    "RayConfig",
+    "SamplingConfig",
+    "Section",
+    "SourceConfig",
+    "SplitsConfig",
+    "TextConfig",
+    "Thresholds",
+]

@@ -1,0 +1,84 @@
+"""Rules of starts, goals and paths."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from schemas.base import Finite
+from schemas.config.section import Degrees, Metres, Section, Share
+
+__all__ = ["AgentConfig", "EpisodeConfig", "GoalsConfig", "PlacesConfig"]
+
+Range = Annotated[tuple[Finite, Finite], Field(json_schema_extra={"unit": "m"})]
+
+
+class AgentConfig(Section):
+    """The body that walks, an upright cylinder that the navmesh must fit; the defaults are Habitat's and VLN-CE's."""
+
+    radius: Metres = Field(0.1, description="radius of the cylinder")
+    height: Metres = Field(1.5, description="height of the cylinder")
+    max_climb: Metres = Field(0.2, description="highest step that it takes")
+    max_slope: Degrees = Field(45.0, le=90, description="steepest floor that it walks on")
+
+
+class PlacesConfig(Section):
+    """Where an agent may stand, what it sees from there, and when it has arrived."""
+
+    success_distance_single_room: Metres = Field(0.5, description="success distance τ where the scene is one room")
+    success_distance: Metres = Field(1.0, description="success distance τ in other scenes")
+    leaf_gap: Metres = Field(0.5, description="leaves lie at least 2 success distances plus this apart")
+    island_radius: Metres = Field(1.5, description="least radius of the island of the navmesh that an episode is on")
+    sight_range: Metres = Field(5.0, description="how far an agent sees")
+    eye_height: Metres = Field(1.25, description="height of the camera above the agent's feet (habitat-lab's)")
+
+    def success(self, single_room: bool) -> float:
+        """Success distance τ of a scene, metres."""
+        return self.success_distance_single_room if single_room else self.success_distance
+
+    def leaf_separation(self, single_room: bool) -> float:
+        """Metres that two leaves of one program lie apart at least."""
+        return 2 * self.success(single_room) + self.leaf_gap
+
+
+class GoalsConfig(Section):
+    """Where an agent can stand to have reached an object."""
+
+    reach: Metres = Field(0.5, description="goal points lie at most this far from the object's box")
+    reach_at_most: Metres = Field(1.0, description="the same where nothing nearer can be stood on")
+    points: int = Field(8, ge=1, le=1000, description="most goal points of an object")
+
+    @model_validator(mode="after")
+    def _reaches_rise(self) -> GoalsConfig:
+        if self.reach_at_most < self.reach:
+            raise ValueError(f"reach_at_most: {self.reach_at_most:g} m is less than reach, {self.reach:g} m")
+        return self
+
+
+class EpisodeConfig(Section):
+    """How episodes are placed."""
+
+    distance_single_room: Range = Field(
+        (1.0, 10.0), description="[least, most] geodesic from start to any leaf where the scene is one room"
+    )
+    distance: Range = Field((2.0, 30.0), description="[least, most] geodesic from start to any leaf in other scenes")
+    starts: int = Field(96, ge=1, le=100_000, description="starts drawn a scene, shared by its programs")
+    starts_per_program: int = Field(24, ge=1, description="starts tried before a program is given up")
+    max_steps: int = Field(500, ge=1, description="ceiling of the step budget (VLN-CE's)")
+    floor_seen: Share = Field(0.8, description="share of a room's floor that must be seen to know what is not there")
+    object_seen: Share = Field(0.05, description="share of an object's surface that must be seen to know it is there")
+
+    @model_validator(mode="after")
+    def _distances_are_ranges(self) -> EpisodeConfig:
+        for name in ("distance_single_room", "distance"):
+            least, most = getattr(self, name)
+            if not 0 <= least < most:
+                raise ValueError(
+                    f"{name}: the first bound must be at least 0 m and below the second, got [{least:g}, {most:g}]"
+                )
+        return self
+
+    def range(self, single_room: bool) -> tuple[float, float]:
+        """Allowed geodesic distance from the start to any leaf, metres."""
+        return self.distance_single_room if single_room else self.distance

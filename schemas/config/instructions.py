@@ -1,0 +1,206 @@
+"""What is asked of each scene: instructions and their cells, how candidates are sampled, and their wording."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from schemas.base import Finite
+from schemas.config.section import Metres, Section, Share
+from schemas.episode import Composition
+from schemas.program import CATEGORIES, Category
+
+__all__ = [
+    "CompositionWeights",
+    "InstructionCell",
+    "InstructionsConfig",
+    "PredicateWeights",
+    "SamplingConfig",
+    "TextConfig",
+]
+
+Wanted = Annotated[int, Field(ge=0, le=10_000)]
+"""Episodes wanted of one scene: no scene has room for more, and candidates of all of them are held in memory."""
+
+Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+SEEN_FACTOR: Final = 3
+"""More candidates are drawn of a cell that asks for an observability or a length of the route, which placing may miss:
+few starts give one that is not O2, or have every leaf's route within its bounds."""
+
+PRESENCE_MARGIN: Final = 0.75
+"""Part of the allowed share of label-only conditions that is drawn, so that chance doesn't carry it over the bound."""
+
+
+class InstructionCell(Section):
+    """A cell of the axes, and how many episodes of it are wanted a scene; what is not given may be anything."""
+
+    category: Category
+    composition: Composition | None = Field(None, description="rooms that the program spans")
+    observability: Literal["O0f", "O0", "O1", "O2"] | None = Field(
+        None, description="from where the evidence is seen; O0f: O0 within the first view"
+    )
+    moves: int | None = Field(
+        None, ge=1, le=3, description="moves of every leaf, so that their number doesn't tell the gold one"
+    )
+    route: tuple[Finite, Finite] | None = Field(
+        None,
+        description="[least, most] metres past its stops to every leaf, the gold one's included",
+        json_schema_extra={"unit": "m"},
+    )
+    words: tuple[int, int] | None = Field(
+        None, description="[least, most] words of the text, its opening with the start heading included"
+    )
+    count: int = Field(ge=1, le=10_000, description="episodes wanted a scene")
+
+    @field_validator("route", "words", mode="before")
+    @classmethod
+    def _yes_is_no_bound(cls, value: Any) -> Any:
+        if isinstance(value, list | tuple) and any(isinstance(bound, bool) for bound in value):
+            raise ValueError("true and false are not allowed as bounds; write [least, most]")
+        return value
+
+    @model_validator(mode="after")
+    def _bounds_are_ranges(self) -> InstructionCell:
+        if self.route is not None and not 0 <= self.route[0] < self.route[1]:
+            least, most = self.route
+            raise ValueError(
+                f"route: the first bound must be at least 0 m and below the second, got [{least:g}, {most:g}]"
+            )
+        if self.words is not None and not 1 <= self.words[0] <= self.words[1]:
+            raise ValueError(
+                f"words: the first bound must be at least 1 and at most the second, got {list(self.words)}"
+            )
+        return self
+
+    @property
+    def name(self) -> str:
+        """What the tables call it: ``nested C2 O1 3 moves 5-15 m 20-60 words``; a category alone where nothing else is
+        fixed. Different cells have different names."""
+        moves = None if self.moves is None else f"{self.moves} move{'s' if self.moves > 1 else ''}"
+        route = None if self.route is None else f"{_span(self.route)} m"
+        words = None if self.words is None else f"{_span(self.words)} words"
+        parts = (self.category, self.composition, self.observability, moves, route, words)
+        return " ".join(part for part in parts if part)
+
+    @property
+    def drawn(self) -> bool:
+        """Whether anything beside the category is fixed."""
+        return self.name != self.category
+
+
+def _span(bounds: tuple[float, float]) -> str:
+    least, most = (str(bound).removesuffix(".0") for bound in bounds)
+    return f"{least}-{most}"
+
+
+class InstructionsConfig(Section):
+    """What is wanted of each scene."""
+
+    per_category: dict[Category, Wanted] = Field(
+        default_factory=lambda: dict.fromkeys(CATEGORIES, 20), description="episodes wanted a scene, by category"
+    )
+    cells: tuple[InstructionCell, ...] = Field(
+        (), description="episodes wanted of single cells; they replace per_category for their categories"
+    )
+    counterfactual_groups: int = Field(
+        2,
+        ge=0,
+        le=1000,
+        description="groups of four wanted besides: one start, a condition's truth and two leaves exchanged",
+    )
+    label_cap: Share = Field(
+        0.15,
+        description="no label is the target of more than this share of a scene's leaves (an equal share where labels "
+        "are few)",
+    )
+
+    @model_validator(mode="after")
+    def _cells_differ(self) -> InstructionsConfig:
+        axes = [tuple(cell.model_dump(exclude={"count"}).values()) for cell in self.cells]
+        for name in axes:
+            if axes.count(name) > 1:
+                raise ValueError(
+                    f"cells: {' '.join(str(part) for part in name if part)} is there twice; add the counts up"
+                )
+        return self
+
+    def cells_of(self, category: Category) -> tuple[InstructionCell, ...]:
+        """What is wanted of a category: its cells, or its number in `per_category` with all else free."""
+        asked = tuple(cell for cell in self.cells if cell.category == category)
+        count = self.per_category.get(category, 0)
+        return asked or ((InstructionCell(category=category, count=count),) if count else ())
+
+    @property
+    def wanted(self) -> tuple[InstructionCell, ...]:
+        """All that is wanted of a scene, in the order of the categories."""
+        return tuple(cell for category in CATEGORIES for cell in self.cells_of(category))
+
+
+class CompositionWeights(Section):
+    """How often each composition is asked for, where the scene has the rooms for it and the cell leaves it open."""
+
+    C0: Weight = Field(1.0, description="weight of programs in one room")
+    C1: Weight = Field(1.0, description="weight of programs in two rooms, or in more that repeat")
+    C2: Weight = Field(1.0, description="weight of programs with a Branch over three rooms")
+
+
+class PredicateWeights(Section):
+    """How often each group of predicates is asked about; 0 = only where nothing else serves."""
+
+    # Nearness is what people say most; heights are correct but stilted.
+    near: Weight = Field(0.45, description="weight of near")
+    vertical: Weight = Field(0.15, description="weight of above and below")
+    compass: Weight = Field(0.30, description="weight of the eight compass words")
+    height: Weight = Field(0.10, description="weight of higher than and lower than")
+    far: Weight = Field(0.0, description="weight of far from")
+
+
+class SamplingConfig(Section):
+    """How candidate programs are sampled."""
+
+    candidates_per_episode: int = Field(
+        8, ge=1, le=1000, description="candidates drawn for each episode wanted, since placing rejects some"
+    )
+    moves: tuple[Share, Share, Share] = Field((0.4, 0.4, 0.2), description="shares of leaves with 1, 2, 3 moves")
+    presence_false_share: Share = Field(
+        0.2, description="most label-only conditions among the false ones where a scene is one room"
+    )
+    presence_share: Share = Field(0.4, description="share of label-only conditions in scenes of several rooms")
+    plausible_share: Share = Field(0.05, description="a label is plausible in a room type seen in this share of rooms")
+    compositions: CompositionWeights = Field(default_factory=CompositionWeights)
+    predicates: PredicateWeights = Field(default_factory=PredicateWeights)
+    anchor_size: Metres = Field(
+        0.3, description="an anchor whose longest side is shorter is taken only where there is no larger one"
+    )
+    small_target_weight: Weight = Field(
+        0.25, description="weight, as targets, of labels whose objects are all shorter than anchor_size"
+    )
+    attempts: int = Field(12, ge=1, le=10_000, description="draws of a condition before the candidate is given up")
+    draws_per_candidate: int = Field(
+        20, ge=1, le=10_000, description="draws of whole candidates of one composition before these are given up"
+    )
+
+    @model_validator(mode="after")
+    def _shares_sum_to_one(self) -> SamplingConfig:
+        if abs(sum(self.moves) - 1.0) > 1e-9:
+            raise ValueError(f"moves: the three shares must sum to 1, got {sum(self.moves):g}")
+        return self
+
+    def candidates(self, cell: InstructionCell) -> int:
+        """Candidates drawn of a cell; more where placing may miss what it asks for."""
+        return cell.count * self.candidates_per_episode * (SEEN_FACTOR if cell.observability or cell.route else 1)
+
+    def label_only(self, single_room: bool) -> float:
+        """Share of label-only conditions, drawn whatever their truth, so that the kind says nothing about it."""
+        return PRESENCE_MARGIN * self.presence_false_share if single_room else self.presence_share
+
+
+class TextConfig(Section):
+    """How programs are worded."""
+
+    preamble: bool = Field(True, description="open texts that use compass words with the start heading")
+    steps_per_word: int = Field(
+        10, ge=1, description="steps that the budget grants for each word, where twice the ground truth is less"
+    )

@@ -1,0 +1,173 @@
+"""The one configuration file, in YAML.
+
+Every number that decides something has its unit in its name or its description. Unknown keys, wrong types and missing
+folders fail at once. Relative paths count from the folder of the configuration file.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+from pydantic import Field, model_validator
+
+from schemas.config.episodes import AgentConfig, EpisodeConfig, GoalsConfig, PlacesConfig
+from schemas.config.instructions import InstructionsConfig, SamplingConfig, TextConfig
+from schemas.config.relations import Thresholds
+from schemas.config.section import Hours, Metres, Seconds, Section, Share
+
+__all__ = ["MOVED", "Config", "Family", "KeepConfig", "LimitsConfig", "RayConfig", "SourceConfig", "SplitsConfig"]
+
+Family = Literal["replicacad", "procthor", "ithor", "robothor", "mp3d", "gibson"]
+
+
+MOVED: Final = {
+    "episodes.success_distance_single_room": "places.success_distance_single_room",
+    "episodes.success_distance": "places.success_distance",
+    "episodes.leaf_gap": "places.leaf_gap",
+    "episodes.island_radius": "places.island_radius",
+    "episodes.sight_range": "places.sight_range",
+    "episodes.eye_height": "places.eye_height",
+    "episodes.goal_reach": "goals.reach",
+    "episodes.goal_reach_at_most": "goals.reach_at_most",
+    "episodes.goal_points": "goals.points",
+    "episodes.path_spacing": "splits.path_spacing",
+    "episodes.steps_per_word": "text.steps_per_word",
+    "instructions.preamble": "text.preamble",
+    "instructions.candidates_per_episode": "sampling.candidates_per_episode",
+    "instructions.moves": "sampling.moves",
+    "instructions.presence_false_share": "sampling.presence_false_share",
+    "instructions.presence_share": "sampling.presence_share",
+    "instructions.plausible_share": "sampling.plausible_share",
+}
+"""Keys of earlier releases, and what they are called now."""
+
+
+class SourceConfig(Section):
+    """One dataset on disk."""
+
+    family: Family
+    root: Path = Field(description="folder of the dataset")
+    scenes: tuple[str, ...] = Field(("*",), min_length=1, description="scene ids or patterns with * and ?")
+    exclude: tuple[str, ...] = Field((), description="scene ids or patterns left out")
+    regions: Path | None = Field(None, description="side file or folder of user-drawn room zones")
+    houses: Path | None = Field(
+        None, description="procthor only: folder of the house JSON, where root is Habitat's scene dataset of them"
+    )
+    connectivity: Path | None = Field(
+        None, description="folder of <scan>_connectivity.json for discrete R2R; by default connectivity/ of the dataset"
+    )
+
+    @model_validator(mode="after")
+    def _keys_of_one_family(self) -> SourceConfig:
+        for key, family in (("houses", "procthor"), ("connectivity", "mp3d")):
+            if getattr(self, key) is not None and self.family != family:
+                raise ValueError(f"{key} is a key of {family} sources only, and this source is {self.family}")
+        return self
+
+
+class SplitsConfig(Section):
+    """How the pool becomes splits; families with official lists keep to them."""
+
+    seed: int = 0
+    per_cell: int | None = Field(
+        None, ge=1, description="episodes wanted per split × category × gold leaf; none = all that balance"
+    )
+    scenes: dict[Literal["train", "val_unseen", "test"], tuple[str, ...]] = Field(
+        default_factory=dict, description="patterns <family>/<scene> with * and ?, before official lists and hashes"
+    )
+    path_spacing: Metres = Field(
+        0.25, ge=0.001, description="most metres between two locations of the dense reference path"
+    )
+    sharded: bool = Field(
+        False, description="one file a scene, <split>/content/<scene>.json.gz, as Habitat's own datasets have them"
+    )
+    val_seen_share: Share = Field(0.1, description="share of the train scenes' episodes set aside as val_seen")
+    fractions: tuple[Share, Share, Share] = Field((0.8, 0.1, 0.1), description="train, val_unseen, test by id hash")
+    max_tokens: int | None = Field(
+        200,
+        ge=0,
+        description="texts of more tokens are left out: VLN-CE's instruction_tokens hold no more, and who reads those "
+        "would miss a branch; 0 or none = no limit",
+    )
+    bias: Literal["off", "warn", "fail"] = Field(
+        "warn", description="what an export does when a guess that sees nothing beats chance; fail = exit code 3"
+    )
+
+    @model_validator(mode="after")
+    def _fractions_sum_to_one(self) -> SplitsConfig:
+        if abs(sum(self.fractions) - 1.0) > 1e-9:
+            raise ValueError(f"fractions: the three shares must sum to 1, got {sum(self.fractions):g}")
+        return self
+
+
+class LimitsConfig(Section):
+    """The largest scene that is worked on. A larger one is quarantined, alone, before the memory for it is taken.
+
+    Relations grow with the square of the objects in a room: about 2.6 rows and 600 bytes an ordered pair.
+    """
+
+    objects_per_room: int = Field(1000, ge=2, description="most objects in one room")
+    pairs_per_scene: int = Field(
+        1_000_000,
+        ge=4,
+        description="most ordered pairs of objects that share a room: the sum of squares over the rooms",
+    )
+    objects_per_scene: int = Field(20_000, ge=2, description="most objects in a scene")
+    rooms_per_scene: int = Field(2000, ge=1, description="most rooms in a scene")
+    corners_per_room: int = Field(20_000, ge=3, description="most corners of a room's outline")
+
+
+class RayConfig(Section):
+    """How a run is spread out."""
+
+    workers: int | None = Field(None, ge=1, description="none = every core")
+    address: str | None = Field(None, description="ray:// or host:port of a cluster; none = this machine")
+    max_failures: Share = Field(0.5, description="share of failed scenes over which the run is stopped (exit 4)")
+    deadline_seconds: Seconds = Field(1800.0, description="wall time one scene may take")
+
+
+class KeepConfig(Section):
+    """What the sweep after a rebuild leaves in the store: nothing that a ref names ever goes."""
+
+    sweep: bool = Field(True, description="whether a rebuild that published removes what no ref needs")
+    snapshots: int = Field(3, ge=1, description="snapshots kept for each ref, the published one included")
+    grace_hours: Hours = Field(24.0, description="nothing younger is removed, needed or not")
+
+
+class Config(Section):
+    """One run: sources in, tables and splits out."""
+
+    name: Annotated[
+        str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=100, description="name of the published ref")
+    ]
+    seed: int = 0
+    store: Path | str = Field(
+        description="units, snapshots and refs: a folder, or s3://bucket/prefix[?endpoint=…&region=…]"
+    )
+    export: Path | None = Field(None, description="folder of the VLN-CE splits")
+    sources: tuple[SourceConfig, ...] = Field(min_length=1)
+    agent: AgentConfig = Field(default_factory=AgentConfig)
+    thresholds: Thresholds = Field(default_factory=Thresholds)
+    places: PlacesConfig = Field(default_factory=PlacesConfig)
+    instructions: InstructionsConfig = Field(default_factory=InstructionsConfig)
+    sampling: SamplingConfig = Field(default_factory=SamplingConfig)
+    goals: GoalsConfig = Field(default_factory=GoalsConfig)
+    episodes: EpisodeConfig = Field(default_factory=EpisodeConfig)
+    text: TextConfig = Field(default_factory=TextConfig)
+    splits: SplitsConfig = Field(default_factory=SplitsConfig)
+    limits: LimitsConfig = Field(default_factory=LimitsConfig)
+    ray: RayConfig = Field(default_factory=RayConfig)
+    keep: KeepConfig = Field(default_factory=KeepConfig)
+
+    @model_validator(mode="after")
+    def _routes_are_long_enough(self) -> Config:
+        least = min(self.episodes.distance_single_room[0], self.episodes.distance[0])
+        for k, cell in enumerate(self.instructions.cells):
+            # A route is never shorter than the way from its start to its goal.
+            if cell.route is not None and cell.route[1] < least:
+                raise ValueError(
+                    f"instructions.cells.{k}.route: no route is shorter than {cell.route[1]:g} m; every goal is at "
+                    f"least {least:g} m from the start (episodes.distance, episodes.distance_single_room)"
+                )
+        return self
