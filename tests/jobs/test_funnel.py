@@ -155,8 +155,9 @@ def test_wording_is_a_part_of_the_key_of_programs_only_where_words_are_bounded(c
         return stage.parameters(unit)
 
     plain = celled.model_copy(update={"instructions": InstructionsConfig()})
-    assert parameters(celled)["text"] == TextStage.version
-    assert "text" not in parameters(plain)
+    assert parameters(celled)["wording"] == TextStage.version
+    assert parameters(celled)["text"] == {"preamble": True}
+    assert not {"wording", "text"} & parameters(plain).keys()
 
 
 def test_counterfactual_groups_are_published_whole(celled: Config) -> None:

@@ -16,7 +16,7 @@ from condvln.sources.registry import open_source
 from condvln.verify.files import ExportFiles, Row, SceneRun
 from condvln.verify.rules import Rules
 from jobs.generate import run_generate
-from schemas.config import Config, InstructionsConfig, SourceConfig
+from schemas.config import Config, InstructionsConfig, SamplingConfig, SourceConfig
 from schemas.program import CATEGORIES
 
 SCENES = 4
@@ -52,9 +52,8 @@ def made_export(tmp_path_factory: pytest.TempPathFactory) -> MadeExport:
         store=folder / "store",
         export=folder / "export",
         sources=(SourceConfig(family="replicacad", root=folder / "scenes"),),
-        instructions=InstructionsConfig(
-            per_category=dict.fromkeys(CATEGORIES, PER_CATEGORY), candidates_per_episode=PER_CATEGORY
-        ),
+        instructions=InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, PER_CATEGORY)),
+        sampling=SamplingConfig(candidates_per_episode=PER_CATEGORY),
     )
     run_generate(config, inline=True, console=Console(file=io.StringIO()))
     runs = tuple(ExportFiles(folder / "export").runs())
