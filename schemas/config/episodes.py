@@ -52,7 +52,7 @@ class GoalsConfig(Section):
     @model_validator(mode="after")
     def _reaches_rise(self) -> GoalsConfig:
         if self.reach_at_most < self.reach:
-            raise ValueError(f"reach_at_most: {self.reach_at_most:g} m is less than reach, {self.reach:g} m")
+            raise ValueError(f"reach_at_most: {self.reach_at_most:g} must be at least reach, {self.reach:g}")
         return self
 
 
