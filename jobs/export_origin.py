@@ -7,7 +7,6 @@ where the configuration, the code or a source changed; where none of them did, p
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,6 +27,7 @@ __all__ = ["Origin", "SceneOrigin", "Shrinkage", "refuse_losses"]
 LOST_NAVMESH: Final = "the navmesh built for its scene is missing or changed"
 _KEPT_OUT: Final = {"store", "export", "ray", "keep", "name"}
 """Keys of the configuration that decide nothing of an export's content."""
+_KEPT_OUT_OF_SPLITS: Final = {"bias", "sharded"}
 _PATHS: Final = {"root", "regions", "houses", "connectivity"}
 """Keys of a source that are folders of a machine."""
 _SHOWN: Final = 5
@@ -105,6 +105,7 @@ def _deciding(config: Config) -> dict[str, Any]:
     document = config.model_dump(mode="json", exclude=_KEPT_OUT)
     sources = document.pop("sources")
     document["sources"] = {}
+    document["splits"] = {name: value for name, value in document["splits"].items() if name not in _KEPT_OUT_OF_SPLITS}
     for source in sources:
         document["sources"].setdefault(source["family"], []).append(
             {name: value is not None if name in _PATHS else value for name, value in source.items()}
@@ -156,62 +157,69 @@ def compare(
         found.causes.append(f"the code changed ({_some(versions)})")
     elif former.priors != now.priors and renewed:
         found.causes.append("the label priors were renewed")
-    explained = bool(changed or versions)
-    gone = {name for name, scene in former.scenes.items() if scene.episodes and name not in now.scenes}
-    if gone:
-        _gone(gone, former, now, found, explained, listed)
+    explained = bool(changed or versions or (renewed and former.priors != now.priors))
+    _gone(former, now, found, changed, listed)
     by_kind: dict[str, list[str]] = {}
-    for name, before in former.scenes.items():
-        here = now.scenes.get(name)
-        if here is not None and before.episodes > here.episodes:
-            by_kind.setdefault(_kind(before, here, explained, renewed and former.priors != now.priors), []).append(name)
+    for name, here in now.scenes.items():
+        before = former.scenes.get(name)
+        kind = "new" if before is None else _kind(before, here, explained)
+        if kind:
+            by_kind.setdefault(kind, []).append(name)
     for kind, names in sorted(by_kind.items()):
         target, what = _KINDS[kind]
-        getattr(found, target).append(f"{_scenes(len(names))} {what} ({_some(names)})")
+        getattr(found, target).append(f"{what}: {_scenes(names)}")
     return found
 
 
 _KINDS: Final = {
-    "lost": ("losses", "lost episodes in the snapshot though nothing changed that they are made of"),
-    "quarantine": ("doubts", "went into quarantine though their files, the configuration and the code are as before"),
-    "other": ("doubts", "have fewer episodes though their files, the configuration and the code are as before"),
-    "data": ("causes", "have other files in their source"),
-    "explained": ("causes", "have fewer episodes by the changed configuration, code or priors"),
-    "skipped": ("causes", "are skipped now"),
+    "lost": ("losses", "fewer episodes in the snapshot though nothing changed that they are made of"),
+    "quarantine": ("doubts", "in quarantine though their files, the configuration and the code are as before"),
+    "other": ("doubts", "fewer episodes though their files, the configuration and the code are as before"),
+    "data": ("causes", "other files in their source"),
+    "new": ("causes", "new in their source"),
+    "explained": ("causes", "fewer episodes by what changed"),
+    "skipped": ("causes", "skipped now"),
 }
+"""Where a kind of change counts, and its words."""
 
 
-def _kind(before: SceneOrigin, here: SceneOrigin, explained: bool, renewed: bool) -> str:
-    if here.status == "ok" and before.key and before.key == here.key:
+def _kind(before: SceneOrigin, here: SceneOrigin, explained: bool) -> str:
+    """What became of a scene that both snapshots have; empty where nothing did that makes an export smaller."""
+    fewer = before.episodes > here.episodes
+    if fewer and here.status == "ok" and before.key and before.key == here.key:
         return "lost"
-    if before.data != here.data or not here.data:
+    if before.data != here.data:
         return "data"
-    if explained or renewed:
+    if not fewer:
+        return ""
+    if explained:
         return "explained"
     return {"quarantined": "quarantine", "skipped": "skipped"}.get(here.status, "other")
 
 
 def _gone(
-    gone: set[str],
-    former: Origin,
-    now: Origin,
-    found: Shrinkage,
-    explained: bool,
-    listed: Callable[[], set[str]] | None,
+    former: Origin, now: Origin, found: Shrinkage, changed: list[str], listed: Callable[[], set[str]] | None
 ) -> None:
     """Scenes that the snapshot no longer has: removed from the source, or lost, or their source is not there."""
-    left = Counter(name.split("/", 1)[0] for name in now.scenes)
-    empty = sorted({name.split("/", 1)[0] for name in gone if not left[name.split("/", 1)[0]]})
-    configured = {key.split(".")[1] for key in now.configuration if key.startswith("sources.")}
-    for family in empty:
-        if family in configured and not explained:
-            found.doubts.append(f"the source {family} has no scene any more; is its folder mounted and complete?")
-    still = gone & listed() if listed is not None and not explained else set()
+    gone = {name for name, scene in former.scenes.items() if scene.episodes and name not in now.scenes}
+    if not gone:
+        return
+    still = gone & listed() if listed is not None else set()
     if still:
-        found.losses.append(f"{_scenes(len(still))} are in their source and not in the snapshot ({_some(still)})")
-    removed = {name for name in gone - still if explained or name.split("/", 1)[0] not in empty}
+        found.losses.append(f"in their source and not in the snapshot: {_scenes(still)}")
+    left = {_family(name) for name in now.scenes}
+    configured = {key.split(".")[1] for key in now.configuration if key.startswith("sources.")}
+    asked_otherwise = {key.split(".")[1] for key in changed if key.startswith("sources.")}
+    empty = {_family(name) for name in gone - still} & configured - left - asked_otherwise
+    for family in sorted(empty):
+        found.doubts.append(f"the source {family} has no scene any more; is its folder mounted and complete?")
+    removed = {name for name in gone - still if _family(name) not in empty}
     if removed:
-        found.causes.append(f"{_scenes(len(removed))} are no longer listed by their source ({_some(removed)})")
+        found.causes.append(f"no longer in their source: {_scenes(removed)}")
+
+
+def _family(name: str) -> str:
+    return name.split("/", 1)[0]
 
 
 def _differing(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
@@ -224,8 +232,8 @@ def _some(names: set[str] | list[str]) -> str:
     return ", ".join(shown[:_SHOWN]) + (f" and {len(shown) - _SHOWN} more" if len(shown) > _SHOWN else "")
 
 
-def _scenes(count: int) -> str:
-    return f"{count} scene{'s' if count != 1 else ''}"
+def _scenes(names: set[str] | list[str]) -> str:
+    return f"{len(names)} scene{'s' if len(names) != 1 else ''} ({_some(names)})"
 
 
 def refuse_losses(

@@ -132,6 +132,8 @@ def _counts(report: ExportReport) -> str:
         for value in values:
             counts = [report.shapes.get(split, {}).get(axis, {}).get(value, 0) for split in splits]
             lines.append(_row([f"{axis.replace('_', ' ')}: {value}", *(f"{count:,}" for count in counts)]))
+    if report.empty_splits:
+        lines += ["", *(f"* `{split}` is empty: {why}." for split, why in report.empty_splits.items())]
     if report.r2r_episodes:
         lines += ["", f"Of these, {report.r2r_episodes:,} are also in the discrete R2R files."]
     return "\n".join(lines)
@@ -146,7 +148,8 @@ def _balance(report: ExportReport) -> str:
         *(f"* {source}: {value:.3f}" for source, value in sorted(report.truth_imbalance.items())),
     ]
     if report.left_out:
-        lines += ["", "Left out of the pool:", ""]
+        left, pool = sum(report.left_out.values()), sum(report.episodes.values()) + sum(report.left_out.values())
+        lines += ["", f"{left:,} of {pool:,} episodes are in no split:", ""]
         lines += [f"* {count:,} {reason}" for reason, count in sorted(report.left_out.items())]
     short = report.shortfalls
     if short:
