@@ -19,6 +19,7 @@ from factory.pipeline import Pipeline
 from factory.receipt import Receipt
 from factory.rows import logical_hash, parquet_bytes
 from factory.stage import Aggregate
+from schemas.canonical import digest
 from schemas.errors import CorruptShardError
 from schemas.snapshot import Pin, PinnedTable
 
@@ -42,11 +43,14 @@ class Pins:
             return Pin(tables={})
 
     def hashes(self, renew: Iterable[str] = ()) -> dict[str, str]:
-        """Hashes of the aggregates that stand: pinned, of the version asked for, not to be renewed, and still there."""
+        """Hashes of the aggregates that hold: pinned under this version and these parameters, not to be renewed, and
+        still there."""
         found = {}
         for aggregate in self._pipeline.aggregates:
             pinned = self.pin.tables.get(aggregate.name)
             if pinned is None or pinned.version != aggregate.version or aggregate.name in renew:
+                continue
+            if pinned.parameters != digest(aggregate.parameters()):
                 continue
             if self._commits.store.exists(SharedTables.path(aggregate.name, pinned.hash)):
                 found[aggregate.name] = pinned.hash
@@ -59,7 +63,13 @@ class Pins:
         # Not create(): one of this name that is damaged must not stay.
         self._commits.store.write(SharedTables.path(aggregate.name, found), parquet_bytes(table))
         self._faults.reach("pin-before-pin")
-        pinned = PinnedTable(version=aggregate.version, hash=found, rows=table.num_rows, units=units)
+        pinned = PinnedTable(
+            version=aggregate.version,
+            hash=found,
+            rows=table.num_rows,
+            units=units,
+            parameters=digest(aggregate.parameters()),
+        )
         self.pin = Pin(tables={**self.pin.tables, aggregate.name: pinned})
         self._commits.store.write(self._path, self.pin.model_dump_json(indent=1).encode())
         self._faults.reach("pin-after-pin")

@@ -86,6 +86,10 @@ class Aggregate(Protocol):
     after: str
     tables: tuple[str, ...]
 
+    def parameters(self) -> JSON:
+        """All configuration that ``build`` reads: a table that was pinned under other parameters is built again."""
+        return {}
+
     def build(self, tables: Iterator[tuple[str, Mapping[str, pa.Table]]]) -> pa.Table:
         """Fold ``(unit_id, tables)``, sorted by unit id, into one table."""
         ...

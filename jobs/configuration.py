@@ -159,6 +159,13 @@ def _resolve(config: Config, base: Path, path: Path, check_roots: bool) -> Confi
                 place=f"sources.{k}.root",
                 remedy=f"Point it at your copy of {source.family}, or override it with --set sources.{k}.root=FOLDER.",
             )
+        if check_roots and source.navmesh is not None and not (root / source.navmesh).is_dir():
+            raise ConfigError(
+                f"no such folder: {root / source.navmesh}",
+                where=path,
+                place=f"sources.{k}.navmesh",
+                remedy="Give a folder of navmeshes by its path in the source's root.",
+            )
         regions = None if source.regions is None else (base / source.regions).resolve()
         if check_roots and regions is not None and not regions.exists():
             raise ConfigError(f"no such file or folder: {regions}", where=path, place=f"sources.{k}.regions")

@@ -69,6 +69,7 @@ def open_configured(config: Config, source: SourceConfig, hash_file: HashFile) -
         agent=config.agent,
         regions=source.regions,
         houses=source.houses,
+        navmesh=source.navmesh,
         hash_file=hash_file,
     )
 
@@ -86,6 +87,7 @@ def list_units(config: Config, hash_file: HashFile) -> list[Unit]:
                 "scene_id": handle.scene_id,
                 "regions": None if source.regions is None else str(source.regions),
                 "houses": None if source.houses is None else str(source.houses),
+                "navmesh": source.navmesh,
             }
             units.append(
                 Unit(

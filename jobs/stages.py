@@ -84,15 +84,18 @@ def _navmeshes_table(scene_id: str, data: bytes | None) -> pa.Table:
 
 
 @lru_cache(maxsize=8)
-def _source(family: str, root: str, regions: str | None, houses: str | None, agent: AgentConfig) -> Source:
+def _source(
+    family: str, root: str, regions: str | None, houses: str | None, navmesh: str | None, agent: AgentConfig
+) -> Source:
     """One reader a process and dataset: its shared files are read once."""
     side, house_folder = (None if path is None else Path(path) for path in (regions, houses))
-    return open_source(family, Path(root), agent=agent, regions=side, houses=house_folder)
+    return open_source(family, Path(root), agent=agent, navmesh=navmesh, regions=side, houses=house_folder)
 
 
 def _source_of(unit: Unit, agent: AgentConfig) -> Source:
-    regions, houses = (None if path is None else str(path) for path in map(unit.payload.get, ("regions", "houses")))
-    return _source(str(unit.payload["family"]), str(unit.payload["root"]), regions, houses, agent)
+    keys = ("regions", "houses", "navmesh")
+    regions, houses, navmesh = (None if value is None else str(value) for value in map(unit.payload.get, keys))
+    return _source(str(unit.payload["family"]), str(unit.payload["root"]), regions, houses, navmesh, agent)
 
 
 def _scene(unit: Unit, tables: Tables) -> Scene:
@@ -133,7 +136,11 @@ class SceneStage(Stage):
     reads_inputs: bool = True
 
     def parameters(self, unit: Unit) -> JSON:
-        return {"agent": _dump(self.agent), "limits": _dump(self.limits)}
+        # Which of a dataset's navmeshes is preferred decides even where all of them are inputs.
+        preferred: dict[str, JSON] = (
+            {"sources": {"navmesh": navmesh}} if (navmesh := unit.payload.get("navmesh")) else {}
+        )
+        return {"agent": _dump(self.agent), "limits": _dump(self.limits)} | preferred
 
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
         source = _source_of(unit, self.agent)
@@ -186,6 +193,9 @@ class PriorsAggregate(Aggregate):
     version: int = 2
     after: str = "scene"
     tables: tuple[str, ...] = ("rooms", "objects")
+
+    def parameters(self) -> JSON:
+        return {"thresholds": _dump(self.thresholds), "sampling": {"anchor_size": self.anchor_size}}
 
     def build(self, tables: Iterator[tuple[str, Tables]]) -> pa.Table:
         parts = (LabelPriors.of_tables(t["rooms"], t["objects"], self.thresholds, self.anchor_size) for _, t in tables)

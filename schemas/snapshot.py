@@ -142,13 +142,15 @@ class RunRecord(VersionedDocument):
 
 
 class PinnedTable(Document):
-    """A shared table that stays the same until it is renewed on demand or its version changes."""
+    """A shared table that stays the same until it is renewed on demand, or its version or parameters change."""
 
     version: int
     hash: Hash32
     rows: Count
     units: Count
     """How many units it was built from."""
+    parameters: str = ""
+    """SHA-256 of the parameters it was built with, as canonical JSON; empty in pins from before they were kept."""
 
 
 class Pin(VersionedDocument):

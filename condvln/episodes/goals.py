@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Final
 
@@ -22,9 +23,9 @@ F64 = NDArray[np.float64]
 
 RING_SPACING: Final = 0.2
 """Metres between neighbouring candidates around an object: a fifth of the smallest success ball's width."""
-RING_OFFSETS: Final = (0.12, 0.24, 0.36, 0.48)
-FAR_RING_OFFSETS: Final = (0.6, 0.75, 0.9)
-"""Offsets from the box's faces; the far ones only where none of the near ones can be stood on."""
+RING_GAP: Final = 0.125
+FAR_RING_GAP: Final = 0.2
+"""Most metres between two rings of candidates around a box, near it and beyond."""
 STOREY: Final = 2.2
 """Metres an object's bottom may hang above the floor it is reached from (a picture, a wall cabinet)."""
 SINK: Final = 0.5
@@ -131,11 +132,26 @@ def goal_points(
     if box is None:
         box = Footprint(item.center[[0, 2]], np.zeros(2), np.eye(2))
     bottom = float(item.aabb[0][1]) if item.aabb is not None else float(item.center[1])
-    for offsets, reach in ((RING_OFFSETS, rules.reach), (FAR_RING_OFFSETS, rules.reach_at_most)):
+    for offsets, reach in ((near_rings(rules), rules.reach), (far_rings(rules), rules.reach_at_most)):
         found = _standing_places(item, room, box, bottom, offsets, reach, pathfinder, places, obstacles, view)
         if len(found):
             return _spread(found, box, rules.points)
     return np.empty((0, 3))
+
+
+def near_rings(rules: GoalsConfig) -> tuple[float, ...]:
+    """Offsets in metres of the rings within reach: evenly spaced, the last one 4 % short of it, since snapping moves
+    candidates a little."""
+    count = math.ceil(rules.reach / RING_GAP)
+    return tuple(round(0.96 * rules.reach * (k + 1) / count, 6) for k in range(count))
+
+
+def far_rings(rules: GoalsConfig) -> tuple[float, ...]:
+    """Offsets in metres of the rings beyond reach, from 20 to 80 % of the way to the farthest that is allowed."""
+    span = rules.reach_at_most - rules.reach
+    count = math.ceil(span / FAR_RING_GAP)
+    steps = [0.5] if count == 1 else [0.2 + 0.6 * k / (count - 1) for k in range(count)]
+    return tuple(round(rules.reach + span * step, 6) for step in steps)
 
 
 def _standing_places(
@@ -150,6 +166,8 @@ def _standing_places(
     obstacles: Sequence[tuple[SceneObject, Footprint]],
     view: SceneView | None,
 ) -> F64:
+    if not offsets:
+        return np.empty((0, 3))
     flat = np.concatenate([box.ring(offset, RING_SPACING) for offset in offsets])
     # Where no room tells the storey, the floor is the one nearest to the object's own bottom.
     height = bottom if room.annotation == "scene" else room.floor_y

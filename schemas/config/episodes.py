@@ -45,8 +45,8 @@ class PlacesConfig(Section):
 class GoalsConfig(Section):
     """Where an agent can stand to have reached an object."""
 
-    reach: Metres = Field(0.5, description="goal points lie at most this far from the object's box")
-    reach_at_most: Metres = Field(1.0, description="the same where nothing nearer can be stood on")
+    reach: Metres = Field(0.5, le=10, description="goal points lie at most this far from the object's box")
+    reach_at_most: Metres = Field(1.0, le=10, description="the same where nothing nearer can be stood on")
     points: int = Field(8, ge=1, le=1000, description="most goal points of an object")
 
     @model_validator(mode="after")

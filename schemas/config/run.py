@@ -50,6 +50,9 @@ class SourceConfig(Section):
     root: Path = Field(description="folder of the dataset")
     scenes: tuple[str, ...] = Field(("*",), min_length=1, description="scene ids or patterns with * and ?")
     exclude: tuple[str, ...] = Field((), description="scene ids or patterns left out")
+    navmesh: str | None = Field(
+        None, min_length=1, description="folder of navmeshes in root that is looked into before any other"
+    )
     regions: Path | None = Field(None, description="side file or folder of user-drawn room zones")
     houses: Path | None = Field(
         None, description="procthor only: folder of the house JSON, where root is Habitat's scene dataset of them"

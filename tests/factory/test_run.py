@@ -161,6 +161,18 @@ def test_only_the_bits_that_are_read_of_an_aggregate_make_stale(store: LocalStor
     assert renewed.stages["square"] == 10
 
 
+def test_an_aggregate_with_other_parameters_is_built_again(store: LocalStore) -> None:
+    units = toys.units(12)
+    first = run(toys.pipeline(), units, store)
+    odd = toys.pipeline(total=toys.Total(more=1))
+    assert plan(odd, units, store).renewed == ("total",)
+    changed = run(odd, units, store)
+    assert changed.stages["square"] == 11, "all but the skipped one read its parity"
+    assert changed.snapshot_id != first.snapshot_id
+    assert plan(odd, units, store).renewed == ()
+    assert run(toys.pipeline(), units, store).snapshot_id == first.snapshot_id
+
+
 def test_added_and_removed_and_moved_units(store: LocalStore) -> None:
     units = toys.units(10)
     whole = run(toys.pipeline(), units, store)

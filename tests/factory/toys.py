@@ -177,9 +177,13 @@ class Total(Aggregate):
     version: int = 1
     after: str = "count"
     tables: tuple[str, ...] = ("numbers",)
+    more: int = 0
+
+    def parameters(self) -> JSON:
+        return {"more": self.more}
 
     def build(self, tables: Iterator[tuple[str, Mapping[str, pa.Table]]]) -> pa.Table:
-        return pa.table({"total": [sum(found["numbers"].num_rows for _, found in tables)]})
+        return pa.table({"total": [self.more + sum(found["numbers"].num_rows for _, found in tables)]})
 
 
 def pipeline(

@@ -56,6 +56,28 @@ def test_goal_points_stand_around_the_box(flat) -> None:
         np.testing.assert_array_equal(points, np.round(points, 3))
 
 
+@pytest.mark.parametrize(("reach", "at_most"), [(0.25, 0.6), (0.5, 1.0), (0.8, 1.5), (1.6, 1.6), (0.05, 0.06)])
+def test_rings_fill_the_reach_that_is_asked_for(reach: float, at_most: float) -> None:
+    sofa = box("sofa", 4, 3)
+    scene, rules = apartment(sofa), GoalsConfig(reach=reach, reach_at_most=at_most, points=200)
+
+    def farthest(blocked: float) -> float:
+        """Distance from the box of the farthest goal point, where the floor is solid up to `blocked` around it."""
+
+        def solid(x: float, z: float) -> bool:
+            return max(abs(x - 4), abs(z - 3)) < 0.3 + blocked
+
+        points = goal_points(sofa, scene.rooms[0], grid_floor(8, 6, solid), PLACES, rules)
+        outside = np.maximum(np.abs(points - sofa.center)[:, [0, 2]] - 0.3, 0)
+        return float(np.hypot(*outside.T).max(initial=0.0))
+
+    assert 0.9 * reach <= farthest(0.0) <= reach
+    beyond = farthest(reach + 0.15)
+    assert beyond <= at_most
+    if at_most - reach > 0.4:  # the floor is made of squares of 0.25 m
+        assert beyond > reach
+
+
 def test_goal_points_keep_to_one_side_of_a_wall() -> None:
     picture = box("picture", 3.8, 3, half=0.05, bottom=1.2, top=1.8)
     # A wall x ∈ [4, 4.25) with a doorway at the far end only: its other side is near the picture, but a long way round.

@@ -6,6 +6,7 @@ import random
 from collections import Counter
 from dataclasses import replace
 
+import pyarrow.compute as pc
 import pytest
 
 from condvln.instructions import LabelPriors
@@ -139,3 +140,17 @@ def test_a_staging_reads_the_counts_of_its_layout(make_scene, rooms: tuple[str, 
         assert priors.bits(scene, 0.05) == pooled.bits(scene, 0.05)
         assert {priors.bits(scene, 0.05).evidence(room) for room in rooms} == {EVIDENCE}
         assert "staged" not in priors.bits(scene, 0.05).document()
+
+
+def test_what_is_counted_is_what_these_thresholds_let_be_asked(scenes) -> None:
+    scene, stock = scenes[0], Thresholds()
+    wide = Thresholds(near_true=0.1, near=1.5, near_false=2.5, surface_within=2.5)
+
+    def near(thresholds: Thresholds) -> tuple[int, int]:
+        table = LabelPriors.of_scene(scene, thresholds, 0.3).table()
+        rows = table.filter(pc.equal(table["predicate"], "near"))
+        return (pc.sum(rows["n_true"]).as_py(), pc.sum(rows["n_false"]).as_py())
+
+    assert near(wide) < near(stock), "fewer are surely near"
+    assert near(wide)[1] < near(stock)[1], "fewer are surely apart"
+    assert not LabelPriors.of_scene(scene, stock, 3.0).table().equals(LabelPriors.of_scene(scene, stock, 0.3).table())
