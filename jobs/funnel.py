@@ -3,12 +3,17 @@ left.
 
 Candidates are programs that were drawn; each is placed, and so published, or rejected under one reason. Before that a
 draw may fail, for reasons that are counted as well, but a failed draw is followed by another and is no candidate.
+
+A cell of a scene is short where it has fewer episodes than were wanted. Its causes are the rejections of its
+candidates, without those that only say that there was no room for more (SURPLUS): these candidates would not have
+filled the gap. Where even all the others would not have filled it, the rest is counted as TOO_FEW. A cell of a scene
+that has all that was wanted has no causes, whatever was rejected on the way.
 """
 
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -24,6 +29,10 @@ SHOWN_REASONS: Final = 3
 """Reasons named beside a row on a terminal; ``--json`` has all of them."""
 SHOWN_SCENES: Final = 20
 """Scenes without episodes that are listed on a terminal."""
+SURPLUS: Final = frozenset({"quota_full", "gold_leaf_full"})
+"""Reasons that end candidates for which there was no room, in the cell or among those of their gold leaf."""
+TOO_FEW: Final = "too_few_candidates"
+"""Cause of the episodes that would be missing even if every candidate had found its place."""
 PLACING: Final = "episodes"
 """Stage whose rejections end candidates; those of other stages end draws."""
 
@@ -33,6 +42,9 @@ class Flow:
     """What went in and what came out of one scene, or of one cell over all scenes.
 
     rejected : candidates by the filter that ended them; undrawn : draws by what ended them
+    short : episodes that were wanted and could not be had
+    causes : of what is short, the candidates by the filter that ended them, and TOO_FEW
+    undrawn_of_short : draws by what ended them, where there were too few candidates
     """
 
     wanted: int = 0
@@ -40,11 +52,34 @@ class Flow:
     placed: int = 0
     rejected: Counter[str] = field(default_factory=Counter)
     undrawn: Counter[str] = field(default_factory=Counter)
+    short: int = 0
+    causes: Counter[str] = field(default_factory=Counter)
+    undrawn_of_short: Counter[str] = field(default_factory=Counter)
 
-    @property
-    def short(self) -> int:
-        """Episodes that were wanted and could not be had."""
-        return max(0, self.wanted - self.placed)
+    @classmethod
+    def of_cell(
+        cls, wanted: int, candidates: int, placed: int, rejected: Mapping[str, int], undrawn: Mapping[str, int]
+    ) -> Flow:
+        """The flow of one cell of one scene."""
+        flow = cls(wanted, candidates, placed, Counter(rejected), Counter(undrawn), max(0, wanted - placed))
+        if flow.short:
+            flow.causes = Counter({reason: n for reason, n in rejected.items() if reason not in SURPLUS})
+            missing = flow.short - flow.causes.total()
+            if missing > 0:
+                flow.causes[TOO_FEW] = missing
+                flow.undrawn_of_short = Counter(undrawn)
+        return flow
+
+    def add(self, other: Flow) -> None:
+        """Count what another flow counts as well."""
+        self.wanted += other.wanted
+        self.candidates += other.candidates
+        self.placed += other.placed
+        self.short += other.short
+        self.rejected += other.rejected
+        self.undrawn += other.undrawn
+        self.causes += other.causes
+        self.undrawn_of_short += other.undrawn_of_short
 
     def document(self) -> dict[str, Any]:
         """As JSON, filters by what they cost."""
@@ -54,13 +89,19 @@ class Flow:
             "rejected": dict(_ranked(self.rejected)),
             "placed": self.placed,
             "short": self.short,
+            "causes": dict(_ranked(self.causes)),
             "undrawn": dict(_ranked(self.undrawn)),
         }
 
     def why(self) -> str:
-        """The costliest filters, in a line; of the draws where nothing was drawn."""
-        counts = self.rejected if self.candidates else self.undrawn
-        return ", ".join(f"{reason} {count:,}" for reason, count in _ranked(counts)[:SHOWN_REASONS])
+        """The costliest causes of what is short, in a line; beside TOO_FEW what ended the draws."""
+        return ", ".join(self._cause(reason, count) for reason, count in _ranked(self.causes)[:SHOWN_REASONS])
+
+    def _cause(self, reason: str, count: int) -> str:
+        told = f"{reason} {count:,}"
+        if reason != TOO_FEW or not self.undrawn_of_short:
+            return told
+        return f"{told} ({_listed(self.undrawn_of_short)})"
 
 
 @dataclass
@@ -93,7 +134,7 @@ class Funnel:
                 sum(f.rejected.values()),
                 f.placed,
                 f.short,
-                f.why() if f.short else "",
+                f.why(),
             )
             for (source, cell), f in self.cells.items()
         ]
@@ -130,15 +171,18 @@ def funnel_of(snapshot: Snapshot) -> Funnel | None:
         scenes[name] = Flow()
         if row["reason"] is not None:
             told[name] = row["reason"]
-    for row in _rows(snapshot.table("funnel")):
-        for flow in (scenes[f"{row['source']}/{row['scene_id']}"], cells[row["source"], row["cell"]]):
-            flow.wanted += row["wanted"]
-            flow.candidates += row["candidates"]
-            flow.placed += row["placed"]
+    rejected: defaultdict[tuple[str, str, str], Counter[str]] = defaultdict(Counter)
+    undrawn: defaultdict[tuple[str, str, str], Counter[str]] = defaultdict(Counter)
     for row in _rows(snapshot.table("rejections", ["scene_id", "stage", "cell", "reason", "count"])):
-        for flow in (scenes[f"{row['source']}/{row['scene_id']}"], cells[row["source"], row["cell"]]):
-            counts = flow.rejected if row["stage"] == PLACING else flow.undrawn
-            counts[row["reason"]] += row["count"]
+        counts = rejected if row["stage"] == PLACING else undrawn
+        counts[row["source"], row["scene_id"], row["cell"]][row["reason"]] += row["count"]
+    for row in _rows(snapshot.table("funnel")):
+        key = source, scene, cell = row["source"], row["scene_id"], row["cell"]
+        flow = Flow.of_cell(
+            row["wanted"], row["candidates"], row["placed"], rejected.pop(key, {}), undrawn.pop(key, {})
+        )
+        scenes[f"{source}/{scene}"].add(flow)
+        cells[source, cell].add(flow)
     barren = {name: told.get(name) or _explained(flow) for name, flow in scenes.items() if not flow.placed}
     return Funnel(dict(sorted(scenes.items())), dict(sorted(cells.items())), dict(sorted(barren.items())))
 
@@ -149,7 +193,7 @@ def _rows(table: pa.Table) -> Iterable[dict[str, Any]]:
 
 
 def _explained(flow: Flow) -> str:
-    """What kept a scene from yielding anything: its costliest filter, or what ended its draws."""
+    """What kept a scene from yielding anything: its costliest cause, or what ended its draws."""
     # The science is needed for its words alone, and only here.
     from condvln.episodes.rules import REASONS as PLACING_REASONS
     from condvln.instructions.rejection import REASONS as DRAWING_REASONS
@@ -157,11 +201,16 @@ def _explained(flow: Flow) -> str:
     if not flow.wanted:
         return "nothing was wanted of it"
     counts, meanings = (flow.rejected, PLACING_REASONS) if flow.candidates else (flow.undrawn, DRAWING_REASONS)
+    counts = Counter({reason: count for reason, count in counts.items() if reason not in SURPLUS})
     if not counts:
         return "nothing was drawn"
     reason, count = _ranked(counts)[0]
     what = "candidates" if flow.candidates else "draws"
     return f"{reason}: {meanings[reason]} ({count:,} of {sum(counts.values()):,} {what})"
+
+
+def _listed(counts: Counter[str]) -> str:
+    return ", ".join(f"{reason} {count:,}" for reason, count in _ranked(counts)[:SHOWN_REASONS])
 
 
 def _ranked(counts: Counter[str]) -> list[tuple[str, int]]:

@@ -291,7 +291,7 @@ class EpisodeStage(Stage):
     preamble: bool
     seed: int
     name: str = "episodes"
-    version: int = 6
+    version: int = 7
     tables: tuple[str, ...] = ("placements", "unplaced", "rejections", "funnel")
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "stops", "candidates")
     reads_inputs: bool = True

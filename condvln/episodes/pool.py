@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 from condvln.episodes.candidates import Candidate
+from condvln.episodes.label_share import allowed_share, most_leaves, over_share
 from condvln.episodes.observability import FIRST_VIEW, Observation, Observer
 from condvln.episodes.placing import Fit, Placement, Placer, Prospect, Rejected
 from schemas.config import InstructionCell
@@ -19,8 +20,8 @@ __all__ = ["Pool", "PooledEpisode", "fill_pool"]
 QUARTERS: Final = tuple(k * math.pi / 2 for k in range(4))
 """Turns of a start whose first view must show the evidence; they keep a compass point a compass point."""
 
-FEW_LABELS_SLACK: Final = 1.25
-"""Where a scene has so few labels that the cap can't hold, a label may have this much more than an equal share."""
+PASSING: Final = frozenset({"quota_full", "gold_leaf_full", "label_over_cap", "program_placed"})
+"""Reasons that may pass when other episodes are dropped."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -78,8 +79,9 @@ def fill_pool(
     """Place candidates in their order until every cell has what is wanted.
 
     Within a cell no gold index gets more than its equal share, so that position says nothing. `label_cap` bounds the
-    share of leaves that any label is the target of. The programs of a counterfactual group are placed together, from
-    one start, before all others, or not at all.
+    share of leaves that any label is the target of, as far as that is possible (``label_share``); what is dropped for
+    it makes room for candidates that had none. The programs of a counterfactual group are placed together, from one
+    start, before all others, or not at all. A cell that stays short rejects no candidate as `quota_full`.
 
     Parameters
     ----------
@@ -96,91 +98,140 @@ def fill_pool(
     if members:
         leaves = [len(c.program.leaves) for group in members.values() for c in group]
         wanted += round(groups * sum(leaves) / len(members))
-    filling = _Filling(placer, math.ceil(label_cap * wanted), names_compass, observer)
-    for group in members.values():
-        filling.try_group(group, groups)
-    for candidate in queue:
-        if candidate.cell is not None:
-            filling.try_one(candidate, candidate.cell)
-    return filling.filled(label_cap)
+    labels = {leaf.goal.label for candidate in queue for leaf in candidate.program.leaves}
+    most_of_label = most_leaves(allowed_share(label_cap, len(labels)), wanted)
+    tries = [_Try(group) for group in members.values()] + [_Try([c]) for c in queue if c.cell is not None]
+    filling = _Filling(placer, groups, names_compass, observer)
+    filling.fill(tries, most_of_label)
+    filling.trim(tries, label_cap)
+    return filling.pool(tries)
+
+
+class _Try:
+    """Candidates that are placed together: one, or a counterfactual group, whose leaves are the same in some order.
+
+    refused : why they have no place so far; placement : the place of the first of them, found once
+    """
+
+    def __init__(self, members: Sequence[Candidate]) -> None:
+        self.members = members
+        self.cell = members[0].cell
+        self.gold = members[0].program.gold_leaf()
+        self.labels = [Counter(leaf.goal.label for leaf in member.program.leaves) for member in members]
+        self.targets = sum(self.labels, Counter[str]())
+        self.refused: str | None = None
+        self.placement: Placement | None = None
 
 
 class _Filling:
     def __init__(
         self,
         placer: Placer,
-        most_of_label: int,
+        groups: int,
         names_compass: Callable[[Program], bool],
         observer: Observer | None,
     ) -> None:
         self._placer, self._names_compass, self._observer = placer, names_compass, observer
-        self._most_of_label = most_of_label
-        self._pool = Pool()
-        self._groups = 0
+        self._groups_wanted, self._groups = groups, 0
         self._taken: Counter[InstructionCell] = Counter()
         self._golds: defaultdict[InstructionCell, Counter[int]] = defaultdict(Counter)
         self._labels: Counter[str] = Counter()
         self._seen: set[Program] = set()
 
-    def filled(self, label_cap: float) -> Pool:
-        """The pool, trimmed and observed."""
-        _trim(self._pool, label_cap)
+    def fill(self, tries: Sequence[_Try], most_of_label: int) -> None:
+        """Place what can be, in its order."""
+        for one in tries:
+            one.refused = self._turned_away(one, most_of_label) or self._unplaceable(one)
+            if one.refused is None:
+                self._count(one, 1)
+
+    def trim(self, tries: Sequence[_Try], label_cap: float) -> None:
+        """Drop what is over the share of its labels, and fill its places with what was turned away for want of room."""
+        placed = [one for one in tries if one.refused is None]
+        share = allowed_share(label_cap, len(self._labels))
+        dropped = over_share([one.labels for one in placed], label_cap)
+        for k in dropped:
+            placed[k].refused = "label_over_cap"
+            self._count(placed[k], -1)
+        refilling = bool(dropped)
+        while refilling:
+            refilling = False
+            for one in tries:
+                if one.refused in PASSING:
+                    most = most_leaves(share, self._labels.total() + one.targets.total())
+                    reason = self._turned_away(one, most) or self._unplaceable(one)
+                    # What was dropped is dropped for its labels, though others have its place by now.
+                    one.refused = "label_over_cap" if reason and one.placement else reason
+                    if reason is None:
+                        self._count(one, 1)
+                        refilling = True
+
+    def pool(self, tries: Sequence[_Try]) -> Pool:
+        """What came of them all, observed."""
+        pool = Pool()
+        for one in tries:
+            pool.candidates[one.cell] += len(one.members)
+            if one.refused is not None:
+                for member in one.members:
+                    pool.reject(member, one.refused)
+                continue
+            assert one.placement is not None
+            first = one.members[0].program
+            for member in one.members:
+                places = [first.leaves.index(leaf) for leaf in member.program.leaves]
+                own = replace(one.placement, leaves=tuple(one.placement.leaves[k] for k in places))
+                pool.episodes.append(PooledEpisode(member, own))
         if self._observer is not None:
-            found = self._observer.observe([(e.program, e.placement.prospect) for e in self._pool.episodes])
-            self._pool.episodes = [replace(e, observation=o) for e, o in zip(self._pool.episodes, found, strict=True)]
-        return self._pool
+            found = self._observer.observe([(e.program, e.placement.prospect) for e in pool.episodes])
+            pool.episodes = [replace(e, observation=o) for e, o in zip(pool.episodes, found, strict=True)]
+        return pool
 
-    def try_one(self, candidate: Candidate, cell: InstructionCell) -> None:
-        """An episode, or a reason why not."""
-        program = candidate.program
-        gold = program.gold_leaf()
-        self._pool.candidates[cell] += 1
-        quota = -(-cell.count // len(program.leaves))
-        if program in self._seen:
-            self._pool.reject(candidate, "program_placed")
-        elif self._taken[cell] >= cell.count or self._golds[cell][gold] >= quota:
-            self._pool.reject(candidate, "quota_full")
-        elif self._placed([candidate], self._names_compass(program), self._fit(cell, program), cell.route):
-            self._taken[cell] += 1
-            self._golds[cell][gold] += 1
+    def _turned_away(self, one: _Try, most_of_label: int) -> str | None:
+        """Why there is no room for these now, if there is none; it may pass."""
+        cell = one.cell
+        if any(member.program in self._seen for member in one.members):
+            return "program_placed"
+        if cell is None:
+            if self._groups >= self._groups_wanted:
+                return "quota_full"
+        elif self._taken[cell] >= cell.count:
+            return "quota_full"
+        elif self._golds[cell][one.gold] >= -(-cell.count // len(one.members[0].program.leaves)):
+            return "gold_leaf_full"
+        if any(self._labels[label] + count > most_of_label for label, count in one.targets.items()):
+            return "label_over_cap"
+        return None
 
-    def try_group(self, members: Sequence[Candidate], wanted: int) -> None:
-        """An episode of each member, or one reason why none."""
-        self._pool.candidates[None] += len(members)
-        full = self._groups >= wanted
-        if full or any(member.program in self._seen for member in members):
-            for member in members:
-                self._pool.reject(member, "quota_full" if full else "program_placed")
-        elif self._placed(members, any(self._names_compass(member.program) for member in members)):
-            self._groups += 1
-
-    def _placed(
-        self,
-        members: Sequence[Candidate],
-        compass: bool,
-        fit: Fit | None = None,
-        lengths: tuple[float, float] | None = None,
-    ) -> bool:
-        """Whether these, which have the same leaves in some order, are placed now, from one start."""
-        first = members[0]
+    def _unplaceable(self, one: _Try) -> str | None:
+        """Why these can't be placed from one start, if they can't; this does not pass."""
+        if one.placement is not None:
+            return None
+        first, cell = one.members[0], one.cell
+        compass = any(self._names_compass(member.program) for member in one.members)
+        fit = None if cell is None else self._fit(cell, first.program)
+        lengths = None if cell is None else cell.route
         try:
-            targets = Counter(leaf.goal.label for member in members for leaf in member.program.leaves)
-            if any(self._labels[label] + count > self._most_of_label for label, count in targets.items()):
-                raise Rejected("label_over_cap")
-            placement = self._placer.place(
+            one.placement = self._placer.place(
                 first.program, first.instruction_id, compass=compass, fit=fit, lengths=lengths
             )
         except Rejected as rejected:
-            for member in members:
-                self._pool.reject(member, rejected.reason)
-            return False
-        self._labels += targets
-        for member in members:
-            places = [first.program.leaves.index(leaf) for leaf in member.program.leaves]
-            own = replace(placement, leaves=tuple(placement.leaves[k] for k in places))
-            self._seen.add(member.program)
-            self._pool.episodes.append(PooledEpisode(member, own))
-        return True
+            return rejected.reason
+        return None
+
+    def _count(self, one: _Try, by: int) -> None:
+        """Take these in, or with −1 out again."""
+        if one.cell is None:
+            self._groups += by
+        else:
+            self._taken[one.cell] += by
+            self._golds[one.cell][one.gold] += by
+        programs = {member.program for member in one.members}
+        if by > 0:
+            self._labels += one.targets
+            self._seen |= programs
+        else:
+            self._labels -= one.targets
+            self._seen -= programs
 
     def _fit(self, cell: InstructionCell, program: Program) -> Fit | None:
         asked, observer = cell.observability, self._observer
@@ -197,22 +248,3 @@ class _Filling:
             return None
 
         return fit
-
-
-def _trim(pool: Pool, label_cap: float) -> None:
-    """Drop episodes, last first, until no label is over its share: a small yield must not lean on one label."""
-    labels = Counter(leaf.goal.label for e in pool.episodes for leaf in e.program.leaves)
-    cap = max(label_cap, FEW_LABELS_SLACK / max(1, len(labels)))
-    while labels:
-        total = sum(labels.values())
-        label, count = max(sorted(labels.items()), key=lambda item: item[1])
-        # Rounded up, so that a handful of leaves is not trimmed away for being a handful.
-        if count <= math.ceil(cap * total):
-            return
-        last = next(e for e in reversed(pool.episodes) if any(leaf.goal.label == label for leaf in e.program.leaves))
-        group = last.candidate.group_id
-        dropped = [e for e in pool.episodes if e is last or (group is not None and e.candidate.group_id == group)]
-        pool.episodes = [e for e in pool.episodes if e not in dropped]
-        for episode in dropped:
-            labels -= Counter(leaf.goal.label for leaf in episode.program.leaves)
-            pool.reject(episode.candidate, "label_over_cap")

@@ -20,7 +20,8 @@ REASONS: Final[dict[str, str]] = {
     "route_missed": "no start has the routes to all leaves as long as the cell asks for",
     "program_placed": "the same program has its place already",
     "label_over_cap": "a target's label already has its share of the scene's leaves",
-    "quota_full": "the cell has the episodes asked for, in all or of this gold leaf",
+    "quota_full": "the cell has all the episodes asked for",
+    "gold_leaf_full": "the cell has its share of episodes whose gold leaf is this one",
     "no_navmesh": "the scene has no navmesh to place episodes on",
     "no_start": "no navigable start on an island wide enough",
 }

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from itertools import permutations
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from condvln.episodes import pool as pool_module
 from condvln.episodes.candidates import Candidate, candidates_from_table, candidates_table
+from condvln.episodes.label_share import allowed_share, most_leaves, over_share
 from condvln.episodes.observability import Observer
-from condvln.episodes.placing import Rejected
+from condvln.episodes.placing import Placement, Placer, Rejected
 from condvln.episodes.pool import Pool, fill_pool
 from condvln.episodes.rules import REASONS
 from condvln.episodes.table import funnel_table, placements_table, rejections_table, with_text
@@ -228,25 +231,106 @@ def test_a_counterfactual_group_shares_its_start_and_comes_whole(flat) -> None:
     assert row["placed"] == 4 * len(members)
 
 
-def test_a_group_is_trimmed_away_whole(flat) -> None:
-    # Of one group alone each of two labels has half of all leaves; nothing is over a share that small pools allow.
-    pool = filled(flat, [], ())
-    assert pool.episodes == []
-    scene, pathfinder = flat
-    placer = placer_of(scene, pathfinder)
-    groups = [
-        m
-        for k, names in enumerate([("sofa", "sink", "bed"), ("sofa", "lamp", "bed"), ("sofa", "table", "bed")])
-        for m in quadruple(*names, name=f"group {k}")
+class Anywhere(Placer):
+    """Places every program but those of these ids, which `reason` keeps from it."""
+
+    def __init__(self, nowhere: Iterable[str] = (), reason: str = "path_enters_other_leaf") -> None:
+        self.nowhere, self.reason = set(nowhere), reason
+
+    def place(self, program: Program, instruction_id: str, **_: object) -> Placement:
+        if instruction_id in self.nowhere:
+            raise Rejected(self.reason)
+        return Placement(np.zeros(3), 0.0, tuple(program.leaves), 1.0)
+
+
+def shares(pool: Pool) -> Counter[str]:
+    return Counter(leaf.goal.label for e in pool.episodes for leaf in e.program.leaves)
+
+
+def test_a_group_is_trimmed_away_whole() -> None:
+    pairs = [("sofa", "sink"), ("sofa", "lamp"), ("sofa", "table"), ("bed", "lamp")]
+    groups = [m for k, pair in enumerate(pairs) for m in quadruple(*pair, "w", name=f"group {k}")]
+    pool = fill_pool(groups, Anywhere(), (), 0.2, lambda _: False, None, 8)
+    # Of five labels each may have a quarter. Sofa has 12 of 32 leaves; without two of its groups it has 4 of 16.
+    assert Counter(e.candidate.group_id for e in pool.episodes) == {"group 0": 4, "group 3": 4}
+    assert pool.rejections == {(None, "label_over_cap"): 8}
+
+
+def test_what_a_label_over_its_share_leaves_behind_is_filled_by_others() -> None:
+    barren, cell = InstructionCell(category="nested", count=8), simple(count=8)
+    things = [f"thing {k}" for k in range(30)]
+    crowded = [asking("sofa", things[k], "w", k % 2 == 0) for k in range(4)]
+    spare = [asking(things[10 + 2 * k], things[11 + 2 * k], "w", k % 2 == 0) for k in range(10)]
+    candidates = [Candidate(f"{k}", program, cell) for k, program in enumerate([*crowded, *spare])]
+    pool = fill_pool(candidates, Anywhere({"4", "6"}), (barren, cell), 0.15, lambda _: False)
+    # Of all that is wanted sofa may have 6 leaves of 40; of the 16 that can be had, 3.
+    assert [e.instruction_id for e in pool.episodes] == ["0", "1", "2", "5", "7", "8", "9", "10"]
+    assert pool.rejections == {
+        (cell, "label_over_cap"): 1,
+        (cell, "path_enters_other_leaf"): 2,
+        (cell, "quota_full"): 3,
+    }
+
+
+def test_a_scene_of_one_crowded_label_keeps_what_it_has() -> None:
+    """Twelve groups are wanted and five can be had, all past the one sofa: nothing is gained by dropping them."""
+    groups = [m for k in range(5) for m in quadruple("sofa", f"thing {k}", "w", f"group {k}")]
+    pool = fill_pool(groups, Anywhere(), (), 0.5, lambda _: False, None, 12)
+    assert len(pool.episodes) == 20
+    assert not pool.rejections
+    assert shares(pool)["sofa"] == 20
+
+
+few = st.integers(0, 5).map("abcdef".__getitem__)
+
+
+@given(st.lists(st.lists(few, min_size=2, max_size=4, unique=True), max_size=24), st.sampled_from([0.15, 0.3, 0.5]))
+def test_trimming_keeps_half_and_never_raises_the_largest_share(leaves: list[list[str]], cap: float) -> None:
+    units = [[Counter(labels)] for labels in leaves]
+    dropped = over_share(units, cap)
+    assert len(set(dropped)) == len(dropped) <= len(units) / 2
+    before = Counter(label for labels in leaves for label in labels)
+    kept = [labels for k, labels in enumerate(leaves) if k not in dropped]
+    after = Counter(label for labels in kept for label in labels)
+    share = allowed_share(cap, len(before))
+    if before and max(before.values()) <= most_leaves(share, before.total()):
+        assert dropped == []
+    for last in dropped[-1:]:
+        most = max(after.values())
+        lower = most / after.total() < max(before.values()) / before.total()
+        assert lower or most <= most_leaves(share, after.total())
+        one_more = after + Counter(leaves[last])
+        assert max(one_more.values()) > most_leaves(share, one_more.total()), "none is dropped for nothing"
+
+
+@given(
+    st.lists(st.tuples(few, few, st.integers(0, 3), st.booleans(), st.booleans()), max_size=60),
+    st.sampled_from([0.15, 0.3, 1.0]),
+)
+def test_a_short_cell_has_no_candidate_that_its_quota_turned_away(
+    asked: list[tuple[str, str, int, bool, bool]], cap: float
+) -> None:
+    cells = (simple(count=5), simple(moves=1, count=8))
+    candidates = [
+        Candidate(f"{k}", asking(first, second, f"w{witness}", truth), cells[witness % 2])
+        for k, (first, second, witness, truth, _) in enumerate(asked)
+        if first != second
     ]
-    pool = fill_pool(groups, placer, (), 1.0, lambda _: False, None, 3)
-    whole = Counter(e.candidate.group_id for e in pool.episodes)
-    assert set(whole.values()) == {4}
-    pool_module._trim(pool, 0.3)
-    kept = Counter(e.candidate.group_id for e in pool.episodes)
-    assert set(kept.values()) <= {4}
-    assert len(kept) < len(whole)
-    assert sum(kept.values()) + sum(pool.rejections.values()) == len(groups)
+    nowhere = [f"{k}" for k, row in enumerate(asked) if row[4]]
+    pool = fill_pool(candidates, Anywhere(nowhere), cells, cap, lambda _: False)
+    assert sum(pool.candidates.values()) == len(candidates) == len(pool.episodes) + sum(pool.rejections.values())
+    labels = {leaf.goal.label for c in candidates for leaf in c.program.leaves}
+    assert bool(pool.episodes) == any(c.instruction_id not in nowhere for c in candidates)
+    for cell in cells:
+        golds = Counter(e.program.gold_leaf() for e in pool.episodes if e.candidate.cell == cell)
+        quota = -(-cell.count // 2)
+        assert pool.placed[cell] <= cell.count
+        assert max(golds.values(), default=0) <= quota
+        if pool.placed[cell] < cell.count:
+            assert not pool.rejections[cell, "quota_full"]
+            assert bool(pool.rejections[cell, "gold_leaf_full"]) <= (quota in golds.values())
+    if cap == 1.0 or not labels:
+        assert not any(reason == "label_over_cap" for _, reason in pool.rejections)
 
 
 def test_a_group_has_one_step_budget_by_its_longest_text(flat) -> None:
