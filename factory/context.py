@@ -21,6 +21,7 @@ class RunContext:
     transient_tries : how often a stage may raise ``TransientIOError`` before its unit is quarantined
     transient_pause : seconds before the second try; each further pause is four times as long
     deadline : seconds one unit may take; None for no limit
+    memory : bytes that a process which works on units may hold; None for its share of the machine (``factory.memory``)
     """
 
     pipeline: Pipeline
@@ -32,6 +33,7 @@ class RunContext:
     transient_tries: int = 3
     transient_pause: float = 0.2
     deadline: float | None = None
+    memory: int | None = None
     faults: str = ""
     token: str = ""
     """Names the run; a record of quarantine under it is never tried again within the run."""

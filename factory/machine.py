@@ -3,13 +3,26 @@
 from __future__ import annotations
 
 import functools
+import os
 import platform
 import resource
 import socket
 import sys
+from collections.abc import Iterator
 from importlib import metadata
+from pathlib import Path
 
-__all__ = ["host", "library_versions", "peak_rss", "reset_peak_rss"]
+__all__ = [
+    "container_limits",
+    "host",
+    "library_versions",
+    "memory_available",
+    "memory_total",
+    "peak_rss",
+    "private_memory",
+    "reset_peak_rss",
+    "rss",
+]
 
 
 @functools.cache
@@ -50,3 +63,68 @@ def peak_rss() -> int:
         pass
     # Kilobytes on Linux, bytes on macOS.
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+
+
+def rss() -> int:
+    """Resident memory of this process in bytes; 0 where the system does not say (not Linux)."""
+    return _statm(1)
+
+
+def private_memory() -> int:
+    """Private virtual memory of this process in bytes, as ``RLIMIT_DATA`` counts it; 0 where unknown."""
+    return _statm(5)
+
+
+def _statm(field: int) -> int:
+    try:
+        with open("/proc/self/statm", "rb") as handle:
+            return int(handle.read().split()[field]) * os.sysconf("SC_PAGE_SIZE")
+    except OSError:
+        return 0
+
+
+def memory_total() -> int:
+    """Memory of this machine in bytes, or what its container may have; 0 where the system does not say."""
+    return min([_meminfo("MemTotal"), *(limit for limit, _ in container_limits())])
+
+
+def memory_available() -> int:
+    """Bytes that processes can still take before the machine or its container runs out; 0 where unknown."""
+    return max(min([_meminfo("MemAvailable"), *(limit - used for limit, used in container_limits())]), 0)
+
+
+def _meminfo(name: str) -> int:
+    try:
+        with open("/proc/meminfo") as handle:
+            return next((int(line.split()[1]) * 1024 for line in handle if line.startswith(f"{name}:")), 0)
+    except OSError:
+        return 0
+
+
+def container_limits(
+    groups: Path = Path("/proc/self/cgroup"), mounted: Path = Path("/sys/fs/cgroup")
+) -> Iterator[tuple[int, int]]:
+    """(limit, used) in bytes of each control group around this process that has a limit; version 2, then 1."""
+    try:
+        lines = groups.read_text().splitlines()
+    except OSError:
+        return
+    for line in lines:
+        number, names, path = line.split(":", 2)
+        if number == "0":
+            folder, files = mounted, ("memory.max", "memory.current")
+        elif "memory" in names.split(","):
+            folder, files = mounted / "memory", ("memory.limit_in_bytes", "memory.usage_in_bytes")
+        else:
+            continue
+        own = folder / path.lstrip("/")
+        # Inside a container its own group is often the root of what is mounted.
+        for place in dict.fromkeys([own, *own.parents]):
+            if place != folder and folder not in place.parents:
+                break
+            try:
+                limit, used = ((place / name).read_text().strip() for name in files)
+            except OSError:
+                continue
+            if limit.isdigit() and used.isdigit():
+                yield int(limit), int(used)

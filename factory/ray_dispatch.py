@@ -55,8 +55,17 @@ def _worker(name: str, context: Sequence[Any]) -> Worker:
 
     if name not in _workers:
         _workers.clear()
-        _workers[name] = Worker(ray.get(context[0]), may_exit=True)
+        _workers[name] = Worker(ray.get(context[0]), may_exit=True, slots=_slots())
     return _workers[name]
+
+
+def _slots() -> int:
+    """Tasks that may be at work on this node at once."""
+    import ray
+
+    own = ray.get_runtime_context().get_node_id()
+    nodes = ray.nodes()  # type: ignore[no-untyped-call]
+    return max([1, *(int(node["Resources"].get("CPU", 1)) for node in nodes if node["NodeID"] == own)])
 
 
 def work_task(name: str, context: Sequence[Any], task: Task) -> list[Receipt]:

@@ -96,6 +96,7 @@ def run(
     retry_quarantined: bool = False,
     renew: Iterable[str] = (),
     deadline: float | None = None,
+    memory: int | None = None,
     verify: bool = False,
     revision: str = "",
     part_bytes: int = PART_BYTES,
@@ -108,6 +109,7 @@ def run(
     retry_quarantined : try units again whose key is in quarantine
     renew : names of aggregates to build anew
     deadline : seconds one unit may take
+    memory : bytes that a process which works on units may hold; by default its share of the machine
     verify : read every published file again and make those anew that differ from their hash
     revision : recorded in every commit, never keyed
     part_bytes : canonical bytes of one published file, see ``factory.packing``
@@ -127,6 +129,7 @@ def run(
             retry=retry_quarantined,
             renew=tuple(renew),
             deadline=deadline,
+            memory=memory,
             verify=verify,
             revision=revision,
             part_bytes=part_bytes,
@@ -146,6 +149,7 @@ class _Run:
     retry: bool
     renew: tuple[str, ...]
     deadline: float | None
+    memory: int | None
     verify: bool
     revision: str
     part_bytes: int
@@ -294,6 +298,7 @@ class _Run:
             retrying=self.retry,
             revision=self.revision,
             deadline=self.deadline,
+            memory=self.memory,
             faults=self.faults,
             token=self.token,
         )

@@ -4,7 +4,8 @@ The same code runs inline and inside a Ray task. What happens to an error:
 
 * ``TransientIOError`` from a stage: tried again, with growing pauses, then quarantined;
 * a stop (``KeyboardInterrupt``), though compiled code handed it on as another error: no fault of the unit, raised;
-* ``MemoryError``: handed back once, so that the driver tries again with twice the memory, then quarantined;
+* ``MemoryError``, or the process outgrew its ceiling (``factory.memory``): handed back once where another try may have
+  more memory, so that the driver tries again with the unit alone on a node; then quarantined;
 * the store refusing (``StoreError``, no space left): no fault of the unit, so it is raised and ends the run;
 * anything else from a stage: quarantined at once with its traceback.
 """
@@ -26,6 +27,7 @@ from factory.context import RunContext
 from factory.deadline import Deadline
 from factory.faults import FaultPlan
 from factory.key import Keyer, StageKey
+from factory.memory import MemoryCeiling, release, share
 from factory.pipeline import plain_name
 from factory.quarantine import Failed, Quarantine, failed_by
 from factory.receipt import Failure, Receipt, Status
@@ -50,9 +52,15 @@ PENDING: Final = "0" * 64
 class Worker:
     """Works units off, one at a time."""
 
-    def __init__(self, context: RunContext, *, may_exit: bool = False) -> None:
-        """may_exit : this process may be ended when a unit hangs in compiled code."""
+    def __init__(self, context: RunContext, *, may_exit: bool = False, slots: int = 1) -> None:
+        """A worker of this process.
+
+        may_exit : this process may be ended when a unit hangs in compiled code
+        slots : how many workers share this machine's memory; on its last try a unit has the machine to itself
+        """
         self.context = context
+        self._ceiling = MemoryCeiling(context.memory or share(slots))
+        self._last_ceiling = MemoryCeiling(context.memory or share(1)) if slots > 1 else self._ceiling
         self._may_exit = may_exit
         self._deadline = Deadline(None)
         self.pipeline = context.pipeline
@@ -72,10 +80,22 @@ class Worker:
             failure = self.quarantine.refuse(unit, unit.fault)
             return Receipt(unit.unit_id, unit.partition, "quarantined", "", fingerprint, (), failure)
         self._deadline = Deadline(self.context.deadline, may_exit=self._may_exit)
+        ceiling = self._last_ceiling if last_try else self._ceiling
+        # Where the last try would have no more, this is the last one.
+        last_try = last_try or ceiling.ceiling == self._last_ceiling.ceiling
+        with ceiling.watch():
+            receipt = self._tried(unit, until, fingerprint, attempt, last_try, ceiling)
+        if receipt.status == "memory" or (receipt.failure is not None and receipt.failure.cause == "memory"):
+            release()
+        return receipt
+
+    def _tried(
+        self, unit: Unit, until: int, fingerprint: bytes, attempt: int, last_try: bool, ceiling: MemoryCeiling
+    ) -> Receipt:
         for _ in range(len(self.pipeline.stages) + 1):
             chain = Chain(self.pipeline, self.keyer, self.commits, self.shared, unit)
             try:
-                return self._walk(unit, chain, until, fingerprint, attempt, last_try)
+                return self._walk(unit, chain, until, fingerprint, attempt, last_try, ceiling)
             except CorruptShardError:
                 continue  # the damaged commit was removed: its stage is made again
         raise StoreError(
@@ -84,7 +104,16 @@ class Worker:
             remedy="Check the disk.",
         )
 
-    def _walk(self, unit: Unit, chain: Chain, until: int, fingerprint: bytes, attempt: int, last_try: bool) -> Receipt:
+    def _walk(
+        self,
+        unit: Unit,
+        chain: Chain,
+        until: int,
+        fingerprint: bytes,
+        attempt: int,
+        last_try: bool,
+        ceiling: MemoryCeiling,
+    ) -> Receipt:
         status: Status = "ok" if until == len(self.pipeline.stages) else "partial"
         reason = ""
         failure = None
@@ -92,21 +121,24 @@ class Worker:
             stage = self.pipeline.stages[chain.at]
             key: StageKey | None = None
             try:
-                key = self._key(chain)
-                commit = self.commits.find(stage.name, key.hex)
-                if commit is None:
-                    failure = self.quarantine.known(stage.name, key.hex, attempt)
-                    if failure is not None:
-                        status = "quarantined"
-                        break
-                    commit, tables = self._make(unit, chain, stage, key)
-                    chain.add(receipt_of(commit, made=True), tables)
-                else:
-                    chain.add(receipt_of(commit, made=False))
-            except Failed as failed:
+                with ceiling.armed():
+                    key = self._key(chain)
+                    commit = self.commits.find(stage.name, key.hex)
+                    if commit is None:
+                        failure = self.quarantine.known(stage.name, key.hex, attempt)
+                        if failure is not None:
+                            status = "quarantined"
+                            break
+                        commit, tables = self._make(unit, chain, stage, key)
+                        chain.add(receipt_of(commit, made=True), tables)
+                    else:
+                        chain.add(receipt_of(commit, made=False))
+            except (Failed, MemoryError) as error:
+                failed = error if isinstance(error, Failed) else failed_by(error, 1)
                 if failed.cause == "memory" and not last_try:
                     status = "memory"
                 else:
+                    failed = Failed(failed.cause, ceiling.named(failed.error), failed.attempts)
                     status = "quarantined"
                     failure = self.quarantine.put(unit, stage.name, None if key is None else key.hex, failed, attempt)
                 break

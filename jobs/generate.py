@@ -98,6 +98,7 @@ def bring_up_to_date(
             retry_quarantined=retry_quarantined,
             renew=("priors",) if renew_priors else (),
             deadline=config.ray.deadline_seconds,
+            memory=None if config.ray.memory_gib is None else int(config.ray.memory_gib * 2**30),
             verify=verify,
             revision=git_revision(),
         )

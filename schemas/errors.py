@@ -17,6 +17,7 @@
     ├── TransientIOError        worth another try (network, busy disk)
     ├── StageError              a stage broke its contract (wrong columns, repeated keys, an undeclared table)
     ├── DeadlineError           a unit ran longer than its deadline
+    ├── MemoryCeilingError      a unit outgrew the memory ceiling of its process (also a MemoryError)
     ├── ProofError              a published fact does not hold                      exit 3
     └── FailureBudgetError      too many scenes failed; the run was stopped         exit 4
 
@@ -36,6 +37,7 @@ __all__ = [
     "FormatError",
     "InputError",
     "LimitError",
+    "MemoryCeilingError",
     "MissingFileError",
     "PathEscapeError",
     "ProofError",
@@ -146,6 +148,12 @@ class StageError(CondVLNError):
 
 class DeadlineError(CondVLNError):
     """A unit ran longer than its deadline and was stopped; it is quarantined."""
+
+    exit_code = 3
+
+
+class MemoryCeilingError(CondVLNError, MemoryError):
+    """A unit outgrew the memory ceiling of the process that worked on it; it is quarantined."""
 
     exit_code = 3
 

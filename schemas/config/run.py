@@ -128,6 +128,13 @@ class RayConfig(Section):
     address: str | None = Field(None, description="ray:// or host:port of a cluster; none = this machine")
     max_failures: Share = Field(0.5, description="share of failed scenes over which the run is stopped (exit 4)")
     deadline_seconds: Seconds = Field(1800.0, description="wall time one scene may take")
+    memory_gib: float | None = Field(
+        None,
+        ge=0.5,
+        allow_inf_nan=False,
+        description="memory that a process may hold while it works on a scene, GiB; a scene that needs more is "
+        "quarantined; none = 80 % of the machine's memory over its workers",
+    )
 
 
 class KeepConfig(Section):

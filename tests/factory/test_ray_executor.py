@@ -119,6 +119,15 @@ def test_a_deadline_holds_in_a_worker(executor: RayExecutor, store: LocalStore) 
     assert [(name, failure.cause) for name, failure in report.failures] == [("a/hang", "deadline")]
 
 
+def test_a_memory_ceiling_holds_in_a_worker(executor: RayExecutor, store: LocalStore) -> None:
+    """The worker lives on: the unit is not one that a worker died of."""
+    units = [*toys.units(4), toys.unit("a/hog", trouble="hog"), toys.unit("a/request", trouble="request")]
+    report = run(toys.pipeline(), units, store, executor=executor, memory=1 << 30)
+    assert (report.exit_code, report.counts["ok"]) == (3, 4)
+    found = {name: (failure.cause, failure.exception, failure.attempts) for name, failure in report.failures}
+    assert found == dict.fromkeys(("a/hog", "a/request"), ("memory", "MemoryCeilingError", 1))
+
+
 def test_a_store_that_fails_in_a_worker_ends_the_run(executor: RayExecutor, store: LocalStore) -> None:
     with pytest.raises(StoreError, match="no space"):
         run(toys.pipeline(), toys.units(20), store, executor=executor, faults="unit-before-commit@2=full")
@@ -229,7 +238,8 @@ from factory import LocalStore, run
 from factory.ray_executor import RayExecutor
 units = [*toys.units(4), toys.unit("a/hog", trouble="hog")]
 with RayExecutor(workers=2) as executor:
-    report = run(toys.pipeline(), units, LocalStore({str(tmp_path / "store")!r}), executor=executor)
+    # No ceiling of our own, which would stop the unit before Ray does.
+    report = run(toys.pipeline(), units, LocalStore({str(tmp_path / "store")!r}), executor=executor, memory=1 << 60)
 print(json.dumps([(name, f.stage, f.cause, f.message) for name, f in report.failures]))
 """
     # Ray kills when the whole machine is above a share; ours is far enough above what is in use for the others here.

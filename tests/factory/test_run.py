@@ -253,7 +253,7 @@ def test_skipped_is_not_quarantined(store: LocalStore) -> None:
         ("format", "input", "FormatError", 1),
         ("error", "error", "ZeroDivisionError", 1),
         ("exit", "error", "SystemExit", 1),
-        ("memory", "memory", "MemoryError", 2),
+        ("memory", "memory", "MemoryCeilingError", 1),
     ],
 )
 def test_a_failing_unit_is_set_aside_and_the_others_go_on(

@@ -15,6 +15,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 
 from factory import Aggregate, InputFile, Pipeline, Stage, StageOutput, TableSpec, Unit
@@ -73,6 +74,8 @@ def misbehave(unit: Unit) -> None:
         while True:
             held.append(b"x" * (64 << 20))
             time.sleep(0.02)
+    if what == "request":  # one request far beyond any machine
+        np.zeros(1 << 44)
     if what == "die":
         os._exit(11)
     if what == "full":
