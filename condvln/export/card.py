@@ -96,6 +96,7 @@ _FILES: Final = """\
 | `navmeshes/` | navmeshes built for scenes that ship none |
 | `configs/` | configuration files for VLN-CE, habitat-lab, Open-Nav, VLN-Zero, NaVid and NaVILA |
 | `export.json` | counts per cell, what was left out and why, SHA-256 of every file |
+| `origin.json` | the configuration, the code's versions and the scenes that it was made of |
 
 Positions are metres in Habitat's frame (+Y up, −Z north), quaternions `[x, y, z, w]`."""
 

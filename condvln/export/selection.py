@@ -117,8 +117,10 @@ def _empty_splits(pool: Pool, config: SplitsConfig, selection: Selection) -> dic
         available = sum(cell.available for cell in selection.cells if cell.split == split)
         if not groups[group]:
             why = f"none of the {len(pool.scenes)} scenes with episodes belongs to it; splits.scenes.{group} names some"
+        elif not available and split == "val_seen":
+            why = f"it takes {config.val_seen_share:g} of the train scenes' episodes by hash, and none falls in it"
         elif not available:
-            why = f"no episode of the {groups[group]} scenes of group {group} falls in it"
+            why = f"none of the episodes of its scenes ({groups[group]}) can be in a split"
         else:
             why = (
                 f"none of its {available} episodes could be chosen, since each source and category needs one of every "

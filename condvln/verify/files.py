@@ -99,7 +99,8 @@ class _SplitCursor:
         self._path = folder / "manifest" / f"{split}.jsonl"
         self._rows = self._parsed_rows()
         base = folder / "vlnce" / split
-        self._records = _Lookup(_records(base / f"{split}.json.gz"))
+        shards = sorted(base.glob("content/*.json.gz"))
+        self._records = _Lookup(entry for path in (base / f"{split}.json.gz", *shards) for entry in _records(path))
         self._truths = _Lookup(_truths(base / f"{split}_gt.json.gz"))
         self._next = next(self._rows, None)
 

@@ -11,6 +11,7 @@ from typing import Any, Final
 import orjson
 
 from condvln.evaluation.json_entries import nonstandard_number
+from condvln.export.contents import CERTIFICATES, INDEX, ORIGIN
 from condvln.export.streams import read_unpacked
 from condvln.export.validation.document import Document, PathfinderOf
 from condvln.export.validation.documents import check_document
@@ -26,9 +27,7 @@ _SUFFIXES: Final = (".json", ".json.gz")
 _TRUTH: Final = "_gt"
 _SHARDS: Final = "content"
 # Files of an export, and of the tools around one, that hold no episodes.
-_OTHERS: Final = ("export.json", "croissant.json", "embeddings.json.gz")
-_CERTIFICATES: Final = "certificates"
-"""Where ``condvln verify`` leaves its proofs and their summary."""
+_OTHERS: Final = (INDEX, ORIGIN, "croissant.json", "embeddings.json.gz")
 
 _GROUPS: Final = {"train": "train", "val_seen": "train", "joint_train_envdrop": "train", "envdrop": "train"}
 """Splits that may share scenes; every other split is a group of its own."""
@@ -113,7 +112,7 @@ def _joined(split: Document, shard: Document, file: str) -> Iterator[Finding]:
 
 def _files_below(path: Path) -> list[Path]:
     found = [file for file in sorted(path.rglob("*")) if file.name.endswith(_SUFFIXES) and file.is_file()]
-    episodes = [file for file in found if file.parent.name != _CERTIFICATES]
+    episodes = [file for file in found if file.parent.name != CERTIFICATES]
     return [file for file in episodes if file.name not in _OTHERS and not file.name.startswith(".")]
 
 
