@@ -18,6 +18,7 @@ from pydantic import Field, ValidationError
 from condvln.export.contents import ORIGIN, document_digest, read_document, read_index
 from condvln.export.selection import VERSION
 from factory.snapshot import Snapshot
+from jobs.pipeline import build_pipeline
 from schemas.base import Document
 from schemas.config import Config
 from schemas.errors import SmallerExportError
@@ -55,7 +56,7 @@ class Origin(Document):
     configuration: dict[str, Any] = Field(default_factory=dict)
     """By key, such as ``instructions.moves``; without folders."""
     code: dict[str, int] = Field(default_factory=dict)
-    """Version of each stage, and of the export's choice as ``select``."""
+    """Version of each stage, of the priors, and of the export's choice as ``select``."""
     priors: dict[str, str] = Field(default_factory=dict)
     scenes: dict[str, SceneOrigin] = Field(default_factory=dict)
     """By ``<source>/<scene>``."""
@@ -75,10 +76,11 @@ class Origin(Document):
                 status=row["status"], data=data.hex(), key=key.hex(), episodes=row.get(columns[3]) or 0
             )
         stages = {name: totals.version for name, totals in snapshot.manifest.stages.items()}
+        aggregates = {aggregate.name: aggregate.version for aggregate in build_pipeline(config).aggregates}
         return cls(
             snapshot=snapshot.snapshot_id,
             configuration=_flat(_deciding(config)),
-            code={**stages, "select": VERSION},
+            code={**stages, **aggregates, "select": VERSION},
             priors=dict(snapshot.manifest.aggregates),
             scenes=scenes,
         )
