@@ -154,7 +154,7 @@ def _resolve(config: Config, base: Path, path: Path, check_roots: bool) -> Confi
         root = (base / source.root).resolve()
         if check_roots and not root.is_dir():
             raise ConfigError(
-                f"no such folder: {root}",
+                f"this is a file, not a folder: {root}" if root.exists() else f"no such folder: {root}",
                 where=path,
                 place=f"sources.{k}.root",
                 remedy=f"Point it at your copy of {source.family}, or override it with --set sources.{k}.root=FOLDER.",

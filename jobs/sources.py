@@ -14,7 +14,7 @@ from jobs.pipeline import open_configured
 from jobs.report import Report, Section
 from jobs.workspace import file_hashes, hasher
 from schemas.config import Config
-from schemas.errors import ConfigError
+from schemas.errors import ConfigError, MissingFileError
 
 __all__ = ["survey"]
 
@@ -55,6 +55,7 @@ def survey(config: Config, *, limit: int | None = None, console: Console | None 
                     {"holds": k.download.holds, "need": k.download.need, "files": k.files, "from": k.download.source}
                     for k in kinds
                 ],
+                "absent": [h.scene_id for h in handles if isinstance(h.fault, MissingFileError) and not h.inputs],
                 **_counts(found),
             }
         )
@@ -70,15 +71,19 @@ def survey(config: Config, *, limit: int | None = None, console: Console | None 
         sections["Unmapped labels"] += [(family, *item) for item in found.unmapped.most_common(SHOWN)]
         sections["Unmapped rooms"] += [(family, *item) for item in found.unmapped_rooms.most_common(SHOWN)]
         sections["Warnings"] += [(family, *item) for item in sorted(found.warnings.items())]
+        sections["Passed over"] += [(family, *item) for item in found.passed_over[:SHOWN]]
         sections["Will be skipped"] += [(family, *item) for item in found.skipped[:SHOWN]]
         sections["Unreadable"] += [(family, *item) for item in found.unreadable[:SHOWN]]
+    # What was asked for and is not there: a source that can't be used, a scene or pattern that nothing fits.
+    absent = any("error" in one or one["absent"] for one in document)
     lines = [
-        f"{one['family']}: {len(one[what]) - SHOWN} more {what} scenes are not shown; --json lists them"
+        f"{one['family']}: {len(one[what]) - SHOWN} more {what.replace('_', ' ')} are not shown; --json lists them"
         for one in document
-        for what in ("skipped", "unreadable")
+        for what in ("passed_over", "skipped", "unreadable")
         if what in one and len(one[what]) > SHOWN
     ]
-    return Report({"sources": document}, lines, [Section(n, _COLUMNS[n], [*rows]) for n, rows in sections.items()])
+    shown = [Section(n, _COLUMNS[n], [*rows]) for n, rows in sections.items()]
+    return Report({"sources": document}, lines, shown, exit_code=ConfigError.exit_code if absent else 0)
 
 
 _COLUMNS: Final = {
@@ -90,6 +95,7 @@ _COLUMNS: Final = {
     "Unmapped labels": ("family", "raw label", "objects"),
     "Unmapped rooms": ("family", "raw label", "rooms"),
     "Warnings": ("family", "code", "places"),
+    "Passed over": ("family", "path", "why"),
     "Will be skipped": ("family", "scene", "why"),
     "Unreadable": ("family", "scene", "cause"),
 }
@@ -107,6 +113,7 @@ def _counts(found: Survey) -> dict[str, Any]:
         "unmapped_labels": dict(found.unmapped.most_common()),
         "unmapped_rooms": dict(found.unmapped_rooms.most_common()),
         "warnings": dict(sorted(found.warnings.items())),
+        "passed_over": [list(item) for item in found.passed_over],
         "skipped": [list(item) for item in found.skipped],
         "unreadable": [list(item) for item in found.unreadable],
     }

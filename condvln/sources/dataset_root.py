@@ -7,13 +7,15 @@ import os
 import posixpath
 import re
 from pathlib import Path
+from typing import Final
 
 from schemas.errors import FormatError, MissingFileError, PathEscapeError, TransientIOError
 
-__all__ = ["DatasetRoot"]
+__all__ = ["TRANSIENT", "DatasetRoot"]
 
 _DRIVE = re.compile(r"^[A-Za-z]:")
-_TRANSIENT = frozenset({errno.EIO, errno.EAGAIN, errno.EBUSY, errno.ESTALE, errno.ETIMEDOUT, errno.EINTR})
+TRANSIENT: Final = frozenset({errno.EIO, errno.EAGAIN, errno.EBUSY, errno.ESTALE, errno.ETIMEDOUT, errno.EINTR})
+"""Errors of the system that another try may cure."""
 _ESCAPE_REMEDY = "Paths must stay inside the dataset's root folder; mend the entry"
 
 
@@ -97,7 +99,7 @@ class DatasetRoot:
                 "the file is not there", where=path, remedy="Download it again, or remove what refers to it"
             ) from None
         except OSError as error:
-            if error.errno in _TRANSIENT:
+            if error.errno in TRANSIENT:
                 raise TransientIOError(f"the file can't be read ({error.strerror})", where=path) from error
             raise MissingFileError(
                 f"the file can't be opened ({error.strerror})", where=path, remedy="Mend its name or its permissions"

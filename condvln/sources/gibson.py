@@ -123,14 +123,14 @@ class GibsonSource(SceneSource):
     def _buildings(self) -> dict[str, str]:
         """Scene id → path of its annotation, sorted."""
         found: dict[str, str] = {}
-        for pattern in ("*.npz", "*/*.npz", "*.scn", "*/*.scn"):
-            for file in sorted(self.root.glob(pattern)):
-                path = file.relative_to(self.root).as_posix()
-                named = _FILE.match(path)
-                if named is not None:
-                    name, folder = named["name"] or named["original"], named["folder"] or ""
-                    kind = next((k for k in (VERIFIED, AUTOMATED) if k in folder.lower()), None)
-                    found[name if kind is None else f"{kind}/{name}"] = path
+        # Of one building's files the last one counts: .scn before .npz, subfolders before the root.
+        paths = self.matching("*.npz", "*/*.npz", "*.scn", "*/*.scn")
+        for path in sorted(paths, key=lambda path: (path.endswith(".scn"), "/" in path, path)):
+            named = _FILE.match(path)
+            if named is not None:
+                name, folder = named["name"] or named["original"], named["folder"] or ""
+                kind = next((k for k in (VERIFIED, AUTOMATED) if k in folder.lower()), None)
+                found[name if kind is None else f"{kind}/{name}"] = path
         return dict(sorted(found.items()))
 
 

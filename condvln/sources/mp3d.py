@@ -5,7 +5,7 @@ from __future__ import annotations
 import posixpath
 from collections.abc import Iterator
 from functools import partial
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import ClassVar, Final
 
 import numpy as np
@@ -125,11 +125,12 @@ class Mp3dSource(SceneSource):
     def _scans(self) -> dict[str, str]:
         """Scan → path of its ``.house``, sorted; the first layout that has it counts."""
         found: dict[str, str] = {}
+        paths = [PurePosixPath(path) for path in self.matching(*LAYOUTS)]
         for layout in LAYOUTS:
-            for file in sorted(self.root.glob(layout)):
-                scan = file.stem
-                if scan in file.relative_to(self.root).parts:
-                    found.setdefault(scan, file.relative_to(self.root).as_posix())
+            depth = len(PurePosixPath(layout).parts)
+            for path in paths:
+                if path.stem in path.parts and len(path.parts) == depth and path.match(layout):
+                    found.setdefault(path.stem, path.as_posix())
         return dict(sorted(found.items()))
 
 

@@ -37,6 +37,9 @@ _LINE: Final = re.compile(r"^(?P<stem>.+)-(?P<number>0|[1-9][0-9]{0,8})$")
 _HOUSE_KEYS: Final = (b'"rooms"', b'"walls"')
 """What tells a house from other JSON that lies beside it."""
 
+_LINE_KEYS: Final = (*_HOUSE_KEYS, b'"doors"', b'"windows"', b'"proceduralParameters"')
+"""Any of them makes a line a house, so that one damaged byte does not make it something else."""
+
 
 class ProcthorSource(SceneSource):
     """Houses in the files of a folder and of its direct subfolders.
@@ -59,7 +62,16 @@ class ProcthorSource(SceneSource):
             )
 
     def listing(self) -> Iterator[tuple[str, Note]]:
-        """See `SceneSource.listing`. A break in a file of lines is a fault under the file's own name."""
+        """See `SceneSource.listing`. A break in a file of lines is a fault under the file's own name.
+
+        Raises
+        ------
+        ConfigError : the asset database, without which no house can be read, is missing or malformed
+        """
+        try:
+            self._assets()
+        except InputError as error:
+            raise ConfigError(error.what, where=error.where, place=error.place, remedy=error.remedy) from None
         for (stem, suffix), path in self._files().items():
             try:
                 if suffix == ".json":
@@ -67,14 +79,37 @@ class ProcthorSource(SceneSource):
                     if all(key in data for key in _HOUSE_KEYS):
                         yield stem, partial(self._note, stem, path, data)
                     else:
-                        # Of a file cut short nobody can say that it was no house.
+                        # A file that is cut short may have been a house.
                         parse_json(data, str(self.root / path))
+                        self.pass_over(path, "JSON that is not a house")
                     continue
-                for number, line in self._lines(path).lines():
-                    scene_id = f"{stem}-{number}"
-                    yield scene_id, partial(self._note, scene_id, f"{path}#{number}", line)
+                yield from self._houses_of_lines(stem, path)
             except InputError as error:
                 yield stem, partial(_fail, error)
+
+    def _houses_of_lines(self, stem: str, path: str) -> Iterator[tuple[str, Note]]:
+        """A house a line. A file without any house is passed over as a whole; its first line decides if it is JSON.
+
+        Raises
+        ------
+        InputError : the file can't be read, or holds neither houses nor other JSON
+        """
+        earlier: list[int] = []
+        first, houses = b"", False
+        for number, line in self._lines(path).lines():
+            if not houses and not any(key in line for key in _LINE_KEYS):
+                earlier.append(number)
+                first = first or line
+                continue
+            if not houses:  # there is a house: the lines before it are broken ones
+                for broken in earlier:
+                    yield f"{stem}-{broken}", partial(self._note_line, f"{stem}-{broken}", path, broken)
+            houses = True
+            yield f"{stem}-{number}", partial(self._note, f"{stem}-{number}", f"{path}#{number}", line)
+        if not houses and earlier:
+            parse_json(first, f"{self.root / path}#{earlier[0]}")
+        if not houses:
+            self.pass_over(path, f"none of its {len(earlier)} lines is a house" if earlier else "the file has no lines")
 
     def read(self, scene_id: str) -> Scene:
         """One house; see `Source.read`."""
@@ -141,12 +176,10 @@ class ProcthorSource(SceneSource):
     def _files(self) -> dict[tuple[str, str], str]:
         """(id without line, suffix) → path of every file that may hold houses, sorted."""
         found: dict[tuple[str, str], str] = {}
-        for pattern in ("*.json*", "*/*.json*"):
-            for file in sorted(self.root.glob(pattern)):
-                path = file.relative_to(self.root).as_posix()
-                named = _FILE.match(path)
-                if named is not None and path not in FILE_NAMES and file.is_file():
-                    found[named["stem"], named["suffix"]] = path
+        for path in self.matching("*.json*", "*/*.json*"):
+            named = _FILE.match(path)
+            if named is not None and path not in FILE_NAMES:
+                found[named["stem"], named["suffix"]] = path
         return dict(sorted(found.items()))
 
     def _lines(self, path: str) -> JsonLines:
@@ -165,6 +198,9 @@ class ProcthorSource(SceneSource):
         if isinstance(self._database[1], InputError):
             raise self._database[1]
         return self._database[1]
+
+    def _note_line(self, scene_id: str, path: str, number: int, ledger: InputLedger) -> None:
+        self._note(scene_id, f"{path}#{number}", JsonLines(self.files, path).line(number), ledger)
 
     def _note(self, scene_id: str, name: str, data: bytes, ledger: InputLedger) -> None:
         """Note what reading a house would open, without building it."""

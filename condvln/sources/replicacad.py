@@ -68,6 +68,7 @@ class ReplicaCadSource(SceneSource):
     def listing(self) -> Iterator[tuple[str, Note]]:
         """See `SceneSource.listing`."""
         dataset = SceneDataset(self.files)
+        self.noted(dataset.listing)
         for scene_id, path in dataset.scenes().items():
             yield scene_id, partial(self._assemble, dataset, scene_id, path)
 

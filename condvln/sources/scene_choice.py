@@ -18,13 +18,33 @@ class SceneChoice:
 
     def wanted(self, scene_id: str) -> bool:
         """Is this scene asked for?"""
-        return _fits(scene_id, self.scenes) and not _fits(scene_id, self.exclude)
+        return _fits(scene_id, self.scenes) and not self.excluded(scene_id)
+
+    def excluded(self, scene_id: str) -> bool:
+        """Is this scene, or this place that can't be listed, left out?"""
+        return _fits(scene_id, self.exclude)
+
+    def only_names(self) -> bool:
+        """Are all scenes asked for by their ids, and none by a pattern?"""
+        return not any(_is_pattern(scene) for scene in self.scenes)
+
+    def idle(self, known: Sequence[str]) -> list[str]:
+        """Patterns asked for that no scene fits; what is excluded fits too."""
+        return sorted({p for p in self.scenes if _is_pattern(p) and not any(fnmatchcase(s, p) for s in known)})
+
+    def idle_exclusions(self, known: Sequence[str]) -> list[str]:
+        """Ids and patterns left out that no scene fits."""
+        return sorted({p for p in self.exclude if not any(fnmatchcase(s, p) for s in known)})
 
     def missing(self, known: Iterable[str]) -> list[str]:
         """Ids asked for by name that the dataset does not have, sorted."""
         there = set(known)
-        named = {s for s in self.scenes if not any(c in s for c in "*?[")}
+        named = {s for s in self.scenes if not _is_pattern(s)}
         return sorted(s for s in named - there if not _fits(s, self.exclude))
+
+
+def _is_pattern(scene: str) -> bool:
+    return any(character in scene for character in "*?[")
 
 
 def _fits(scene_id: str, patterns: Sequence[str]) -> bool:

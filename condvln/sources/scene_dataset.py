@@ -14,6 +14,7 @@ from functools import lru_cache
 from typing import Final
 
 from condvln.sources.dataset_root import DatasetRoot
+from condvln.sources.file_listing import FileListing, list_files
 from condvln.sources.input_ledger import InputLedger
 from condvln.sources.json_document import JsonNode, parse_json
 from condvln.sources.urdf import MAX_URDF_BYTES, LinkMesh, read_urdf
@@ -102,6 +103,7 @@ class SceneDataset:
 
     def __init__(self, root: DatasetRoot) -> None:
         self.root = root
+        self.listing = FileListing()
         self.config_path = self._config_path()
         self.config = self.document(self.config_path).object()
         self._indices = {kind: self._index(kind) for kind in _KINDS}
@@ -177,7 +179,7 @@ class SceneDataset:
         return next((e.path for e in self._indices[kind].entries if e.handle == wanted), None)
 
     def _config_path(self) -> str:
-        found = sorted(p.name for p in self.root.folder.glob(f"*{CONFIG_SUFFIX}"))
+        found = list_files(self.root, [f"*{CONFIG_SUFFIX}"]).paths
         if len(found) != 1:
             raise ConfigError(
                 f"{len(found)} files *{CONFIG_SUFFIX} stand in this folder, exactly one is expected",
@@ -197,7 +199,10 @@ class SceneDataset:
         for extension, patterns in paths.items() if paths is not None else ():
             for pattern in patterns.elements():
                 found |= self._search(kind, extension, pattern)
-        index.entries = [_Entry(posixpath.basename(_stem(p, *_KINDS[kind], *_ASSETS)), p) for p in sorted(found)]
+        self.listing.take(self.root, found)
+        kept = [path for path in self.listing.paths if path in found]
+        self.listing.paths.clear()
+        index.entries = [_Entry(posixpath.basename(_stem(p, *_KINDS[kind], *_ASSETS)), p) for p in kept]
         for made in section.array("configs"):
             handle = made.get("template_handle") or made.get("original_file")
             if handle is None:

@@ -12,6 +12,7 @@ from typing import ClassVar, Final
 from condvln.scene import Scene
 from condvln.scene.geometry import SceneGeometry
 from condvln.sources.dataset_root import DatasetRoot
+from condvln.sources.file_listing import FileListing, list_files
 from condvln.sources.input_ledger import InputLedger
 from condvln.sources.scene_choice import SceneChoice
 from condvln.sources.source import HashFile, SceneCounts, SceneHandle, SceneInput
@@ -51,9 +52,13 @@ class SceneSource(ABC):
         self.root = root
         self.options = options
         self.files = DatasetRoot(root)
+        self._passed_over: dict[str, str] = {}
+        self._lost: dict[str, InputError] = {}
         if options.regions is not None and not options.regions.exists():
             raise ConfigError(
-                "the side file of room zones is not there", where=options.regions, remedy="Mend the source's 'regions'"
+                "the side file of room zones is not there",
+                where=options.regions,
+                remedy="Correct the source's 'regions'",
             )
 
     @abstractmethod
@@ -71,6 +76,7 @@ class SceneSource(ABC):
     def handles(self) -> list[SceneHandle]:
         """The scenes asked for; see `Source.handles`."""
         choice = self.options.choice
+        self._passed_over = {}
         known: list[str] = []
         found: list[SceneHandle] = []
         for scene_id, note in self.listing():
@@ -78,21 +84,56 @@ class SceneSource(ABC):
             if choice.wanted(scene_id):
                 found.append(self._handle(scene_id, note))
         missing = choice.missing(known)
-        if not found and not missing:
+        lost = {place: fault for place, fault in self._lost.items() if not choice.excluded(place)}
+        if choice.only_names() and not missing:
+            lost = {}  # every scene asked for is there
+        if not found and not missing and not lost:
+            others = next((f"; {path} was passed over: {why}" for path, why in self.passed_over()), "")
+            patterns = ", ".join(choice.scenes) or "an empty list of patterns"
             raise ConfigError(
-                f"none of the {len(known)} scenes fits {', '.join(choice.scenes) or 'an empty list of patterns'}",
+                f"none of the {len(known)} scenes fits {patterns}{others}",
                 where=self.root,
-                remedy="Mend the source's 'scenes' and 'exclude', or put the dataset's scenes there",
+                remedy="Correct the source's 'scenes' and 'exclude', or put the scenes there",
             )
-        found += [SceneHandle(self.family, s, (), SceneCounts(), self.not_there(s)) for s in missing]
+        self._passed_over |= {place: str(fault.what) for place, fault in self._lost.items() if place not in lost}
+        self._passed_over |= {
+            f"exclude: {p}": "no scene fits it" for p in choice.idle_exclusions([*known, *self._lost])
+        }
+        faults = {s: self.not_there(s) for s in missing} | {p: self._fits_none(p) for p in choice.idle(known)} | lost
+        found += [SceneHandle(self.family, name, (), SceneCounts(), fault) for name, fault in faults.items()]
         return sorted(found, key=lambda h: h.scene_id)
+
+    def passed_over(self) -> list[tuple[str, str]]:
+        """What the last listing left out; see `Source.passed_over`."""
+        return sorted(self._passed_over.items())
+
+    def matching(self, *patterns: str) -> list[str]:
+        """Files of the dataset that fit one of some patterns, each real file once; see `list_files`."""
+        return self.noted(list_files(self.files, patterns))
+
+    def noted(self, listing: FileListing) -> list[str]:
+        """The paths of a listing, whose findings are kept for `handles`."""
+        self._lost = listing.faults
+        self._passed_over |= listing.passed_over
+        return listing.paths
+
+    def pass_over(self, path: str, why: str) -> None:
+        """Note a file that holds no scene."""
+        self._passed_over[path] = why
+
+    def _fits_none(self, pattern: str) -> MissingFileError:
+        return MissingFileError(
+            f"no scene of the dataset fits the pattern {pattern!r}",
+            where=self.root,
+            remedy="Correct the source's 'scenes', or download the scenes",
+        )
 
     def not_there(self, scene_id: str) -> MissingFileError:
         """The error of a scene that the dataset does not have."""
         return MissingFileError(
             f"the dataset has no scene {scene_id!r}",
             where=self.root,
-            remedy="Mend the source's 'scenes', or download the scene",
+            remedy="Correct the source's 'scenes', or download the scene",
         )
 
     def _handle(self, scene_id: str, note: Note) -> SceneHandle:

@@ -97,6 +97,10 @@ class Source(Protocol):
         """The scenes asked for, sorted by id. Reads no geometry; a scene that can't be listed has a fault."""
         ...
 
+    def passed_over(self) -> list[tuple[str, str]]:
+        """Paths that the last `handles` left out without losing a scene, and why; sorted."""
+        ...
+
     def read(self, scene_id: str) -> Scene:
         """One scene in Habitat's frame. A sound scene without objects is returned as it is.
 

@@ -21,6 +21,7 @@ class Survey:
     scenes : scenes listed; read : those among them that were read
     unmapped : objects by raw label that the vocabulary does not know (they never appear in text)
     warnings : by code, how many places; skipped, unreadable : (scene id, why)
+    passed_over : (path, why) of what holds no scene, or is listed under another name
     navmeshes : scenes by where their navmesh comes from
     """
 
@@ -33,6 +34,7 @@ class Survey:
     unmapped_rooms: Counter[str] = field(default_factory=Counter)
     warnings: Counter[str] = field(default_factory=Counter)
     navmeshes: Counter[str] = field(default_factory=Counter)
+    passed_over: list[tuple[str, str]] = field(default_factory=list)
     skipped: list[tuple[str, str]] = field(default_factory=list)
     unreadable: list[tuple[str, str]] = field(default_factory=list)
 
@@ -57,7 +59,7 @@ def survey_source(
     limit : most scenes read, spread evenly over the list; all where None
     tick : called after each scene
     """
-    survey = Survey(scenes=len(handles))
+    survey = Survey(scenes=len(handles), passed_over=source.passed_over())
     survey.unreadable += [(h.scene_id, str(h.fault)) for h in handles if h.fault is not None]
     sound = [h.scene_id for h in handles if h.fault is None]
     if limit is not None and len(sound) > limit:

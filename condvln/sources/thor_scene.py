@@ -121,11 +121,11 @@ class ThorSceneSource(SceneSource):
     def _scenes(self) -> dict[str, str]:
         """Scene id → path of its metadata, sorted; the folder is part of the id where there is one."""
         found: dict[str, str] = {}
-        for pattern in ("*.json", "*/*.json"):
-            for file in sorted(self.root.glob(pattern)):
-                path = file.relative_to(self.root).as_posix()
-                if not file.is_dir() and (_NAME.fullmatch(file.name) or self._is_metadata(path)):
-                    found[path.removesuffix(".json")] = path
+        for path in self.matching("*.json", "*/*.json"):
+            if _NAME.fullmatch(posixpath.basename(path)) or self._is_metadata(path):
+                found[path.removesuffix(".json")] = path
+            else:
+                self.pass_over(path, "JSON that is not a controller's metadata")
         return dict(sorted(found.items()))
 
     def _is_metadata(self, path: str) -> bool:

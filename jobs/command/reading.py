@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from jobs.command.answers import answer, console
+from jobs.command.answers import answer, console, leave
 from jobs.command.options import AsJson, ConfigPath, NavmeshRoots, Overrides, RefName, TargetName
 from schemas.errors import UsageError
 
@@ -22,11 +22,16 @@ def sources(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """What is there, what is missing, and what will be skipped and why. Reads scenes, runs and builds nothing."""
+    """What is there, what is missing, and what will be skipped and why. Reads scenes, runs and builds nothing.
+
+    Exit code 1 where a source can't be used or has not what the configuration asks for.
+    """
     from jobs.configuration import load_config
     from jobs.sources import survey
 
-    answer(survey(load_config(config, overrides or ()), limit=limit, console=console(quiet=as_json)), as_json)
+    report = survey(load_config(config, overrides or ()), limit=limit, console=console(quiet=as_json))
+    answer(report, as_json)
+    leave(report.exit_code)
 
 
 def status(

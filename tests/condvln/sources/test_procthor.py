@@ -254,9 +254,10 @@ def test_a_file_that_breaks_off_loses_only_what_follows(root: Path) -> None:
 def test_a_missing_database_is_named(root: Path) -> None:
     (root / "asset-database.json").unlink()
     source = write(root, house())
-    (handle,) = source.handles()
-    assert isinstance(handle.fault, MissingFileError)
-    assert "asset-database.json" in handle.fault.where
+    # Once for the source, not once a scene.
+    with pytest.raises(ConfigError, match="the asset database is not there") as caught:
+        source.handles()
+    assert "asset-database.json" in caught.value.where
     with pytest.raises(MissingFileError, match="the asset database is not there"):
         source.read("train-0")
     (root / "asset-database.json").write_text(json.dumps(DATABASE))

@@ -1,0 +1,127 @@
+"""Which files of a dataset's folder fit some patterns: each real file once, however symbolic links lead to it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+
+from condvln.sources.dataset_root import TRANSIENT, DatasetRoot
+from schemas.errors import ConfigError, InputError, MissingFileError, PathEscapeError, TransientIOError
+
+__all__ = ["FileListing", "list_files"]
+
+
+@dataclass
+class FileListing:
+    """Files of a dataset, and what was found on the way to them.
+
+    paths : relative to the root, '/'-separated, sorted
+    passed_over : why a file or link was left out, by its path; nothing is lost by it
+    faults : what could not be followed or opened, by its path; what is behind it is lost until that is changed
+    """
+
+    paths: list[str] = field(default_factory=list)
+    passed_over: dict[str, str] = field(default_factory=dict)
+    faults: dict[str, InputError] = field(default_factory=dict)
+
+    def take(self, root: DatasetRoot, paths: Iterable[str]) -> None:
+        """Add paths: of several that lead to one real file, the one without a link, else the first.
+
+        A link to a file outside of the root stays: reading it is that file's own error. Behind a link to a folder
+        outside of the root nothing is taken; the link is one fault.
+        """
+        real_folder = os.path.realpath(root.folder)
+        folders: dict[str, str] = {}
+        by_file: dict[str, list[str]] = {}
+        for path in sorted(set(paths)):
+            folder, _, name = path.rpartition("/")
+            if folder not in folders:
+                folders[folder] = os.path.realpath(root.folder / folder)
+            if not _is_inside(folders[folder], real_folder):
+                link = _outermost_link(root, path)
+                self.faults[link] = PathEscapeError(
+                    "the symbolic link leads out of the dataset's root folder; the files behind it are not read",
+                    where=root.folder / link,
+                    remedy="Put the folder itself inside the root, or name the link under 'exclude'",
+                )
+                continue
+            real = os.path.join(folders[folder], name)
+            by_file.setdefault(os.path.realpath(real) if os.path.islink(real) else real, []).append(path)
+        for real, same in by_file.items():
+            kept = next((path for path in same if os.path.join(real_folder, path) == real), same[0])
+            self.paths.append(kept)
+            for path in same:
+                if path != kept:
+                    link = _outermost_link(root, path)
+                    target = os.readlink(root.folder / link) if os.path.islink(root.folder / link) else kept
+                    self.passed_over[link] = (
+                        f"a symbolic link to {target!r}: its files are listed under their own names"
+                    )
+        self.paths.sort()
+
+
+def list_files(root: DatasetRoot, patterns: Sequence[str]) -> FileListing:
+    """Files whose path fits one of some patterns; ``*`` and ``?`` stay within a name, hidden names are left out.
+
+    Raises
+    ------
+    ConfigError : the root folder can't be listed
+    TransientIOError : the disk or the network failed
+    """
+    listing = FileListing()
+    known: dict[str, list[os.DirEntry[str]]] = {}
+    found = {path for pattern in patterns for path in _matching(root, "", pattern.split("/"), known, listing)}
+    listing.take(root, found)
+    return listing
+
+
+def _matching(
+    root: DatasetRoot, folder: str, parts: Sequence[str], known: dict[str, list[os.DirEntry[str]]], listing: FileListing
+) -> Iterator[str]:
+    if folder not in known:
+        known[folder] = _entries(root, folder, listing)
+    for entry in known[folder]:
+        if not fnmatchcase(entry.name, parts[0]) or entry.name.startswith("."):
+            continue
+        path = f"{folder}/{entry.name}" if folder else entry.name
+        if len(parts) > 1:
+            if _is_folder(entry):
+                yield from _matching(root, path, parts[1:], known, listing)
+        elif not _is_folder(entry):
+            yield path
+
+
+def _entries(root: DatasetRoot, folder: str, listing: FileListing) -> list[os.DirEntry[str]]:
+    try:
+        with os.scandir(root.folder / folder) as entries:
+            return list(entries)
+    except OSError as error:
+        if error.errno in TRANSIENT:
+            raise TransientIOError(
+                f"the folder can't be listed ({error.strerror})", where=root.folder / folder
+            ) from error
+        what, remedy = f"the folder can't be listed ({error.strerror})", "Check its permissions"
+        if not folder:
+            raise ConfigError(what, where=root.folder, remedy=remedy) from None
+        listing.faults[folder] = MissingFileError(what, where=root.folder / folder, remedy=remedy)
+        return []
+
+
+def _is_folder(entry: os.DirEntry[str]) -> bool:
+    try:
+        return entry.is_dir()
+    except OSError:  # a link that leads to itself
+        return False
+
+
+def _is_inside(path: str, folder: str) -> bool:
+    return path == folder or path.startswith(folder.rstrip(os.sep) + os.sep)
+
+
+def _outermost_link(root: DatasetRoot, path: str) -> str:
+    """The first part of a path that is a symbolic link; the path itself where none is."""
+    parts = path.split("/")
+    heads = ("/".join(parts[: n + 1]) for n in range(len(parts)))
+    return next((head for head in heads if os.path.islink(root.folder / head)), path)
