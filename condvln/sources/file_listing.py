@@ -48,7 +48,11 @@ class FileListing:
                 )
                 continue
             real = os.path.join(folders[folder], name)
-            by_file.setdefault(os.path.realpath(real) if os.path.islink(real) else real, []).append(path)
+            real = os.path.realpath(real) if os.path.islink(real) else real
+            if _is_inside(real, real_folder):
+                by_file.setdefault(real, []).append(path)
+            else:
+                self.paths.append(path)
         for real, same in by_file.items():
             kept = next((path for path in same if os.path.join(real_folder, path) == real), same[0])
             self.paths.append(kept)
