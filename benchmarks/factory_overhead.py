@@ -50,6 +50,7 @@ from factory import (
 )
 from factory.context import RunContext
 from factory.executor import Executor, Task
+from factory.heartbeat import Busy
 from factory.packing import Packed, PackJob
 from factory.ray_executor import RayExecutor
 from factory.receipt import Receipt, StageReceipt, TableReceipt
@@ -85,6 +86,12 @@ class Simulated:
     """Makes up what workers would hand back."""
 
     workers = 2
+
+    def workers_for(self, seconds: float) -> int:
+        return self.workers
+
+    def busy(self) -> list[Busy]:
+        return []
 
     def run(self, context: RunContext, tasks: Iterable[Task]) -> Iterator[Receipt]:
         for task in tasks:

@@ -1,13 +1,14 @@
-"""Ray where it pays: a run too small for starting it goes inline by itself, and says so."""
+"""Ray where it pays, for who has asked for no number of workers: a small run goes inline, and says so."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from types import TracebackType
 from typing import Final
 
 from factory.context import RunContext
 from factory.executor import Executor, InlineExecutor, Task
+from factory.heartbeat import Busy
 from factory.packing import Packed, PackJob
 from factory.ray_executor import RayExecutor
 from factory.receipt import Receipt
@@ -21,7 +22,10 @@ SMALL_SECONDS: Final = 20.0
 class AutoExecutor:
     """Chooses by the estimated cost of what is to be done. A Ray that is up already, or a cluster, is always used.
 
-    say : told once when a run goes inline
+    Only for who has configured neither workers nor an address: those are obeyed, see ``jobs.generate``.
+
+    say : called with a line when a run goes inline
+    small : expected CPU seconds below which a run goes inline
     """
 
     def __init__(
@@ -36,11 +40,20 @@ class AutoExecutor:
     def workers(self) -> int:
         return self._ray.workers
 
+    def workers_for(self, seconds: float) -> int:
+        return 1 if self._is_small(seconds) else self._ray.workers
+
+    def busy(self) -> Sequence[Busy]:
+        return [*self._inline.busy(), *self._ray.busy()]
+
+    def _is_small(self, seconds: float) -> bool:
+        return seconds < self._small and not self._ray.running
+
     def run(self, context: RunContext, tasks: Iterable[Task]) -> Iterator[Receipt]:
         seconds = float(getattr(tasks, "seconds", float("inf")))
-        small = seconds < self._small and not self._ray.running
+        small = self._is_small(seconds)
         if small and seconds > 0:
-            self._say(f"about {seconds:.0f} s of work: done in this process, starting Ray would cost more")
+            self._say(f"about {seconds:.0f} CPU s of work: done in this process, starting Ray would cost more")
         executor: Executor = self._inline if small else self._ray
         yield from executor.run(context, tasks)
 

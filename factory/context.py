@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from factory.heartbeat import BUSY_SECONDS
 from factory.pipeline import Pipeline
 from factory.store import Store
 
@@ -22,6 +23,7 @@ class RunContext:
     transient_pause : seconds before the second try; each further pause is four times as long
     deadline : seconds one unit may take; None for no limit
     memory : bytes that a process which works on units may hold; None for its share of the machine (``factory.memory``)
+    busy_seconds : seconds at one stage of a unit after which a worker of Ray's reports it as long under way
     """
 
     pipeline: Pipeline
@@ -34,6 +36,7 @@ class RunContext:
     transient_pause: float = 0.2
     deadline: float | None = None
     memory: int | None = None
+    busy_seconds: float = BUSY_SECONDS
     faults: str = ""
     token: str = ""
     """Names the run; a record of quarantine under it is never tried again within the run."""

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from factory.context import RunContext
+from factory.heartbeat import Busy
 from factory.packing import Packed, PackJob, pack
 from factory.receipt import Receipt
 from factory.unit import Work
@@ -47,8 +48,19 @@ class Executor(Protocol):
         """How many units are worked on at once."""
         ...
 
+    def workers_for(self, seconds: float) -> int:
+        """How many units it will work on at once where that many CPU seconds are expected."""
+        ...
+
+    def busy(self) -> Sequence[Busy]:
+        """Units under way, as far as it knows; asked from another thread while ``run`` goes."""
+        ...
+
     def run(self, context: RunContext, tasks: Iterable[Task]) -> Iterator[Receipt]:
-        """Work ``tasks`` off. Closing the iterator hands out nothing more; what is committed stays."""
+        """Work ``tasks`` off. Closing the iterator hands out nothing more; what is committed stays.
+
+        Each receipt holds what was expected of its unit. Raises ``ClusterError`` when Ray dies.
+        """
         ...
 
     def pack(self, context: RunContext, jobs: Iterable[PackJob]) -> Iterator[Packed]:
@@ -61,14 +73,24 @@ class InlineExecutor:
 
     workers = 1
 
+    def __init__(self) -> None:
+        self._worker: Worker | None = None
+
+    def workers_for(self, seconds: float) -> int:
+        return 1
+
+    def busy(self) -> Sequence[Busy]:
+        found = None if self._worker is None else self._worker.place.busy()
+        return [] if found is None else [found]
+
     def run(self, context: RunContext, tasks: Iterable[Task]) -> Iterator[Receipt]:
-        worker = Worker(context)
+        worker = self._worker = Worker(context)
         for task in tasks:
             for item in task.work:
                 receipt = self._one(worker, task, item, last_try=task.last_try)
                 if receipt.status == "memory":
                     receipt = self._one(worker, task, item, last_try=True)
-                yield receipt
+                yield replace(receipt, expected=item.seconds)
 
     def _one(self, worker: Worker, task: Task, item: Work, *, last_try: bool) -> Receipt:
         attempt = task.attempt + (last_try and not task.last_try)

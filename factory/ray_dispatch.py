@@ -11,14 +11,18 @@ import re
 import secrets
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from factory.context import RunContext
 from factory.executor import Task
+from factory.heartbeat import Busy
 from factory.packing import Packed, PackJob, pack
+from factory.ray_board import read_board, report_to_board
+from factory.ray_guard import Guard
 from factory.ray_metrics import RunMetrics
+from factory.ray_node import RayNode
 from factory.receipt import Receipt
 from factory.worker import Worker
 from schemas.errors import StoreError, TransientIOError
@@ -50,12 +54,19 @@ _workers: dict[str, Worker] = {}
 """In a worker process: the worker of the dispatch it serves, by name."""
 
 
+_reports: list[Callable[[], None]] = []
+"""In a worker process: what ends the reports of long units, of the worker above."""
+
+
 def _worker(name: str, context: Sequence[Any]) -> Worker:
     import ray
 
     if name not in _workers:
         _workers.clear()
-        _workers[name] = Worker(ray.get(context[0]), may_exit=True, slots=_slots())
+        for end in _reports:
+            end()
+        worker = _workers[name] = Worker(ray.get(context[0]), may_exit=True, slots=_slots())
+        _reports[:] = [report_to_board(name, worker.place, worker.context.busy_seconds)]
     return _workers[name]
 
 
@@ -102,13 +113,30 @@ class Dispatch:
     """One stream of tasks through Ray, bounded in flight. Ray must be up.
 
     function : ``work_task`` or ``pack_task``
+    node : asked whether Ray still lives
+    guard : kept up to date on how many units are done
     grows : the cluster may gain CPUs when tasks wait for them
+    most : tasks in flight at most; None for as many as the cluster has room for
+
+    Raises ``ClusterError`` when Ray dies.
     """
 
-    def __init__(self, context: RunContext, function: Any, *, grows: bool) -> None:
+    def __init__(
+        self,
+        context: RunContext,
+        function: Any,
+        node: RayNode,
+        guard: Guard | None = None,
+        *,
+        grows: bool,
+        most: int | None = None,
+    ) -> None:
         import ray
 
         self._ray = ray
+        self._node = node
+        self._guard = guard
+        self._most = most
         self._least = LEAST_IN_FLIGHT if grows else 2
         self._context = context
         self._shipped = [ray.put(context)]
@@ -123,16 +151,27 @@ class Dispatch:
         # Only the driver's side of a worker: it never runs a stage.
         self._driver = Worker(context)
 
+    def busy(self) -> list[Busy]:
+        """Units that workers reported to be long under way."""
+        return read_board(self._name)
+
     # ---- flow
 
     def units(self, tasks: Iterable[Task]) -> Iterator[Receipt]:
+        for done, receipt in enumerate(self._receipts(tasks), 1):
+            if self._guard is not None:
+                self._guard.done(done)
+            yield receipt
+
+    def _receipts(self, tasks: Iterable[Task]) -> Iterator[Receipt]:
         for flight, result in self._stream((_Flight(task) for task in tasks), _task_memory):
             if isinstance(result, BaseException):
                 error, kind = _unwrapped(result)
                 self._metrics.failed(kind)
+                expected = {item.unit.unit_id: item.seconds for item in flight.item.work}
                 for receipt in self._failed(flight, error, kind):
                     self._metrics.unit(receipt)
-                    yield receipt
+                    yield replace(receipt, expected=expected.get(receipt.unit_id, 0.0))
                 continue
             for receipt, item in zip(result, flight.item.work, strict=True):
                 if receipt.status == "memory":
@@ -140,7 +179,7 @@ class Dispatch:
                     self._more_memory(flight, replace(flight.item, work=(item,)))
                 else:
                     self._metrics.unit(receipt)
-                    yield receipt
+                    yield replace(receipt, expected=item.seconds)
 
     def packs(self, jobs: Iterable[PackJob]) -> Iterator[Packed]:
         for flight, result in self._stream((_Flight(job) for job in jobs), _pack_memory):
@@ -157,6 +196,7 @@ class Dispatch:
         more = True
         try:
             while True:
+                self._node.check()
                 while more and len(self._flying) + len(self._again) < self._room():
                     flight = next(flights, None)
                     if flight is None:
@@ -168,18 +208,22 @@ class Dispatch:
                     asked = self._bounded(memory(flight.item))
                     cpus = self._node_cpus if isinstance(flight.item, Task) and flight.item.alone else 1
                     remote = self._remote.options(num_cpus=cpus, memory=asked, max_retries=0)
-                    reference = remote.remote(self._name, self._shipped, flight.item)
+                    with self._node.answers():
+                        reference = remote.remote(self._name, self._shipped, flight.item)
                     self._flying[reference] = (flight, time.monotonic())
                 self._metrics.in_flight(len(self._flying))
                 if not self._flying:
                     return
                 # The timeout lets signals through and the cluster's growth be seen.
-                done, _ = self._ray.wait([*self._flying], num_returns=1, timeout=1.0)
+                with self._node.answers():
+                    done, _ = self._ray.wait([*self._flying], num_returns=1, timeout=1.0)
+                self._node.check()
                 for reference in done:
                     flight, since = self._flying.pop(reference)
                     try:
                         result: Any = self._ray.get(reference)
                     except self._ray.exceptions.RayError as error:
+                        self._node.check()  # a task that is lost with this node is lost with all the others
                         result = error
                         limit = self._context.deadline
                         if limit is not None and time.monotonic() - since >= limit:
@@ -197,13 +241,15 @@ class Dispatch:
         now = time.monotonic()
         if now - self._looked > 5.0:
             self._looked = now
-            self._cpus = self._ray.cluster_resources().get("CPU", 0.0)  # type: ignore[no-untyped-call]
-            nodes = [node for node in self._ray.nodes() if node["Alive"]]  # type: ignore[no-untyped-call]
+            with self._node.answers():
+                self._cpus = self._ray.cluster_resources().get("CPU", 0.0)  # type: ignore[no-untyped-call]
+                nodes = [node for node in self._ray.nodes() if node["Alive"]]  # type: ignore[no-untyped-call]
             self._memory = max((node["Resources"].get("memory", 0.0) for node in nodes), default=0.0)
             cpus = [int(node["Resources"].get("CPU", 0.0)) for node in nodes]
             # The smallest node's, which every node can give.
             self._node_cpus = min((count for count in cpus if count), default=1)
-        return max(int(self._cpus * TASKS_PER_CPU), self._least)
+        room = max(int(self._cpus * TASKS_PER_CPU), self._least)
+        return room if self._most is None else min(room, self._most)
 
     def _bounded(self, memory: float) -> int:
         """A request that some node can meet: a bigger one would wait for ever."""

@@ -6,19 +6,23 @@ Ray is imported only when this executor starts.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import logging
 import os
 import signal
 import sys
 import threading
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from types import TracebackType
 from typing import Any, Final
 
 from factory.context import RunContext
 from factory.executor import Task
+from factory.heartbeat import Busy
 from factory.packing import Packed, PackJob
 from factory.ray_dispatch import Dispatch, pack_task, work_task
+from factory.ray_guard import Guard
+from factory.ray_node import RayNode
 from factory.receipt import Receipt
 
 __all__ = ["RayExecutor"]
@@ -32,7 +36,8 @@ SINGLE_THREADED: Final = dict.fromkeys(
 class RayExecutor:
     """Runs on the CPUs of this machine, or on a cluster.
 
-    workers : CPUs to use here; with an address, all that the cluster has
+    workers : tasks that work at once. Here, Ray is started with as many CPUs (all of the machine by default); on a
+        cluster that is joined, at most as many tasks are in flight (as the cluster has room for by default)
     address : of a running cluster (``auto``, ``host:port``, ``ray://…``); None starts Ray here, ``close`` stops it
     init : further arguments of ``ray.init`` (``runtime_env``, ``namespace`` …)
 
@@ -42,10 +47,14 @@ class RayExecutor:
     def __init__(
         self, workers: int | None = None, address: str | None = None, init: Mapping[str, Any] | None = None
     ) -> None:
+        self._asked = workers
         self._cpus = workers or os.cpu_count() or 1
         self._address = address
         self._init = dict(init or {})
         self._owner = False
+        self._node: RayNode | None = None
+        self._guard: Guard | None = None
+        self._dispatch: Dispatch | None = None
 
     @property
     def running(self) -> bool:
@@ -60,6 +69,7 @@ class RayExecutor:
         import ray
 
         if ray.is_initialized():
+            self._node = self._node or RayNode()
             return
         settings: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR, **self._init}
         if self._address is None:
@@ -80,14 +90,19 @@ class RayExecutor:
             with _own_signals():
                 ray.init(address=self._address, runtime_env=environment, **settings)
         self._owner = True
+        self._node = RayNode()
+        self._guard = Guard(self._node.logs)
 
     def close(self) -> None:
         """Stop Ray if this executor started it."""
         if self._owner:
             import ray
 
-            self._owner = False
+            self._owner, self._node = False, None
             ray.shutdown()
+            if self._guard is not None:
+                self._guard.end()
+                self._guard = None
 
     def __enter__(self) -> RayExecutor:
         return self
@@ -99,16 +114,49 @@ class RayExecutor:
 
     @property
     def workers(self) -> int:
-        """CPUs that work at once."""
-        return self._cpus
+        """Tasks that work at once: the number asked for, else the CPUs of this machine, or of the cluster as it is now.
+
+        A cluster is joined to be asked.
+        """
+        if self._asked is not None or self._address is None:
+            return self._cpus
+        self.start()
+        import ray
+
+        with self._alive().answers():
+            return max(1, int(ray.cluster_resources().get("CPU", 0.0)))  # type: ignore[no-untyped-call]
+
+    def workers_for(self, seconds: float) -> int:
+        return self.workers
+
+    def busy(self) -> Sequence[Busy]:
+        dispatch = self._dispatch
+        return [] if dispatch is None else dispatch.busy()
 
     def run(self, context: RunContext, tasks: Iterable[Task]) -> Iterator[Receipt]:
-        self.start()
-        yield from Dispatch(context, work_task, grows=self._address is not None).units(tasks)
+        stream = iter(tasks)
+        first = next(stream, None)
+        if first is not None:  # else Ray is not started for nothing
+            yield from self._dispatched(context, work_task).units(itertools.chain([first], stream))
 
     def pack(self, context: RunContext, jobs: Iterable[PackJob]) -> Iterator[Packed]:
+        stream = iter(jobs)
+        first = next(stream, None)
+        if first is not None:
+            yield from self._dispatched(context, pack_task).packs(itertools.chain([first], stream))
+
+    def _dispatched(self, context: RunContext, function: Any) -> Dispatch:
         self.start()
-        yield from Dispatch(context, pack_task, grows=self._address is not None).packs(jobs)
+        joined = self._address is not None
+        with self._alive().answers():
+            # A Ray that was started here has as many CPUs as were asked for; on another the tasks are counted.
+            most = self._asked if joined else None
+            self._dispatch = Dispatch(context, function, self._alive(), self._guard, grows=joined, most=most)
+        return self._dispatch
+
+    def _alive(self) -> RayNode:
+        assert self._node is not None
+        return self._node
 
 
 @contextlib.contextmanager

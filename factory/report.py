@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Final, Protocol
 
 from factory import machine
+from factory.heartbeat import Busy
 from factory.receipt import Failure, Receipt
 from factory.store import Store
 from schemas.snapshot import RunFailure, RunRecord
@@ -49,10 +50,10 @@ class FailureBudget:
 
 
 class Progress(Protocol):
-    """Told what happens; draws it, logs it, or measures it. Called from the driver's thread only."""
+    """Told what happens; draws it, logs it, or measures it. Called from the driver's thread, but for ``busy``."""
 
-    def phase(self, name: str, total: int, seconds: float) -> None:
-        """A phase begins: its name, how many steps it has, and their estimated cost in seconds of one worker."""
+    def phase(self, name: str, total: int, seconds: float, workers: int = 1) -> None:
+        """A phase begins: its name, how many steps it has, the CPU seconds expected of them, and who shares them."""
         ...
 
     def unit(self, receipt: Receipt) -> None:
@@ -67,17 +68,23 @@ class Progress(Protocol):
         """Something a person should know."""
         ...
 
+    def busy(self, unit: Busy, message: str) -> None:
+        """A unit takes long; called from a thread of its own."""
+        ...
+
 
 class Silence:
     """Progress that nobody watches."""
 
-    def phase(self, name: str, total: int, seconds: float) -> None: ...
+    def phase(self, name: str, total: int, seconds: float, workers: int = 1) -> None: ...
 
     def unit(self, receipt: Receipt) -> None: ...
 
     def step(self) -> None: ...
 
     def note(self, message: str) -> None: ...
+
+    def busy(self, unit: Busy, message: str) -> None: ...
 
 
 @dataclass

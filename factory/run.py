@@ -30,6 +30,7 @@ from factory.commits import Commits
 from factory.context import RunContext
 from factory.executor import Executor, InlineExecutor
 from factory.faults import FaultPlan
+from factory.heartbeat import Busy, Heartbeat, busy_message
 from factory.index import IndexWriter, failed_keys
 from factory.packing import PART_BYTES
 from factory.pins import Pins, build_aggregate, discard_damaged
@@ -38,6 +39,7 @@ from factory.plan import Plan
 from factory.planner import Planner
 from factory.publish import Publisher, published_index
 from factory.queue import tasks
+from factory.ray_guard import COMMITTED
 from factory.receipt import Receipt
 from factory.report import ABORTED, WITH_QUARANTINE, FailureBudget, Progress, RunReport, Silence
 from factory.snapshot import read_ref
@@ -46,7 +48,7 @@ from factory.stage import Aggregate
 from factory.store import Store
 from factory.termination import terminable
 from factory.unit import Unit, Work
-from schemas.errors import CorruptShardError, FailureBudgetError, StoreError
+from schemas.errors import ClusterError, CorruptShardError, FailureBudgetError, StoreError
 
 __all__ = ["plan", "run"]
 
@@ -174,7 +176,10 @@ class _Run:
         if self.verify:
             self.publisher.verify()
         try:
-            with Spool(units) as spool:
+            with (
+                Spool(units) as spool,
+                Heartbeat(self.executor.busy, self._busy),
+            ):
                 self._bring_up_to_date(spool, pins)
             if self.report.counts["quarantined"]:
                 self.report.exit_code = WITH_QUARANTINE
@@ -194,6 +199,9 @@ class _Run:
                 revision=self.revision,
             )
         return self.report
+
+    def _busy(self, unit: Busy) -> None:
+        self.progress.busy(unit, busy_message(unit, self.deadline))
 
     def _bring_up_to_date(self, units: Spool[Unit], pins: Pins) -> None:
         waiting = [a for a in self.pipeline.aggregates if a.name not in self.shared]
@@ -228,6 +236,11 @@ class _Run:
             self._begin()
             planner = Planner(self.pipeline, self.commits, self.index, self.shared, self.quarantined, stages=until)
             with Spool(planner.work(units)) as spool, Spool[Receipt]() as receipts:
+                if planner.seconds_behind:
+                    self.progress.note(
+                        f"a first pass makes {', '.join(a.name for a in due)}; after it come about "
+                        f"{planner.seconds_behind:.0f} CPU s of work"
+                    )
                 for receipt in self._work(spool, until, f"first pass, for {', '.join(a.name for a in due)}"):
                     receipts.append(receipt)
                 order = pc.sort_indices(pa.array((receipt.unit_id for receipt in receipts), pa.string())).to_pylist()
@@ -274,16 +287,24 @@ class _Run:
         """Receipts of all units in ``work``, counted, as they come."""
         self.report.counts["total"] = max(self.report.counts["total"], len(work))
         queue = tasks(work, until, self.executor.workers)
-        self.progress.phase(phase, len(work), queue.seconds)
+        workers = min(self.executor.workers_for(queue.seconds), max(len(work), 1))
+        self.progress.phase(phase, len(work), queue.seconds, workers)
         receipts = self.executor.run(self._context(), queue)
+        done = 0
         try:
             for receipt in receipts:
+                done += 1
                 self._count(receipt)
                 self.progress.unit(receipt)
                 self._within_budget()
                 if self.stop.is_set():
                     raise KeyboardInterrupt
                 yield receipt
+        except ClusterError as error:
+            raise ClusterError(
+                f"{error.what}. {done} of the {len(work)} units of this pass were done; {COMMITTED}",
+                remedy=error.remedy,
+            ) from error
         finally:
             close = getattr(receipts, "close", None)
             if close is not None:

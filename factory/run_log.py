@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import threading
 from datetime import datetime, timezone
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from factory.heartbeat import Busy
 from factory.receipt import Receipt
 from factory.report import Progress, Silence
 
@@ -25,11 +27,12 @@ class RunLog:
         path.parent.mkdir(parents=True, exist_ok=True)
         self._file = open(path, "a", encoding="utf-8", buffering=1)  # noqa: SIM115 - closed by close()
         self._inner = inner or Silence()
+        self._lock = threading.Lock()
 
-    def phase(self, name: str, total: int, seconds: float) -> None:
+    def phase(self, name: str, total: int, seconds: float, workers: int = 1) -> None:
         """A phase begins."""
-        self._line("phase", name=name, total=total, estimated_seconds=round(seconds, 3))
-        self._inner.phase(name, total, seconds)
+        self._line("phase", name=name, total=total, estimated_cpu_seconds=round(seconds, 3), workers=workers)
+        self._inner.phase(name, total, seconds, workers)
 
     def unit(self, receipt: Receipt) -> None:
         """A unit is done: what became of each stage, and the cause if it failed."""
@@ -51,6 +54,7 @@ class RunLog:
             "status": receipt.status,
             "attempts": receipt.attempts,
             "seconds": round(receipt.seconds, 4),
+            "expected_cpu_seconds": round(receipt.expected, 4),
             "stages": stages,
         }
         if receipt.reason:
@@ -78,13 +82,19 @@ class RunLog:
         self._line("note", message=message)
         self._inner.note(message)
 
+    def busy(self, unit: Busy, message: str) -> None:
+        """A unit takes long."""
+        self._line("busy", unit=unit.unit_id, stage=unit.stage, seconds=round(unit.seconds, 1))
+        self._inner.busy(unit, message)
+
     def event(self, event: str, **fields: Any) -> None:
         """Anything else worth a line."""
         self._line(event, **fields)
 
     def _line(self, event: str, **fields: Any) -> None:
         at = datetime.now(timezone.utc).isoformat(timespec="milliseconds")
-        self._file.write(json.dumps({"at": at, "event": event, **fields}) + "\n")
+        with self._lock:  # the heartbeat is a thread of its own
+            self._file.write(json.dumps({"at": at, "event": event, **fields}) + "\n")
 
     def close(self) -> None:
         """End the log."""

@@ -26,6 +26,7 @@ from factory.commits import Commits
 from factory.context import RunContext
 from factory.deadline import Deadline
 from factory.faults import FaultPlan
+from factory.heartbeat import Place
 from factory.key import Keyer, StageKey
 from factory.memory import MemoryCeiling, release, share
 from factory.pipeline import plain_name
@@ -63,6 +64,7 @@ class Worker:
         self._last_ceiling = MemoryCeiling(context.memory or share(1)) if slots > 1 else self._ceiling
         self._may_exit = may_exit
         self._deadline = Deadline(None)
+        self.place = Place()
         self.pipeline = context.pipeline
         self.faults = FaultPlan.parse(context.faults) if context.faults else FaultPlan.from_environment()
         self.commits = Commits(context.store, self.faults)
@@ -76,6 +78,12 @@ class Worker:
         attempt : how many times the unit was given to a worker, this one included
         last_try : running out of memory quarantines it, rather than handing it back
         """
+        try:
+            return self._work(unit, until, fingerprint, attempt, last_try)
+        finally:
+            self.place.leave()
+
+    def _work(self, unit: Unit, until: int, fingerprint: bytes, attempt: int, last_try: bool) -> Receipt:
         if unit.fault is not None:
             failure = self.quarantine.refuse(unit, unit.fault)
             return Receipt(unit.unit_id, unit.partition, "quarantined", "", fingerprint, (), failure)
@@ -183,6 +191,7 @@ class Worker:
         self.faults.reach("unit-before-run")
         machine.reset_peak_rss()
         started, cpu = time.perf_counter(), time.process_time()
+        self.place.enter(unit.unit_id, stage.name)
         output, tables = self._run(unit, chain, stage)
         records = {}
         for name, table in tables.items():

@@ -140,8 +140,9 @@ def _executor(config: Config, inline: bool, say: Callable[[str], None]) -> Itera
         redirect_stdout(sys.stderr),
         RayExecutor(workers=config.ray.workers, address=config.ray.address) as ray,
     ):
-        # A cluster is asked for its own sake; on this machine Ray must pay for its own start.
-        yield ray if config.ray.address else AutoExecutor(ray, say=say)
+        # Who names workers or a cluster gets them; else Ray must pay for its own start.
+        asked = config.ray.address is not None or config.ray.workers is not None
+        yield ray if asked else AutoExecutor(ray, say=say)
 
 
 def run_report(done: RunReport) -> Report:

@@ -33,9 +33,9 @@ def make_plan(config: Config) -> Report:
     }
     lines = [
         ", ".join(f"{n} {status.lower()}" for status, n in sorted(found.counts.items())) or "no scenes",
-        f"about {found.seconds:.0f} s of one worker"
+        f"about {found.seconds:.0f} CPU s"
         + (
-            f", up to {found.possible_seconds:.0f} s more where an early cut-off does not spare it"
+            f", up to {found.possible_seconds:.0f} CPU s more where an early cut-off does not spare it"
             if found.possible_seconds
             else ""
         ),

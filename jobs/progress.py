@@ -12,6 +12,8 @@ from typing import Final
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
+from factory.eta import Remaining, readable
+from factory.heartbeat import Busy
 from factory.receipt import Receipt
 from factory.report import Progress as RunListener
 from factory.report import RunReport
@@ -38,12 +40,14 @@ class RunProgress:
             BarColumn(),
             MofNCompleteColumn(),
             TimeElapsedColumn(),
+            TextColumn("{task.fields[left]}"),
             TextColumn("{task.fields[last]}"),
             console=console,
             disable=not console.is_terminal,
         )
         self._task: TaskID | None = None
         self._phase, self._total, self._done = "", 0, 0
+        self._remaining = Remaining(0.0)
         self._outcomes: Counter[str] = Counter()
 
     def __enter__(self) -> RunProgress:
@@ -55,12 +59,17 @@ class RunProgress:
     ) -> None:
         self._bar.stop()
 
-    def phase(self, name: str, total: int, seconds: float) -> None:
+    def phase(self, name: str, total: int, seconds: float, workers: int = 1) -> None:
         """A phase begins."""
         self._phase, self._total, self._done = name, total, 0
-        self._task = self._bar.add_task(name, total=total, last="")
+        self._remaining = Remaining(seconds, workers)
+        self._task = self._bar.add_task(name, total=total, last="", left=self._left())
         if not self._console.is_terminal and total:
-            self._console.print(f"{name}: {total} to do, about {seconds:.0f} s of one worker", highlight=False)
+            said = f"{name}: {total} to do"
+            if seconds > 0:
+                shared = f", shared by {workers} workers" if workers > 1 else ""
+                said += f", about {seconds:.0f} CPU s{shared}: {readable(self._remaining.seconds)} on an idle machine"
+            self._console.print(said, highlight=False)
 
     def unit(self, receipt: Receipt) -> None:
         """A unit is done, well or not."""
@@ -69,6 +78,7 @@ class RunProgress:
             self._console.print(
                 f"quarantined {receipt.unit_id}: {receipt.failure.message}", highlight=False, markup=False
             )
+        self._remaining.unit(receipt)
         self._advance(receipt.unit_id)
 
     def step(self) -> None:
@@ -79,12 +89,22 @@ class RunProgress:
         """Something a person should know."""
         self._console.print(message, highlight=False, markup=False)
 
+    def busy(self, unit: Busy, message: str) -> None:
+        """A unit takes long."""
+        self._console.print(message, highlight=False, markup=False)
+
+    def _left(self) -> str:
+        seconds = self._remaining.seconds
+        return f"{readable(seconds)} left" if seconds >= 1 and self._done < self._total else ""
+
     def _advance(self, last: str) -> None:
         self._done += 1
+        left = self._left()
         if self._task is not None:
-            self._bar.update(self._task, advance=1, last=last)
+            self._bar.update(self._task, advance=1, last=last, left=left)
         if not self._console.is_terminal and self._done % max(1, self._total // LOG_STEPS) == 0:
-            self._console.print(f"{self._phase}: {self._done}/{self._total} {last}", highlight=False, markup=False)
+            words = (f"{self._phase}: {self._done}/{self._total}", last, f"(about {left})" if left else "")
+            self._console.print(" ".join(word for word in words if word), highlight=False, markup=False)
 
 
 class LoggedRun:

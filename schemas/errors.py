@@ -15,6 +15,7 @@
     │   └── PublishConflictError  another publisher moved the ref first
     ├── SmallerExportError      a new export would hold less for no known reason        exit 3
     ├── TransientIOError        worth another try (network, busy disk)
+    ├── ClusterError            Ray died, or does not answer any more; what was committed stays
     ├── StageError              a stage broke its contract (wrong columns, repeated keys, an undeclared table)
     ├── DeadlineError           a unit ran longer than its deadline
     ├── MemoryCeilingError      a unit outgrew the memory ceiling of its process (also a MemoryError)
@@ -29,6 +30,7 @@ from __future__ import annotations
 from pathlib import Path
 
 __all__ = [
+    "ClusterError",
     "CondVLNError",
     "ConfigError",
     "CorruptShardError",
@@ -138,6 +140,10 @@ class SmallerExportError(CondVLNError):
 
 class TransientIOError(CondVLNError):
     """An input/output fault that another try may cure. The only error the factory retries."""
+
+
+class ClusterError(CondVLNError):
+    """Ray died or can't be reached any more. What was committed stays, and the next run goes on from it."""
 
 
 class StageError(CondVLNError):

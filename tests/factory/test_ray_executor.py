@@ -22,8 +22,10 @@ from ray.remote_function import RemoteFunction
 from factory import InlineExecutor, LocalStore, run
 from factory.auto_executor import AutoExecutor
 from factory.commits import Commits
+from factory.context import RunContext
+from factory.heartbeat import Busy, Heartbeat
 from factory.ray_executor import RayExecutor
-from factory.ray_metrics import METRICS
+from factory.ray_metrics import METRICS, RunMetrics
 from factory.receipt import Receipt
 from factory.report import Silence
 from schemas.errors import StoreError
@@ -143,14 +145,66 @@ def test_a_small_run_stays_inline_and_says_so(store: LocalStore, monkeypatch: py
     with AutoExecutor(RayExecutor(workers=2), said.append) as auto:
         report = run(toys.pipeline(), [toys.unit(f"a/{n}", cost=0.1) for n in range(4)], store, executor=auto)
     assert report.exit_code == 0
-    assert [line.split(":")[0] for line in said] == ["about 0 s of work", "about 0 s of work"]
+    assert [line.split(":")[0] for line in said] == ["about 0 CPU s of work", "about 0 CPU s of work"]
 
 
 def test_a_big_run_goes_to_ray(executor: RayExecutor, store: LocalStore, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(RayExecutor, "running", False)
     monkeypatch.setattr(InlineExecutor, "run", lambda self, context, tasks: pytest.fail("went inline"))
     auto = AutoExecutor(executor)
-    assert run(toys.pipeline(), [toys.unit(f"a/{n}", cost=10.0) for n in range(4)], store, executor=auto).exit_code == 0
+    assert run(toys.pipeline(), [toys.unit(f"a/{n}", cost=90.0) for n in range(4)], store, executor=auto).exit_code == 0
+
+
+def test_workers_are_those_asked_for_or_there(executor: RayExecutor, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert RayExecutor(workers=3).workers == 3
+    assert RayExecutor().workers == os.cpu_count()
+    executor.start()
+    # A cluster is asked, unless a number is configured: never the CPUs of the driver's own machine.
+    monkeypatch.setattr(os, "cpu_count", lambda: 77)
+    assert RayExecutor(address="auto").workers == 2
+    assert RayExecutor(workers=5, address="auto").workers == 5
+    auto = AutoExecutor(RayExecutor(workers=4))
+    monkeypatch.setattr(RayExecutor, "running", False)
+    assert (auto.workers_for(1.0), auto.workers_for(1000.0)) == (1, 4)
+
+
+@pytest.mark.parametrize(("asked", "most"), [(1, 1), (3, 3), (None, 8)])
+def test_workers_bound_the_tasks_in_flight_on_a_cluster(
+    executor: RayExecutor, store: LocalStore, monkeypatch: pytest.MonkeyPatch, asked: int | None, most: int
+) -> None:
+    seen: list[int] = []
+    monkeypatch.setattr(RunMetrics, "in_flight", lambda self, tasks: seen.append(tasks))
+    executor.start()
+    joined = RayExecutor(workers=asked, address="auto")
+    # Costs that give each unit a task of its own.
+    units = [toys.unit(f"a/{n}", cost=30.0) for n in range(20)]
+    assert run(toys.pipeline(), units, store, executor=joined).exit_code == 0
+    assert max(seen) == most
+
+
+def test_ray_is_not_started_for_nothing(store: LocalStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    run(toys.pipeline(), toys.units(4), store)
+    monkeypatch.setattr(RayExecutor, "start", lambda self: pytest.fail("Ray was started"))
+    with RayExecutor(workers=2) as idle:
+        assert run(toys.pipeline(), toys.units(4), store, executor=idle).exit_code == 0
+
+
+def test_long_units_in_workers_are_mentioned(
+    executor: RayExecutor, store: LocalStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Workers report units that are at a stage for half a minute; here they are told to report earlier."""
+    found: list[Busy] = []
+
+    class Listener(Silence):
+        def busy(self, unit: Busy, message: str) -> None:
+            found.append(unit)
+
+    driver = sys.modules["factory.run"]
+    monkeypatch.setattr(driver, "Heartbeat", partial(Heartbeat, after=1.0, pause=0.2))
+    monkeypatch.setattr(driver, "RunContext", partial(RunContext, busy_seconds=1.0))
+    units = [*toys.units(3), toys.unit("a/slow", seconds=12.0)]
+    assert run(toys.pipeline(), units, store, executor=executor, progress=Listener()).exit_code == 0
+    assert {(busy.unit_id, busy.stage, busy.endable) for busy in found} == {("a/slow", "count", True)}
 
 
 @pytest.mark.soak

@@ -282,7 +282,7 @@ class Rival(Silence):
     def __init__(self, store: Store, size: int) -> None:
         self.store, self.size, self.notes = store, size, list[str]()
 
-    def phase(self, name: str, total: int, seconds: float) -> None:
+    def phase(self, name: str, total: int, seconds: float, workers: int = 1) -> None:
         if name == "files":
             run(toys.pipeline(), [*toys.units(4), toys.unit("a/grows", self.size)], self.store)
 

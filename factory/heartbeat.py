@@ -1,0 +1,117 @@
+"""Word of units that take long, so that a silent run can be told from one that hangs."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Final
+
+__all__ = ["BUSY_SECONDS", "Busy", "Heartbeat", "Place", "busy_message"]
+
+BUSY_SECONDS: Final = 30.0
+"""Seconds at one stage of one unit before it is mentioned; again at twice as many, and so on."""
+
+LONGEST_SILENCE: Final = 600.0
+"""Seconds after which a unit that is still at the same stage is mentioned again at the latest."""
+
+_PAUSE: Final = 1.0
+"""Seconds between two looks."""
+
+
+@dataclass(frozen=True, slots=True)
+class Busy:
+    """A unit under way, and how many seconds it has been at its stage.
+
+    endable : its process may be ended when it is late (a worker of Ray's, not the driver)
+    """
+
+    unit_id: str
+    stage: str
+    seconds: float
+    endable: bool = False
+
+
+def busy_message(busy: Busy, deadline: float | None = None) -> str:
+    """One line for a person. A unit that is past its deadline is in compiled code, which no signal interrupts."""
+    line = f"{busy.unit_id}: at stage {busy.stage} for {busy.seconds:.0f} s"
+    if deadline is not None and busy.seconds > deadline and not busy.endable:
+        line += (
+            f"; its deadline of {deadline:g} s is over, but it is in compiled code, which can't be interrupted in this "
+            "process (with ray.workers: 1 it would be ended)"
+        )
+    return line
+
+
+class Heartbeat:
+    """A thread that looks at what is under way and calls `say` for units that take long. A context manager.
+
+    look : the units under way
+    say : called from the thread
+    """
+
+    def __init__(
+        self,
+        look: Callable[[], Iterable[Busy]],
+        say: Callable[[Busy], None],
+        *,
+        after: float = BUSY_SECONDS,
+        pause: float = _PAUSE,
+    ) -> None:
+        self._look = look
+        self._say = say
+        self._after = after
+        self._pause = pause
+        self._due: dict[tuple[str, str], float] = {}
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="heartbeat", daemon=True)
+
+    def _run(self) -> None:
+        while not self._end.wait(self._pause):
+            self.beat()
+
+    def beat(self) -> None:
+        """Look once."""
+        due = {}
+        for busy in self._look():
+            name = (busy.unit_id, busy.stage)
+            next_one = self._due.get(name, self._after)
+            if busy.seconds >= next_one:
+                self._say(busy)
+                next_one = busy.seconds + min(busy.seconds, LONGEST_SILENCE)
+            due[name] = next_one
+        self._due = due
+
+    def __enter__(self) -> Heartbeat:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._end.set()
+        self._thread.join(timeout=5.0)
+
+
+class Place:
+    """Where a worker is: written by the thread that works, read by others."""
+
+    __slots__ = ("_at",)
+
+    def __init__(self) -> None:
+        self._at: tuple[str, str, float] | None = None
+
+    def enter(self, unit_id: str, stage: str) -> None:
+        """A stage of a unit begins."""
+        self._at = (unit_id, stage, time.monotonic())
+
+    def leave(self) -> None:
+        """Nothing is under way."""
+        self._at = None
+
+    def busy(self) -> Busy | None:
+        """What is under way."""
+        at = self._at
+        return None if at is None else Busy(at[0], at[1], time.monotonic() - at[2])
