@@ -1,6 +1,10 @@
-"""Episodes a second from scene files to published tables: inline, with one Ray worker, with two; peak memory of each.
+"""First runs beside their estimates; then episodes a second from scene files to published tables, inline and with Ray.
 
-The work is made apartments (CONDVLN_BENCH_SCENES of them, 60 by default), or a configuration named by
+Estimates: the real scenes of each family (CONDVLN_REAL_DATA, or ``shared/data`` beside the checkout; all of them, or
+CONDVLN_BENCH_REAL_SCENES of each) run inline from an empty store, kernels warm. CPU seconds of the whole process are
+printed beside what the plan said.
+
+Throughput: the work is made apartments (CONDVLN_BENCH_SCENES of them, 60 by default), or a configuration named by
 CONDVLN_BENCH_CONFIG. Ray is up and its workers have loaded the code before the clock starts.
 """
 
@@ -15,6 +19,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.costs import first_run, real_families
 from condvln.navigation.compiled import warm_up
 from condvln.samples import make_samples
 from factory.executor import Executor, InlineExecutor
@@ -22,10 +27,14 @@ from factory.local_store import LocalStore
 from factory.ray_executor import RayExecutor
 from factory.run import run
 from factory.snapshot import Snapshot
+from factory.speed import slowness
 from jobs.configuration import load_config
 from jobs.pipeline import build_pipeline, list_units
 from jobs.workspace import file_hashes, hasher
 from schemas.config import Config, SourceConfig
+
+EPISODES_A_CATEGORY = 12
+"""As the configurations that are shipped ask for."""
 
 
 def _configuration(folder: Path) -> Config:
@@ -39,9 +48,37 @@ def _configuration(folder: Path) -> Config:
     )
 
 
+def estimates(console: Console) -> None:
+    """Print the estimate and the measurement of each family's first run, side by side."""
+    families = real_families()
+    if not families:
+        console.print("no real scenes here: estimates are not compared (set CONDVLN_REAL_DATA)")
+        return
+    began = time.process_time()
+    warm_up(lambda message: None)
+    console.print(f"loading or compiling kernels took {time.process_time() - began:.1f} CPU s, once; not counted below")
+    scenes = int(os.environ.get("CONDVLN_BENCH_REAL_SCENES", "1000000"))
+    table = Table(
+        title=f"first runs, CPU seconds (this machine is {slowness():.2f} × as slow as the reference machine)"
+    )
+    for column in ("family", "scenes", "estimate", "measured", "measured ÷ estimate", "by stage (estimate → measured)"):
+        table.add_column(column, justify="right")
+    with tempfile.TemporaryDirectory() as name:
+        for family, root in families.items():
+            found = first_run(family, root, EPISODES_A_CATEGORY, Path(name), scenes)
+            stages = ", ".join(
+                f"{stage} {seconds:.1f} → {sum(spent for _, spent in found.stages[stage]):.1f}"
+                for stage, seconds in found.expected.items()
+            )
+            ratio = f"{found.seconds / found.estimate:.2f}"
+            table.add_row(family, str(len(found.units)), f"{found.estimate:.1f}", f"{found.seconds:.1f}", ratio, stages)
+    console.print(table)
+
+
 def main() -> None:
-    """Print one row a way of running, and the ratios."""
-    console = Console()
+    """Print the estimates, one row a way of running, and the ratios."""
+    console = Console(width=160)
+    estimates(console)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         config = _configuration(folder)

@@ -17,43 +17,49 @@ __all__ = ["COEFFICIENTS", "COMPILE_SECONDS", "FEATURES", "LIKE", "counts_of", "
 FEATURES: Final[Mapping[str, tuple[str, ...]]] = {
     "scene": ("scene", "objects", "mesh_mb"),
     "relations": ("scene", "kilopairs"),
-    "programs": ("scene", "objects", "asked"),
-    "episodes": ("scene", "placed", "placed_kiloobjects"),
-    "text": ("scene", "asked"),
+    "programs": ("objects", "asked"),
+    "episodes": ("asked", "placed_kiloobjects"),
+    "text": ("asked",),
 }
-"""The counts that each stage's cost is made of."""
+"""The counts that each stage's cost is made of; see `counts_of`."""
 
 COEFFICIENTS: Final[Mapping[str, Mapping[str, tuple[float, ...]]]] = {
     "replicacad": {
         "scene": (0.0, 0.0018, 0.0),
         "relations": (0.176, 0.0644),
-        "programs": (0.51, 0.0045, 0.0),
-        "episodes": (0.51, 0.0, 0.188),
-        "text": (0.09, 0.0),
+        "programs": (0.0045, 0.634),
+        "episodes": (0.638, 0.188),
+        "text": (0.113,),
     },
     "procthor": {
-        "scene": (0.0, 0.0013, 0.0),
-        "relations": (0.02, 0.0133),
-        "programs": (1.33, 0.0026, 0.0),
-        "episodes": (0.37, 0.0, 0.335),
-        "text": (0.1, 0.0),
+        "scene": (0.004, 0.0012, 0.0),
+        "relations": (0.020, 0.0204),
+        "programs": (0.0097, 0.766),
+        "episodes": (0.202, 0.329),
+        "text": (0.093,),
     },
     "ithor": {
         "scene": (0.032, 0.0007, 0.0),
-        "relations": (0.04, 0.0),
-        "programs": (0.26, 0.0074, 0.0),
-        "episodes": (0.3, 0.0, 0.016),
-        "text": (0.037, 0.0),
+        "relations": (0.029, 0.0085),
+        "programs": (0.0074, 0.327),
+        "episodes": (0.374, 0.016),
+        "text": (0.046,),
     },
     "gibson": {
-        "scene": (0.018, 0.0003, 0.0),
-        "relations": (0.05, 0.0),
-        "programs": (0.57, 0.0085, 0.0),
-        "episodes": (0.15, 0.0, 0.335),
-        "text": (0.046, 0.0),
+        "scene": (0.018, 0.0003, 1.0),
+        "relations": (0.053, 0.0238),
+        "programs": (0.0085, 0.713),
+        # Its real scenes at hand have no navmesh; where one has, its episodes are taken to cost what ProcTHOR's do.
+        "episodes": (0.188, 0.329),
+        "text": (0.058,),
     },
 }
-"""CPU seconds of the reference machine for one of each of a stage's ``FEATURES``, by family."""
+"""CPU seconds of the reference machine for one of each of a stage's ``FEATURES``, by family.
+
+Fitted by ``python -m benchmarks costs`` on 2 shared cores: 46 scenes of ReplicaCAD, 7 of iTHOR and 14 of Gibson with 12
+episodes of each category, 60 houses of ProcTHOR with 20 and 30 of them with 12. Of ``mesh_mb`` (building a navmesh from
+a scan) only the order of magnitude is known: there are no scans to measure on.
+"""
 
 LIKE: Final[Mapping[str, str]] = {"robothor": "ithor", "mp3d": "gibson"}
 """Families without scenes to measure on, and the family whose scenes are most like theirs."""
@@ -72,8 +78,7 @@ def counts_of(family: str, counts: SceneCounts, asked: int) -> dict[str, float]:
     objects : objects of the scene
     kilopairs : thousand ordered pairs of objects that share a room, where all rooms are equally full
     asked : hundred episodes asked of the scene
-    placed : the same where the scene has a navmesh or gets one; else 0
-    placed_kiloobjects : placed episodes times objects, in thousands of both multiplied
+    placed_kiloobjects : thousand pairs of an episode and an object; 0 where no navmesh is shipped or can be built
     mesh_mb : megabytes of meshes that a navmesh must be built from; 0 where one is shipped
     """
     navmesh = family in _ALWAYS_PLACED or counts.navmesh_bytes > 0 or counts.mesh_bytes > 0
@@ -83,7 +88,6 @@ def counts_of(family: str, counts: SceneCounts, asked: int) -> dict[str, float]:
         "objects": counts.objects,
         "kilopairs": counts.objects**2 / counts.rooms / 1000,
         "asked": asked / 100,
-        "placed": placed / 100,
         "placed_kiloobjects": placed * counts.objects / 1000,
         "mesh_mb": 0.0 if counts.navmesh_bytes else counts.mesh_bytes / 1e6,
     }

@@ -14,7 +14,9 @@ from factory.auto_executor import AutoExecutor
 from factory.executor import Executor, InlineExecutor
 from factory.report import ABORTED, RunReport
 from factory.run import run
+from factory.speed import slowness
 from factory.unit import Unit
+from jobs.costs import COMPILE_SECONDS
 from jobs.export import write_export
 from jobs.export_lock import alone_in_export
 from jobs.funnel import add_funnel
@@ -80,7 +82,7 @@ def bring_up_to_date(
     if any(not any(i.path.endswith(".navmesh") for i in unit.inputs) for unit in units):
         kernels.add("navmesh builder")
     if warm:
-        warm_up(lambda message: console.print(message, highlight=False, markup=False), only=kernels)
+        warm_up(_CompilationNote(console), only=kernels)
     store = open_store(config)
     with (
         RunProgress(console) as bar,
@@ -126,6 +128,24 @@ def add_export(report: Report, config: Config, *, renewed: bool = False) -> bool
     report.sections += exported.sections
     report.exit_code = max(report.exit_code, exported.exit_code)
     return True
+
+
+class _CompilationNote:
+    """Prints what is compiled; before the first that is not in the cache, what that takes."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._said = False
+
+    def __call__(self, message: str) -> None:
+        if message.startswith("compiling ") and not self._said:
+            self._said = True
+            seconds = COMPILE_SECONDS * slowness()
+            self._console.print(
+                f"kernels are compiled once on a machine, about {seconds:.0f} CPU s; estimates don't count them",
+                highlight=False,
+            )
+        self._console.print(message, highlight=False, markup=False)
 
 
 @contextmanager

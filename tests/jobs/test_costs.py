@@ -61,14 +61,13 @@ def test_the_counts_of_a_scene() -> None:
         "objects": 100.0,
         "kilopairs": 2.5,
         "asked": 0.5,
-        "placed": 0.5,
         "placed_kiloobjects": 5.0,
         "mesh_mb": 3.0,
     }
     # Without navmesh and without anything to build one from no episode is placed; a shipped navmesh builds none.
-    assert counts_of("gibson", SceneCounts(100.0, 4.0), 50)["placed"] == 0
+    assert counts_of("gibson", SceneCounts(100.0, 4.0), 50)["placed_kiloobjects"] == 0
     assert counts_of("gibson", SceneCounts(100.0, 4.0, 10, 3_000_000), 50)["mesh_mb"] == 0
-    assert counts_of("ithor", SceneCounts(100.0), 50)["placed"] == 0.5
+    assert counts_of("ithor", SceneCounts(100.0), 50)["placed_kiloobjects"] == 5.0
 
 
 def test_a_huge_room_is_known_to_be_huge() -> None:
