@@ -124,10 +124,18 @@ class LimitsConfig(Section):
 class RayConfig(Section):
     """How a run is spread out."""
 
-    workers: int | None = Field(None, ge=1, description="none = every core")
+    workers: int | None = Field(
+        None,
+        ge=1,
+        description="that many Ray workers, however small the work (1: one process beside this one); with an address, "
+        "at most so many tasks in flight; none = every core or the whole cluster, and work too small for Ray is done "
+        "in this process",
+    )
     address: str | None = Field(None, description="ray:// or host:port of a cluster; none = this machine")
     max_failures: Share = Field(0.5, description="share of failed scenes over which the run is stopped (exit 4)")
-    deadline_seconds: Seconds = Field(1800.0, description="wall time one scene may take")
+    deadline_seconds: Seconds = Field(
+        1800.0, description="wall time one scene may take; in compiled code only a Ray worker can be ended"
+    )
     memory_gib: float | None = Field(
         None,
         ge=0.5,

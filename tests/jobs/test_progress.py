@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import io
 import json
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from factory import LocalStore, RunReport
+from factory.auto_executor import AutoExecutor
+from factory.executor import InlineExecutor
+from factory.heartbeat import Busy
+from factory.ray_executor import RayExecutor
+from factory.receipt import Receipt, StageReceipt
 from factory.report import Silence
-from jobs.progress import LOGS, LoggedRun
+from jobs.generate import _executor
+from jobs.progress import LOGS, LoggedRun, RunProgress
+from schemas.config import Config, RayConfig, SourceConfig
 from schemas.errors import StoreError
 
 
@@ -65,3 +74,55 @@ def test_a_store_that_takes_no_log_costs_the_run_nothing(tmp_path: Path, monkeyp
         log.keep(RunReport(record="runs/x.json"))
     assert "no space left" in told.notes[0]
     assert len([*(tmp_path / "state" / LOGS).iterdir()]) == 1
+
+
+def done(unit_id: str, expected: float, took: float) -> Receipt:
+    key = b"k" * 16
+    stage = StageReceipt("count", key, key, key, key, key, took, 10, True, False, ())
+    return Receipt(unit_id, "a", "ok", "", key, (stage,), expected=expected)
+
+
+def test_a_log_says_what_is_left_and_which_unit_takes_long() -> None:
+    text = io.StringIO()
+    with RunProgress(Console(file=text, width=200)) as progress:
+        progress.phase("units", 4, 400.0, workers=2)
+        progress.unit(done("a/1", 100.0, 100.0))
+        progress.busy(Busy("a/2", "count", 31.0), "a/2: at stage count for 31 s")
+        progress.unit(done("a/2", 100.0, 300.0))
+        for name in ("a/3", "a/4"):
+            progress.unit(done(name, 100.0, 200.0))
+    said = text.getvalue().splitlines()
+    assert said[0] == "units: 4 to do, about 400 CPU s, shared by 2 workers: 3 min on an idle machine"
+    # As the model says, for two workers; then twice as slow, since the second unit took three times what was expected.
+    assert said[1] == "units: 1/4 a/1 (about 2 min left)"
+    assert said[2] == "a/2: at stage count for 31 s"
+    assert said[3] == "units: 2/4 a/2 (about 3 min left)"
+    assert said[-1] == "units: 4/4 a/4"
+
+
+@pytest.mark.parametrize(
+    ("ray", "inline", "kind"),
+    [
+        ({}, False, AutoExecutor),
+        ({"workers": 1}, False, RayExecutor),
+        ({"workers": 2}, False, RayExecutor),
+        ({"address": "auto"}, False, RayExecutor),
+        ({"workers": 3, "address": "auto"}, False, RayExecutor),
+        ({"workers": 2}, True, InlineExecutor),
+        ({"workers": 2, "address": "auto"}, True, InlineExecutor),
+    ],
+)
+def test_the_executor_is_the_one_configured(
+    ray: dict[str, object], inline: bool, kind: type[object], tmp_path: Path
+) -> None:
+    config = Config(
+        name="x",
+        store=tmp_path,
+        sources=(SourceConfig(family="ithor", root=tmp_path),),
+        ray=RayConfig.model_validate(ray),
+    )
+    said: list[str] = []
+    with _executor(config, inline, said.append) as executor:
+        assert type(executor) is kind
+        if isinstance(executor, RayExecutor) and "workers" in ray:
+            assert executor.workers == ray["workers"]
