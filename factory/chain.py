@@ -7,18 +7,17 @@ from functools import partial
 
 import pyarrow as pa
 
-from factory.commits import Commits
+from factory.commits import Commits, Committed
 from factory.key import Keyer, StageKey
 from factory.pipeline import Pipeline
 from factory.receipt import StageReceipt, TableReceipt
 from factory.rows import logical_hash, parquet_table
 from factory.unit import Unit
 from schemas.errors import CorruptShardError, StoreError
-from schemas.unit import UnitCommit
 
 __all__ = ["Chain", "SharedTables", "Upstream", "receipt_of"]
 
-_RENEW = "Renew the shared tables (rebuild --priors)."
+_RENEW = "Run condvln rebuild CONFIG: it is restored from the snapshot; else --priors builds it again."
 
 
 class Upstream(Mapping[str, pa.Table]):
@@ -58,12 +57,15 @@ class SharedTables:
     def _loader(self, commits: Commits, name: str, found: str) -> Callable[[], pa.Table]:
         def load() -> pa.Table:
             path = self.path(name, found)
+            where = f"{commits.store.url}/{path}"
             try:
-                table = parquet_table(commits.store.read(path), path)
+                table = parquet_table(commits.store.read(path), where)
             except (FileNotFoundError, CorruptShardError) as error:
-                raise StoreError(f"the pinned table {name!r} is gone or damaged", where=path, remedy=_RENEW) from error
+                raise StoreError(
+                    f"the pinned table {name!r} is missing or damaged", where=where, remedy=_RENEW
+                ) from error
             if logical_hash(table)[0] != found:
-                raise StoreError(f"the pinned table {name!r} differs from its hash", where=path, remedy=_RENEW)
+                raise StoreError(f"the pinned table {name!r} differs from its hash", where=where, remedy=_RENEW)
             return table
 
         return load
@@ -78,9 +80,21 @@ class Chain:
 
     Stages may be known from a commit, from an earlier snapshot's index, or made just now; in the last case their tables
     are at hand, otherwise they are read from the store when a later stage asks.
+
+    discard : remove commits that turn out damaged, so that they are made again; False where nothing may be written
     """
 
-    def __init__(self, pipeline: Pipeline, keyer: Keyer, commits: Commits, shared: SharedTables, unit: Unit) -> None:
+    def __init__(
+        self,
+        pipeline: Pipeline,
+        keyer: Keyer,
+        commits: Commits,
+        shared: SharedTables,
+        unit: Unit,
+        *,
+        discard: bool = True,
+    ) -> None:
+        self._discard = discard
         self._pipeline = pipeline
         self._keyer = keyer
         self._commits = commits
@@ -117,7 +131,8 @@ class Chain:
                 try:
                     found = self._commits.table(done.stage, done.key.hex(), table, self._hash(table, position))
                 except CorruptShardError:
-                    self._commits.discard(done.stage, done.key.hex())
+                    if self._discard:
+                        self._commits.discard(done.stage, done.key.hex())
                     raise
                 self._in_memory[table, position] = found
             return self._in_memory[table, position]
@@ -135,8 +150,9 @@ class Chain:
         self.done.append(receipt)
 
 
-def receipt_of(commit: UnitCommit, *, made: bool) -> StageReceipt:
+def receipt_of(committed: Committed, *, made: bool) -> StageReceipt:
     """What a commit says, in the form that travels."""
+    commit = committed.commit
     parts = commit.key_parts
     return StageReceipt(
         stage=commit.stage,
@@ -154,4 +170,5 @@ def receipt_of(commit: UnitCommit, *, made: bool) -> StageReceipt:
             TableReceipt(name, bytes.fromhex(record.logical_hash), record.rows, record.logical_bytes)
             for name, record in commit.tables.items()
         ),
+        stored=committed.stored,
     )

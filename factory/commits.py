@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Final
 
 import pyarrow as pa
 from pydantic import ValidationError
@@ -16,14 +17,32 @@ from pydantic import ValidationError
 from factory.faults import FaultPlan
 from factory.pipeline import Pipeline
 from factory.rows import logical_hash, parquet_bytes, parquet_table
+from factory.seal import sealed, unsealed
 from factory.store import Store
 from schemas.errors import CorruptShardError
 from schemas.unit import QuarantineRecord, ShardRecord, TableRecord, UnitCommit
 
-__all__ = ["Commits"]
+__all__ = ["LISTING", "REBUILD_VERIFIED", "UNIT_FILE", "Commits", "Committed"]
 
 LISTING = "listing"
 """The stage name under which units that could not even be listed are quarantined."""
+
+REBUILD_VERIFIED: Final = "Run condvln rebuild CONFIG --verify: it makes damaged files again."
+"""The remedy for every damaged file that can be made again."""
+
+UNIT_FILE: Final = "unit.json"
+"""The commit of a unit's stage, written last."""
+
+
+@dataclass(frozen=True, slots=True)
+class Committed:
+    """One stage of one unit, committed.
+
+    stored : bytes of all its files, ``unit.json`` included: a listing tells by it that one is missing or cut
+    """
+
+    commit: UnitCommit
+    stored: int
 
 
 class Commits:
@@ -49,27 +68,46 @@ class Commits:
             if parts[-1] == "unit.json" and len(parts) == 5:
                 yield parts[1], parts[3]
 
-    def find(self, stage: str, key: str) -> UnitCommit | None:
-        """The commit under this key, or None. One that is damaged is removed: it will be made again."""
-        path = f"{self.folder(stage, key)}/unit.json"
+    def find(self, stage: str, key: str, *, discard: bool = True) -> Committed | None:
+        """The commit under this key, or None where it or one of its files is missing, cut or not readable.
+
+        discard : remove a damaged one, so that it is made again; False where nothing may be written
+        """
+        folder = self.folder(stage, key)
         try:
-            data = self.store.read(path)
+            data = self.store.read(f"{folder}/{UNIT_FILE}")
         except FileNotFoundError:
             return None
         try:
-            commit = UnitCommit.model_validate_json(data)
-        except ValidationError:
+            commit = unsealed(UnitCommit, data)
+        except ValueError:
+            commit = None
+        if commit is not None and (commit.key, commit.stage) == (key, stage):
+            sizes = {entry.path.rpartition("/")[2]: entry.size for entry in self.store.list(folder)}
+            records = _files(commit)
+            if all(sizes.get(name) == record.bytes for name, record in records.items()):
+                return Committed(commit, len(data) + sum(record.bytes for record in records.values()))
+        if discard:
             self.discard(stage, key)
-            return None
-        if commit.key != key or commit.stage != stage:
-            self.discard(stage, key)
-            return None
-        return commit
+        return None
+
+    def damaged_file(self, stage: str, key: str) -> str | None:
+        """Path of the first file of a commit whose bytes are not as committed, or None. Reads all of them."""
+        folder = self.folder(stage, key)
+        found = self.find(stage, key, discard=False)
+        if found is None:
+            return f"{folder}/{UNIT_FILE}"
+        for name, record in _files(found.commit).items():
+            try:
+                self._verified(f"{folder}/{name}", record.sha256)
+            except CorruptShardError:
+                return f"{folder}/{name}"
+        return None
 
     def save(
         self, pipeline: Pipeline, commit: UnitCommit, tables: Mapping[str, pa.Table], files: Mapping[str, bytes]
-    ) -> UnitCommit:
-        """Write the files of a stage, then its ``unit.json``; returns the commit with the files' hashes.
+    ) -> Committed:
+        """Write the files of a stage, then its ``unit.json``; returns the commit with the files' hashes and sizes.
 
         tables : canonical tables, whose ``rows`` and ``logical_hash`` are in ``commit`` already
         """
@@ -91,9 +129,10 @@ class Commits:
             kept[name] = ShardRecord(sha256=hashlib.sha256(content).hexdigest(), bytes=len(content))
         commit = commit.model_copy(update={"tables": shards, "files": kept})
         self._faults.reach("unit-before-commit")
-        self.store.write(f"{folder}/unit.json", commit.model_dump_json(indent=1).encode())
+        content = sealed(commit)
+        self.store.write(f"{folder}/{UNIT_FILE}", content)
         self._faults.reach("unit-after-commit")
-        return commit
+        return Committed(commit, len(content) + sum(record.bytes for record in _files(commit).values()))
 
     def table(self, stage: str, key: str, name: str, rows_hash: str | None = None) -> pa.Table:
         """One table of a commit.
@@ -103,10 +142,12 @@ class Commits:
         Raises ``CorruptShardError`` when the file is gone, cut, or its rows differ from the hash.
         """
         path = f"{self.folder(stage, key)}/{name}.parquet"
-        table = parquet_table(self._verified(path, None), path)
+        table = parquet_table(self._verified(path, None), self._where(path))
         # A flipped bit inside a page may well decode: only the rows' own hash tells.
         if rows_hash is not None and logical_hash(table)[0] != rows_hash:
-            raise CorruptShardError("the rows differ from the hash of their commit", where=path)
+            raise CorruptShardError(
+                "the rows differ from the hash of their commit", where=self._where(path), remedy=REBUILD_VERIFIED
+            )
         return table
 
     def file(self, commit: UnitCommit, name: str) -> bytes:
@@ -117,10 +158,17 @@ class Commits:
         try:
             data = self.store.read(path)
         except FileNotFoundError as error:
-            raise CorruptShardError("a committed file is gone", where=path) from error
+            raise CorruptShardError(
+                "a committed file is missing", where=self._where(path), remedy=REBUILD_VERIFIED
+            ) from error
         if sha256 is not None and hashlib.sha256(data).hexdigest() != sha256:
-            raise CorruptShardError("the bytes differ from the hash of their commit", where=path)
+            raise CorruptShardError(
+                "the bytes differ from the hash of their commit", where=self._where(path), remedy=REBUILD_VERIFIED
+            )
         return data
+
+    def _where(self, path: str) -> str:
+        return f"{self.store.url}/{path}"
 
     def discard(self, stage: str, key: str) -> None:
         """Forget a commit: ``unit.json`` goes first, so that at no time a commit stands without its files."""
@@ -157,3 +205,8 @@ class Commits:
             # Whatever else a person put there is not ours.
             if len(parts) == 3 and parts[2].endswith(".json"):
                 yield parts[1], parts[2].removesuffix(".json")
+
+
+def _files(commit: UnitCommit) -> dict[str, ShardRecord]:
+    """All files of a commit but ``unit.json``, by name."""
+    return {**{f"{name}.parquet": record for name, record in commit.tables.items()}, **commit.files}

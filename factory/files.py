@@ -59,7 +59,7 @@ class FileHashes:
                     self._known = {name: (size, mtime, sha) for name, size, mtime, sha in rows}
             except sqlite3.DatabaseError as error:
                 # Damaged, and only a memory; but one that another process is writing to is sound.
-                if "locked" not in str(error):
+                if "locked" not in str(error) and "readonly" not in str(error):
                     with suppress(OSError):
                         path.unlink()
 

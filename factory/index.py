@@ -5,8 +5,8 @@ it: units may get new keys while their rows stay the same (a version raised, a f
 the snapshot is the same one with another index. ``indexes/<hash>.parquet``, named by ``Ref.index``.
 
 Columns: unit_id, partition, status (ok | skipped | quarantined), reason, fingerprint, attempts, content; for each stage
-``<stage>.key .code .inputs .parameters .dependencies .seconds .peak_rss .skipped .cpu_seconds .estimate`` (null where
-it did not run); for each table ``<stage>/<table>.hash .rows .bytes``; of failed units ``failure.stage .key .cause
+``<stage>.key .code .inputs .parameters .dependencies .seconds .peak_rss .skipped .cpu_seconds .estimate .stored`` (null
+where it did not run); for each table ``<stage>/<table>.hash .rows .bytes``; of failed units ``failure.stage .key .cause
 .exception .message``.
 """
 
@@ -49,10 +49,11 @@ _STAGE_FIELDS: Final = (
     ("skipped", pa.bool_()),
     ("cpu_seconds", pa.float32()),
     ("estimate", pa.float32()),
+    ("stored", pa.int64()),
 )
 _BATCH: Final = 4096
 """Receipts turned into columns at a time."""
-_REBUILD: Final = "Run rebuild: it is written anew."
+_REBUILD: Final = "Run condvln rebuild CONFIG: it writes the index again."
 
 
 def index_schema(pipeline: Pipeline) -> pa.Schema:
@@ -154,10 +155,14 @@ def failed_keys(index: pa.Table) -> set[tuple[str, str]]:
 
 
 class Index:
-    """A read index: whole columns, and single units by id."""
+    """A read index: whole columns, and single units by id.
 
-    def __init__(self, table: pa.Table) -> None:
+    damaged : it stands in for one that is missing or damaged
+    """
+
+    def __init__(self, table: pa.Table, *, damaged: bool = False) -> None:
         self.table = table
+        self.damaged = damaged
         ids = table.column("unit_id").combine_chunks() if table.num_rows else pa.array([], pa.string())
         self._ids = ids.chunk(0) if isinstance(ids, pa.ChunkedArray) else ids
         self._hashes = id_hashes(self._ids.to_pylist()) if len(self._ids) else np.zeros(0, np.uint64)
@@ -165,9 +170,9 @@ class Index:
         self._sorted = self._hashes[self._order]
 
     @classmethod
-    def empty(cls, pipeline: Pipeline) -> Index:
+    def empty(cls, pipeline: Pipeline, *, damaged: bool = False) -> Index:
         """The index of nothing."""
-        return cls(index_schema(pipeline).empty_table())
+        return cls(index_schema(pipeline).empty_table(), damaged=damaged)
 
     @staticmethod
     def path(hash_: str) -> str:
@@ -177,11 +182,11 @@ class Index:
     @classmethod
     def read(cls, store: Store, hash_: str) -> Index:
         """Read an index. Raises ``CorruptShardError`` when it is gone or differs from its hash."""
-        path = cls.path(hash_)
+        path = f"{store.url}/{cls.path(hash_)}"
         try:
-            data = store.read(path)
+            data = store.read(cls.path(hash_))
         except FileNotFoundError as error:
-            raise CorruptShardError("the unit index is gone", where=path, remedy=_REBUILD) from error
+            raise CorruptShardError("the unit index is missing", where=path, remedy=_REBUILD) from error
         if hashlib.sha256(data).hexdigest()[:32] != hash_:
             raise CorruptShardError("the unit index differs from its hash", where=path, remedy=_REBUILD)
         # Without threads: those of Arrow may still end while the interpreter does, and abort the process then.

@@ -1,7 +1,8 @@
-"""A published snapshot on this machine's disk: the store's own folder, or a checked copy of one that is elsewhere.
+"""A published snapshot on this machine's disk: the store's own folder, or a copy of one that is elsewhere.
 
-Readers that want files (DuckDB, an export) get them here whatever the store is. A copy is laid out as the original,
-each file appears whole after its hash was compared, and a file that is there already is not fetched again.
+Readers that want files (DuckDB, an export) get them here whatever the store is, and each file as it was published: its
+hash is compared with the manifest, once for each size and time that the file has. A copy is laid out as the original,
+and a file that is there already is not fetched again.
 """
 
 from __future__ import annotations
@@ -16,9 +17,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
+from factory.commits import REBUILD_VERIFIED
+from factory.files import FileHashes
 from factory.local_store import LocalStore
 from factory.snapshot import Snapshot
-from schemas.errors import CorruptShardError, StoreError
+from schemas.errors import CorruptShardError, MissingFileError
 from schemas.snapshot import PartRecord
 
 __all__ = ["COPIES_KEPT", "local_copy"]
@@ -32,14 +35,18 @@ COPIES_KEPT: Final = 3
 IDLE_SECONDS: Final = 24 * 3600.0
 
 
-def local_copy(snapshot: Snapshot, cache: Path, tables: Iterable[str] | None = None) -> Path:
+def local_copy(
+    snapshot: Snapshot, cache: Path, tables: Iterable[str] | None = None, hashes: FileHashes | None = None
+) -> Path:
     """The folder of ``snapshot`` on this disk, ``<table>/source=<partition>/part-*.parquet`` below it.
 
     cache : where copies of snapshots stand, in ``snapshots/<id>``; not touched when the store itself is on this disk
     tables : those that are needed; all by default
+    hashes : memory of the files' hashes; without one every file is read
 
-    Raises ``StoreError`` when a file is missing, ``CorruptShardError`` when one differs from the manifest.
+    Raises ``CorruptShardError`` when a file is missing or differs from the manifest.
     """
+    hashes = hashes or FileHashes()
     manifest = snapshot.manifest
     wanted = manifest.tables if tables is None else [name for name in manifest.tables if name in set(tables)]
     parts = [
@@ -49,33 +56,43 @@ def local_copy(snapshot: Snapshot, cache: Path, tables: Iterable[str] | None = N
     own = snapshot.store.local_path(folder)
     if own is not None:
         for part in parts:
-            if not snapshot.store.exists(f"{folder}/{part.path}"):
-                raise StoreError(
-                    "a published file is missing", where=own / part.path, remedy="Rebuild with --verify to mend it."
+            snapshot.store.local_path(f"{folder}/{part.path}")  # a path that leads out of the folder ends here
+            try:
+                found = hashes.file(own, part.path)
+            except MissingFileError as error:
+                raise CorruptShardError(
+                    "a published file is missing", where=own / part.path, remedy=REBUILD_VERIFIED
+                ) from error
+            if found.sha256 != part.sha256:
+                raise CorruptShardError(
+                    "the file differs from the manifest", where=own / part.path, remedy=REBUILD_VERIFIED
                 )
+        hashes.save()
         return own
     copies = LocalStore(cache, durable=False)
 
     def fetch(part: PartRecord) -> None:
         path = f"{folder}/{part.path}"
         copies.local_path(path)  # a manifest's path that leads out of the folder ends here
-        # What stands there was compared when it was written, and is never written in place.
-        with suppress(OSError):
-            if (cache / path).stat().st_size == part.bytes:
+        with suppress(MissingFileError):
+            if hashes.file(cache, path).sha256 == part.sha256:
                 return
         try:
             data = snapshot.store.read(path)
         except FileNotFoundError as error:
-            raise StoreError(
-                "a published file is missing", where=f"{snapshot.store.url}/{path}", remedy="Open the snapshot anew."
+            raise CorruptShardError(
+                "a published file is missing", where=f"{snapshot.store.url}/{path}", remedy=REBUILD_VERIFIED
             ) from error
         if hashlib.sha256(data).hexdigest() != part.sha256:
-            raise CorruptShardError("the file differs from the manifest", where=f"{snapshot.store.url}/{path}")
+            raise CorruptShardError(
+                "the file differs from the manifest", where=f"{snapshot.store.url}/{path}", remedy=REBUILD_VERIFIED
+            )
         copies.write(path, data)
 
     with ThreadPoolExecutor(FETCHERS) as pool:
         for _ in pool.map(fetch, parts):
             pass
+    hashes.save()
     copies.write(f"{folder}/manifest.json", manifest.model_dump_json(indent=1).encode())
     _forget(cache / "snapshots", snapshot.snapshot_id)
     return cache / folder

@@ -126,6 +126,25 @@ class LocalStore:
                             os.path.relpath(entry.path, self.root).replace(os.sep, "/"), stat.st_size, stat.st_mtime
                         )
 
+    def folders(self, prefix: str) -> Iterator[tuple[str, dict[str, int]]]:
+        root = str(self._at(prefix))
+        stack = [""]
+        while stack:
+            below = stack.pop()
+            files: dict[str, int] = {}
+            try:
+                with os.scandir(f"{root}/{below}" if below else root) as entries:
+                    for entry in entries:
+                        if entry.is_dir(follow_symlinks=False):
+                            stack.append(f"{below}/{entry.name}" if below else entry.name)
+                        elif not entry.name.startswith("."):
+                            with contextlib.suppress(FileNotFoundError):  # deleted meanwhile
+                                files[entry.name] = entry.stat().st_size
+            except (FileNotFoundError, NotADirectoryError):
+                continue
+            if files:
+                yield below, files
+
     def delete(self, path: str) -> None:
         place = self._at(path)
         with self._errors(path):

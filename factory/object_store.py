@@ -14,6 +14,7 @@ import contextlib
 import functools
 import secrets
 from collections.abc import Iterator
+from itertools import groupby
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import parse_qs, urlsplit
@@ -200,6 +201,11 @@ class ObjectStore:
             for page in self._client.get_paginator("list_objects_v2").paginate(Bucket=self.bucket, Prefix=below):
                 for item in page.get("Contents", ()):
                     yield Entry(item["Key"][skip:], item["Size"], item["LastModified"].timestamp())
+
+    def folders(self, prefix: str) -> Iterator[tuple[str, dict[str, int]]]:
+        # Keys come in their order, so that the files of one folder follow each other.
+        for folder, entries in groupby(self.list(prefix), lambda entry: entry.path.rpartition("/")[0]):
+            yield folder[len(prefix) + 1 :], {entry.path.rpartition("/")[2]: entry.size for entry in entries}
 
     def delete(self, path: str) -> None:
         key = self._key(path)

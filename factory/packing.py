@@ -27,7 +27,17 @@ from schemas.canonical import digest
 from schemas.errors import CorruptShardError
 from schemas.snapshot import PartRecord
 
-__all__ = ["PART_BYTES", "PackJob", "Packed", "bucket_count", "buckets", "content_hash", "members_hash", "pack"]
+__all__ = [
+    "PART_BYTES",
+    "PackJob",
+    "Packed",
+    "bucket_count",
+    "buckets",
+    "content_hash",
+    "in_threads",
+    "members_hash",
+    "pack",
+]
 
 PART_BYTES: Final = 128 * 1024 * 1024
 """Canonical bytes that one part may hold: a file of some 16-64 MB after zstd, packed within 1 GiB of memory."""
@@ -100,7 +110,7 @@ def _rows(members: pa.Table, *names: str) -> Iterator[tuple[Any, ...]]:
         yield from zip(*(column.to_pylist() for column in batch.columns), strict=True)
 
 
-def _in_threads(load: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
+def in_threads(load: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
     """As ``map``, with requests to a distant store side by side."""
     with ThreadPoolExecutor(READERS) as pool:
         yield from pool.map(load, items)
@@ -140,7 +150,7 @@ def pack(store: Store, pipeline: Pipeline, job: PackJob, faults: str = "") -> Pa
         return table
 
     rows = _rows(job.members, "unit_id", "stage", "key", "hash")
-    for found in map(load, rows) if store.lists_cheaply else _in_threads(load, rows):
+    for found in map(load, rows) if store.lists_cheaply else in_threads(load, rows):
         if isinstance(found, str):
             damaged.append(found)
         else:

@@ -8,60 +8,141 @@ the same units; one killed after it finds the pin.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 
 import pyarrow as pa
-from pydantic import ValidationError
 
 from factory.chain import SharedTables, Upstream
 from factory.commits import Commits
 from factory.faults import FaultPlan
 from factory.pipeline import Pipeline
 from factory.receipt import Receipt
-from factory.rows import logical_hash, parquet_bytes
+from factory.rows import logical_hash, parquet_bytes, parquet_table
+from factory.seal import sealed, unsealed
 from factory.stage import Aggregate
 from schemas.canonical import digest
-from schemas.errors import CorruptShardError
-from schemas.snapshot import Pin, PinnedTable
+from schemas.errors import CorruptShardError, StoreError
+from schemas.snapshot import Pin, PinnedTable, SnapshotManifest
 
 __all__ = ["Pins", "build_aggregate", "discard_damaged"]
 
 
 class Pins:
-    """The pinned aggregates of one pipeline and ref."""
+    """The pinned aggregates of one pipeline and ref.
 
-    def __init__(self, pipeline: Pipeline, commits: Commits, ref: str, faults: FaultPlan | None = None) -> None:
+    Neither a pin nor its table can be computed again once there are more units, so the published snapshot has a copy of
+    both: what is missing, damaged or older than the snapshot's is restored from there.
+
+    published : manifest of what is published under the ref
+    """
+
+    def __init__(
+        self,
+        pipeline: Pipeline,
+        commits: Commits,
+        ref: str,
+        faults: FaultPlan | None = None,
+        published: SnapshotManifest | None = None,
+    ) -> None:
         self._pipeline = pipeline
         self._commits = commits
         self._path = f"pins/{pipeline.name}/{ref}.json"
         self._faults = faults or FaultPlan()
+        self._published = published
+        self.damaged: list[str] = []
+        """Paths of files that are missing or damaged, and that ``restore`` writes again."""
         self.pin = self._read()
 
     def _read(self) -> Pin:
-        try:
-            return Pin.model_validate_json(self._commits.store.read(self._path))
-        except (FileNotFoundError, ValidationError):
-            return Pin(tables={})
+        store = self._commits.store
+        kept = {} if self._published is None else self._published.shared
+        pin: Pin | None = None
+        with suppress(FileNotFoundError, ValueError):
+            pin = unsealed(Pin, store.read(self._path))
+        tables = {} if pin is None else dict(pin.tables)
+        for name, record in kept.items():
+            known = tables.get(name)
+            if known is None or known.generation < record.generation:
+                tables[name] = PinnedTable(**record.model_dump(include=set(PinnedTable.model_fields)))
+        if pin is not None and tables == pin.tables:
+            return pin
+        if kept or store.exists(self._path):
+            self.damaged.append(self._path)
+        return Pin(tables=tables)
 
     def hashes(self, renew: Iterable[str] = ()) -> dict[str, str]:
         """Hashes of the aggregates that hold: pinned under this version and these parameters, not to be renewed, and
-        still there."""
+        there (in their place or in the snapshot)."""
         found = {}
         for aggregate in self._pipeline.aggregates:
             pinned = self.pin.tables.get(aggregate.name)
-            if pinned is None or pinned.version != aggregate.version or aggregate.name in renew:
+            if pinned is None or not _holds(pinned, aggregate) or aggregate.name in renew:
                 continue
-            if pinned.parameters != digest(aggregate.parameters()):
+            path = SharedTables.path(aggregate.name, pinned.hash)
+            if self._sound(path, pinned.hash):
+                found[aggregate.name] = pinned.hash
                 continue
-            if self._commits.store.exists(SharedTables.path(aggregate.name, pinned.hash)):
+            if path not in self.damaged:
+                self.damaged.append(path)
+            if self._copy(aggregate.name, pinned.hash) is not None:
                 found[aggregate.name] = pinned.hash
         return found
 
-    def set(self, aggregate: Aggregate, table: pa.Table, units: int) -> str:
-        """Keep ``table`` and pin it; returns its hash."""
+    def restore(self) -> list[str]:
+        """Write again what is missing or damaged, as far as it is known; returns the paths."""
+        written = []
+        for path in self.damaged:
+            if path == self._path:
+                if self.pin.tables:
+                    self._commits.store.write(path, sealed(self.pin))
+                    written.append(path)
+                continue
+            _, name, file = path.split("/")
+            copy = self._copy(name, file.removesuffix(".parquet"))
+            if copy is not None:
+                self._commits.store.write(path, copy)
+                written.append(path)
+        self.damaged = [path for path in self.damaged if path not in written]
+        return written
+
+    def _sound(self, path: str, rows_hash: str) -> bool:
+        try:
+            return logical_hash(parquet_table(self._commits.store.read(path), path))[0] == rows_hash
+        except (FileNotFoundError, CorruptShardError):
+            return False
+
+    def _copy(self, name: str, rows_hash: str) -> bytes | None:
+        """The table's file as the published snapshot keeps it, or None."""
+        record = None if self._published is None else self._published.shared.get(name)
+        if self._published is None or record is None or record.hash != rows_hash:
+            return None
+        path = f"snapshots/{self._published.snapshot_id}/{record.path}"
+        return self._commits.store.read(path) if self._sound(path, rows_hash) else None
+
+    def set(self, aggregate: Aggregate, table: pa.Table, units: int, *, renew: bool = False) -> str:
+        """Keep ``table`` and pin it; returns its hash.
+
+        renew : another table than the pinned one is wanted
+
+        Raises ``StoreError`` when another table is pinned that holds, is lost, and was not to be renewed: every unit that depends on it would change silently.
+        """
         found, _ = logical_hash(table)
+        before = self.pin.tables.get(aggregate.name)
+        path = SharedTables.path(aggregate.name, found)
+        if before is not None and _holds(before, aggregate) and not renew:
+            if before.hash != found:
+                raise StoreError(
+                    f"the shared table {aggregate.name!r} is missing or damaged, here and in the published snapshot, "
+                    "and the units of today give another",
+                    where=f"{self._commits.store.url}/{SharedTables.path(aggregate.name, before.hash)}",
+                    remedy="Put the file back; or run condvln rebuild CONFIG --priors, which builds it from today's "
+                    "units and makes again what depends on it.",
+                )
+            self._commits.store.write(path, parquet_bytes(table))
+            return found
         self._faults.reach("pin-before-table")
         # Not create(): one of this name that is damaged must not stay.
-        self._commits.store.write(SharedTables.path(aggregate.name, found), parquet_bytes(table))
+        self._commits.store.write(path, parquet_bytes(table))
         self._faults.reach("pin-before-pin")
         pinned = PinnedTable(
             version=aggregate.version,
@@ -69,11 +150,17 @@ class Pins:
             rows=table.num_rows,
             units=units,
             parameters=digest(aggregate.parameters()),
+            generation=0 if before is None else before.generation + 1,
         )
         self.pin = Pin(tables={**self.pin.tables, aggregate.name: pinned})
-        self._commits.store.write(self._path, self.pin.model_dump_json(indent=1).encode())
+        self._commits.store.write(self._path, sealed(self.pin))
         self._faults.reach("pin-after-pin")
         return found
+
+
+def _holds(pinned: PinnedTable, aggregate: Aggregate) -> bool:
+    """Whether it was built by this version and with these parameters."""
+    return pinned.version == aggregate.version and pinned.parameters == digest(aggregate.parameters())
 
 
 def build_aggregate(aggregate: Aggregate, commits: Commits, receipts: Iterable[Receipt]) -> tuple[pa.Table, int]:

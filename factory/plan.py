@@ -14,7 +14,8 @@ from factory.spool import Spool
 
 __all__ = ["Plan", "PlanEntry", "Reason", "StagePlan", "UnitPlan"]
 
-Reason = Literal["data", "parameters", "code", "dependency", "partition"]
+Reason = Literal["data", "parameters", "code", "dependency", "partition", "damaged"]
+"""``damaged``: nothing changed, but files of the unit are missing from the store, or cut."""
 StagePlan = Literal["FRESH", "STALE", "MISSING", "POSSIBLE", "QUARANTINED"]
 UnitPlan = Literal["FRESH", "STALE", "MISSING", "QUARANTINED"]
 
@@ -48,6 +49,7 @@ class Plan:
     removed : units that are published and no longer in the corpus
     renamed : (old id, new id) of removed and missing units with the same bytes: their rows name them, so they are made
     renewed : aggregates that would be built (none is pinned, or its version changed): units behind them show POSSIBLE
+    damaged : files of what is published that are missing or damaged and would be made again, the units' own left out
     """
 
     entries: Spool[PlanEntry]
@@ -59,11 +61,12 @@ class Plan:
     removed: tuple[str, ...] = ()
     renamed: tuple[tuple[str, str], ...] = ()
     renewed: tuple[str, ...] = ()
+    damaged: tuple[str, ...] = ()
 
     @property
     def empty(self) -> bool:
         """Nothing would change."""
-        return not (self.counts["MISSING"] or self.counts["STALE"] or self.removed or self.renewed)
+        return not (self.counts["MISSING"] or self.counts["STALE"] or self.removed or self.renewed or self.damaged)
 
     def add(self, entry: PlanEntry) -> None:
         """Take one unit in."""

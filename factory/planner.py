@@ -13,12 +13,13 @@ from factory.chain import Chain, SharedTables, receipt_of
 from factory.commits import Commits
 from factory.costs import CostModel
 from factory.index import Index, id_hashes
+from factory.inventory import Inventory
 from factory.key import Keyer, StageKey
 from factory.pipeline import Pipeline, plain_name
 from factory.plan import PlanEntry, Reason, StagePlan, UnitPlan
 from factory.receipt import Receipt, StageReceipt
 from factory.unit import Unit, Work
-from schemas.errors import CondVLNError, InputError, StageError, UsageError
+from schemas.errors import CondVLNError, CorruptShardError, InputError, StageError, UsageError
 
 __all__ = ["Planner"]
 
@@ -37,6 +38,7 @@ class Planner:
     made : how many stages an earlier pass of the same run made for every unit: they cost nothing more
     quarantined : (stage, key) pairs with a record that stands
     again : ids of units that count as changed
+    inventory : what of the index's units is really in the store; a unit that lacks files is not fresh
     """
 
     def __init__(
@@ -49,6 +51,7 @@ class Planner:
         stages: int | None = None,
         made: int = 0,
         again: frozenset[str] = frozenset(),
+        inventory: Inventory | None = None,
     ) -> None:
         self.pipeline = pipeline
         self.commits = commits
@@ -60,6 +63,7 @@ class Planner:
         self._shared = SharedTables(commits, shared)
         self._quarantined = quarantined
         self._again = again
+        self._inventory = inventory
         self._fingerprints = index.fingerprints()
         self._statuses = index.statuses()
         self._model = CostModel(index, pipeline)
@@ -71,6 +75,7 @@ class Planner:
         """Expected CPU seconds of the stages behind the planned ones, of all units that ``work`` gave out."""
         self.kept = np.zeros(len(index), dtype=bool)
         """(rows of the index,) whether the unit is unchanged, so that its row is carried over."""
+        self._only_damaged = np.zeros(len(index), dtype=bool)
         self.present = np.zeros(len(index), dtype=bool)
         """(rows of the index,) whether the unit is still in the corpus."""
 
@@ -92,6 +97,9 @@ class Planner:
                     self.present[row] = True
                 fresh = row >= 0 and self._whole and fingerprint == self._fingerprints[row] and self._stands(row)
                 fresh = fresh and unit.unit_id not in self._again
+                if fresh and self._inventory is not None and not self._inventory.whole[row]:
+                    self._only_damaged[row] = True
+                    fresh = False
                 if fresh:
                     self.kept[row] = True
                 yield checked, fingerprint, row, fresh
@@ -143,6 +151,8 @@ class Planner:
             )
         if unit.fault is not None:
             return self._quarantined_entry(unit, str(unit.fault))
+        if old is not None and self._only_damaged[row]:
+            return self._damaged_entry(unit, old, row)
         try:
             return self._walk(unit, row, old)
         except (StageError, InputError) as error:
@@ -151,9 +161,26 @@ class Planner:
     def _quarantined_entry(self, unit: Unit, detail: str) -> PlanEntry:
         return PlanEntry(unit.unit_id, unit.partition, "QUARANTINED", detail=detail)
 
+    def _lost(self, stage: str, row: int) -> bool:
+        return self._inventory is not None and row >= 0 and self._inventory.lost(stage, row)
+
+    def _damaged_entry(self, unit: Unit, old: Receipt, row: int) -> PlanEntry:
+        """Nothing changed, but files are missing or cut: just those stages are made again, and give the same rows."""
+        lost = {stage.stage for stage in old.stages if self._lost(stage.stage, row)}
+        return PlanEntry(
+            unit.unit_id,
+            unit.partition,
+            "STALE",
+            reasons=("damaged",),
+            stages=tuple((stage.stage, "STALE" if stage.stage in lost else "FRESH") for stage in old.stages),
+            seconds=sum(
+                self._model.stage_seconds(unit, row, stage.stage) for stage in old.stages if stage.stage in lost
+            ),
+        )
+
     def _walk(self, unit: Unit, row: int, old: Receipt | None) -> PlanEntry:
         before = {stage.stage: stage for stage in old.stages} if old else {}
-        chain = Chain(self.pipeline, self.keyer, self.commits, self._shared, unit)
+        chain = Chain(self.pipeline, self.keyer, self.commits, self._shared, unit, discard=False)
         stages: list[tuple[str, StagePlan]] = []
         reasons: list[Reason] = []
         if old is not None and old.partition != unit.partition:
@@ -162,10 +189,17 @@ class Planner:
             stage = self.pipeline.stages[chain.at]
             if not set(stage.needs) <= set(self._shared.hashes):
                 break  # its aggregate is not there yet
-            key = chain.key()
             known = before.get(stage.name)
-            done = known if known is not None and known.key == key.key else self._committed(stage.name, key)
+            try:
+                key = chain.key()
+            except CorruptShardError:
+                reasons.append("damaged")  # what the key depends on can't be read
+                break
+            same = known is not None and known.key == key.key
+            done = known if same and not self._lost(stage.name, row) else self._committed(stage.name, key)
             if done is None:
+                if same:
+                    reasons.append("damaged")
                 if (stage.name, key.hex) in self._quarantined:
                     record = self.commits.quarantine_record(stage.name, key.hex)
                     return self._quarantined_entry(unit, f"{record.exception}: {record.message}" if record else "")
@@ -187,7 +221,7 @@ class Planner:
             # Everything is committed, by an interrupted run say: publishing is all that is left.
             status = "FRESH" if old is None or not reasons else "STALE"
         elif old is not None and not reasons:
-            # Its files are gone, or it failed and is tried again: as good as missing.
+            # It failed and is tried again: as good as missing.
             status = "MISSING"
         return PlanEntry(
             unit.unit_id,
@@ -205,8 +239,8 @@ class Planner:
             self._listed = frozenset(self.commits.committed())
         if self._listed is not None and (stage, key.hex) not in self._listed:
             return None
-        commit = self.commits.find(stage, key.hex)
-        return receipt_of(commit, made=False) if commit else None
+        found = self.commits.find(stage, key.hex, discard=False)
+        return receipt_of(found, made=False) if found else None
 
     def _behind(
         self, unit: Unit, first: int, before: Mapping[str, StageReceipt], reasons: list[Reason]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Final
@@ -9,17 +10,22 @@ from typing import Final
 import pyarrow as pa
 
 from factory import machine
+from factory.chain import SharedTables
+from factory.commits import Commits
 from factory.context import RunContext
 from factory.executor import Executor
 from factory.faults import FaultPlan
 from factory.index import Index
-from factory.packing import PackJob, bucket_count
+from factory.inventory import missing_parts
+from factory.packing import PackJob, bucket_count, in_threads
 from factory.pipeline import Pipeline
+from factory.receipt import Receipt
 from factory.report import Progress, RunReport
+from factory.seal import sealed
 from factory.snapshot import Composition, damaged_parts, manifest_path, read_manifest, read_ref, ref_path
 from factory.store import Store
 from schemas.errors import CorruptShardError, PublishConflictError
-from schemas.snapshot import PartRecord, Published, Ref
+from schemas.snapshot import PartRecord, PinnedTable, Published, Ref, SharedRecord
 
 __all__ = ["Publisher", "published_index"]
 
@@ -37,7 +43,7 @@ def published_index(pipeline: Pipeline, store: Store, ref: Ref | None) -> Index:
     try:
         return Index.read(store, ref.index)
     except CorruptShardError:
-        return Index.empty(pipeline)
+        return Index.empty(pipeline, damaged=True)
 
 
 class Publisher:
@@ -64,42 +70,80 @@ class Publisher:
         self._faults = faults
         self._part_bytes = part_bytes
         self.old, self._token = read_ref(store, ref)
+        self.manifest = read_manifest(store, self.old.snapshot_id) if self.old is not None else None
+        """Of what is published; None where it is missing or damaged."""
         self._damaged: frozenset[str] = frozenset()
 
     def index(self) -> Index:
         """The published unit index."""
         return published_index(self._pipeline, self._store, self.old)
 
-    def verify(self) -> None:
-        """Read every published file again; those that differ from their hash will be made anew."""
+    def look(self) -> None:
+        """Find published files that are missing or cut, by listing them; they will be made again."""
         if self.old is not None:
-            self._damaged = frozenset(damaged_parts(self._store, self.old.snapshot_id))
-            for path in sorted(self._damaged):
-                self._progress.note(f"{path} differs from its hash: made again")
+            self._note(missing_parts(self._store, self.old.snapshot_id), "is missing or cut")
+
+    def verify(self, commits: Commits, index: Index) -> None:
+        """Read every file again that what is published rests on, the units' included; those that differ from their
+        hash will be made again."""
+        if self.old is None:
+            return
+        self._note(damaged_parts(self._store, self.old.snapshot_id), "differs from its hash")
+        self._progress.phase("verified", len(index), 0.0)
+
+        def check(receipt: Receipt) -> list[tuple[str, str, str]]:
+            found = []
+            for stage in receipt.stages:
+                path = commits.damaged_file(stage.stage, stage.key.hex())
+                if path is not None:
+                    found.append((stage.stage, stage.key.hex(), path))
+            return found
+
+        receipts = index.receipts(range(len(index)), self._pipeline)
+        for damaged in map(check, receipts) if self._store.lists_cheaply else in_threads(check, receipts):
+            self._progress.step()
+            for stage, key, path in damaged:
+                commits.discard(stage, key)
+                self._progress.note(f"{path} is missing or differs from its hash: made again")
+
+    def _note(self, paths: Iterable[str], what: str) -> None:
+        found = sorted({*paths} - self._damaged)
+        self._damaged |= {*found}
+        for path in found:
+            self._progress.note(f"{path} {what}: made again")
 
     def sound(self) -> bool:
         """Whether something is published and, as far as was looked, whole."""
-        if self.old is None or self._damaged:
-            return False
-        return read_manifest(self._store, self.old.snapshot_id) is not None
+        return self.old is not None and self.manifest is not None and not self._damaged
 
-    def publish(self, index: pa.Table, context: RunContext, report: RunReport) -> set[str]:
+    def publish(
+        self, index: pa.Table, context: RunContext, report: RunReport, pinned: Mapping[str, PinnedTable]
+    ) -> set[str]:
         """Publish the units of ``index``.
+
+        pinned : the shared tables that they were made with, by name
 
         Committed files may turn out damaged on the way (they are removed): then the ids of their units are returned,
         and nothing is published.
         """
         composition = Composition.of(self._pipeline, index)
-        damaged = self._write_parts(composition, context)
+        damaged = self._write_parts(composition, context, pinned)
         if not damaged:
             self._faults.reach("snapshot-before-index")
             report.snapshot_id = composition.snapshot_id
             self._swap(composition.snapshot_id, Index.write(self._store, index), report)
         return damaged
 
-    def _write_parts(self, composition: Composition, context: RunContext) -> set[str]:
+    def _write_parts(
+        self, composition: Composition, context: RunContext, pinned: Mapping[str, PinnedTable]
+    ) -> set[str]:
         """Write the snapshot, unless it is there; returns ids of units whose committed files are damaged."""
-        if not self._damaged and read_manifest(self._store, composition.snapshot_id) is not None:
+        if read_manifest(self._store, composition.snapshot_id) is not None:
+            self._damaged |= {*missing_parts(self._store, composition.snapshot_id)}
+        own = f"snapshots/{composition.snapshot_id}/"
+        if not any(path.startswith(own) for path in self._damaged) and self._store.exists(
+            manifest_path(composition.snapshot_id)
+        ):
             if self.old is None or self.old.snapshot_id != composition.snapshot_id:
                 # No ref may name it and its day be past: written again, it is too young for a sweep to take it now.
                 path = manifest_path(composition.snapshot_id)
@@ -119,18 +163,25 @@ class Publisher:
         if damaged:
             return damaged
         provenance = {"revision": context.revision, **machine.library_versions()}
-        manifest = composition.manifest(parts, context.shared, provenance)
+        shared = {name: self._keep(composition.snapshot_id, name, pinned[name]) for name in context.shared}
+        manifest = composition.manifest(parts, context.shared, shared, provenance)
         self._faults.reach("snapshot-before-manifest")
-        path = manifest_path(composition.snapshot_id)
-        data = manifest.model_dump_json(indent=1).encode()
-        self._store.write(path, data)
+        self._store.write(manifest_path(composition.snapshot_id), sealed(manifest))
         return set()
+
+    def _keep(self, snapshot_id: str, name: str, pinned: PinnedTable) -> SharedRecord:
+        """Put a copy of a shared table into the snapshot; not a link to it, which would be damaged together with it."""
+        data = self._store.read(SharedTables.path(name, pinned.hash))
+        path = f"shared/{name}.parquet"
+        self._store.write(f"snapshots/{snapshot_id}/{path}", data)
+        sha256 = hashlib.sha256(data).hexdigest()
+        return SharedRecord(**pinned.model_dump(), path=path, bytes=len(data), sha256=sha256)
 
     def _carry_over(
         self, jobs: Iterable[PackJob], parts: Mapping[tuple[str, str], list[PartRecord]]
     ) -> Iterator[PackJob]:
         """Take files over from the published snapshot where the same rows are in them; yields the others."""
-        before = read_manifest(self._store, self.old.snapshot_id) if self.old else None
+        before = self.manifest
         known = {}
         if before is not None:
             for table in before.tables.values():
@@ -170,7 +221,7 @@ class Publisher:
         )
         self._faults.reach("snapshot-before-ref")
         try:
-            self._store.swap(ref_path(self._ref), ref.model_dump_json(indent=1).encode(), self._token)
+            self._store.swap(ref_path(self._ref), sealed(ref), self._token)
         except PublishConflictError:
             now, _ = read_ref(self._store, self._ref)
             if now is None or now.snapshot_id != snapshot_id:

@@ -30,6 +30,7 @@ class StageReceipt:
     skipped : it ended the unit's chain
     cpu_seconds : CPU seconds of its process; 0 where they were not recorded
     estimate : what the unit's own estimate said, in CPU seconds of the reference machine (``factory.speed``)
+    stored : bytes of its files in the store, by which a listing tells that one is missing or cut; None if not known
     """
 
     stage: str
@@ -45,6 +46,7 @@ class StageReceipt:
     tables: tuple[TableReceipt, ...]
     cpu_seconds: float = 0.0
     estimate: float = 0.0
+    stored: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

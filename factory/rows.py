@@ -231,7 +231,11 @@ def parquet_table(data: Any, where: str, columns: Iterable[str] | None = None) -
             columns=None if columns is None else list(columns), use_threads=False
         )
     except (pa.ArrowException, OSError, ValueError) as error:
-        raise CorruptShardError(f"not a readable Parquet file: {error}", where=where) from error
+        raise CorruptShardError(
+            f"not a readable Parquet file: {error}",
+            where=where,
+            remedy="Run condvln rebuild CONFIG --verify: it makes damaged files again.",
+        ) from error
     return pa.table(table.columns, schema=_plain(table.schema))
 
 

@@ -31,7 +31,8 @@ from factory.context import RunContext
 from factory.executor import Executor, InlineExecutor
 from factory.faults import FaultPlan
 from factory.heartbeat import Busy, Heartbeat, busy_message
-from factory.index import IndexWriter, failed_keys
+from factory.index import Index, IndexWriter, failed_keys
+from factory.inventory import Inventory, missing_parts
 from factory.packing import PART_BYTES
 from factory.pins import Pins, build_aggregate, discard_damaged
 from factory.pipeline import Pipeline
@@ -42,7 +43,7 @@ from factory.queue import tasks
 from factory.ray_guard import COMMITTED
 from factory.receipt import Receipt
 from factory.report import ABORTED, WITH_QUARANTINE, FailureBudget, Progress, RunReport, Silence
-from factory.snapshot import read_ref
+from factory.snapshot import read_manifest, read_ref
 from factory.spool import Spool
 from factory.stage import Aggregate
 from factory.store import Store
@@ -70,11 +71,19 @@ def plan(
     renew : names of aggregates to build anew
     """
     commits = Commits(store)
-    index = published_index(pipeline, store, read_ref(store, ref)[0])
-    shared = Pins(pipeline, commits, ref).hashes(renew)
+    published, _ = read_ref(store, ref)
+    manifest = read_manifest(store, published.snapshot_id) if published is not None else None
+    index = published_index(pipeline, store, published)
+    pins = Pins(pipeline, commits, ref, published=manifest)
+    shared = pins.hashes(renew)
     quarantined = frozenset() if retry_quarantined else frozenset(commits.quarantined())
-    planner = Planner(pipeline, commits, index, shared, quarantined)
+    inventory = Inventory(pipeline, commits, index)
+    planner = Planner(pipeline, commits, index, shared, quarantined, inventory=inventory)
     found = Plan(Spool())
+    if published is not None:
+        found.damaged = (*missing_parts(store, published.snapshot_id), *pins.damaged)
+        if index.damaged:
+            found.damaged += (Index.path(published.index),)
     missing: dict[bytes, str] = {}
     for unit, _, row, fresh in planner.compare(units):
         found.add(planner.entry(unit, row, fresh))
@@ -112,7 +121,7 @@ def run(
     renew : names of aggregates to build anew
     deadline : seconds one unit may take
     memory : bytes that a process which works on units may hold; by default its share of the machine
-    verify : read every published file again and make those anew that differ from their hash
+    verify : read every file again that what is published rests on, and make those again that differ from their hash
     revision : recorded in every commit, never keyed
     part_bytes : canonical bytes of one published file, see ``factory.packing``
     faults : a ``FaultPlan``, for tests
@@ -171,10 +180,15 @@ class _Run:
         )
         self.index = self.publisher.index()
         self.quarantined = frozenset() if self.retry else frozenset(self.commits.quarantined())
-        pins = Pins(self.pipeline, self.commits, self.ref, self.plan_of_faults)
+        self.publisher.look()
+        pins = Pins(self.pipeline, self.commits, self.ref, self.plan_of_faults, self.publisher.manifest)
         self.shared = pins.hashes(self.renew)
+        for path in pins.restore():
+            self.progress.note(f"{path} was missing or damaged: restored from the published snapshot")
         if self.verify:
-            self.publisher.verify()
+            self.publisher.verify(self.commits, self.index)
+        # After verifying, which removes what is damaged.
+        self.inventory = Inventory(self.pipeline, self.commits, self.index)
         try:
             with (
                 Spool(units) as spool,
@@ -215,7 +229,7 @@ class _Run:
             made = 0
             if table is None:
                 return
-            damaged = self.publisher.publish(table, self._context(), self.report)
+            damaged = self.publisher.publish(table, self._context(), self.report, pins.pin.tables)
             if not damaged:
                 # What was in quarantine and is no more: mended, changed or gone.
                 for stage, key in sorted(failed_keys(self.index.table) - failed_keys(table)):
@@ -247,7 +261,8 @@ class _Run:
                 try:
                     for aggregate in due:
                         table, count = build_aggregate(aggregate, self.commits, (receipts[at] for at in order))
-                        self.shared[aggregate.name] = pins.set(aggregate, table, count)
+                        renew = aggregate.name in self.renew
+                        self.shared[aggregate.name] = pins.set(aggregate, table, count, renew=renew)
                     return
                 except CorruptShardError as error:
                     for aggregate in due:
@@ -263,7 +278,14 @@ class _Run:
         report = self.report
         self._begin()
         planner = Planner(
-            self.pipeline, self.commits, self.index, self.shared, self.quarantined, made=made, again=again
+            self.pipeline,
+            self.commits,
+            self.index,
+            self.shared,
+            self.quarantined,
+            made=made,
+            again=again,
+            inventory=self.inventory,
         )
         writer = IndexWriter(self.pipeline)
         with Spool(planner.work(units)) as spool:
@@ -275,13 +297,16 @@ class _Run:
                 self._count(self.index.receipt(row, self.pipeline), worked=False)
             report.counts["ok"] += len(kept) - report.counts["skipped"] - report.counts["quarantined"]
             self._within_budget()
-            if not len(spool) and not report.counts["removed"] and len(self.index) and self.publisher.sound():
+            if not len(spool) and not report.counts["removed"] and self._index_holds() and self.publisher.sound():
                 assert self.publisher.old is not None
                 report.snapshot_id = self.publisher.old.snapshot_id
                 return None
             for receipt in self._work(spool, len(self.pipeline.stages), "units"):
                 writer.add(receipt)
         return writer.finish(self.index.table.take(kept))
+
+    def _index_holds(self) -> bool:
+        return not self.index.damaged and len(self.index) > 0
 
     def _work(self, work: Spool[Work], until: int, phase: str) -> Iterator[Receipt]:
         """Receipts of all units in ``work``, counted, as they come."""

@@ -15,18 +15,26 @@ from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
-from pydantic import ValidationError
 
-from factory.commits import Commits
+from factory.commits import REBUILD_VERIFIED, Commits
 from factory.index import Index
 from factory.packing import PackJob, buckets, content_hash, members_hash
 from factory.pipeline import Pipeline, plain_name
 from factory.receipt import StageReceipt
 from factory.rows import parquet_table, schema_hash
+from factory.seal import unsealed
 from factory.store import Store, token_of
 from schemas.canonical import JSON, digest
 from schemas.errors import CorruptShardError, StoreError, UsageError
-from schemas.snapshot import PartitionRecord, PartRecord, Ref, SnapshotManifest, StageTotals, TableManifest
+from schemas.snapshot import (
+    PartitionRecord,
+    PartRecord,
+    Ref,
+    SharedRecord,
+    SnapshotManifest,
+    StageTotals,
+    TableManifest,
+)
 
 __all__ = ["Composition", "Snapshot", "damaged_parts", "read_manifest", "read_ref"]
 
@@ -74,7 +82,8 @@ class Composition:
     def manifest(
         self,
         parts: Mapping[tuple[str, str], list[PartRecord]],
-        shared: Mapping[str, str],
+        aggregates: Mapping[str, str],
+        shared: Mapping[str, SharedRecord],
         provenance: Mapping[str, str],
     ) -> SnapshotManifest:
         """The manifest, once all parts are there."""
@@ -102,7 +111,8 @@ class Composition:
             pipeline=self.pipeline.name,
             tables=tables,
             units={item["values"]: item["counts"] for item in status},
-            aggregates=dict(shared),
+            aggregates=dict(aggregates),
+            shared=dict(shared),
             stages={stage.name: self._totals(at) for at, stage in enumerate(self.pipeline.stages)},
             provenance=dict(provenance),
         )
@@ -155,9 +165,17 @@ def read_ref(store: Store, name: str) -> tuple[Ref | None, str | None]:
     except FileNotFoundError:
         return None, None
     try:
-        return Ref.model_validate_json(data), token_of(data)
-    except ValidationError as error:
-        raise StoreError(f"the ref is not readable: {error}", where=path, remedy="Remove it and run again.") from error
+        return unsealed(Ref, data), token_of(data)
+    except ValueError as error:
+        raise CorruptShardError(
+            f"the ref is damaged: {_first_line(error)}",
+            where=f"{store.url}/{path}",
+            remedy="Remove the file and run condvln generate CONFIG: what is committed is published again.",
+        ) from error
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).splitlines()[0] if str(error) else type(error).__name__
 
 
 def ref_path(name: str) -> str:
@@ -175,24 +193,31 @@ def manifest_path(snapshot_id: str) -> str:
 def read_manifest(store: Store, snapshot_id: str) -> SnapshotManifest | None:
     """The manifest of a snapshot, or None when there is none (the snapshot was never finished, or is damaged)."""
     try:
-        return SnapshotManifest.model_validate_json(store.read(manifest_path(snapshot_id)))
-    except (FileNotFoundError, ValidationError):
+        manifest = unsealed(SnapshotManifest, store.read(manifest_path(snapshot_id)))
+    except (FileNotFoundError, ValueError):
         return None
+    return manifest if manifest.snapshot_id == snapshot_id else None
 
 
 def damaged_parts(store: Store, snapshot_id: str) -> Iterator[str]:
-    """Paths of a snapshot's files that are gone or differ from the manifest."""
+    """Paths of a snapshot's files that are missing or differ from the manifest; reads all of them."""
     manifest = read_manifest(store, snapshot_id)
-    for table in manifest.tables.values() if manifest else ():
-        for partition in table.partitions.values():
-            for part in partition.parts:
-                path = f"snapshots/{snapshot_id}/{part.path}"
-                try:
-                    data = store.read(path)
-                except FileNotFoundError:
-                    data = b""
-                if hashlib.sha256(data).hexdigest() != part.sha256:
-                    yield path
+    if manifest is None:
+        return
+    hashes = {
+        part.path: part.sha256
+        for table in manifest.tables.values()
+        for partition in table.partitions.values()
+        for part in partition.parts
+    } | {record.path: record.sha256 for record in manifest.shared.values()}
+    for name, sha256 in hashes.items():
+        path = f"snapshots/{snapshot_id}/{name}"
+        try:
+            data = store.read(path)
+        except FileNotFoundError:
+            data = b""
+        if hashlib.sha256(data).hexdigest() != sha256:
+            yield path
 
 
 @dataclass(frozen=True)
@@ -208,13 +233,17 @@ class Snapshot:
         """The snapshot that ``ref`` names now. Raises ``StoreError`` when nothing was published under it."""
         found, _ = read_ref(store, ref)
         if found is None:
-            raise StoreError(f"nothing is published as {ref!r}", where=store.url, remedy="Run generate first.")
+            raise StoreError(
+                f"nothing is published as {ref!r}",
+                where=f"{store.url}/{ref_path(ref)}",
+                remedy="Run condvln generate CONFIG first.",
+            )
         manifest = read_manifest(store, found.snapshot_id)
         if manifest is None:
             raise CorruptShardError(
-                "the published snapshot has no readable manifest",
+                "the manifest of the published snapshot is missing or damaged",
                 where=f"{store.url}/{manifest_path(found.snapshot_id)}",
-                remedy="Run rebuild: it is written anew.",
+                remedy="Run condvln rebuild CONFIG: it writes the manifest again.",
             )
         return cls(store, manifest, found.index)
 
@@ -253,12 +282,16 @@ class Snapshot:
                 continue
             for part in record.parts:
                 path = f"snapshots/{self.snapshot_id}/{part.path}"
-                data = self.store.read(path)
-                if hashlib.sha256(data).hexdigest() != part.sha256:
+                where = f"{self.store.url}/{path}"
+                try:
+                    data = self.store.read(path)
+                except FileNotFoundError as error:
                     raise CorruptShardError(
-                        "the file differs from the manifest", where=path, remedy="Rebuild with --verify to mend it."
-                    )
-                rows = parquet_table(data, path, columns)
+                        "a published file is missing", where=where, remedy=REBUILD_VERIFIED
+                    ) from error
+                if hashlib.sha256(data).hexdigest() != part.sha256:
+                    raise CorruptShardError("the file differs from the manifest", where=where, remedy=REBUILD_VERIFIED)
+                rows = parquet_table(data, where, columns)
                 tables.append(rows.append_column("source", pa.array([source] * rows.num_rows, pa.string())))
         return pa.concat_tables(tables) if tables else pa.table({})
 
@@ -271,8 +304,9 @@ class Snapshot:
         commits = Commits(self.store)
         found = {}
         for stage in self._stages(unit_id, pipeline):
-            commit = commits.find(stage.stage, stage.key.hex())
-            if commit is not None:
+            committed = commits.find(stage.stage, stage.key.hex(), discard=False)
+            if committed is not None:
+                commit = committed.commit
                 found.update({name: commits.file(commit, name) for name in commit.files})
         return found
 

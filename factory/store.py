@@ -75,6 +75,11 @@ class Store(Protocol):
         """All files below the folder ``prefix`` (``""``: all), in no promised order; unfinished writes are left out."""
         ...
 
+    def folders(self, prefix: str) -> Iterator[tuple[str, dict[str, int]]]:
+        """(path below ``prefix``, size by name of the files right in it) of every folder with files; faster than
+        ``list`` for many small folders. Unfinished writes are left out."""
+        ...
+
     def delete(self, path: str) -> None:
         """Remove a file; one that is not there is fine."""
         ...

@@ -22,7 +22,7 @@ import pyarrow as pa
 
 from factory import machine
 from factory.chain import Chain, SharedTables, receipt_of
-from factory.commits import Commits
+from factory.commits import Commits, Committed
 from factory.context import RunContext
 from factory.deadline import Deadline
 from factory.faults import FaultPlan
@@ -131,16 +131,16 @@ class Worker:
             try:
                 with ceiling.armed():
                     key = self._key(chain)
-                    commit = self.commits.find(stage.name, key.hex)
-                    if commit is None:
+                    found = self.commits.find(stage.name, key.hex)
+                    if found is None:
                         failure = self.quarantine.known(stage.name, key.hex, attempt)
                         if failure is not None:
                             status = "quarantined"
                             break
-                        commit, tables = self._make(unit, chain, stage, key)
-                        chain.add(receipt_of(commit, made=True), tables)
+                        found, tables = self._make(unit, chain, stage, key)
+                        chain.add(receipt_of(found, made=True), tables)
                     else:
-                        chain.add(receipt_of(commit, made=False))
+                        chain.add(receipt_of(found, made=False))
             except (Failed, MemoryError) as error:
                 failed = error if isinstance(error, Failed) else failed_by(error, 1)
                 if failed.cause == "memory" and not last_try:
@@ -150,8 +150,8 @@ class Worker:
                     status = "quarantined"
                     failure = self.quarantine.put(unit, stage.name, None if key is None else key.hex, failed, attempt)
                 break
-            if commit.outcome == "skipped":
-                status, reason = "skipped", commit.reason
+            if found.commit.outcome == "skipped":
+                status, reason = "skipped", found.commit.reason
                 break
         return self._receipt(unit, chain, fingerprint, status, attempt, reason, failure)
 
@@ -187,7 +187,7 @@ class Worker:
         except Exception as error:
             raise failed_by(error, 1) from error
 
-    def _make(self, unit: Unit, chain: Chain, stage: Stage, key: StageKey) -> tuple[UnitCommit, Mapping[str, pa.Table]]:
+    def _make(self, unit: Unit, chain: Chain, stage: Stage, key: StageKey) -> tuple[Committed, Mapping[str, pa.Table]]:
         self.faults.reach("unit-before-run")
         machine.reset_peak_rss()
         started, cpu = time.perf_counter(), time.process_time()
@@ -223,10 +223,10 @@ class Worker:
             libraries=machine.library_versions(),
             revision=self.context.revision,
         )
-        commit = self.commits.save(self.pipeline, commit, tables, output.files)
+        committed = self.commits.save(self.pipeline, commit, tables, output.files)
         if self.context.retrying:
             self.commits.release(stage.name, key.hex)
-        return commit, tables
+        return committed, tables
 
     def _run(self, unit: Unit, chain: Chain, stage: Stage) -> tuple[StageOutput, dict[str, pa.Table]]:
         """Run the stage, with further tries for transient faults, and bring its tables into their one form."""
@@ -293,10 +293,10 @@ class Worker:
                 raise
             except Exception:
                 break
-            commit = self.commits.find(stage, key)
-            if commit is None:
+            found = self.commits.find(stage, key)
+            if found is None:
                 break
-            chain.add(receipt_of(commit, made=False))
+            chain.add(receipt_of(found, made=False))
         failure = self.quarantine.record(
             unit, stage, key, cause, exception, message, attempts=attempts, peak_rss=peak_rss
         )

@@ -17,10 +17,14 @@ __all__ = ["make_plan"]
 SHOWN: Final = 40
 """Scenes listed on a terminal; ``--json`` has all of them."""
 
+SHOWN_FILES: Final = 5
+"""Missing or damaged files named on a terminal."""
+
 
 def make_plan(config: Config) -> Report:
     """The plan of `config` against what is published under its name."""
-    found = plan(build_pipeline(config), listed_units(config), open_store(config), config.name)
+    store = open_store(config)
+    found = plan(build_pipeline(config), listed_units(config), store, config.name)
     entries = [asdict(entry) for entry in found.entries]
     document: dict[str, Any] = {
         "counts": dict(found.counts),
@@ -29,6 +33,7 @@ def make_plan(config: Config) -> Report:
         "possible_seconds": round(found.possible_seconds, 3),
         "removed": list(found.removed),
         "renewed": list(found.renewed),
+        "damaged": list(found.damaged),
         "scenes": entries,
     }
     lines = [
@@ -44,6 +49,14 @@ def make_plan(config: Config) -> Report:
         lines.append(f"{len(found.removed)} no longer in the sources: {', '.join(found.removed[:5])} …")
     if found.renewed:
         lines.append(f"would be built anew: {', '.join(found.renewed)}")
+    if found.reasons["damaged"]:
+        lines.append(f"files of {found.reasons['damaged']} scenes are missing from the store, or cut: made again")
+    if found.damaged:
+        lines.append(
+            f"{len(found.damaged)} published files are missing or damaged; condvln generate or rebuild makes them again: "
+            + ", ".join(f"{store.url}/{path}" for path in found.damaged[:SHOWN_FILES])
+            + (" …" if len(found.damaged) > SHOWN_FILES else "")
+        )
     todo = [e for e in entries if e["status"] != "FRESH"][:SHOWN]
     rows = [
         (e["unit_id"], e["status"], ", ".join(e["reasons"]), _stages(e["stages"]), e["seconds"], e["detail"])

@@ -35,6 +35,9 @@ __all__ = [
 HASHES: Final = ".hashes.sqlite"
 """Memory of input hashes, in the local state of a store; losing it costs time only."""
 
+VERIFIED: Final = ".verified.sqlite"
+"""Memory of the hashes of published files, in the local state of a store; losing it costs reading them once."""
+
 CONNECTIVITY: Final = "connectivity"
 """Folder of viewpoint graphs in a dataset of Matterport3D scans."""
 
@@ -62,7 +65,8 @@ def published(config: Config) -> Snapshot:
 
 def snapshot_folder(address: Path | str, snapshot: Snapshot, tables: Iterable[str] | None = None) -> Path:
     """The snapshot as a folder on this disk, fetched (only `tables`, if named) where the store is elsewhere."""
-    return local_copy(snapshot, local_state(address), tables)
+    state = local_state(address)
+    return local_copy(snapshot, state, tables, FileHashes(state / VERIFIED))
 
 
 def source_paths(config: Config) -> list[Path]:

@@ -18,6 +18,7 @@ __all__ = [
     "Ref",
     "RunFailure",
     "RunRecord",
+    "SharedRecord",
     "SnapshotManifest",
     "StageTotals",
     "TableManifest",
@@ -68,6 +69,32 @@ class StageTotals(Document):
     bytes: Count
 
 
+class PinnedTable(Document):
+    """A shared table that stays the same until it is renewed on demand, or its version or parameters change."""
+
+    version: int
+    hash: Hash32
+    rows: Count
+    units: Count
+    """How many units it was built from."""
+    parameters: str = ""
+    """SHA-256 of the parameters it was built with, as canonical JSON; empty in pins from before they were kept."""
+    generation: Count = 0
+    """Counts the times it was pinned: of two pins the later one holds."""
+
+
+class SharedRecord(PinnedTable):
+    """A shared table that the rows of a snapshot were made with, and the snapshot's own copy of it.
+
+    It can't be computed again once there are more units; from here its pin and its table are restored.
+    """
+
+    path: str
+    """Relative to the snapshot's folder."""
+    bytes: Count
+    sha256: Hash64
+
+
 class SnapshotManifest(VersionedDocument):
     """``snapshots/<id>/manifest.json``, written last: readers list a snapshot's files from here, never by a glob."""
 
@@ -77,9 +104,13 @@ class SnapshotManifest(VersionedDocument):
     units: dict[str, Count]
     """Units per status: ok, skipped, quarantined."""
     aggregates: dict[str, Hash32]
+    shared: dict[str, SharedRecord] = Field(default_factory=dict)
+    """The shared tables behind ``aggregates``, by name; empty in manifests from before copies were kept."""
     stages: dict[str, StageTotals]
     provenance: dict[str, str]
     """Recorded, never keyed: git revision, versions of libraries."""
+    checksum: Hash64 | None = None
+    """SHA-256 of the rest as canonical JSON; None in documents from before there was one."""
 
 
 class Published(Document):
@@ -99,6 +130,8 @@ class Ref(Published, VersionedDocument):
     name: str
     history: list[Published] = Field(default_factory=list)
     """Earlier states, the newest first, one for each snapshot; as far back as is kept."""
+    checksum: Hash64 | None = None
+    """SHA-256 of the rest as canonical JSON; None in documents from before there was one."""
 
     @property
     def previous(self) -> str | None:
@@ -141,19 +174,9 @@ class RunRecord(VersionedDocument):
     revision: str = ""
 
 
-class PinnedTable(Document):
-    """A shared table that stays the same until it is renewed on demand, or its version or parameters change."""
-
-    version: int
-    hash: Hash32
-    rows: Count
-    units: Count
-    """How many units it was built from."""
-    parameters: str = ""
-    """SHA-256 of the parameters it was built with, as canonical JSON; empty in pins from before they were kept."""
-
-
 class Pin(VersionedDocument):
     """``pins/<pipeline>/<ref>.json``: the shared tables that the units of a ref are keyed on."""
 
     tables: dict[str, PinnedTable]
+    checksum: Hash64 | None = None
+    """SHA-256 of the rest as canonical JSON; None in documents from before there was one."""

@@ -73,6 +73,8 @@ class UnitCommit(VersionedDocument):
     host: str
     libraries: dict[str, str]
     revision: str = ""
+    checksum: Hash64 | None = None
+    """SHA-256 of the rest as canonical JSON; None in documents from before there was one."""
 
 
 class QuarantineRecord(VersionedDocument):

@@ -1,0 +1,145 @@
+"""What of a published state is really there: units, files of the snapshot, by listing names and sizes.
+
+A ref names a snapshot and a unit index; what these name must be in the store. A unit whose files are missing or cut is
+made again, a missing file of the snapshot is packed again. Bytes that changed while a file's size stayed are found
+where the file is read, and by a run with ``verify``.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from itertools import islice
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from factory.commits import UNIT_FILE, Commits
+from factory.index import Index
+from factory.pipeline import Pipeline
+from factory.snapshot import manifest_path, read_manifest
+from factory.store import Store
+
+__all__ = ["Inventory", "glance", "missing_parts"]
+
+_BATCH: Final = 8192
+"""Folders compared with the index at a time."""
+
+FOLDERS_LOOKED_INTO: Final = 10_000
+"""Unit folders up to which a glance lists every file (some 0.2 s); beyond, it goes by the folders above them."""
+
+
+class Inventory:
+    """Compares the units of an index with the files of the store.
+
+    On disk it takes one listing of each unit's folder, on an object store one request for a thousand files.
+
+    whole : (rows of the index,) whether every stage of the unit is there with the bytes it was committed with
+    """
+
+    def __init__(self, pipeline: Pipeline, commits: Commits, index: Index) -> None:
+        self._lost: dict[str, npt.NDArray[np.bool_]] = {}
+        self.whole = np.ones(len(index), dtype=bool)
+        if not len(index):
+            return
+        for stage in pipeline.stages:
+            if f"{stage.name}.key" in index.table.column_names:
+                self._lost[stage.name] = _lost(commits, index.table, stage.name)
+                self.whole &= ~self._lost[stage.name]
+
+    def lost(self, stage: str, row: int) -> bool:
+        """Whether the index names this stage of the unit in ``row`` and its files are missing or cut."""
+        return stage in self._lost and bool(self._lost[stage][row])
+
+
+def _lost(commits: Commits, table: pa.Table, stage: str) -> npt.NDArray[np.bool_]:
+    """(rows,) whether the stage was made for the unit and is not wholly there."""
+    column = table.column(f"{stage}.key").combine_chunks()
+    column = column.chunk(0) if isinstance(column, pa.ChunkedArray) else column
+    made: npt.NDArray[np.bool_] = column.is_valid().to_numpy(zero_copy_only=False)
+    if not made.any():
+        return made
+    raw = np.frombuffer(column.buffers()[1], ">u8", count=2 * len(column), offset=16 * column.offset)
+    halves = raw.reshape(-1, 2).astype(np.uint64)
+    stored = np.full(len(column), -1, np.int64)
+    if f"{stage}.stored" in table.column_names:
+        stored = table.column(f"{stage}.stored").fill_null(-1).to_numpy()
+    order = np.argsort(halves[:, 0], kind="stable")
+    ranked = halves[order, 0]
+    # -1: no commit is there.
+    found = np.full(len(column), -1, np.int64)
+    stream = _unit_folders(commits.store, stage)
+    while batch := [*islice(stream, _BATCH)]:
+        keys = np.frombuffer(b"".join(key for key, _ in batch), ">u8").reshape(-1, 2).astype(np.uint64)
+        place = np.minimum(np.searchsorted(ranked, keys[:, 0]), len(ranked) - 1)
+        rows = order[place]
+        known = (halves[rows] == keys).all(axis=1)
+        found[rows[known]] = np.fromiter((size for _, size in batch), np.int64, len(batch))[known]
+    lost: npt.NDArray[np.bool_] = made & (found < 0)
+    # Another size may be due to a file that a person put there: the commit itself decides. Where an older version
+    # wrote the index, sizes are not known, and the presence of the commit must do.
+    for row in np.nonzero(made & (found >= 0) & (stored >= 0) & (found != stored))[0].tolist():
+        lost[row] = commits.find(stage, column[row].as_py().hex(), discard=False) is None
+    return lost
+
+
+def _unit_folders(store: Store, stage: str) -> Iterator[tuple[bytes, int]]:
+    """(key, bytes of all files) of every committed unit of a stage; what a person put there is passed over."""
+    for folder, files in store.folders(f"units/{stage}"):
+        parts = folder.split("/")
+        if len(parts) == 2 and UNIT_FILE in files:
+            try:
+                key = bytes.fromhex(parts[1])
+            except ValueError:
+                continue
+            if len(key) == 16:
+                yield key, sum(files.values())
+
+
+def missing_parts(store: Store, snapshot_id: str) -> list[str]:
+    """Paths of a snapshot's files that are missing or of another size than its manifest says; the manifest's own where
+    that can't be read."""
+    manifest = read_manifest(store, snapshot_id)
+    if manifest is None:
+        return [manifest_path(snapshot_id)]
+    folder = f"snapshots/{snapshot_id}"
+    there = {entry.path: entry.size for entry in store.list(folder)}
+    sizes = {
+        part.path: part.bytes
+        for table in manifest.tables.values()
+        for partition in table.partitions.values()
+        for part in partition.parts
+    } | {record.path: record.bytes for record in manifest.shared.values()}
+    return [f"{folder}/{path}" for path, size in sorted(sizes.items()) if there.get(f"{folder}/{path}") != size]
+
+
+def glance(store: Store) -> list[Any]:
+    """What tells at once that nothing was taken from the units: for a store on disk, empty for others.
+
+    Each folder ``units/<stage>/<key[:2]>`` with its time and number of links, which change with every unit that comes
+    or goes: some 256 a stage, however many units there are. In a small store every file with its size as well.
+    """
+    root = store.local_path("units")
+    if root is None:
+        return []
+    shards = [shard for stage in _folders(str(root)) for shard in _folders(stage)]
+    found: list[Any] = []
+    units = 0
+    for shard in shards:
+        stat = os.stat(shard)
+        found.append([shard[len(str(root)) :], stat.st_mtime_ns, stat.st_nlink])
+        units += max(stat.st_nlink - 2, 0)
+    if units <= FOLDERS_LOOKED_INTO:
+        for stage in sorted(os.path.basename(stage) for stage in _folders(str(root))):
+            found += sorted([stage, folder, sorted(files.items())] for folder, files in store.folders(f"units/{stage}"))
+    return found
+
+
+def _folders(folder: str) -> list[str]:
+    try:
+        with os.scandir(folder) as entries:
+            return sorted(entry.path for entry in entries if entry.is_dir(follow_symlinks=False))
+    except (FileNotFoundError, NotADirectoryError):
+        return []

@@ -1,0 +1,34 @@
+"""Documents of the store that carry a checksum of themselves: damage is told from content, also where it is valid JSON.
+
+A changed digit in a manifest would otherwise be taken for what was published. Documents written before there were
+checksums have none and are taken as they are.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import TypeVar
+
+from pydantic import BaseModel
+
+from schemas.canonical import digest
+
+__all__ = ["sealed", "unsealed"]
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def sealed(document: BaseModel) -> bytes:
+    """The document as JSON, its field ``checksum`` set."""
+    content = document.model_dump(mode="json", exclude={"checksum"})
+    return json.dumps({**content, "checksum": digest(content)}, indent=1, ensure_ascii=False).encode()
+
+
+def unsealed(kind: type[Model], data: bytes) -> Model:
+    """The document in ``data``. Raises ``ValueError`` when it is malformed or differs from its checksum."""
+    document = kind.model_validate_json(data)
+    content = json.loads(data)
+    checksum = content.pop("checksum", None)
+    if checksum is not None and digest(content) != checksum:
+        raise ValueError("the document differs from its checksum")
+    return document
