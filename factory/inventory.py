@@ -18,8 +18,7 @@ import pyarrow as pa
 
 from factory.commits import UNIT_FILE, Commits
 from factory.index import Index
-from factory.pipeline import Pipeline
-from factory.snapshot import manifest_path, read_manifest
+from factory.snapshot import manifest_path, read_manifest, read_ref
 from factory.store import Store
 
 __all__ = ["Inventory", "glance", "missing_parts"]
@@ -39,15 +38,16 @@ class Inventory:
     whole : (rows of the index,) whether every stage of the unit is there with the bytes it was committed with
     """
 
-    def __init__(self, pipeline: Pipeline, commits: Commits, index: Index) -> None:
+    def __init__(self, commits: Commits, index: Index) -> None:
         self._lost: dict[str, npt.NDArray[np.bool_]] = {}
         self.whole = np.ones(len(index), dtype=bool)
         if not len(index):
             return
-        for stage in pipeline.stages:
-            if f"{stage.name}.key" in index.table.column_names:
-                self._lost[stage.name] = _lost(commits, index.table, stage.name)
-                self.whole &= ~self._lost[stage.name]
+        for name in index.table.column_names:
+            stage, _, last = name.rpartition(".")
+            if last == "key" and stage != "failure":
+                self._lost[stage] = _lost(commits, index.table, stage)
+                self.whole &= ~self._lost[stage]
 
     def lost(self, stage: str, row: int) -> bool:
         """Whether the index names this stage of the unit in ``row`` and its files are missing or cut."""
@@ -115,24 +115,39 @@ def missing_parts(store: Store, snapshot_id: str) -> list[str]:
     return [f"{folder}/{path}" for path, size in sorted(sizes.items()) if there.get(f"{folder}/{path}") != size]
 
 
-def glance(store: Store) -> list[Any]:
-    """What tells at once that nothing was taken from the units: for a store on disk, empty for others.
+def glance(store: Store, ref: str) -> list[Any]:
+    """What tells at once whether anything came, went or was written again of what a ref names: equal now and then,
+    nothing did. It reads two small files, however many units there are.
 
-    Each folder ``units/<stage>/<key[:2]>`` with its time and number of links, which change with every unit that comes
-    or goes: some 256 a stage, however many units there are. In a small store every file with its size as well.
+    Covered are the ref, the snapshot's files, the index, the pins and their tables, each by size and time; and on disk
+    the units, see ``_units_at_a_glance``. On an object store units are left to the next plan: listing them takes a
+    request for a thousand files.
     """
+    found, token = read_ref(store, ref)
+    if found is None:
+        return [token]
+    folders = (f"snapshots/{found.snapshot_id}", "pins", "aggregates")
+    listed = [[e.path, e.size, e.modified] for folder in folders for e in store.list(folder)]
+    listed += [[e.path, e.size, e.modified] for e in store.list("indexes") if e.path == Index.path(found.index)]
+    whole = read_manifest(store, found.snapshot_id) is not None
+    return [token, whole, sorted(listed), _units_at_a_glance(store)]
+
+
+def _units_at_a_glance(store: Store) -> list[Any]:
+    """Each folder ``units/<stage>/<key[:2]>`` of a store on disk with its time and number of links, which change with
+    every unit that comes or goes: some 256 a stage. In a small store every file with its size as well."""
     root = store.local_path("units")
     if root is None:
         return []
-    shards = [shard for stage in _folders(str(root)) for shard in _folders(stage)]
     found: list[Any] = []
     units = 0
-    for shard in shards:
+    stages = _folders(str(root))
+    for shard in (shard for stage in stages for shard in _folders(stage)):
         stat = os.stat(shard)
         found.append([shard[len(str(root)) :], stat.st_mtime_ns, stat.st_nlink])
         units += max(stat.st_nlink - 2, 0)
     if units <= FOLDERS_LOOKED_INTO:
-        for stage in sorted(os.path.basename(stage) for stage in _folders(str(root))):
+        for stage in map(os.path.basename, stages):
             found += sorted([stage, folder, sorted(files.items())] for folder, files in store.folders(f"units/{stage}"))
     return found
 

@@ -49,6 +49,8 @@ class Plan:
     removed : units that are published and no longer in the corpus
     renamed : (old id, new id) of removed and missing units with the same bytes: their rows name them, so they are made
     renewed : aggregates that would be built (none is pinned, or its version changed): units behind them show POSSIBLE
+    snapshot_id : what is published now; None where nothing is
+    carried : units that nothing of is to be done, not even publishing
     damaged : files of what is published that are missing or damaged and would be made again, the units' own left out
     """
 
@@ -62,11 +64,18 @@ class Plan:
     renamed: tuple[tuple[str, str], ...] = ()
     renewed: tuple[str, ...] = ()
     damaged: tuple[str, ...] = ()
+    snapshot_id: str | None = None
+    carried: int = 0
 
     @property
     def empty(self) -> bool:
         """Nothing would change."""
         return not (self.counts["MISSING"] or self.counts["STALE"] or self.removed or self.renewed or self.damaged)
+
+    @property
+    def unchanged(self) -> bool:
+        """What is published is what a run would publish, and whole as far as a listing tells."""
+        return self.empty and self.snapshot_id is not None and self.carried == len(self.entries)
 
     def add(self, entry: PlanEntry) -> None:
         """Take one unit in."""

@@ -77,16 +77,18 @@ def plan(
     pins = Pins(pipeline, commits, ref, published=manifest)
     shared = pins.hashes(renew)
     quarantined = frozenset() if retry_quarantined else frozenset(commits.quarantined())
-    inventory = Inventory(pipeline, commits, index)
+    inventory = Inventory(commits, index)
     planner = Planner(pipeline, commits, index, shared, quarantined, inventory=inventory)
     found = Plan(Spool())
     if published is not None:
+        found.snapshot_id = published.snapshot_id
         found.damaged = (*missing_parts(store, published.snapshot_id), *pins.damaged)
         if index.damaged:
             found.damaged += (Index.path(published.index),)
     missing: dict[bytes, str] = {}
     for unit, _, row, fresh in planner.compare(units):
         found.add(planner.entry(unit, row, fresh))
+        found.carried += fresh
         if row < 0 and len(index) and unit.inputs:
             missing[planner.keyer.content(unit)] = unit.unit_id
     found.removed = planner.removed()
@@ -188,7 +190,7 @@ class _Run:
         if self.verify:
             self.publisher.verify(self.commits, self.index)
         # After verifying, which removes what is damaged.
-        self.inventory = Inventory(self.pipeline, self.commits, self.index)
+        self.inventory = Inventory(self.commits, self.index)
         try:
             with (
                 Spool(units) as spool,

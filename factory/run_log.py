@@ -12,6 +12,7 @@ from typing import Any
 from factory.heartbeat import Busy
 from factory.receipt import Receipt
 from factory.report import Progress, Silence
+from schemas.errors import StoreError
 
 __all__ = ["RunLog"]
 
@@ -21,11 +22,18 @@ class RunLog:
 
     path : appended to; its folder is made
     inner : progress that is told too (a bar)
+
+    Raises ``StoreError`` where the file can't be written.
     """
 
     def __init__(self, path: Path, inner: Progress | None = None) -> None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._file = open(path, "a", encoding="utf-8", buffering=1)  # noqa: SIM115 - closed by close()
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = open(path, "a", encoding="utf-8", buffering=1)  # noqa: SIM115 - closed by close()
+        except OSError as error:
+            raise StoreError(
+                f"the log can't be written: {error.strerror}", where=path, remedy="Check disk and permissions."
+            ) from error
         self._inner = inner or Silence()
         self._lock = threading.Lock()
 

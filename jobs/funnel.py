@@ -21,7 +21,6 @@ import pyarrow as pa
 
 from factory.snapshot import Snapshot
 from jobs.report import Report, Section
-from schemas.errors import StoreError
 
 __all__ = ["Flow", "Funnel", "add_funnel", "funnel_of"]
 
@@ -148,12 +147,8 @@ class Funnel:
 
 
 def add_funnel(report: Report, snapshot: Snapshot) -> None:
-    """Tell the funnel of a snapshot in `report`; a damaged file of it is told in its place."""
-    try:
-        funnel = funnel_of(snapshot)
-    except (StoreError, FileNotFoundError) as error:
-        report.lines.append(f"no funnel: {error}")
-        return
+    """Tell the funnel of a snapshot in `report`. Raises ``CorruptShardError`` where a file of it is damaged."""
+    funnel = funnel_of(snapshot)
     if funnel is not None:
         report.document["funnel"] = funnel.document()
         report.sections += funnel.sections()

@@ -24,9 +24,10 @@ from jobs.listing import listed_units
 from jobs.pipeline import build_pipeline
 from jobs.progress import LoggedRun, RunProgress
 from jobs.report import Report, Section
+from jobs.store_lock import alone_in_store
 from jobs.workspace import git_revision, local_state, open_store, published
 from schemas.config import Config
-from schemas.errors import SmallerExportError
+from schemas.errors import CorruptShardError, SmallerExportError
 
 __all__ = ["add_export", "bring_up_to_date", "run_generate", "run_report"]
 
@@ -44,20 +45,33 @@ def run_generate(
 ) -> Report:
     """Bring the published snapshot up to date with the sources, and the export with the snapshot."""
     console = console or Console(stderr=True)
-    with alone_in_export(config):
+    # Who comes second learns it now, and not after all its work.
+    with alone_in_store(config), alone_in_export(config):
+        units = listed_units(config)
         done = bring_up_to_date(
             config,
-            listed_units(config),
+            units,
             inline=inline,
             retry_quarantined=retry_quarantined,
             renew_priors=renew_priors,
             console=console,
         )
-        report = run_report(done)
-        if done.snapshot_id is not None:
-            add_funnel(report, published(config))
-        if config.export is not None and done.exit_code != ABORTED and done.snapshot_id is not None:
-            add_export(report, config, renewed=renew_priors)
+        try:
+            return _whole_report(config, done, renew_priors)
+        except CorruptShardError as error:
+            # Bytes that changed while a file kept its size are met only where the file is read.
+            console.print(f"{error} This is done now.", highlight=False, markup=False)
+        done = bring_up_to_date(config, units, inline=inline, verify=True, console=console)
+        return _whole_report(config, done, renew_priors)
+
+
+def _whole_report(config: Config, done: RunReport, renewed: bool) -> Report:
+    """What a run did, the funnel of what is published, and the export of it."""
+    report = run_report(done)
+    if done.snapshot_id is not None:
+        add_funnel(report, published(config))
+    if config.export is not None and done.exit_code != ABORTED and done.snapshot_id is not None:
+        add_export(report, config, renewed=renewed)
     return report
 
 
@@ -74,7 +88,7 @@ def bring_up_to_date(
 ) -> RunReport:
     """Run what changed and publish; leaves the run's record and its log in the store.
 
-    verify : read every published file again, and make those anew that differ from their hash
+    verify : read every file again that what is published rests on, and make those again that differ from their hash
     warm : compile what scenes need before any is read; not worth it where none is expected to be made
     """
     # Compiled once here, so that workers find the kernels in the cache instead of compiling them side by side.

@@ -53,7 +53,7 @@ def make_plan(config: Config) -> Report:
         lines.append(f"files of {found.reasons['damaged']} scenes are missing from the store, or cut: made again")
     if found.damaged:
         lines.append(
-            f"{len(found.damaged)} published files are missing or damaged; condvln generate or rebuild makes them again: "
+            f"{len(found.damaged)} published files are missing or damaged; generate or rebuild makes them again: "
             + ", ".join(f"{store.url}/{path}" for path in found.damaged[:SHOWN_FILES])
             + (" …" if len(found.damaged) > SHOWN_FILES else "")
         )

@@ -6,22 +6,23 @@ the work to the first; on several, all may work, one publishes, and the others s
 
 from __future__ import annotations
 
-import fcntl
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, Final
 
 from rich.console import Console
 
-from factory.report import ABORTED, RunReport
+from factory.plan import Plan
+from factory.report import ABORTED
 from factory.store import Store
 from factory.sweep import sweep
+from factory.unit import Unit
 from jobs.report import Report
+from jobs.store_lock import alone
 from jobs.watch import Watch
 from jobs.workspace import local_state, open_store
 from schemas.config import Config
+from schemas.errors import CorruptShardError
 
 __all__ = ["run_rebuild"]
 
@@ -43,52 +44,80 @@ def run_rebuild(
     if_changed : look at names, sizes and times first, and end there when nothing changed since the last rebuild
     renew_priors : build the label priors anew
     retry_quarantined : try scenes again whose key is in quarantine
-    verify : read every published file again, and make those anew that differ from their hash
+    verify : read every file again that what is published rests on, and make those again that differ from their hash
     """
     state = local_state(config.store)
-    with _alone(state, config.name) as alone:
-        if not alone:
-            return _nothing(f"another rebuild of {config.name!r} is under way here; it is left to it")
+    with alone(state, config.name) as held:
+        if not held:
+            return _nothing(f"another generate or rebuild of {config.name!r} is under way here; it is left to it")
         store = open_store(config)
         watch = Watch(config, store, state)
         asked = renew_priors or retry_quarantined or verify
         if if_changed and not asked and watch.unchanged:
             assert watch.memory is not None
             return _nothing(f"{NOTHING}: no file changed since {watch.memory.looked_at}", watch.memory.quarantined)
-        from jobs.export_lock import alone_in_export  # what looks for changes loads little
+        return _rebuild(
+            _Rebuild(config, store, watch, renew_priors, retry_quarantined, verify, inline, console), asked=asked
+        )
 
-        with alone_in_export(config):
-            return _rebuild(config, store, watch, renew_priors, retry_quarantined, verify, inline, console)
+
+@dataclass(frozen=True)
+class _Rebuild:
+    """What was asked for, and what it is done with."""
+
+    config: Config
+    store: Store
+    watch: Watch
+    renew_priors: bool
+    retry_quarantined: bool
+    verify: bool
+    inline: bool
+    console: Console | None
 
 
-def _rebuild(
-    config: Config,
-    store: Store,
-    watch: Watch,
-    renew_priors: bool,
-    retry_quarantined: bool,
-    verify: bool,
-    inline: bool,
-    console: Console | None,
-) -> Report:
+def _rebuild(job: _Rebuild, *, asked: bool) -> Report:
     # The science is loaded only now: looking whether anything changed does not need it.
     from factory.run import plan
-    from jobs.generate import add_export, bring_up_to_date, run_report
+    from jobs.export_lock import alone_in_export
     from jobs.listing import listed_units
     from jobs.pipeline import build_pipeline
 
+    config, watch = job.config, job.watch
     units = listed_units(config)
-    renew = ("priors",) if renew_priors else ()
-    found = plan(build_pipeline(config), units, store, config.name, retry_quarantined=retry_quarantined, renew=renew)
+    renew = ("priors",) if job.renew_priors else ()
+    found = plan(
+        build_pipeline(config),
+        units,
+        job.store,
+        config.name,
+        retry_quarantined=job.retry_quarantined,
+        renew=renew,
+    )
+    if not asked and found.unchanged and (config.export is None or watch.export_stands(found.snapshot_id)):
+        quarantined = found.counts["QUARANTINED"]
+        watch.remember(found.snapshot_id, quarantined)
+        counts = {"total": len(units), "fresh": len(units), "made": 0, "quarantined": quarantined}
+        said = f"{NOTHING}: {len(units)} scenes are as published"
+        return _nothing(said, quarantined, {"snapshot_id": found.snapshot_id, "counts": counts})
+    with alone_in_export(config):
+        return _work(job, units, found)
+
+
+def _work(job: _Rebuild, units: list[Unit], found: Plan) -> Report:
+    """Run what the plan found, publish, export, sweep."""
+    from jobs.generate import add_export, bring_up_to_date, run_report
+
+    config, watch = job.config, job.watch
+    console = job.console or Console(stderr=True)
     done = bring_up_to_date(
         config,
         units,
-        inline=inline,
-        retry_quarantined=retry_quarantined,
-        renew_priors=renew_priors,
-        verify=verify,
+        inline=job.inline,
+        retry_quarantined=job.retry_quarantined,
+        renew_priors=job.renew_priors,
+        verify=job.verify,
         warm=not found.empty,
-        console=console or Console(stderr=True),
+        console=console,
     )
     report = run_report(done)
     report.document["plan"] = {"counts": dict(found.counts), "reasons": dict(found.reasons)}
@@ -97,14 +126,24 @@ def _rebuild(
         return report  # stopped, or another run was faster: nothing of ours is published
     exported = False
     if config.export is not None and done.snapshot_id is not None and not watch.export_stands(done.snapshot_id):
-        if not add_export(report, config, renewed=renew_priors):
+        try:
+            kept = not add_export(report, config, renewed=job.renew_priors)
+        except CorruptShardError as error:
+            # Bytes that changed while a file kept its size are met only where the file is read.
+            console.print(f"{error} This is done now.", highlight=False, markup=False)
+            bring_up_to_date(config, units, inline=job.inline, verify=True, warm=False, console=console)
+            kept = not add_export(report, config, renewed=job.renew_priors)
+        if kept:
             return report  # nothing is remembered, so that the next rebuild refuses again
         exported = "export" in report.document
     if done.published and config.keep.sweep:
-        _sweep(config, store, report)
+        _sweep(config, job.store, report)
     watch.remember(done.snapshot_id, done.counts["quarantined"])
-    if not exported and not done.record:
-        return _nothing(f"{NOTHING}: {done.counts['total']} scenes are as published", done.counts["quarantined"], done)
+    if not exported and not done.record and found.unchanged:
+        document = {"snapshot_id": done.snapshot_id, "counts": dict(done.counts)}
+        return _nothing(
+            f"{NOTHING}: {done.counts['total']} scenes are as published", done.counts["quarantined"], document
+        )
     return report
 
 
@@ -127,27 +166,9 @@ def _sweep(config: Config, store: Store, report: Report) -> None:
         report.lines.append(f"no unit was swept, since what needs them can't be read: {', '.join(swept.unreadable)}")
 
 
-def _nothing(said: str, quarantined: int = 0, done: RunReport | None = None) -> Report:
-    document: dict[str, Any] = {"changed": False, "message": said, "quarantined": quarantined}
-    if done is not None:
-        document |= {"snapshot_id": done.snapshot_id, "counts": dict(done.counts)}
+def _nothing(said: str, quarantined: int = 0, more: Mapping[str, Any] | None = None) -> Report:
+    document: dict[str, Any] = {"changed": False, "message": said, "quarantined": quarantined, **(more or {})}
     lines = [said]
     if quarantined:
         lines.append(f"{quarantined} scenes are in quarantine: condvln status says why")
     return Report(document, lines)
-
-
-@contextmanager
-def _alone(state: Path, name: str) -> Iterator[bool]:
-    """Whether no other rebuild of this name is under way on this machine. A killed one blocks nobody."""
-    state.mkdir(parents=True, exist_ok=True)
-    lock = os.open(state / f".rebuild-{name}.lock", os.O_RDWR | os.O_CREAT, 0o644)
-    try:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            yield False
-        else:
-            yield True
-    finally:
-        os.close(lock)

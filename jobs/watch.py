@@ -1,9 +1,9 @@
 """What a rebuild looked at last time, by names, sizes and times alone: whether anything changed costs no reading.
 
 Two digests are kept in the machine's local state. ``inputs`` covers the configuration, this code and every file below
-the sources' folders; ``outputs`` the published ref, its snapshot's manifest, the quarantine, and the files of the
-export. When both are as remembered there is nothing to do; else the rebuild plans by content, as ever. Losing the
-memory costs one such plan.
+the sources' folders; ``outputs`` the published ref and all files that it names (``factory.inventory``), the quarantine,
+and the files of the export. When both are as remembered there is nothing to do; else the rebuild plans by content.
+Losing the memory costs one such plan.
 """
 
 from __future__ import annotations
@@ -13,11 +13,12 @@ import json
 import os
 import time
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
 from factory.commits import Commits
-from factory.snapshot import read_manifest, read_ref
+from factory.inventory import glance
 from factory.store import Store
 from jobs.workspace import graph_folders, source_paths
 from schemas.base import Document
@@ -82,7 +83,7 @@ class Watch:
         memory = self.memory
         return memory is not None and memory.inputs == self._inputs and memory.outputs == self._outputs()
 
-    def export_stands(self, snapshot_id: str) -> bool:
+    def export_stands(self, snapshot_id: str | None) -> bool:
         """Whether the export is there, whole by its files' sizes, and made of this snapshot in this way."""
         if self.memory is None or self.memory.exported != digest([snapshot_id, self._exported]):
             return False
@@ -99,14 +100,13 @@ class Watch:
             looked_at=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         )
         temporary = self._path.with_suffix(".tmp")
-        temporary.write_text(memory.model_dump_json(), encoding="utf-8")
-        os.replace(temporary, self._path)
+        with suppress(OSError):  # a store that is read-only is looked at in full every time
+            temporary.write_text(memory.model_dump_json(), encoding="utf-8")
+            os.replace(temporary, self._path)
 
     def _outputs(self) -> str:
-        ref, token = read_ref(self._store, self._config.name)
-        whole = ref is not None and read_manifest(self._store, ref.snapshot_id) is not None
         quarantined = sorted([*key] for key in Commits(self._store).quarantined())
-        document: list[Any] = [token, whole, quarantined]
+        document: list[Any] = [glance(self._store, self._config.name), quarantined]
         if self._config.export is not None:
             document.append(self._export_stats())
         return digest(document)

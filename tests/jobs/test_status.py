@@ -92,7 +92,7 @@ def test_a_store_with_several_names_says_which_there_are(made_run: tuple[Config,
     shutil.copytree(config.store, tmp_path / "store")
     ref = tmp_path / "store" / "refs" / "made.json"
     document = json.loads(ref.read_text())
-    (tmp_path / "store" / "refs" / "other.json").write_text(json.dumps({**document, "name": "other"}))
+    (tmp_path / "store" / "refs" / "other.json").write_text(json.dumps({**document, "name": "other", "checksum": None}))
     assert [found["name"] for found in status(str(tmp_path / "store"))["refs"]] == ["made", "other"]  # type: ignore[attr-defined]
     both = find_target(str(tmp_path / "store"))
     with pytest.raises(UsageError, match="made, other"):

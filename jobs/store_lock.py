@@ -1,0 +1,69 @@
+"""One generate or rebuild of a name at a time on this machine, known before the work begins."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Final
+
+from jobs.workspace import local_state
+from schemas.config import Config
+from schemas.errors import StoreError
+
+__all__ = ["alone", "alone_in_store"]
+
+_READ_ONLY: Final = {errno.EROFS, errno.EACCES, errno.EPERM}
+
+
+@contextmanager
+def alone(state: Path, name: str) -> Iterator[bool]:
+    """Whether no other generate or rebuild of this name is under way on this machine. A killed one blocks nobody.
+
+    Where nothing can be written nobody else is writing: no lock is needed to find that there is nothing to do.
+    """
+    lock = _opened(state, name)
+    if lock is None:
+        yield True
+        return
+    try:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            yield False
+        else:
+            yield True
+    finally:
+        os.close(lock)
+
+
+@contextmanager
+def alone_in_store(config: Config) -> Iterator[None]:
+    """Hold the configuration's name in its store. Raises ``StoreError`` when another command on this machine does."""
+    with alone(local_state(config.store), config.name) as held:
+        if not held:
+            raise StoreError(
+                f"another generate or rebuild of {config.name!r} is under way on this machine",
+                where=str(config.store),
+                remedy="Wait until it is done: condvln status CONFIG lists the runs.",
+            )
+        yield
+
+
+def _opened(state: Path, name: str) -> int | None:
+    """The lock's file, open; None where it can't be made since the folder is read-only."""
+    path = state / f".rebuild-{name}.lock"
+    try:
+        state.mkdir(parents=True, exist_ok=True)
+        return os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+    except OSError as error:
+        if error.errno not in _READ_ONLY:
+            raise StoreError(
+                f"can't be written: {error.strerror}", where=path, remedy="Check the store's folder."
+            ) from error
+    with suppress(OSError):
+        return os.open(path, os.O_RDONLY)
+    return None
