@@ -124,7 +124,8 @@ class Pins:
 
         renew : another table than the pinned one is wanted
 
-        Raises ``StoreError`` when another table is pinned that holds, is lost, and was not to be renewed: every unit that depends on it would change silently.
+        Raises ``StoreError`` when the pinned table holds, is lost, differs from this one and was not to be renewed: all
+        units that depend on it would change silently.
         """
         found, _ = logical_hash(table)
         before = self.pin.tables.get(aggregate.name)
