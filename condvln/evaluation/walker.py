@@ -1,8 +1,7 @@
 """A kinematic simulator on the navmesh: VLN-CE's four actions, Habitat's sliding steps, no rendering.
 
-What moves an agent here moves it there: a step is the pathfinder's ``try_step``, a turn is exact. What an agent can
-know is its pose, the instruction, and (where objects are given) the labels it could see; the manifest's truths stay
-with the evaluator.
+Poses are those of :class:`~condvln.navigation.follower.Follower`, which also replays ground truth. An agent knows its
+pose, the instruction and (where objects are given) the labels it could see; the truths stay with the evaluator.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ import numpy.typing as npt
 
 from condvln.evaluation.predictions import Prediction
 from condvln.evaluation.task import Task
-from condvln.navigation.follower import FORWARD, LEFT, RIGHT, STOP, VLN_CE, ActionSpace
+from condvln.navigation.follower import FORWARD, LEFT, RIGHT, STOP, VLN_CE, ActionSpace, Follower
 from condvln.navigation.pathfinder import Pathfinder
 from schemas.errors import UsageError
 
@@ -138,42 +137,33 @@ def walk(
     UsageError : the policy answers something that is no action
     """
     limit = task.max_steps if max_steps is None else max_steps
-    step = pathfinder.try_step if sliding else pathfinder.try_step_no_sliding
-    position, facing, collided = task.start.astype(np.float32), 0, False
-    begin = heading_of(task.start_rotation)
-    positions, headings, collisions, stopped = [position], [begin], [False], False
+    agent = Follower(pathfinder, space, sliding=sliding).stepped(task.start, heading_of(task.start_rotation))
+    positions, headings, collisions, stopped = [agent.position], [agent.heading], [False], False
     while len(positions) <= limit and not stopped:
+        before = agent.position.astype(np.float64)
         observation = Observation(
             task.episode_id,
             task.text,
-            position.astype(np.float64),
-            headings[-1],
+            before,
+            agent.heading,
             len(positions) - 1,
             limit,
-            eyes(task, position.astype(np.float64), headings[-1]) if eyes is not None else (),
-            collided,
+            eyes(task, before, agent.heading) if eyes is not None else (),
+            collisions[-1],
         )
         if len(positions) == 1:
             policy.begin(observation)
         action = policy.act(observation)
-        collided = False
-        if action == FORWARD:
-            angle = begin + facing * math.radians(space.turn)
-            ahead = np.array([-math.sin(angle) * space.forward, 0.0, -math.cos(angle) * space.forward], np.float32)
-            reached = step(position, position + ahead)
-            collided = float(np.linalg.norm(reached - position)) < space.forward - _BLOCKED
-            position = reached
-        elif action in (LEFT, RIGHT):
-            facing += 1 if action == LEFT else -1
-        elif action == STOP:
-            stopped = True
-        else:
+        if action not in (STOP, FORWARD, LEFT, RIGHT):
             raise UsageError(
                 f"{action!r} is no action", place=f"episode {task.episode_id}", remedy="Answer 0, 1, 2 or 3"
             )
-        positions.append(position)
-        collisions.append(collided)
-        headings.append((begin + facing * math.radians(space.turn)) % (2.0 * math.pi))
+        agent.take(action)
+        stopped = action == STOP
+        moved = float(np.linalg.norm(agent.position - positions[-1]))
+        positions.append(agent.position)
+        headings.append(agent.heading)
+        collisions.append(action == FORWARD and moved < space.forward - _BLOCKED)
     return Prediction(
         task.episode_id, np.array(positions, dtype=np.float64), stopped, True, np.array(collisions), np.array(headings)
     )

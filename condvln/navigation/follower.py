@@ -23,12 +23,25 @@ from condvln.navigation.kernels.following import (
 )
 from condvln.navigation.kernels.following import follow as follow_kernel
 from condvln.navigation.kernels.following import replay as replay_kernel
+from condvln.navigation.kernels.mesh import QueryMesh
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.points import many_points, one_point
 from condvln.navigation.tile import Floats, Indices
 from schemas.errors import UsageError
 
-__all__ = ["FORWARD", "LEFT", "RIGHT", "RXR", "STOP", "VLN_CE", "ActionSpace", "FollowedRoute", "Follower", "Walk"]
+__all__ = [
+    "FORWARD",
+    "LEFT",
+    "RIGHT",
+    "RXR",
+    "STOP",
+    "VLN_CE",
+    "ActionSpace",
+    "FollowedRoute",
+    "Follower",
+    "SteppedWalk",
+    "Walk",
+]
 
 OUTCOMES = {ARRIVED: "arrived", NO_PATH: "no path", STUCK: "stuck", TOO_LONG: "too long"}
 # A walk of more actions than this is a mistake in the goals; episodes end at 500.
@@ -169,8 +182,11 @@ class Follower:
         places, facing = replay_kernel(
             self.pathfinder.query_mesh, self._gait(heading), one_point(start)[0], np.array(actions, np.int8).reshape(-1)
         )
-        turned = heading + facing * math.radians(self.space.turn)
-        return Walk(places, np.mod(turned, 2 * math.pi))
+        return Walk(places, _headings(heading, facing, self.space))
+
+    def stepped(self, start: npt.ArrayLike, heading: float) -> SteppedWalk:
+        """The walk of an agent that decides on each action after it has seen the pose before it."""
+        return SteppedWalk(self.pathfinder.query_mesh, self._gait(heading), one_point(start)[0], self.space)
 
     def _gait(self, heading: float) -> Gait:
         if not math.isfinite(heading):
@@ -181,6 +197,40 @@ class Follower:
         return Gait(np.array(moves, np.float32), float(heading), turn, np.float32(self.space.forward), self.sliding)
 
 
+class SteppedWalk:
+    """A walk one action at a time, with the poses of :meth:`Follower.walk` bit for bit.
+
+    Attributes
+    ----------
+    position : (3,) float32, metres
+    """
+
+    def __init__(self, mesh: QueryMesh, gait: Gait, start: Floats, space: ActionSpace) -> None:
+        self.position = start
+        self._mesh, self._gait, self._space = mesh, gait, space
+        self._facing = 0
+        # The moves of two full turns: those that begin at any heading are a slice of them.
+        self._moves = np.concatenate([gait.moves, gait.moves])
+
+    @property
+    def heading(self) -> float:
+        """Radians in [0, 2π), counter-clockwise, 0 facing −z."""
+        return float(_headings(self._gait.first_heading, np.array(self._facing), self._space))
+
+    def take(self, action: int) -> None:
+        """Take one action; STOP and unknown ids leave the agent standing."""
+        gait = self._gait._replace(moves=self._moves[self._facing : self._facing + self._space.headings])
+        places, turns = replay_kernel(self._mesh, gait, self.position, np.array([action], np.int8))
+        self.position = places[1]
+        self._facing = (self._facing + int(turns[1])) % self._space.headings
+
+
+def _headings(first: float, facing: Indices, space: ActionSpace) -> npt.NDArray[np.float64]:
+    """Headings, in radians within [0, 2π), after as many turns from the first one."""
+    turned: npt.NDArray[np.float64] = np.mod(first + facing * math.radians(space.turn), 2 * math.pi)
+    return turned
+
+
 def _warm_up() -> None:
     from condvln.navigation.polygon_tile import tile_of_polygons
 
@@ -188,6 +238,7 @@ def _warm_up() -> None:
     follower = Follower(Pathfinder.from_tile(tile_of_polygons(square, [[0, 1, 2], [0, 2, 3]])))
     route = follower.follow([0.1, 0.0, 0.5], 0.0, [0.9, 0.0, 0.5])
     follower.walk([0.1, 0.0, 0.5], 0.0, route.actions)
+    follower.stepped([0.1, 0.0, 0.5], 0.0).take(FORWARD)
 
 
 register_warm_up("follower", _warm_up)
