@@ -4,8 +4,8 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 OUT    ?= out/demo
 WORKERS ?= 2
-# One cache of compiled kernels for every process and every run.
-export NUMBA_CACHE_DIR ?= $(CURDIR)/$(VENV)/numba-cache
+# fresh, or the seed that an earlier run printed
+DRAWS  ?= fresh
 
 .PHONY: help setup demo test soak lint bench
 
@@ -34,7 +34,8 @@ test: lint  ## lint, types, contracts and tests (under ten minutes)
 	$(BIN)/python -m pytest -n $(WORKERS) -m "not soak"
 
 soak: $(VENV)/.ready  ## full fuzzing, fault and determinism matrices
-	$(BIN)/python -m pytest -n $(WORKERS) -m soak
+	$(BIN)/python -m pytest -n $(WORKERS) -m soak --draws $(DRAWS)
+	$(BIN)/python -m pytest -n $(WORKERS) -m "hypothesis and not soak" --draws $(DRAWS) --rounds 20
 
 bench: $(VENV)/.ready  ## side-by-side measurements, ratios in one run
 	$(BIN)/python -m benchmarks

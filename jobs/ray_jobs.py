@@ -31,6 +31,9 @@ TIMEOUT_SECONDS: Final = 30.0
 TRIES: Final = 5
 """Tries of a request that only reads, with growing pauses: a head that restarts is away for some seconds."""
 
+NOT_YET: Final = "No available agent"
+"""What a head says, with code 500, while its agent starts. Nothing was submitted, so the request is repeated."""
+
 ENDED: Final = frozenset({"SUCCEEDED", "FAILED", "STOPPED"})
 
 LOOPBACK: Final = frozenset({"127.0.0.1", "localhost", "::1"})
@@ -130,8 +133,10 @@ class RayJobs:
     def _ask(self, method: str, path: str, body: bytes | None = None, *, missing: bool = False) -> Any:
         """The JSON of the answer ({} for an empty one); None for 404 if `missing`."""
         fault = ""
-        for attempt in range(TRIES if method == "GET" else 1):
+        for attempt in range(TRIES):
             if attempt:
+                if method != "GET" and NOT_YET not in fault:
+                    break
                 time.sleep(self._pause * 2**attempt)
             request = urllib.request.Request(self.address + path, body, self._headers, method=method)
             if body is not None:

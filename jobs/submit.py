@@ -30,6 +30,24 @@ VERBS: Final = ("sources", "plan", "generate", "rebuild", "status", "export", "v
 SHIPPED: Final = "condvln.yaml"
 """Name of the configuration in the job's working directory."""
 
+LAUNCHER: Final = "condvln.sh"
+"""Name of the script in the job's working directory that finds `condvln` on the cluster."""
+
+# PATH of a job is that of whoever ran `ray start`, often without the environment's own folder. But the parent of a
+# job's shell is Ray's Python (`exec` in the entrypoint keeps it so), and on Linux its memory map names its files.
+FIND_AND_RUN: Final = r"""library='/lib[^/]*/python[^/]*/[a-z]*-packages/ray/_raylet[.]so'
+environment=$(sed -n "s#^[^/]*\(/.*\)$library\$#\1#p" "/proc/$PPID/maps" 2>/dev/null | head -n 1)
+if [ -n "$environment" ] && [ -x "$environment/bin/condvln" ]; then
+  exec "$environment/bin/condvln" "$@"
+fi
+if command -v condvln >/dev/null 2>&1; then
+  exec condvln "$@"
+fi
+echo "condvln: not found on the head node, neither in Ray's environment (${environment:-unknown})" \
+  "nor on PATH ($PATH). Install condvln into the environment that runs Ray, on every node." >&2
+exit 127
+"""
+
 POLL_SECONDS: Final = 2.0
 
 INTERRUPTED: Final = 130
@@ -68,7 +86,7 @@ def run_submit(
         name = server.submit(
             entrypoint(verb, arguments),
             name,
-            {"working_dir": server.upload({SHIPPED: _document(resolved)})},
+            {"working_dir": server.upload({SHIPPED: _document(resolved), LAUNCHER: FIND_AND_RUN.encode()})},
             {"condvln": resolved.name, "verb": verb},
         )
         say(f"job {name} on {server.address} (Ray {version})\n")
@@ -91,7 +109,7 @@ def run_submit(
 
 def entrypoint(verb: str, arguments: Sequence[str] = ()) -> str:
     """The command line of a job: it joins the cluster that it runs on."""
-    return shlex.join(["condvln", verb, SHIPPED, *arguments, "--set", "ray.address=auto"])
+    return "exec " + shlex.join(["sh", LAUNCHER, verb, SHIPPED, *arguments, "--set", "ray.address=auto"])
 
 
 def _document(config: Config) -> bytes:

@@ -9,13 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, settings
 
-# Deadlines are off because the machines are shared; numba's first call alone takes seconds.
-settings.register_profile("condvln", deadline=None, suppress_health_check=[HealthCheck.too_slow], print_blob=True)
-# CI draws the same examples every time, so that it judges the change and not the day; people draw new ones.
-settings.register_profile("ci", settings.get_profile("condvln"), derandomize=True)
-settings.load_profile("ci" if os.environ.get("CI") else "condvln")
+pytest_plugins = ["tests.draws", "tests.skips"]
 
 # For the object store on loopback; before any other process is started that should know them.
 for name, value in {"ACCESS_KEY_ID": "test", "SECRET_ACCESS_KEY": "test", "DEFAULT_REGION": "us-east-1"}.items():
@@ -47,8 +42,6 @@ def s3_server() -> Iterator[str]:
 
     It takes one request at a time: moto checks a condition and writes in two steps, which a real server does in one.
     """
-    pytest.importorskip("moto")
-    pytest.importorskip("boto3")
     from moto.server import DomainDispatcherApplication, create_backend_app
     from werkzeug.serving import WSGIRequestHandler, make_server
 

@@ -23,7 +23,7 @@ from typing import Any
 class JobServer:
     """What the server knows, and what it was asked.
 
-    failing : so many of the next requests are answered with 503
+    failing : so many of the next requests are answered with `fault`
     hidden : answers do not tell the exit code, as older versions do
     instead : run this in place of what is submitted
     """
@@ -35,6 +35,7 @@ class JobServer:
     asked: list[tuple[str, str]] = field(default_factory=list)
     headers: dict[str, str] = field(default_factory=dict)
     failing: int = 0
+    fault: tuple[int, str] = (503, "the head restarts")
     hidden: bool = False
     instead: str = ""
     address: str = ""
@@ -113,7 +114,7 @@ def _handler(server: JobServer) -> type[BaseHTTPRequestHandler]:
             server.headers = dict(self.headers.items())
             if server.failing:
                 server.failing -= 1
-                code, answer = 503, "the head restarts"
+                code, answer = server.fault
             else:
                 code, answer = server.answer(self.command, self.path, body)
             data = answer.encode() if isinstance(answer, str) else json.dumps(answer).encode()

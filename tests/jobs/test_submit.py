@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import importlib.util
 import json
 import os
@@ -11,18 +10,21 @@ import shutil
 import socket
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 from typer.main import get_command
 from typer.testing import CliRunner
 
+import condvln
 from jobs.command import app
 from jobs.configuration import load_config
 from jobs.ray_jobs import RayJobs
 from jobs.report import Report
-from jobs.submit import VERBS, entrypoint, run_submit
+from jobs.submit import FIND_AND_RUN, LAUNCHER, VERBS, entrypoint, run_submit
 from schemas.config import Config
 from schemas.errors import ConfigError, TransientIOError, UsageError
 
@@ -88,7 +90,7 @@ def test_what_is_shipped_is_the_configuration_as_it_counts_here(
     assert found.model_copy(update={"ray": expected.ray}) == expected
     assert found.ray.deadline_seconds == 7
     body = server.bodies[job]  # type: ignore[attr-defined]
-    assert shlex.split(body["entrypoint"]) == ["condvln", "status", "condvln.yaml", "--set", "ray.address=auto"]
+    assert body["entrypoint"] == "exec sh condvln.sh status condvln.yaml --set ray.address=auto"
     assert body["entrypoint_num_cpus"] == 0, "the head of a cluster has none"
     assert set(body["runtime_env"]) == {"working_dir"}, "no environment, so no secret, goes along"
 
@@ -129,6 +131,18 @@ def test_a_head_that_is_away_for_a_moment_is_waited_for(server: object, monkeypa
         client.version()
     with pytest.raises(TransientIOError, match="does not answer"):
         RayJobs("http://127.0.0.1:1", pause=0.001).version()
+
+
+def test_a_head_whose_agent_still_starts_is_waited_for(server: object) -> None:
+    """Ray answers so while it starts. Any other request that may have been obeyed is not repeated."""
+    client = RayJobs(server.address, pause=0.001)  # type: ignore[attr-defined]
+    package = {"working_dir": client.upload({"x": b""})}
+    server.failing = 3  # type: ignore[attr-defined]
+    with pytest.raises(TransientIOError, match="503 the head restarts"):
+        client.submit("true", "one", package, {})
+    server.failing = 3  # type: ignore[attr-defined]
+    server.fault = (500, "No available agent to submit job, please try again later.")  # type: ignore[attr-defined]
+    assert client.submit("true", "two", package, {}) == "two"
 
 
 def test_interrupted_the_job_goes_on(server: object, path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -210,47 +224,98 @@ def test_every_verb_that_takes_a_configuration_can_be_submitted() -> None:
 
 def test_words_survive_the_shell() -> None:
     words = shlex.split(entrypoint("query", ["SELECT 'it''s' AS \"a b\"; -- $HOME"]))
-    assert words[3] == "SELECT 'it''s' AS \"a b\"; -- $HOME"
+    assert words[5] == "SELECT 'it''s' AS \"a b\"; -- $HOME"
 
 
-@pytest.mark.soak
-@pytest.mark.ray
-def test_rays_own_job_server_runs_a_rebuild(dataset: Path, configured: object, tmp_path: Path) -> None:
-    """A real head with its dashboard, and a rebuild that runs on it as a job."""
-    for module in ("aiohttp", "opencensus", "smart_open"):
-        if importlib.util.find_spec(module) is None:
-            pytest.skip("Ray's job server is part of ray[default], which is not installed here")
-    config = configured(dataset)  # type: ignore[operator]
-    path = tmp_path / "run.yaml"
-    path.write_text(config.model_dump_json())
-    with socket.socket() as free, socket.socket() as other:
-        free.bind(("127.0.0.1", 0))
-        other.bind(("127.0.0.1", 0))
-        port, dashboard = free.getsockname()[1], other.getsockname()[1]
-    binaries = Path(sys.executable).parent
-    ray = str(binaries / "ray")
-    temporary = Path("/tmp") / f"ray-{os.getpid()}"
-    environment = {**os.environ, "PATH": f"{binaries}{os.pathsep}{os.environ['PATH']}"}
-    head = [ray, "start", "--head", "--block", f"--port={port}", "--num-cpus=2", "--dashboard-host=127.0.0.1"]
-    head += [f"--dashboard-port={dashboard}", f"--temp-dir={temporary}", "--disable-usage-stats"]
-    with subprocess.Popen(head, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+def _without_our_paths() -> dict[str, str]:
+    """The environment of a service: nothing of this process leads to the command or to compiled kernels."""
+    kept = ("HOME", "TMPDIR", "LANG", "PYTHONPATH")
+    return {"PATH": "/usr/bin:/bin", **{name: os.environ[name] for name in kept if name in os.environ}}
+
+
+@pytest.mark.parametrize(
+    ("path", "code", "said"), [("bin", 7, "status x"), ("empty", 127, "environment that runs Ray")]
+)
+def test_the_launcher_falls_back_on_path_and_says_what_is_missing(
+    tmp_path: Path, path: str, code: int, said: str
+) -> None:
+    (tmp_path / "bin").mkdir()
+    command = tmp_path / "bin" / "condvln"
+    command.write_text('#!/bin/sh\necho "$@"; exit 7\n')
+    command.chmod(0o755)
+    (tmp_path / LAUNCHER).write_text(FIND_AND_RUN)
+    # Between this process, which may have loaded Ray, and the script: a shell that has not.
+    words = f"sh {LAUNCHER} status x; exit $?"
+    environment = {"PATH": f"{tmp_path / path}:/usr/bin:/bin"}
+    done = subprocess.run(words, shell=True, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == code
+    assert said in done.stdout + done.stderr
+
+
+def _kernels() -> dict[Path, int]:
+    """Indexes of compiled kernels beside the sources and when each was written, which is when a kernel compiled."""
+    package = Path(condvln.__file__).parent
+    return {path: path.stat().st_mtime_ns for path in package.rglob("*.nbi")}
+
+
+@pytest.fixture
+def head(tmp_path: Path) -> Iterator[str]:
+    """Address of Ray's own job server, started as ``.venv/bin/ray start`` with nothing of ours on PATH."""
+    with ExitStack() as held:
+        free = [held.enter_context(socket.socket()) for _ in range(3)]
+        for one in free:
+            one.bind(("127.0.0.1", 0))
+        port, dashboard, agent = (one.getsockname()[1] for one in free)
+    temporary = Path(tempfile.mkdtemp(prefix="ray-", dir="/tmp"))  # Ray's sockets need a short path
+    command = [str(Path(sys.executable).parent / "ray"), "start", "--head", "--block", "--num-cpus=2"]
+    command += [f"--port={port}", f"--dashboard-port={dashboard}", f"--dashboard-agent-listen-port={agent}"]
+    command += ["--dashboard-host=127.0.0.1", f"--temp-dir={temporary}", "--disable-usage-stats"]
+    command += [
+        "--min-worker-port=0",
+        "--max-worker-port=0",
+    ]  # any free port: others may hold those of the default range
+    log = temporary / "head.log"
+    with (
+        log.open("wb") as out,
+        subprocess.Popen(command, env=_without_our_paths(), stdout=out, stderr=subprocess.STDOUT) as process,
+    ):
+        address = f"http://127.0.0.1:{dashboard}"
         try:
-            address = f"http://127.0.0.1:{dashboard}"
             for _ in range(30):
                 try:
                     RayJobs(address, pause=0.5).version()
                     break
                 except TransientIOError:
-                    assert process.poll() is None
-            said: list[str] = []
-            done = run_submit(path, "rebuild", ["--json"], address=address, say=said.append, poll=0.5)
-            assert done.exit_code == 0, "".join(said)[-3000:]
-            document = json.loads("".join(said).strip().splitlines()[-1])
-            assert (document["published"], document["counts"]["made"]) == (True, 2)
-            scene = dataset / "configs" / "scenes" / "made_001.scene_instance.json"
-            scene.write_bytes(scene.read_bytes()[:100])
-            assert run_submit(path, "rebuild", address=address, say=said.append, poll=0.5).exit_code == 3
+                    assert process.poll() is None, log.read_text()[-3000:]
+            yield address
         finally:
             process.terminate()
-            process.wait(30)
+            process.wait(120)
             shutil.rmtree(temporary, ignore_errors=True)
+
+
+@pytest.mark.soak
+@pytest.mark.ray
+def test_rays_own_job_server_runs_a_rebuild(head: str, dataset: Path, configured: object, tmp_path: Path) -> None:
+    """The same snapshot as by the command here, which compiles no kernel that the job has compiled."""
+    config = configured(dataset)  # type: ignore[operator]
+    path = tmp_path / "run.yaml"
+    path.write_text(config.model_dump_json())
+    said: list[str] = []
+    done = run_submit(path, "rebuild", ["--json"], address=head, say=said.append, poll=0.5)
+    assert done.exit_code == 0, "".join(said)[-3000:]
+    document = json.loads("".join(said).strip().splitlines()[-1])
+    assert (document["published"], document["counts"]["made"]) == (True, 2)
+    compiled = _kernels()
+    assert compiled
+    here = [str(Path(sys.executable).parent / "condvln"), "rebuild", str(path), "--set", f"store={tmp_path / 'here'}"]
+    inline = subprocess.run(
+        [*here, "--json"], env=_without_our_paths(), capture_output=True, text=True, check=False, cwd=tmp_path
+    )
+    assert inline.returncode == 0, inline.stderr[-3000:]
+    assert json.loads(inline.stdout)["snapshot"] == document["snapshot"]
+    assert _kernels() == compiled
+    scene = dataset / "configs" / "scenes" / "made_001.scene_instance.json"
+    scene.write_bytes(scene.read_bytes()[:100])
+    assert run_submit(path, "rebuild", address=head, say=said.append, poll=0.5).exit_code == 3
+    assert _kernels() == compiled

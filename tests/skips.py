@@ -1,0 +1,41 @@
+"""Reasons for which a test may be skipped. Any other skip fails: a test that never runs is no evidence."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Generator
+from typing import Any
+
+import pytest
+
+REASONS = (
+    # Data that may not be shared. CONTRIBUTING.md says how to get it.
+    r"no real datasets here: ",
+    r"no \w+ in /",
+    r"no scenes of \w+ here: ",
+    r"the published lists are not here to compare with",
+    # The machine.
+    r"the golden hashes were made on ",
+    r"needs \d+ GiB of free memory",
+    r"the name of an open file is told by Linux only",
+    r"root may write anywhere",
+    # One case of a product of parameters that does not exist.
+    r"a rule of English",
+    # A run within a run.
+    r"the outer run does this",
+    r"this is that run",
+)
+_KNOWN = re.compile("|".join(f"(?:{reason})" for reason in REASONS))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, Any, Any]:
+    report = yield
+    if report.skipped and not hasattr(report, "wasxfail"):
+        reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
+        if not _KNOWN.match(reason.removeprefix("Skipped: ")):
+            report.outcome = "failed"
+            report.longrepr = (
+                f"{reason}\nThis reason is not in tests/skips.py: make the test run, or add the reason there."
+            )
+    return report
