@@ -313,7 +313,7 @@ def test_rays_own_job_server_runs_a_rebuild(head: str, dataset: Path, configured
         [*here, "--json"], env=_without_our_paths(), capture_output=True, text=True, check=False, cwd=tmp_path
     )
     assert inline.returncode == 0, inline.stderr[-3000:]
-    assert json.loads(inline.stdout)["snapshot"] == document["snapshot"]
+    assert json.loads(inline.stdout)["snapshot_id"] == document["snapshot_id"]
     assert _kernels() == compiled
     scene = dataset / "configs" / "scenes" / "made_001.scene_instance.json"
     scene.write_bytes(scene.read_bytes()[:100])
