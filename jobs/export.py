@@ -26,7 +26,7 @@ from jobs.oracle import linear_text
 from jobs.report import Report, Section
 from jobs.workspace import graph_folders, published, snapshot_folder
 from schemas.config import Config
-from schemas.errors import CondVLNError, ConfigError, SmallerExportError, StoreError
+from schemas.errors import CondVLNError, ConfigError, CorruptShardError, SmallerExportError, StoreError
 from schemas.program import Program
 
 __all__ = ["export_snapshot_of", "graphs_of", "run_export", "write_export"]
@@ -84,6 +84,7 @@ def write_export(config: Config, *, allow_shrink: bool = False, renewed: bool = 
 
     def complete(new: Path, report: ExportReport) -> None:
         nonlocal viewpoints
+        _check_rows(snapshot, report)
         guard.check(report.episodes, report.left_out)
         guard.record(new)
         viewpoints = _write_viewpoints(config, snapshot, new)
@@ -120,6 +121,18 @@ def write_export(config: Config, *, allow_shrink: bool = False, renewed: bool = 
     add_bias(report, done.bias, config.splits.bias, priors_behind(snapshot, config.name) if failed else None)
     _add_viewpoints(report, config, viewpoints)
     return report
+
+
+def _check_rows(snapshot: Snapshot, report: ExportReport) -> None:
+    """Every episode that the snapshot's manifest counts is in a split or left out for a reason."""
+    found = sum(report.episodes.values()) + sum(report.left_out.values())
+    rows = snapshot.manifest.tables["episodes"].rows
+    if found != rows:
+        raise CorruptShardError(
+            f"the table episodes has {found} rows, and the manifest says {rows}",
+            where=f"{snapshot.store.url}/snapshots/{snapshot.snapshot_id}",
+            remedy="Run condvln rebuild CONFIG --verify: it makes the missing files again.",
+        )
 
 
 def _left_out(done: ExportReport) -> list[str]:

@@ -16,6 +16,8 @@ from schemas.errors import FormatError, MissingFileError, StoreError
 
 __all__ = ["FolderTables", "MemoryTables", "SnapshotTables", "joined_by_scene", "rows_by_scene"]
 
+_REMEDY: Final = "Run condvln rebuild CONFIG --verify: it makes damaged files again"
+
 BATCH_ROWS: Final = 1024
 """Rows decoded at a time: enough to spread the cost of Arrow's calls, few enough to keep memory flat."""
 
@@ -81,18 +83,21 @@ class FolderTables:
         folder = self.folder / table / f"source={source}"
         parts = [_opened(path) for path in sorted(folder.glob("part-*.parquet"))]
         if not parts:
-            raise MissingFileError("no part of this table is there", where=folder, remedy="Generate the snapshot again")
+            raise MissingFileError("no part of this table is there", where=folder, remedy=_REMEDY)
         for file in sorted(parts, key=_first_scene):
             wanted = None if columns is None else list(columns)
             # On one thread: Arrow's pool, left with work as the process ends, has aborted processes on busy machines.
-            yield from file.iter_batches(BATCH_ROWS, columns=wanted, use_threads=False)
+            try:
+                yield from file.iter_batches(BATCH_ROWS, columns=wanted, use_threads=False)
+            except (pa.ArrowException, OSError) as error:
+                raise FormatError(f"a part is damaged ({error})", where=folder, remedy=_REMEDY) from error
 
 
 def _opened(path: Path) -> pq.ParquetFile:
     try:
         return pq.ParquetFile(path)
     except (pa.ArrowInvalid, OSError) as error:
-        raise FormatError(f"not a Parquet file ({error})", where=path, remedy="Generate the snapshot again") from error
+        raise FormatError(f"not a Parquet file ({error})", where=path, remedy=_REMEDY) from error
 
 
 def _first_scene(file: pq.ParquetFile) -> str:
@@ -111,9 +116,7 @@ def rows_by_scene(batches: Iterator[pa.RecordBatch], where: str) -> Iterator[tup
     last = ""
     for scene, rows in groupby((row for batch in batches for row in rows_of(batch)), key=lambda row: row["scene_id"]):
         if scene < last:
-            raise StoreError(
-                f"scene {scene!r} stands after {last!r}", where=where, remedy="Generate the snapshot again"
-            )
+            raise StoreError(f"scene {scene!r} stands after {last!r}", where=where, remedy=_REMEDY)
         last = scene
         yield scene, list(rows)
 
@@ -139,6 +142,6 @@ def joined_by_scene(
             raise StoreError(
                 f"scene {scene!r} has an episode whose instruction {missing[0]!r} is missing",
                 where=f"instructions of {source}",
-                remedy="Generate the snapshot again",
+                remedy=_REMEDY,
             )
         yield scene, episodes, known

@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import pyarrow.parquet as pq
 import pytest
 
 from condvln.export.contents import CHANGELOG
@@ -19,7 +20,7 @@ from jobs.rebuild import run_rebuild
 from jobs.report import Report
 from jobs.validate import validate_files
 from schemas.config import Config, InstructionsConfig, SplitsConfig
-from schemas.errors import ConfigError, StoreError
+from schemas.errors import CondVLNError, ConfigError, StoreError
 from schemas.program import CATEGORIES, SHAPES
 
 
@@ -127,3 +128,19 @@ def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(StoreError, match="Choose another export folder"), alone_in(tmp_path / "file" / "out"):
         raise AssertionError("held")
+
+
+def test_a_snapshot_with_fewer_rows_than_it_says_stays(made_run: tuple[Config, Report], tmp_path: Path) -> None:
+    store = Path(shutil.copytree(made_run[0].store, tmp_path / "store"))
+    config = made_run[0].model_copy(update={"store": store, "export": tmp_path / "out"})
+    part = next(store.glob("snapshots/*/episodes/*/part-*.parquet"))
+    table = pq.ParquetFile(part).read()
+    pq.write_table(table.slice(1), part)
+    with pytest.raises(CondVLNError, match=f"episodes.*{table.num_rows}|differs"):
+        export_snapshot_of(config)
+    data = part.read_bytes()
+    part.write_bytes(data[:100] + b"?" * (len(data) // 2) + data[100 + len(data) // 2 :])
+    with pytest.raises(CondVLNError, match="rebuild"):
+        export_snapshot_of(config)
+    assert not (tmp_path / "out").exists()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["store"]
