@@ -10,7 +10,7 @@ import numpy as np
 
 __all__ = ["REFERENCE_PROBE_SECONDS", "probe", "slowness"]
 
-REFERENCE_PROBE_SECONDS: Final = 0.043
+REFERENCE_PROBE_SECONDS: Final = 0.037
 """CPU seconds of ``probe`` on the reference machine. Estimates of units are in CPU seconds of that machine, so this is
 measured together with them (``python -m benchmarks costs``)."""
 

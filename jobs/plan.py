@@ -43,7 +43,8 @@ def make_plan(config: Config) -> Report:
             f", up to {found.possible_seconds:.0f} CPU s more where an early cut-off does not spare it"
             if found.possible_seconds
             else ""
-        ),
+        )
+        + ("; compiling kernels, once on a machine, is not counted" if found.seconds or found.possible_seconds else ""),
     ]
     if found.removed:
         lines.append(f"{len(found.removed)} no longer in the sources: {', '.join(found.removed[:5])} …")
