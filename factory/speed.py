@@ -14,7 +14,7 @@ REFERENCE_PROBE_SECONDS: Final = 0.037
 """CPU seconds of ``probe`` on the reference machine. Estimates of units are in CPU seconds of that machine, so this is
 measured together with them (``python -m benchmarks costs``)."""
 
-_ROUNDS: Final = 3
+_ROUNDS: Final = 4
 """Rounds of the probe; the quickest counts, since whatever disturbs one makes it longer."""
 
 
