@@ -10,7 +10,7 @@ from typing import Any, Final, get_args
 
 from pydantic import ValidationError
 
-from schemas.config import MOVED, Config
+from schemas.config import MOVED, REMOVED, Config
 from schemas.errors import ConfigError
 
 __all__ = ["config_error", "nearest"]
@@ -91,7 +91,10 @@ def _said(fault: Mapping[str, Any], location: tuple[str | int, ...]) -> tuple[st
     kind, given, context = fault["type"], fault.get("input"), fault.get("ctx", {})
     got = f"got {_shown(given)}"
     if kind == "extra_forbidden":
-        moved = MOVED.get(".".join(map(str, location)))
+        key = ".".join(map(str, location))
+        if key in REMOVED:
+            return f"the key is gone: {REMOVED[key]}", "Remove it."
+        moved = MOVED.get(key)
         if moved is not None:
             return f"the key is called {moved} now", f"Move it to {moved}."
         allowed = _allowed(location[:-1])

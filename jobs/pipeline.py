@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any, Final
 
-from condvln.instructions.counterfactuals import GROUP_SIZE
 from condvln.sources.registry import open_source
 from condvln.sources.source import HashFile, Source
 from factory.pipeline import Pipeline, TableSpec
@@ -13,6 +12,7 @@ from factory.unit import InputFile, Unit
 from jobs.costs import stage_costs
 from jobs.stages import EpisodeStage, PriorsAggregate, ProgramStage, RelationStage, SceneStage, TextStage
 from schemas.config import Config, SourceConfig
+from schemas.config.constants import GROUP_SIZE
 from schemas.errors import ConfigError
 from schemas.tables import SORT_KEYS, TABLES
 

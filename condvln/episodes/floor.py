@@ -4,28 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
 from condvln.episodes.footprint import Footprint
-from condvln.episodes.goals import SINK, SNAP_TOLERANCE
 from condvln.navigation.protocol import PathfinderProtocol
 from condvln.scene import Room, Scene, SceneObject
 from condvln.seeding import generator
+from schemas.config.constants import FLOOR_LEAST_SPACING, FLOOR_LIFT, FLOOR_POINTS, SINK, SNAP_TOLERANCE
 
-__all__ = ["FLOOR_POINTS", "floor_points"]
+__all__ = ["floor_points"]
 
 F64 = NDArray[np.float64]
-
-FLOOR_POINTS: Final = 256
-"""Points a room, about: a share of 0.8 is known to within 0.025."""
-LEAST_SPACING: Final = 0.2
-"""Metres; a closet needs no finer grid."""
-LIFT: Final = 0.05
-"""Metres above the navmesh at which the floor is looked for, so that no rug hides it."""
 
 
 def floor_points(
@@ -52,7 +44,7 @@ def floor_points(
     for _, footprint in obstacles:
         free &= footprint.distance(points) > 0.0
     points = points[free] if free.any() else points
-    return np.asarray(points + np.array([0.0, LIFT, 0.0]), dtype=np.float64)
+    return np.asarray(points + np.array([0.0, FLOOR_LIFT, 0.0]), dtype=np.float64)
 
 
 def _whole_floor(scene: Scene, pathfinder: PathfinderProtocol, islands: Sequence[int]) -> F64:
@@ -72,7 +64,7 @@ def _room_floor(room: Room, polygon: F64, pathfinder: PathfinderProtocol, island
     outline = shapely.Polygon(polygon)
     if not outline.is_valid:
         outline = shapely.make_valid(outline)
-    spacing = max(LEAST_SPACING, math.sqrt(outline.area / FLOOR_POINTS))
+    spacing = max(FLOOR_LEAST_SPACING, math.sqrt(outline.area / FLOOR_POINTS))
     low, high = np.array(outline.bounds[:2]), np.array(outline.bounds[2:])
     # The grid is centred, so that a narrow room has points along its middle.
     axes = []

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from condvln.scene import SceneObject
+from schemas.config.constants import UPRIGHT_COSINE
 
 __all__ = ["Footprint", "Footprints"]
 
 F64 = NDArray[np.float64]
-
-UPRIGHT_COSINE: Final = 0.999
-"""An oriented box counts as upright when one of its axes is this close to vertical (2.6°)."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

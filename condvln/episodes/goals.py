@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,28 +15,21 @@ from condvln.navigation.protocol import PathfinderProtocol
 from condvln.navigation.sight import View, eyes_at
 from condvln.scene import Room, Scene, SceneObject, round_mm
 from schemas.config import GoalsConfig, PlacesConfig
+from schemas.config.constants import (
+    FAR_RING_GAP,
+    FLOOR_STANDING,
+    HANG,
+    LOW_EYE,
+    RING_GAP,
+    RING_SPACING,
+    SINK,
+    SNAP_TOLERANCE,
+    WALL_DETOUR,
+)
 
 __all__ = ["blocked_footprints", "goal_points", "is_standable", "scene_goals", "wide_islands"]
 
 F64 = NDArray[np.float64]
-
-RING_SPACING: Final = 0.2
-"""Metres between neighbouring candidates around an object: a fifth of the smallest success ball's width."""
-RING_GAP: Final = 0.125
-FAR_RING_GAP: Final = 0.2
-"""Most metres between two rings of candidates around a box, near it and beyond."""
-STOREY: Final = 2.2
-"""Metres an object's bottom may hang above the floor it is reached from (a picture, a wall cabinet)."""
-SINK: Final = 0.5
-"""Metres the floor may lie above an object's bottom (voxel height and floor thickness)."""
-WALL_ALLOWANCE: Final = 1.0
-"""Metres of detour around the box allowed between two of its goal points; more means a wall lies between them."""
-SNAP_TOLERANCE: Final = 0.05
-"""Metres a candidate may move sideways when snapped; more and it was not on the floor."""
-LOW_EYE: Final = 0.5
-"""Metres above the floor of a second eye, for what stands under a table."""
-FLOOR_STANDING: Final = 0.5
-"""Objects whose bottom is lower than this above the floor stand in the agent's way."""
 
 
 def wide_islands(pathfinder: PathfinderProtocol, places: PlacesConfig) -> tuple[int, ...]:
@@ -182,9 +174,7 @@ def _standing_places(
     if not len(points):
         return points
     hang = bottom - points[:, 1]
-    keep = (
-        (hang <= STOREY) & (hang >= -SINK) & (box.distance(points) <= reach) & is_standable(pathfinder, points, places)
-    )
+    keep = (hang <= HANG) & (hang >= -SINK) & (box.distance(points) <= reach) & is_standable(pathfinder, points, places)
     if room.annotation != "scene":
         keep &= np.abs(points[:, 1] - room.floor_y) <= SINK
         if room.polygon is not None:
@@ -200,7 +190,7 @@ def _standing_places(
     order = np.lexsort((points[:, 2], points[:, 0], box.distance(points)))
     points = points[order]
     walk = pathfinder.geodesic_distances(points[0], points)
-    same_side = walk <= box.half_perimeter + WALL_ALLOWANCE
+    same_side = walk <= box.half_perimeter + WALL_DETOUR
     return np.asarray(points[same_side], dtype=np.float64)
 
 

@@ -25,6 +25,7 @@ from condvln.navigation.protocol import PathfinderProtocol
 from condvln.navigation.sight import SightTarget, View, eyes_at, in_view
 from condvln.scene import Scene, SceneObject
 from schemas.config import EpisodeConfig, PlacesConfig
+from schemas.config.constants import EYE_SPACING, FIRST_VIEW_DEGREES, PREFIX_SAMPLES, PREFIX_STRAY
 from schemas.episode import Observability
 from schemas.program import Condition, Program
 
@@ -32,15 +33,6 @@ __all__ = ["FIRST_VIEW", "ConditionEvidence", "Observation", "Observer", "common
 
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-
-EYE_SPACING: Final = 0.5
-"""Metres between the places of a path from which is looked: two steps."""
-STRAY: Final = 0.25
-"""Metres, one step: paths are still the same while they are no farther apart."""
-PREFIX_SAMPLES: Final = 0.05
-"""Metres between the places at which paths are compared."""
-FRONT_FOV: Final = 90.0
-"""Degrees, both ways, of the camera of VLN-CE's R2R task."""
 FIRST_VIEW: Final = "O0f"
 """How a cell asks for O0 within the first view."""
 LEVELS: Final[tuple[Observability, ...]] = ("O0", "O1", "O2")
@@ -104,7 +96,7 @@ class Observer:
         self._places, self._rules = places, rules
         self._obstacles, self._islands = obstacles, wide_islands(pathfinder, places)
         self._around = View(range=places.sight_range)
-        self._front = View(range=places.sight_range, horizontal_fov=FRONT_FOV, vertical_fov=FRONT_FOV)
+        self._front = View(range=places.sight_range, horizontal_fov=FIRST_VIEW_DEGREES, vertical_fov=FIRST_VIEW_DEGREES)
         self._targets: dict[_Target, SightTarget | None] = {}
         self._seen: dict[tuple[_Target, bytes], Bools] = {}
 
@@ -217,7 +209,7 @@ def common_prefix(paths: Sequence[F64]) -> F64:
             for path, length in zip(paths, lengths, strict=True)
         ]
     )
-    apart = np.linalg.norm(walked[:, None] - walked[None], axis=-1).max(axis=(0, 1)) > STRAY
+    apart = np.linalg.norm(walked[:, None] - walked[None], axis=-1).max(axis=(0, 1)) > PREFIX_STRAY
     shared = int(np.argmax(apart)) if apart.any() else len(at)
     end = at[max(shared - 1, 0)]
     inner = (lengths[0] > 0.0) & (lengths[0] < end)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,13 +12,11 @@ from scipy.spatial import cKDTree
 
 from condvln.navigation.protocol import PathfinderProtocol
 from condvln.scene import round_mm
+from schemas.config.constants import SNAP_AT_MOST
 
 __all__ = ["GoalField", "Route", "clearance"]
 
 F64 = NDArray[np.float64]
-
-SNAP_AT_MOST: Final = 0.08
-"""Metres that snapping may move a goal point: ``goals.SNAP_TOLERANCE`` sideways and the same in height."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

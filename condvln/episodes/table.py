@@ -15,9 +15,9 @@ from condvln.episodes.candidates import cell_name
 from condvln.episodes.observability import Observation
 from condvln.episodes.placing import PlacedLeaf, heading_degrees, yaw_quaternion
 from condvln.episodes.pool import Pool, PooledEpisode
-from condvln.instructions.counterfactuals import GROUP_SIZE
 from condvln.scene import round_mm
 from schemas.config import InstructionCell
+from schemas.config.constants import GROUP_SIZE
 from schemas.tables import EPISODES, FUNNEL, REJECTIONS, VEC3
 
 __all__ = [

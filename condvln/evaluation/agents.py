@@ -14,10 +14,11 @@ import numpy as np
 from condvln.evaluation.predictions import Prediction
 from condvln.evaluation.task import Task
 from condvln.evaluation.walker import heading_of
-from condvln.export.densify import PATH_SPACING, densify
+from condvln.export.densify import densify
 from condvln.navigation.follower import VLN_CE, Follower
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.seeding import generator
+from schemas.config.constants import PATH_SPACING
 from schemas.errors import UsageError
 
 __all__ = ["AGENTS", "Agent", "agent_named", "predict_all", "walk_to_leaf"]

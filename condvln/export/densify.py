@@ -11,10 +11,9 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["PATH_SPACING", "densify", "densify_many"]
+from schemas.config.constants import PATH_SPACING
 
-PATH_SPACING: Final = 0.25
-"""Metres between points of a dense path at most: VLN-CE's forward step."""
+__all__ = ["densify", "densify_many"]
 
 # Slack in units of the spacing, so that a segment of 2.5000000001 m is ten steps and not eleven.
 _SLACK: Final = 1e-6

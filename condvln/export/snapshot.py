@@ -124,7 +124,7 @@ def _write_export(
     report.scenes = {split: [] for split in SPLITS}
     published, before = _formerly(out, exported_snapshot(out), tables.id, former, config)
     splits = config.splits
-    layout = Layout(dict(config.scene_patterns), config.token_length, splits.path_spacing, splits.sharded, tables.id)
+    layout = Layout(dict(config.scene_patterns), config.token_length, splits.sharded, tables.id)
     writer = ExportWriter(new, layout, vocabulary, scenes, report, oracle_texts=oracle_texts, graphs=graphs)
     with writer.open():
         _write_rows(tables, splits_of, writer, report, progress)

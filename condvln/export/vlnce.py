@@ -15,10 +15,11 @@ from typing import Any, Final
 
 import orjson
 
-from condvln.export.densify import PATH_SPACING, densify
+from condvln.export.densify import densify
 from condvln.export.rows import Row
 from condvln.export.streams import JsonArrayStream, atomic_stream
 from condvln.export.tokens import Vocabulary
+from schemas.config.constants import PATH_SPACING
 from schemas.program import SHAPES
 
 __all__ = [
@@ -102,15 +103,15 @@ def _info(row: Row, leaf: Row) -> dict[str, Any]:
     }
 
 
-def ground_truth(row: Row, spacing: float = PATH_SPACING) -> dict[str, Any]:
+def ground_truth(row: Row) -> dict[str, Any]:
     """Dense locations of the gold leaf, and the actions with them where the row has both.
 
     ``locations`` of the row (what the follower went through, one more than its forward steps) come first; without
-    them the reference path, cut to ``spacing`` metres and rounded to 1 mm, stands in, and the actions are still
+    them the reference path, cut to `PATH_SPACING` and rounded to 1 mm, stands in, and the actions are still
     those of the row.
     """
     walked = row.get("locations")
-    locations = walked if walked else densify(gold(row)["reference_path"], spacing).round(3).tolist()
+    locations = walked if walked else densify(gold(row)["reference_path"], PATH_SPACING).round(3).tolist()
     truth: dict[str, Any] = {"locations": locations}
     actions = row.get("actions")
     if actions:

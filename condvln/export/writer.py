@@ -44,7 +44,6 @@ class Layout:
 
     scene_patterns: dict[str, str]
     token_length: int
-    path_spacing: float
     sharded: bool
     snapshot: str
 
@@ -187,7 +186,7 @@ class ExportWriter:
             linear = oracle_text_of(self._oracle_texts, row, instruction)
             twin = oracle_episode(stock, linear, self._vocabulary.padded(linear, length))
             documents["oracle"].add(encode(twin))
-        truth = encode(ground_truth(row, self._layout.path_spacing))
+        truth = encode(ground_truth(row))
         files.truth.add(encode(row["episode_id"]) + b":" + truth)
         navmesh, _ = self._scenes.navmesh_path(source, row["scene_id"])
         names = {"source": source, "split": files.name, "navmesh": navmesh, "snapshot": self._layout.snapshot}

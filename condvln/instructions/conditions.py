@@ -16,10 +16,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.instructions.priors import EVIDENCE, PriorBits
+from condvln.instructions.priors import PriorBits
 from condvln.instructions.referents import Referents
 from condvln.instructions.statements import StatementTruths, statement_truths
 from condvln.labels import Vocabulary
+from schemas.config.constants import EVIDENCE
 from schemas.program import Predicate
 
 __all__ = ["ConditionPool", "Question", "RelationPool", "balanced_weights", "informative_weights"]

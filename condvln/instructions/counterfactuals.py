@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
-from typing import Final
 
 from condvln.instructions.asking import Asker
 from condvln.instructions.degeneracy import degeneracies
@@ -17,9 +16,7 @@ from condvln.instructions.ids import ID_LENGTH, program_key
 from condvln.labels import Vocabulary
 from schemas.program import Condition, Program
 
-__all__ = ["GROUP_SIZE", "Group", "counterfactual_group", "flipped", "group_id", "swapped"]
-
-GROUP_SIZE: Final = 4
+__all__ = ["Group", "counterfactual_group", "flipped", "group_id", "swapped"]
 
 Group = tuple[Program, Program, Program, Program]
 """The program; its condition flipped; its leaves exchanged; both."""

@@ -28,6 +28,7 @@ from condvln.scene import Room, RoomArrays, Scene, SceneObject
 from condvln.scene.layouts import layout_of
 from schemas.canonical import JSON
 from schemas.config import Thresholds
+from schemas.config.constants import EVIDENCE, RATE_STEPS, STAGINGS
 
 __all__ = ["PRIORS", "LabelPriors", "PriorBits", "Statement"]
 
@@ -52,18 +53,8 @@ A row with an empty label counts the rooms of a type. One with an empty predicat
 rooms of which it can be claimed: another room of the same scene has it, and no word for it fits anything here.
 """
 
-RATE_STEPS: Final = 64
-"""Rates of truth enter a scene's key in steps of 1/64."""
-
 MERGE_ROWS: Final = 200_000
 """Rows gathered before they are summed up: bounds memory without summing for every scene."""
-
-EVIDENCE: Final = 8
-"""Rooms in which a statement must have been seen before one that never varied is held to be foretold by its words."""
-
-STAGINGS: Final = 3
-"""The same where they are stagings of one layout, near copies in which little varies; with fewer of them a layout's
-counts don't stand for themselves."""
 
 _KEYS: Final = ("layout", "room_type", "label", "predicate", "anchor")
 

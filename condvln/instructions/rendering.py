@@ -9,6 +9,7 @@ from condvln.instructions.draws import Draws
 from condvln.instructions.language import Language, Slot, language
 from condvln.instructions.predicates import COMPASS
 from condvln.seeding import generator, stable_hash
+from schemas.config.constants import HEADING_TOLERANCE
 from schemas.errors import UsageError
 from schemas.program import Condition, Leaf, ObjectRef, Program, Qualifier, RoomRef
 
@@ -25,9 +26,6 @@ __all__ = [
 
 HEADINGS: Final = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 """Names of the headings 0°, 45°, … clockwise from north."""
-
-HEADING_TOLERANCE: Final = 0.5
-"""Degrees that a heading may be off its name; stored quaternions round to much less."""
 
 SCOPE_SHARE: Final = 0.8
 """Share of texts in one named room that say so once, at the start, rather than at every noun."""

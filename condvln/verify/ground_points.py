@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 import shapely
@@ -19,18 +18,12 @@ from numpy.typing import NDArray
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Room, Scene
 from condvln.seeding import generator
-from condvln.verify.standing import SIDEWAYS, SINK, Ground
+from condvln.verify.standing import Ground
+from schemas.config.constants import FLOOR_LEAST_SPACING, FLOOR_LIFT, FLOOR_POINTS, SINK, SNAP_TOLERANCE
 
 __all__ = ["ground_points"]
 
 F64 = NDArray[np.float64]
-
-POINTS: Final = 256
-"""Points of a room's grid, were its outline a square."""
-CLOSEST: Final = 0.2
-"""Metres between two points of the grid at least."""
-RAISED: Final = 0.05
-"""Metres above the navmesh at which a point is looked for."""
 
 
 def ground_points(
@@ -55,7 +48,7 @@ def ground_points(
         blocked |= ground.distances(points) <= 0.0
     if not blocked.all():
         points = points[~blocked]
-    raised: F64 = points + np.array([0.0, RAISED, 0.0])
+    raised: F64 = points + np.array([0.0, FLOOR_LIFT, 0.0])
     return raised
 
 
@@ -65,7 +58,7 @@ def _drawn(scene_id: str, pathfinder: Pathfinder, islands: Sequence[int]) -> F64
     rng = generator(0, scene_id, "floor")
     places = [np.empty((0, 3))]
     for island, area in zip(islands, areas, strict=True):
-        count = math.ceil(2 * POINTS * area / sum(areas))
+        count = math.ceil(2 * FLOOR_POINTS * area / sum(areas))
         places.append(np.asarray(pathfinder.get_random_navigable_points(count, rng, island), dtype=np.float64))
     points = np.concatenate(places)
     return points[~np.isnan(points).any(axis=1)]
@@ -74,7 +67,7 @@ def _drawn(scene_id: str, pathfinder: Pathfinder, islands: Sequence[int]) -> F64
 def _grid(polygon: F64, height: float, pathfinder: Pathfinder, islands: Sequence[int]) -> F64:
     """The points of a grid about an outline's middle that lie in it and can be stood at; all of them if none can."""
     outline = shapely.make_valid(shapely.Polygon(polygon))
-    apart = max(CLOSEST, math.sqrt(outline.area / POINTS))
+    apart = max(FLOOR_LEAST_SPACING, math.sqrt(outline.area / FLOOR_POINTS))
     west, north, east, south = outline.bounds
     x, z = np.meshgrid(_line(west, east, apart), _line(north, south, apart), indexing="ij")
     within = shapely.contains_xy(outline, x, z)
@@ -83,7 +76,7 @@ def _grid(polygon: F64, height: float, pathfinder: Pathfinder, islands: Sequence
         return points
     floor = np.asarray(pathfinder.snap_points(points), dtype=np.float64)
     moved = floor - points
-    stood = (np.hypot(moved[:, 0], moved[:, 2]) <= SIDEWAYS) & (np.abs(moved[:, 1]) <= SINK)
+    stood = (np.hypot(moved[:, 0], moved[:, 2]) <= SNAP_TOLERANCE) & (np.abs(moved[:, 1]) <= SINK)
     stood &= np.isin(pathfinder.get_islands(points), islands)
     return floor[stood] if stood.any() else points
 

@@ -11,13 +11,11 @@ from condvln.verify.program import leaf_of
 from condvln.verify.reading import Moves, Named, Phrase, Reading, Unreadable, read
 from condvln.verify.referents import Answer, Problem, Referent, Referents
 from condvln.verify.rules import Rules
+from schemas.config.constants import HEADING_TOLERANCE
 from schemas.evaluation import ManifestEpisode
 from schemas.program import Condition, ObjectRef, Program
 
 __all__ = ["check_meaning"]
-
-HEADING_TOLERANCE = 0.5
-"""Degrees that a start may be off the direction that its text names."""
 
 
 def check_meaning(row: ManifestEpisode, referents: Referents, rules: Rules, certificate: Certificate) -> None:

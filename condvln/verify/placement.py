@@ -21,6 +21,7 @@ from condvln.verify.kernels.separation import clearances, near_goals
 from condvln.verify.rules import Rules
 from condvln.verify.standing import Obstacles, Reach
 from condvln.verify.walks import Point, Walks
+from schemas.config.constants import GROUP_SIZE, SNAP_TOLERANCE, WALL_DETOUR
 from schemas.episode import EpisodeLeaf
 from schemas.evaluation import ManifestEpisode
 
@@ -28,15 +29,9 @@ __all__ = ["check_placement"]
 
 MILLIMETRE: Final = 0.001
 """How far re-derived lengths and corners may be from the published ones."""
-GROUP_SIZE: Final = 4
-"""Episodes of a counterfactual group: two truths of a condition, two orders of leaves."""
 ROUNDING: Final = 1e-6
 """Metres by which a distance may fall short of a bound that it was held to in other arithmetic."""
-ON_FLOOR: Final = 0.05
-"""Metres that snapping may move a point that stands on the floor."""
 LEAF_NAMES: Final = tuple(f"leaf {k}" for k in range(8))
-DETOUR: Final = 1.0
-"""Metres that the way between two goals of one object may be longer than half way round it; more means a wall."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -146,7 +141,7 @@ class _Checker:
     def note(self, rows: Sequence[ManifestEpisode], lines: _Lines) -> list[_Placed]:
         """Note every question about all rows."""
         away = lines.clearances()
-        near = iter(lines.near_goals(self.separation + 2 * math.sqrt(2) * ON_FLOOR))
+        near = iter(lines.near_goals(self.separation + 2 * math.sqrt(2) * SNAP_TOLERANCE))
         pair = next(near, None)
         placed = []
         first, first_goal = 0, 0
@@ -194,7 +189,7 @@ class _Checker:
         """Note which of the points lie off the floor, and which in what stands on it."""
         blocked = obstacles.holding(self.walks.points)
         self._inside = {p: name for p, name in enumerate(blocked) if name is not None}
-        self._astray = set(np.flatnonzero(~(self.walks.moved <= ON_FLOOR)).tolist())
+        self._astray = set(np.flatnonzero(~(self.walks.moved <= SNAP_TOLERANCE)).tolist())
 
     # -- what comes out ------------------------------------------------------------------------------------------------
 
@@ -236,7 +231,7 @@ class _Checker:
         around = self.reach.half_round(leaf.object_id)
         if around is not None:
             walk = min(max(self.walks.metres(ways)) for ways in placed.around)
-            certificate.holds("goal_side", walk <= around + DETOUR + ROUNDING, around + DETOUR, walk, name)
+            certificate.holds("goal_side", walk <= around + WALL_DETOUR + ROUNDING, around + WALL_DETOUR, walk, name)
         most = self.goals.points
         certificate.holds("goal_side", len(leaf.goals) <= most, most, len(leaf.goals), name)
 

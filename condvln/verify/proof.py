@@ -123,7 +123,7 @@ def prove_scene(
     manifests = [row.manifest for row in rows]
     check_placement(manifests, certificates, scene, follower, obstacles, rules)
     for row, certificate in zip(rows, certificates, strict=True):
-        check_truth(row.manifest, row.truth, follower, rules.path_spacing, certificate)
+        check_truth(row.manifest, row.truth, follower, certificate)
     if any(row.observability is not None for row in manifests):
         sight = sight_of(scene, surfaces, referents, navmesh.pathfinder, obstacles, rules)
         check_observability(manifests, certificates, sight, referents, rules.places.eye_height)

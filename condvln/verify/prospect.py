@@ -1,7 +1,8 @@
 """Places that an episode is looked around from: on the way that all its leaves have in common.
 
 Ways are one as long as, at equal lengths walked, no two of them are more than a step apart. That is asked every
-`MARKS` metres, and the agent looks around at the start and at equal distances of at most `LOOKS` metres after it.
+`PREFIX_SAMPLES` metres, and the agent looks around at the start and at equal distances of at most `EYE_SPACING` metres
+after it.
 """
 
 from __future__ import annotations
@@ -14,16 +15,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LOOKS", "MARKS", "STEP", "shared_length", "stands"]
+from schemas.config.constants import EYE_SPACING, PREFIX_SAMPLES, PREFIX_STRAY
+
+__all__ = ["shared_length", "stands"]
 
 F64 = NDArray[np.float64]
-
-STEP: Final = 0.25
-"""Metres that ways may be apart and still be one."""
-MARKS: Final = 0.05
-"""Metres between the places at which ways are compared."""
-LOOKS: Final = 0.5
-"""Metres between two places of which the agent looks around, at most."""
 EVEN: Final = 1e-6
 """Parts of a distance: a way of 1.5000000001 m has three of 0.5 m, or four, as the sum of its sides is rounded."""
 
@@ -31,11 +27,12 @@ EVEN: Final = 1e-6
 def stands(paths: Sequence[F64]) -> list[F64]:
     """Where the agent looks around before its ways part, (n, 3), the start first.
 
-    A way whose length is a whole number of `LOOKS` but for rounding may be cut in either number of parts: two answers.
+    A way whose length is a whole number of `EYE_SPACING` but for rounding may be cut in either number of parts: two
+    answers.
     """
     walked = [_walked(path) for path in paths]
     end = _shared(paths, walked)
-    parts = end / LOOKS
+    parts = end / EYE_SPACING
     counts = {max(1, math.ceil(parts - EVEN)), max(1, math.ceil(parts + EVEN))}
     return [_at(paths[0], walked[0], np.linspace(0.0, end, count + 1)) for count in sorted(counts)]
 
@@ -47,13 +44,13 @@ def shared_length(paths: Sequence[F64]) -> float:
 
 def _shared(paths: Sequence[F64], walked: Sequence[F64]) -> float:
     shortest = min(float(lengths[-1]) for lengths in walked)
-    marks = np.append(np.arange(0.0, shortest, MARKS), shortest)
+    marks = np.append(np.arange(0.0, shortest, PREFIX_SAMPLES), shortest)
     places = [_at(path, lengths, marks) for path, lengths in zip(paths, walked, strict=True)]
     apart = np.zeros(len(marks))
     for first, second in combinations(places, 2):
         away = first - second
         apart = np.maximum(apart, np.einsum("ij,ij->i", away, away))
-    beyond = np.flatnonzero(np.sqrt(apart) > STEP)
+    beyond = np.flatnonzero(np.sqrt(apart) > PREFIX_STRAY)
     together = int(beyond[0]) if len(beyond) else len(marks)
     return float(marks[max(together - 1, 0)])
 

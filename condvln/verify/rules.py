@@ -10,7 +10,6 @@ from schemas.config import (
     EpisodeConfig,
     GoalsConfig,
     PlacesConfig,
-    SplitsConfig,
     TextConfig,
     Thresholds,
 )
@@ -28,12 +27,6 @@ class Rules:
     episodes: EpisodeConfig = field(default_factory=EpisodeConfig)
     text: TextConfig = field(default_factory=TextConfig)
     agent: AgentConfig = field(default_factory=AgentConfig)
-    splits: SplitsConfig = field(default_factory=SplitsConfig)
-
-    @property
-    def path_spacing(self) -> float:
-        """Metres between two ground-truth locations at most."""
-        return self.splits.path_spacing
 
     @classmethod
     def of(cls, config: Config) -> Rules:
@@ -45,5 +38,4 @@ class Rules:
             config.episodes,
             config.text,
             config.agent,
-            config.splits,
         )

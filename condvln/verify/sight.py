@@ -24,6 +24,7 @@ from condvln.navigation.surface_samples import box_samples, mesh_samples
 from condvln.scene import Scene, SceneObject
 from condvln.scene.geometry import STRUCTURE, SceneGeometry
 from schemas.config import EpisodeConfig, PlacesConfig
+from schemas.config.constants import FIRST_VIEW_DEGREES
 
 __all__ = ["Sight", "Sought", "evenly", "much"]
 
@@ -34,8 +35,6 @@ OWN_POINTS: Final = 64
 """Points of this package's own on a surface, as many as are published by."""
 ODDS: Final = 1e-6
 """Of two fair sets of points coming out as far apart as is taken for a contradiction."""
-FIRST_VIEW: Final = 90.0
-"""Degrees that an agent sees without turning, both ways: the camera of VLN-CE's R2R task."""
 EYES_AT_ONCE: Final = 512
 """Eyes that are measured against one thing's points at once."""
 RAYS_AT_ONCE: Final = 1 << 17
@@ -112,7 +111,7 @@ class Sight:
     ) -> None:
         self._scene, self._floor, self._rules = scene, floor, rules
         self._around = View(range=places.sight_range)
-        self._ahead = View(range=places.sight_range, horizontal_fov=FIRST_VIEW, vertical_fov=FIRST_VIEW)
+        self._ahead = View(range=places.sight_range, horizontal_fov=FIRST_VIEW_DEGREES, vertical_fov=FIRST_VIEW_DEGREES)
         known = None if geometry is None or not len(geometry.faces) else geometry
         self.approximate = known is None or known.approximate
         self._geometry = None if self.approximate else known

@@ -12,23 +12,13 @@ from numpy.typing import NDArray
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Room, Scene, SceneObject
 from condvln.verify.walks import Point
+from schemas.config.constants import FLOOR_STANDING, HANG, SINK, SNAP_TOLERANCE, UPRIGHT_COSINE
 
-__all__ = ["HANG", "SINK", "Ground", "Obstacles", "Reach"]
+__all__ = ["Ground", "Obstacles", "Reach"]
 
 F64 = NDArray[np.float64]
 
 _GROUND: Final = np.array([0, 2])
-
-UPRIGHT: Final = 0.999
-"""Cosine of the tilt up to which an oriented box counts as upright; more tilted ones go by their axis-aligned box."""
-HANG: Final = 2.2
-"""Metres that an object's bottom may be above the floor it is reached from: a picture, a wall cabinet."""
-SINK: Final = 0.5
-"""Metres that the floor may be above an object's bottom, or off the floor of its room."""
-FLOOR_STANDING: Final = 0.5
-"""Objects whose bottom is lower than this above the floor stand in the agent's way."""
-SIDEWAYS: Final = 0.05
-"""Metres that a point may move sideways when it is snapped, and still have been on the floor."""
 TOUCHING: Final = 0.001
 """Metres by which a path may cut into a footprint: positions are rounded to as much."""
 
@@ -42,7 +32,7 @@ class Ground:
         self.centre: F64 = item.center[[0, 2]]
         self._half: F64 = np.zeros(2)
         self._axes: F64 = np.eye(2)
-        if item.obb is not None and np.abs(item.obb.rotation[1]).max() >= UPRIGHT:
+        if item.obb is not None and np.abs(item.obb.rotation[1]).max() >= UPRIGHT_COSINE:
             flat = np.flatnonzero(np.arange(3) != np.abs(item.obb.rotation[1]).argmax())
             axes = item.obb.rotation[np.ix_(_GROUND, flat)]
             self.centre = item.obb.center[[0, 2]]
@@ -127,7 +117,7 @@ class Obstacles:
         below = np.array([[g.centre[0], g.bottom, g.centre[1]] for g in grounds]).reshape(-1, 3)
         floor = np.asarray(pathfinder.snap_points(below), dtype=np.float64)
         # Furniture that was built in has a hole, or its own top, under its centre.
-        open_below = (np.linalg.norm((floor - below)[:, [0, 2]], axis=1) <= SIDEWAYS) & (
+        open_below = (np.linalg.norm((floor - below)[:, [0, 2]], axis=1) <= SNAP_TOLERANCE) & (
             np.abs(floor[:, 1] - below[:, 1]) < SINK
         )
         chosen = []

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from condvln.navigation.follower import FORWARD, STOP, Follower
 from condvln.verify.certificate import Certificate
 from condvln.verify.heading import yaw_of
+from schemas.config.constants import PATH_SPACING
 from schemas.evaluation import ManifestEpisode
 
 __all__ = ["check_truth"]
@@ -24,12 +25,9 @@ SLACK: Final = 1e-6
 
 
 def check_truth(
-    row: ManifestEpisode, truth: Mapping[str, Any] | None, follower: Follower, spacing: float, certificate: Certificate
+    row: ManifestEpisode, truth: Mapping[str, Any] | None, follower: Follower, certificate: Certificate
 ) -> None:
-    """The ground-truth entry of a row.
-
-    spacing : metres between two locations at most, where nobody walked them
-    """
+    """The ground-truth entry of a row."""
     try:
         assert truth is not None
         locations = np.array(truth["locations"], dtype=np.float64).reshape(-1, 3)
@@ -42,7 +40,7 @@ def check_truth(
     if not 0 <= row.gold_leaf < len(row.leaves):
         return
     if taken is None:
-        along = _cut(np.array(row.leaves[row.gold_leaf].reference_path), spacing)
+        along = _cut(np.array(row.leaves[row.gold_leaf].reference_path), PATH_SPACING)
     else:
         along = _walked(row, taken, follower)
         _check_actions(row, taken, along, certificate)

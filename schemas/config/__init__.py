@@ -14,11 +14,22 @@ from schemas.config.instructions import (
     TextConfig,
 )
 from schemas.config.relations import SECTOR_HALF_WIDTH, Thresholds
-from schemas.config.run import MOVED, Config, Family, KeepConfig, LimitsConfig, RayConfig, SourceConfig, SplitsConfig
+from schemas.config.run import (
+    MOVED,
+    REMOVED,
+    Config,
+    Family,
+    KeepConfig,
+    LimitsConfig,
+    RayConfig,
+    SourceConfig,
+    SplitsConfig,
+)
 from schemas.config.section import Section
 
 __all__ = [
     "MOVED",
+    "REMOVED",
     "SECTOR_HALF_WIDTH",
     "AgentConfig",
     "CompositionWeights",

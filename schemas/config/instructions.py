@@ -36,7 +36,7 @@ PRESENCE_MARGIN: Final = 0.75
 class InstructionCell(Section):
     """A cell of the axes, and how many episodes of it are wanted a scene; what is not given may be anything."""
 
-    category: Category
+    category: Category = Field(description="shape of the program")
     composition: Composition | None = Field(None, description="rooms that the program spans")
     observability: Literal["O0f", "O0", "O1", "O2"] | None = Field(
         None, description="from where the evidence is seen; O0f: O0 within the first view"

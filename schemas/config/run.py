@@ -14,9 +14,19 @@ from pydantic import Field, model_validator
 from schemas.config.episodes import AgentConfig, EpisodeConfig, GoalsConfig, PlacesConfig
 from schemas.config.instructions import InstructionsConfig, SamplingConfig, TextConfig
 from schemas.config.relations import Thresholds
-from schemas.config.section import Hours, Metres, Seconds, Section, Share
+from schemas.config.section import Hours, Seconds, Section, Share
 
-__all__ = ["MOVED", "Config", "Family", "KeepConfig", "LimitsConfig", "RayConfig", "SourceConfig", "SplitsConfig"]
+__all__ = [
+    "MOVED",
+    "REMOVED",
+    "Config",
+    "Family",
+    "KeepConfig",
+    "LimitsConfig",
+    "RayConfig",
+    "SourceConfig",
+    "SplitsConfig",
+]
 
 Family = Literal["replicacad", "procthor", "ithor", "robothor", "mp3d", "gibson"]
 
@@ -31,7 +41,6 @@ MOVED: Final = {
     "episodes.goal_reach": "goals.reach",
     "episodes.goal_reach_at_most": "goals.reach_at_most",
     "episodes.goal_points": "goals.points",
-    "episodes.path_spacing": "splits.path_spacing",
     "episodes.steps_per_word": "text.steps_per_word",
     "instructions.preamble": "text.preamble",
     "instructions.candidates_per_episode": "sampling.candidates_per_episode",
@@ -42,11 +51,16 @@ MOVED: Final = {
 }
 """Keys of earlier releases, and what they are called now."""
 
+REMOVED: Final = {
+    "episodes.path_spacing": "the locations of the ground truth are those that the follower walked through",
+}
+"""Keys of earlier releases that are gone, and why."""
+
 
 class SourceConfig(Section):
     """One dataset on disk."""
 
-    family: Family
+    family: Family = Field(description="dataset family")
     root: Path = Field(description="folder of the dataset")
     scenes: tuple[str, ...] = Field(("*",), min_length=1, description="scene ids or patterns with * and ?")
     exclude: tuple[str, ...] = Field((), description="scene ids or patterns left out")
@@ -72,15 +86,12 @@ class SourceConfig(Section):
 class SplitsConfig(Section):
     """How the pool becomes splits; families with official lists keep to them."""
 
-    seed: int = 0
+    seed: int = Field(0, description="which episodes are chosen where there are more than wanted")
     per_cell: int | None = Field(
         None, ge=1, description="episodes wanted per split × category × gold leaf; none = all that balance"
     )
     scenes: dict[Literal["train", "val_unseen", "test"], tuple[str, ...]] = Field(
         default_factory=dict, description="patterns <family>/<scene> with * and ?, before official lists and hashes"
-    )
-    path_spacing: Metres = Field(
-        0.25, ge=0.001, description="most metres between two locations of the dense reference path"
     )
     sharded: bool = Field(
         False, description="one file a scene, <split>/content/<scene>.json.gz, as Habitat's own datasets have them"
@@ -159,12 +170,12 @@ class Config(Section):
     name: Annotated[
         str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=100, description="name of the published ref")
     ]
-    seed: int = 0
+    seed: int = Field(0, description="seed of every draw")
     store: Path | str = Field(
         description="units, snapshots and refs: a folder, or s3://bucket/prefix[?endpoint=…&region=…]"
     )
     export: Path | None = Field(None, description="folder of the VLN-CE splits")
-    sources: tuple[SourceConfig, ...] = Field(min_length=1)
+    sources: tuple[SourceConfig, ...] = Field(min_length=1, description="the datasets")
     agent: AgentConfig = Field(default_factory=AgentConfig)
     thresholds: Thresholds = Field(default_factory=Thresholds)
     places: PlacesConfig = Field(default_factory=PlacesConfig)

@@ -12,9 +12,9 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
-from condvln.episodes.floor import FLOOR_POINTS, LIFT, floor_points
+from condvln.episodes.floor import floor_points
 from condvln.episodes.footprint import Footprint
-from condvln.episodes.observability import STRAY, Observation, Observer, common_prefix
+from condvln.episodes.observability import Observation, Observer, common_prefix
 from condvln.episodes.placing import Prospect
 from condvln.episodes.view import SceneView
 from condvln.navigation.pathfinder import Pathfinder
@@ -25,6 +25,7 @@ from condvln.scene.geometry import STRUCTURE, SceneGeometry
 from condvln.sources.registry import open_source
 from condvln.sources.source import Source
 from schemas.config import AgentConfig, EpisodeConfig, PlacesConfig
+from schemas.config.constants import FLOOR_LIFT, FLOOR_POINTS, PREFIX_STRAY
 from schemas.program import SHAPES, Condition, Leaf, ObjectRef, Program, Qualifier, RoomRef
 from tests.condvln.episodes.floors import box, box_triangles, grid_floor, inside, surfaces_of
 
@@ -215,9 +216,9 @@ def test_each_is_judged_as_if_alone() -> None:
 
 def test_what_ways_have_in_common() -> None:
     fork = common_prefix([np.array([[0, 0, 0], [2, 0, 0], [2, 0, 3.0]]), np.array([[0, 0, 0], [2, 0, 0], [5, 0, 0.0]])])
-    # At a right angle they are a step apart STRAY / √2 beyond the fork.
+    # At a right angle they are a step apart PREFIX_STRAY / √2 beyond the fork.
     np.testing.assert_allclose(fork[:2], [[0, 0, 0], [2, 0, 0]])
-    assert 0 < fork[-1, 2] <= STRAY / math.sqrt(2) < fork[-1, 2] + 0.06
+    assert 0 < fork[-1, 2] <= PREFIX_STRAY / math.sqrt(2) < fork[-1, 2] + 0.06
     same = np.array([[0, 0, 0], [2, 0, 0], [2, 0, 3.0]])
     np.testing.assert_allclose(common_prefix([same, same, same]), same)
 
@@ -239,10 +240,10 @@ def test_nowhere_on_the_prefix_are_two_ways_a_step_apart(tails) -> None:
     # Between the places compared both ways go on by at most 0.05 m each.
     for s in np.linspace(0, end, 40):
         gaps = [np.linalg.norm(at(0, s) - at(k, s)) for k in range(len(paths))]
-        assert max(gaps) <= STRAY + 0.1 + 1e-9
+        assert max(gaps) <= PREFIX_STRAY + 0.1 + 1e-9
     if end < min(length[-1] for length in lengths) - 0.051:
         beyond = [at(k, end + 0.05) for k in range(len(paths))]
-        assert max(np.linalg.norm(a - b) for a in beyond for b in beyond) > STRAY - 1e-6
+        assert max(np.linalg.norm(a - b) for a in beyond for b in beyond) > PREFIX_STRAY - 1e-6
 
 
 def test_floor_points_cover_the_free_floor_of_a_room() -> None:
@@ -251,7 +252,7 @@ def test_floor_points_cover_the_free_floor_of_a_room() -> None:
     for room in scene.rooms:
         points = floor_points(scene, room, pathfinder, (0,))
         assert 0.75 * FLOOR_POINTS <= len(points) <= 1.1 * FLOOR_POINTS
-        np.testing.assert_allclose(points[:, 1], LIFT)
+        np.testing.assert_allclose(points[:, 1], FLOOR_LIFT)
         low, high = room.polygon.min(axis=0), room.polygon.max(axis=0)
         assert ((points[:, [0, 2]] > low) & (points[:, [0, 2]] < high)).all()
         assert not any(inside(o, x, z, -0.06) for o in scene.objects for x, _, z in points)

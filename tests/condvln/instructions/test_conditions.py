@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 
 from condvln.instructions import LabelPriors
 from condvln.instructions.conditions import ConditionPool, Question, balanced_weights, informative_weights
-from condvln.instructions.priors import EVIDENCE, STAGINGS, PriorBits
+from condvln.instructions.priors import PriorBits
 from condvln.instructions.referents import Referents
 from condvln.labels import vocabulary
 from schemas.config import Thresholds
+from schemas.config.constants import EVIDENCE, STAGINGS
 
 NO_BITS = PriorBits({}, {}, {})
 

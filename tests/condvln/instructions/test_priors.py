@@ -10,11 +10,12 @@ import pyarrow.compute as pc
 import pytest
 
 from condvln.instructions import LabelPriors
-from condvln.instructions.priors import EVIDENCE, PRIORS, STAGINGS
+from condvln.instructions.priors import PRIORS
 from condvln.labels import vocabulary
 from condvln.scene import Scene
 from condvln.scene.tables import scene_tables
 from schemas.config import SamplingConfig, Thresholds
+from schemas.config.constants import EVIDENCE, STAGINGS
 
 
 def counted(scene: Scene) -> LabelPriors:

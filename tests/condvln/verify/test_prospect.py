@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from condvln.episodes.observability import EYE_SPACING, STRAY, common_prefix
-from condvln.verify.prospect import LOOKS, MARKS, STEP, shared_length, stands
+from condvln.episodes.observability import common_prefix
+from condvln.verify.prospect import shared_length, stands
+from schemas.config.constants import EYE_SPACING, PREFIX_SAMPLES
 
 
 def way(*corners: tuple[float, float]) -> np.ndarray:
@@ -48,12 +49,11 @@ corner = st.tuples(st.floats(-5, 5), st.floats(-5, 5)).map(lambda at: (round(at[
 @settings(max_examples=200)
 @given(st.lists(st.lists(corner, min_size=1, max_size=4), min_size=2, max_size=4), st.lists(corner, max_size=2))
 def test_the_places_are_the_factory_s(tails, shared) -> None:
-    assert (STRAY, EYE_SPACING) == (STEP, LOOKS)
     ways = [way((0, 0), *shared, *tail) for tail in tails]
     prefix = common_prefix(ways)
     answers = stands(ways)
     sides = np.linalg.norm(np.diff(prefix, axis=0), axis=1)
-    assert sides.sum() == pytest.approx(shared_length(ways), abs=MARKS / 1e6)
+    assert sides.sum() == pytest.approx(shared_length(ways), abs=PREFIX_SAMPLES / 1e6)
     walked = np.concatenate([[0.0], np.cumsum(sides)])
     count = max(1, int(np.ceil(walked[-1] / EYE_SPACING)))
     at = np.linspace(0.0, walked[-1], count + 1)

@@ -1,0 +1,213 @@
+"""``docs/configuration.md``: every key of the configuration, written from its models and from what the stages read.
+
+``python -m jobs.configuration_page`` renews it.
+"""
+
+from __future__ import annotations
+
+import types
+import typing
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal, Union, get_args, get_origin
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+from pydantic_core import PydanticUndefined
+
+from factory.unit import Unit
+from jobs.pipeline import build_pipeline
+from schemas.canonical import JSON
+from schemas.config import Config, InstructionCell, InstructionsConfig, SourceConfig
+
+__all__ = ["FILE", "Key", "configuration_page", "keys", "makes_stale"]
+
+FILE: Final = Path(__file__).parents[1] / "docs" / "configuration.md"
+
+NO_STAGE: Final = {
+    "name": "nothing; another name is another ref",
+    "store": "nothing; another store is empty",
+    "export": "nothing",
+    "sources.N.family": "other scenes",
+    "sources.N.root": "scenes whose files differ",
+    "sources.N.scenes": "scenes that are new; those left out are removed",
+    "sources.N.exclude": "scenes that are new; those left out are removed",
+    "sources.N.regions": "scenes whose files differ",
+    "sources.N.houses": "scenes whose files differ",
+    "sources.N.connectivity": "the export",
+    "splits": "the export",
+    "ray": "nothing",
+    "keep": "nothing",
+}
+"""Keys that no stage is keyed on, by themselves or by their section, and what they make stale in place of one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """One key: its place with N for the entries of a list, and what a person must know of it."""
+
+    path: str
+    type: str
+    unit: str
+    default: str
+    about: str
+
+
+def keys(model: type[BaseModel] = Config, before: str = "") -> Iterator[Key]:
+    """Every key of a model and of its sections, in their order."""
+    for name, field in model.model_fields.items():
+        path = before + name
+        section, listed = _section(field.annotation)
+        if section is None or listed:
+            yield Key(path, _type(field.annotation), _unit(field), _default(field), field.description or "")
+        if section is not None:
+            yield from keys(section, f"{path}.N." if listed else f"{path}.")
+
+
+def makes_stale(path: str) -> tuple[str, ...]:
+    """Stages and aggregates that are keyed on a key, in the order of the pipeline; empty where none is."""
+    parts = [part for part in path.split(".") if part != "N"]
+    return tuple(name for name, read in _read(_sample()).items() if _holds(read, parts))
+
+
+def _read(config: Config) -> dict[str, JSON]:
+    """What each stage and aggregate reads of the configuration, as the documents that it is keyed on."""
+    pipeline = build_pipeline(config)
+    unit = Unit("replicacad/x", "replicacad", payload={"scene_id": "x", "navmesh": "navmeshes"})
+    read: dict[str, JSON] = {stage.name: stage.parameters(unit) for stage in pipeline.stages}
+    return read | {aggregate.name: aggregate.parameters() for aggregate in pipeline.aggregates}
+
+
+def _sample() -> Config:
+    """Every section, and a cell that bounds words, so that all that a stage may read is read."""
+    return Config(
+        name="x",
+        store="x",
+        sources=(SourceConfig(family="replicacad", root=Path("x")),),
+        instructions=InstructionsConfig(cells=(InstructionCell(category="simple", words=(1, 99), count=1),)),
+    )
+
+
+def _holds(document: JSON, parts: list[str]) -> bool:
+    for part in parts:
+        if not isinstance(document, Mapping):
+            return True  # a list is read whole
+        if part not in document:
+            return False
+        document = document[part]
+    return True
+
+
+def configuration_page() -> str:
+    """The whole text of ``docs/configuration.md``."""
+    parts = [
+        "# The configuration",
+        "Made from the models in `schemas/config` by `python -m jobs.configuration_page`.",
+        "One YAML file. Relative folders count from the folder of that file. `--set a.b=value` and the variable "
+        "`CONDVLN_A__B=value` override a key; entries of a list are numbered from 0, as in `sources.0.root`. Unknown keys are "
+        "errors, and a key that moved is refused with its new name.",
+        "*Makes stale* names the stages whose keys hold the value: a run after a change does these again for every scene, and "
+        "later stages only where their input changed. Stages in their order: `scene`, `relations`, `programs`, `episodes`, "
+        "`text`; `priors` are counts over all scenes after `scene`. `programs` read `text.preamble` only where a cell bounds "
+        "`words`. The export is written again after each run.",
+    ]
+    at = ""
+    rows: list[str] = []
+    for key in keys():
+        section = key.path.rpartition(".")[0]
+        if section != at or not rows:
+            parts += _table(at, rows)
+            at, rows = section, []
+        cells = (f"`{key.path}`", key.type, key.unit, key.default, key.about, _stale(key.path))
+        rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+    return "\n\n".join([*parts, *_table(at, rows)]) + "\n"
+
+
+def _table(section: str, rows: list[str]) -> list[str]:
+    if not rows:
+        return []
+    about = (_model(section).__doc__ or "").strip().replace("\n    ", "\n")
+    head = ["| key | type | unit | default | what it does | makes stale |", "|---|---|---|---|---|---|"]
+    return [f"## {section or 'The run'}", about, "\n".join([*head, *rows])]
+
+
+def _model(section: str) -> type[BaseModel]:
+    model: type[BaseModel] = Config
+    for part in section.split("."):
+        if part and part != "N":
+            inner, _ = _section(model.model_fields[part].annotation)
+            assert inner is not None
+            model = inner
+    return model
+
+
+def _stale(path: str) -> str:
+    stages = makes_stale(path)
+    if stages:
+        return ", ".join(f"`{name}`" for name in stages)
+    return NO_STAGE[path] if path in NO_STAGE else NO_STAGE[path.partition(".")[0]]
+
+
+def _section(annotation: Any) -> tuple[type[BaseModel] | None, bool]:
+    """The section that a key holds, and whether it is a list of them."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation, False
+    if get_origin(annotation) is tuple:
+        inner = get_args(annotation)[0]
+        if isinstance(inner, type) and issubclass(inner, BaseModel):
+            return inner, True
+    return None, False
+
+
+def _type(annotation: Any) -> str:
+    origin, arguments = get_origin(annotation), get_args(annotation)
+    if origin is typing.Annotated:
+        return _type(arguments[0])
+    if origin in (Union, types.UnionType):
+        return " or ".join("none" if inner is type(None) else _type(inner) for inner in arguments)
+    if origin is Literal:
+        return ", ".join(f"`{choice}`" for choice in arguments)
+    if origin is tuple:
+        inner = [_type(argument) for argument in arguments if argument is not ...]
+        return f"list of {inner[0]}" if arguments[-1] is ... else f"[{', '.join(inner)}]"
+    if origin is dict:
+        return f"mapping of {_type(arguments[0])} to {_type(arguments[1])}"
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return "entry"
+    return {float: "number", int: "whole number", bool: "true or false", str: "text", Path: "path"}[annotation]
+
+
+def _unit(field: FieldInfo) -> str:
+    """Of the field, or of the numbers inside it."""
+    found: list[object] = [field.json_schema_extra]
+    pending: list[Any] = [field.annotation]
+    while pending:
+        annotation = pending.pop()
+        pending += get_args(annotation) if get_origin(annotation) is not Literal else ()
+        found += [getattr(part, "json_schema_extra", None) for part in getattr(annotation, "__metadata__", ())]
+    return next((str(extra["unit"]) for extra in found if isinstance(extra, dict) and "unit" in extra), "")
+
+
+def _default(field: FieldInfo) -> str:
+    if field.is_required():
+        return "required"
+    default = field.get_default(call_default_factory=True)
+    assert default is not PydanticUndefined
+    if default is None:
+        return "none"
+    if isinstance(default, bool):
+        return str(default).lower()
+    if isinstance(default, tuple):
+        return f"[{', '.join(map(_shown, default))}]"
+    if isinstance(default, dict):
+        return ", ".join(f"{name}: {value}" for name, value in default.items()) or "empty"
+    return _shown(default)
+
+
+def _shown(value: object) -> str:
+    return f"{value:g}" if isinstance(value, float) else f"`{value}`" if isinstance(value, str) else str(value)
+
+
+if __name__ == "__main__":
+    FILE.write_text(configuration_page(), encoding="utf-8")

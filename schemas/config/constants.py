@@ -1,0 +1,112 @@
+"""Numbers that decide and are not keys: they are parts of what an episode means, for the generator and the verifier.
+
+A change here changes rows: raise the versions of the stages that read the number.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+__all__ = [
+    "EVIDENCE",
+    "EYE_SPACING",
+    "FAR_RING_GAP",
+    "FEW_LABELS_SLACK",
+    "FIRST_VIEW_DEGREES",
+    "FLOOR_LEAST_SPACING",
+    "FLOOR_LIFT",
+    "FLOOR_POINTS",
+    "FLOOR_STANDING",
+    "GROUP_SIZE",
+    "HANG",
+    "HEADING_TOLERANCE",
+    "LOW_EYE",
+    "PATH_SPACING",
+    "PREFIX_SAMPLES",
+    "PREFIX_STRAY",
+    "RATE_STEPS",
+    "RING_GAP",
+    "RING_SPACING",
+    "SINK",
+    "SNAP_AT_MOST",
+    "SNAP_TOLERANCE",
+    "STAGINGS",
+    "UPRIGHT_COSINE",
+    "WALL_DETOUR",
+]
+
+PATH_SPACING: Final = 0.25
+"""Metres between points of a dense path at most: VLN-CE's forward step."""
+
+HANG: Final = 2.2
+"""Metres an object's bottom may hang above the floor it is reached from (a picture, a wall cabinet)."""
+
+SINK: Final = 0.5
+"""Metres the floor may lie above an object's bottom, or off the floor of its room (voxel height, floor thickness)."""
+
+WALL_DETOUR: Final = 1.0
+"""Metres of detour around the box allowed between two of its goal points; more means a wall lies between them."""
+
+SNAP_TOLERANCE: Final = 0.05
+"""Metres a point may move sideways when snapped, and still have been on the floor."""
+
+SNAP_AT_MOST: Final = 0.08
+"""Metres that snapping may move a goal point: `SNAP_TOLERANCE` sideways and the same in height."""
+
+FLOOR_STANDING: Final = 0.5
+"""Metres; objects whose bottom is lower than this above the floor stand in the agent's way."""
+
+UPRIGHT_COSINE: Final = 0.999
+"""Cosine of the tilt up to which an oriented box counts as upright; more tilted ones go by their axis-aligned box."""
+
+EYE_SPACING: Final = 0.5
+"""Metres between the places of a path from which is looked: two steps."""
+
+PREFIX_STRAY: Final = 0.25
+"""Metres, one step: paths are still the same while they are no farther apart."""
+
+PREFIX_SAMPLES: Final = 0.05
+"""Metres between the places at which paths are compared."""
+
+FIRST_VIEW_DEGREES: Final = 90.0
+"""Field of view, both ways, of the camera of VLN-CE's R2R task."""
+
+FLOOR_POINTS: Final = 256
+"""Points of a room's floor that are looked for, about."""
+
+FLOOR_LEAST_SPACING: Final = 0.2
+"""Metres between two of these points at least."""
+
+FLOOR_LIFT: Final = 0.05
+"""Metres that these points lie above the floor, so that its own surface does not hide them."""
+
+GROUP_SIZE: Final = 4
+"""Programs of a counterfactual group: both truths of a condition, with two leaves exchanged and not."""
+
+HEADING_TOLERANCE: Final = 0.5
+"""Degrees that a heading may be off its name; stored quaternions round to much less."""
+
+RING_SPACING: Final = 0.2
+"""Metres between neighbouring candidates around an object: a fifth of the smallest success ball's width."""
+
+RING_GAP: Final = 0.125
+"""Most metres between two rings of candidates within reach of a box."""
+
+FAR_RING_GAP: Final = 0.2
+"""Most metres between two rings of candidates beyond it."""
+
+LOW_EYE: Final = 0.5
+"""Metres above the floor of a second eye, for what stands under a table."""
+
+FEW_LABELS_SLACK: Final = 1.25
+"""Where a scene has so few labels that the cap can't hold, a label may have this much more than an equal share."""
+
+RATE_STEPS: Final = 64
+"""Rates of truth enter a scene's key in steps of 1/64."""
+
+EVIDENCE: Final = 8
+"""Rooms in which a statement must have been seen before one that never varied is held to be foretold by its words."""
+
+STAGINGS: Final = 3
+"""The same where they are stagings of one layout, near copies in which little varies; with fewer of them a layout's
+counts don't stand for themselves."""

@@ -1,0 +1,146 @@
+"""Numbers that decide stand in ``schemas.config`` alone, and no two classes are copies of each other; read from the
+syntax trees, so that nothing has to be imported."""
+
+from __future__ import annotations
+
+import ast
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+PACKAGES = ("schemas", "condvln", "factory", "jobs")
+DECIDING = ("relations", "instructions", "episodes", "verify")
+"""Folders of ``condvln`` that decide what an episode is, or check it."""
+
+TECHNICAL = {
+    # Arithmetic: slack for rounding, and bounds of what is equal.
+    "relations/solids.py": {"AXIS_TOLERANCE", "_WINDING_CHUNK"},
+    "relations/metrics.py": {"MILLIMETRES_PER_METRE"},
+    "relations/compass.py": {"SECTOR_DEGREES", "COINCIDENT"},
+    "verify/surfaces.py": {"KEPT_TRIANGLES", "ORTHOGONAL"},
+    "verify/prospect.py": {"EVEN"},
+    "verify/record.py": {"HEADING"},
+    "verify/heading.py": {"UNIT"},
+    "verify/truth.py": {"ROUNDED", "SLACK"},
+    "verify/standing.py": {"TOUCHING"},
+    "verify/placement.py": {"MILLIMETRE", "ROUNDING"},
+    "episodes/placing.py": {"COMPASS_STEP"},
+    # The verifier's own measurement: how many samples, how sure, how many at once.
+    "verify/sight.py": {"OWN_POINTS", "ODDS", "EYES_AT_ONCE", "RAYS_AT_ONCE", "_R2"},
+    "verify/files.py": {"_BLOCK"},
+    "verify/completeness.py": {"_BLOCK"},
+    "verify/predicates.py": {"TRUE", "FALSE", "UNDECIDED"},
+    "verify/reading.py": {"MAX_CONDITIONS", "_CASES", "_ALWAYS"},
+    # Order of work and memory; the result is the same whatever they are.
+    "instructions/draws.py": {"BLOCK"},
+    "instructions/priors.py": {"MERGE_ROWS"},
+    "instructions/stops.py": {"REJECTIONS"},
+    "episodes/view.py": {"FIRST_LOOKS"},
+    # Formats of ids.
+    "instructions/ids.py": {"ID_LENGTH"},
+    "episodes/table.py": {"ID_DIGITS"},
+    # How hard a search tries; what it finds is checked by rules that are keys.
+    "instructions/sampling.py": {"WISHES_PER_CANDIDATE", "VAIN_WISHES"},
+    "instructions/referents.py": {"ALTERNATIVES", "ROOM_NAMES"},
+    "instructions/conditions.py": {"BALANCING_ROUNDS", "LEAST_WEIGHT", "PSEUDOCOUNT"},
+    # Voices of the text: shares of wordings that mean the same.
+    "instructions/rendering.py": {
+        "SCOPE_SHARE",
+        "ROOM_FIRST_SHARE",
+        "SAME_ROOM_SHARE",
+        "SUCH_SHARE",
+        "ANYWHERE_SHARE",
+    },
+    "instructions/language.py": {"PHRASINGS"},
+    # R2R's own rules on viewpoint graphs, which are not those of a navmesh.
+    "episodes/graph_placing.py": {"REACH", "FARTHEST", "STOREY"},
+}
+"""Numbers that stand where they are used, by file, with the reason why none of them is a part of the configuration."""
+
+
+def trees(root: Path, *folders: str) -> Iterator[tuple[str, ast.Module]]:
+    for folder in folders:
+        for path in sorted((root / folder).rglob("*.py")):
+            yield path.relative_to(root).as_posix(), ast.parse(path.read_text(encoding="utf-8"))
+
+
+def is_number(node: ast.expr) -> bool:
+    """Whether an expression is made of numbers alone; an index of a negative number counts too."""
+    match node:
+        case ast.Constant(value=value):
+            return isinstance(value, int | float) and not isinstance(value, bool)
+        case ast.UnaryOp(operand=inner):
+            return is_number(inner)
+        case ast.BinOp(left=left, right=right):
+            return is_number(left) or is_number(right)
+        case ast.Tuple(elts=parts):
+            return bool(parts) and all(map(is_number, parts))
+    return False
+
+
+def numbers_of(tree: ast.Module) -> Iterator[str]:
+    """Names of numeric constants of a module and of its classes. Fields of dataclasses are lower case."""
+    bodies = [tree.body, *(node.body for node in ast.walk(tree) if isinstance(node, ast.ClassDef))]
+    for statement in (statement for body in bodies for statement in body):
+        match statement:
+            case ast.AnnAssign(target=ast.Name(id=name), value=value) if value is not None:
+                named = [(name, value)]
+            case ast.Assign(targets=[ast.Name(id=name)], value=value):
+                named = [(name, value)]
+            case ast.Assign(targets=[ast.Tuple(elts=names)], value=ast.Tuple(elts=values)):
+                named = [(n.id, v) for n, v in zip(names, values, strict=True) if isinstance(n, ast.Name)]
+            case _:
+                continue
+        yield from (name for name, value in named if name.isupper() and is_number(value))
+
+
+def test_numbers_that_decide_stand_in_the_configuration_alone(repository: Path) -> None:
+    found = {
+        path.removeprefix("condvln/"): names
+        for path, tree in trees(repository, *(f"condvln/{folder}" for folder in DECIDING))
+        if (names := set(numbers_of(tree)))
+    }
+    assert found == TECHNICAL, "make it a key, or name it in schemas/config/constants.py; or say here why it is neither"
+
+
+def test_the_configuration_s_numbers_have_one_name(repository: Path) -> None:
+    names: defaultdict[str, list[str]] = defaultdict(list)
+    for path, tree in trees(repository, "schemas/config"):
+        for name in numbers_of(tree):
+            names[name].append(path)
+    assert len(names) > 20
+    copies = [
+        (path, name)
+        for path, tree in trees(repository, *PACKAGES)
+        if not path.startswith("schemas/config/")
+        for name in numbers_of(tree)
+        if name in names
+    ]
+    assert copies == []
+    assert [name for name, places in names.items() if len(places) > 1] == []
+
+
+def fields_of(node: ast.ClassDef) -> dict[str, str]:
+    return {
+        item.target.id: ast.unparse(item.annotation)
+        for item in node.body
+        if isinstance(item, ast.AnnAssign) and isinstance(item.target, ast.Name)
+    }
+
+
+WIRE = [
+    {"schemas/scene.py: RoomRecord", "condvln/scene/scene.py: Room"},
+    {"schemas/scene.py: NavmeshChoice", "condvln/scene/scene.py: NavmeshFile"},
+]
+"""Records of a file, and what they are in memory: arrays in place of lists, and no validation in loops."""
+
+
+def test_no_two_classes_have_the_same_fields(repository: Path) -> None:
+    """Of four fields and more: two small classes may well have equal names."""
+    classes: defaultdict[frozenset[str], list[str]] = defaultdict(list)
+    for path, tree in trees(repository, *PACKAGES):
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ClassDef) and len(fields := fields_of(node)) >= 4:
+                classes[frozenset(fields)].append(f"{path}: {node.name}")
+    assert len(classes) > 100
+    assert [set(names) for names in classes.values() if len(names) > 1 and set(names) not in WIRE] == []
