@@ -29,7 +29,8 @@ NO_STAGE: Final = {
     "name": "nothing; another name is another ref",
     "store": "nothing; another store is empty",
     "export": "nothing",
-    "sources.N.family": "other scenes",
+    "sources": "scenes that are new; those left out are removed",
+    "sources.N.family": "scenes that are new; those left out are removed",
     "sources.N.root": "scenes whose files differ",
     "sources.N.scenes": "scenes that are new; those left out are removed",
     "sources.N.exclude": "scenes that are new; those left out are removed",
@@ -55,18 +56,23 @@ class Key:
 
 
 def keys(model: type[BaseModel] = Config, before: str = "") -> Iterator[Key]:
-    """Every key of a model and of its sections, in their order."""
+    """Every key of a model in their order, then those of its sections."""
+    inner: list[tuple[type[BaseModel], str]] = []
     for name, field in model.model_fields.items():
         path = before + name
         section, listed = _section(field.annotation)
         if section is None or listed:
             yield Key(path, _type(field.annotation), _unit(field), _default(field), field.description or "")
         if section is not None:
-            yield from keys(section, f"{path}.N." if listed else f"{path}.")
+            inner.append((section, f"{path}.N." if listed else f"{path}."))
+    for section, path in inner:
+        yield from keys(section, path)
 
 
 def makes_stale(path: str) -> tuple[str, ...]:
     """Stages and aggregates that are keyed on a key, in the order of the pipeline; empty where none is."""
+    if path in NO_STAGE:
+        return ()
     parts = [part for part in path.split(".") if part != "N"]
     return tuple(name for name, read in _read(_sample()).items() if _holds(read, parts))
 
@@ -105,12 +111,12 @@ def configuration_page() -> str:
         "# The configuration",
         "Made from the models in `schemas/config` by `python -m jobs.configuration_page`.",
         "One YAML file. Relative folders count from the folder of that file. `--set a.b=value` and the variable "
-        "`CONDVLN_A__B=value` override a key; entries of a list are numbered from 0, as in `sources.0.root`. Unknown keys are "
-        "errors, and a key that moved is refused with its new name.",
-        "*Makes stale* names the stages whose keys hold the value: a run after a change does these again for every scene, and "
-        "later stages only where their input changed. Stages in their order: `scene`, `relations`, `programs`, `episodes`, "
-        "`text`; `priors` are counts over all scenes after `scene`. `programs` read `text.preamble` only where a cell bounds "
-        "`words`. The export is written again after each run.",
+        "`CONDVLN_A__B=value` override a key; entries of a list are numbered from 0, as in `sources.0.root`. Unknown "
+        "keys are errors, and a key that moved is refused with its new name.",
+        "*Makes stale* names the stages that read the key: a run after a change does these again for every scene, and "
+        "later stages only where their input changed. Stages in their order: `scene`, `relations`, `programs`, "
+        "`episodes`, `text`; `priors` are counts over all scenes, made after `scene`. `programs` read `text.preamble` "
+        "only where a cell bounds `words`. The export is written again after each run.",
     ]
     at = ""
     rows: list[str] = []

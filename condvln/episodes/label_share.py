@@ -13,15 +13,10 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from typing import Final
+
+from schemas.config.constants import FEW_LABELS_SLACK, KEPT_AT_LEAST
 
 __all__ = ["allowed_share", "most_leaves", "over_share"]
-
-FEW_LABELS_SLACK: Final = 1.25
-"""Where labels are so few that the cap can't hold, a label may have this much more than an equal share."""
-
-KEPT_AT_LEAST: Final = 0.5
-"""Part of a scene's placed episodes that is kept whatever their labels."""
 
 
 def allowed_share(label_cap: float, labels: int) -> float:

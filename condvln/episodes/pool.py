@@ -13,7 +13,6 @@ from condvln.episodes.label_share import allowed_share, most_leaves, over_share
 from condvln.episodes.observability import FIRST_VIEW, Observation, Observer
 from condvln.episodes.placing import Fit, Placement, Placer, Prospect, Rejected
 from schemas.config import InstructionCell
-from schemas.config.constants import FEW_LABELS_SLACK
 from schemas.program import SHAPES, Program
 
 __all__ = ["Pool", "PooledEpisode", "fill_pool"]

@@ -20,6 +20,7 @@ __all__ = [
     "GROUP_SIZE",
     "HANG",
     "HEADING_TOLERANCE",
+    "KEPT_AT_LEAST",
     "LOW_EYE",
     "PATH_SPACING",
     "PREFIX_SAMPLES",
@@ -100,6 +101,9 @@ LOW_EYE: Final = 0.5
 
 FEW_LABELS_SLACK: Final = 1.25
 """Where a scene has so few labels that the cap can't hold, a label may have this much more than an equal share."""
+
+KEPT_AT_LEAST: Final = 0.5
+"""Part of a scene's placed episodes that is kept whatever their labels."""
 
 RATE_STEPS: Final = 64
 """Rates of truth enter a scene's key in steps of 1/64."""

@@ -1,0 +1,230 @@
+"""Every key of the configuration is documented, makes stale exactly the stages that its page says, and changes some
+output.
+
+A key that is new fails here until it has an entry in CHANGED.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from condvln.samples import make_samples
+from condvln.sources.source import hash_file
+from jobs.configuration_page import FILE, configuration_page, keys
+from jobs.generate import run_generate
+from jobs.pipeline import build_pipeline, list_units
+from schemas.canonical import canonical_json
+from schemas.config import Config
+from schemas.errors import CondVLNError
+
+STAGES = ("scene", "relations", "programs", "episodes", "text", "priors")
+
+CHANGED: dict[str, Any] = {
+    "name": "other",
+    "seed": 1,
+    "sources.0.scenes": ["*0"],
+    "sources.0.exclude": ["*0"],
+    "sources.0.navmesh": "navmeshes",
+    "agent.radius": 0.2,
+    "agent.height": 1.0,
+    "agent.max_climb": 0.4,
+    "agent.max_slope": 30.0,
+    "thresholds.near": 1.1,
+    "thresholds.near_true": 0.5,
+    "thresholds.near_false": 1.1,
+    "thresholds.far": 3.2,
+    "thresholds.far_true": 4.5,
+    "thresholds.far_false": 1.5,
+    "thresholds.height": 0.4,
+    "thresholds.height_true": 0.7,
+    "thresholds.height_false": 0.05,
+    "thresholds.over_horizontal": 0.6,
+    "thresholds.over_horizontal_true": 0.1,
+    "thresholds.over_horizontal_false": 1.5,
+    "thresholds.over_footprint_true": 0.95,
+    "thresholds.sector_true": 5.0,
+    "thresholds.sector_false": 60.0,
+    "thresholds.sector_horizontal_true": 2.0,
+    "thresholds.level": 40.0,
+    "thresholds.degenerate_horizontal": 1.0,
+    "thresholds.surface_within": 2.5,
+    "places.success_distance_single_room": 0.3,
+    "places.success_distance": 0.6,
+    "places.leaf_gap": 1.5,
+    "places.island_radius": 50.0,
+    "places.sight_range": 1.0,
+    "places.eye_height": 0.5,
+    "instructions.per_category": {"nested": 1},
+    "instructions.cells": [],
+    "instructions.cells.0.category": "nested",
+    "instructions.cells.0.composition": "C0",
+    "instructions.cells.0.observability": "O2",
+    "instructions.cells.0.moves": 3,
+    "instructions.cells.0.route": [2.0, 7.0],
+    "instructions.cells.0.words": [20, 60],
+    "instructions.cells.0.count": 1,
+    "instructions.counterfactual_groups": 0,
+    "instructions.label_cap": 0.01,
+    "sampling.candidates_per_episode": 2,
+    "sampling.moves": [0.0, 0.0, 1.0],
+    "sampling.presence_false_share": 1.0,
+    "sampling.presence_share": 1.0,
+    "sampling.plausible_share": 0.9,
+    "sampling.compositions.C0": 0.0,
+    "sampling.compositions.C1": 0.0,
+    "sampling.compositions.C2": 0.0,
+    "sampling.predicates.near": 0.0,
+    "sampling.predicates.vertical": 0.9,
+    "sampling.predicates.compass": 0.0,
+    "sampling.predicates.height": 0.9,
+    "sampling.predicates.far": 0.9,
+    "sampling.anchor_size": 1.5,
+    "sampling.small_target_weight": 9.0,
+    "sampling.attempts": 1,
+    "sampling.draws_per_candidate": 1,
+    "goals.reach": 0.3,
+    "goals.reach_at_most": 2.0,
+    "goals.points": 2,
+    "episodes.distance_single_room": [3.0, 5.0],
+    "episodes.distance": [4.0, 6.0],
+    "episodes.starts": 5,
+    "episodes.starts_per_program": 1,
+    "episodes.max_steps": 60,
+    "episodes.floor_seen": 0.01,
+    "episodes.object_seen": 0.9,
+    "text.preamble": False,
+    "text.steps_per_word": 30,
+    "splits.seed": 1,
+    "splits.per_cell": 1,
+    "splits.scenes": {"test": ["*/*"]},
+    "splits.sharded": True,
+    "splits.val_seen_share": 0.9,
+    "splits.fractions": [0.1, 0.1, 0.8],
+    "splits.max_tokens": 20,
+    "splits.bias": "off",
+    "limits.objects_per_room": 2,
+    "limits.pairs_per_scene": 4,
+    "limits.objects_per_scene": 2,
+    "limits.rooms_per_scene": 1,
+    "limits.corners_per_room": 3,
+}
+"""Another value of each key."""
+
+ELSEWHERE = {
+    "sources": "its entries' keys",
+    "sources.N.family": "tests/jobs/test_families.py",
+    "sources.N.root": "tests/jobs/test_rebuild.py",
+    "sources.N.regions": "tests/jobs/test_zones.py",
+    "sources.N.houses": "tests/condvln/sources/test_procthor_habitat.py",
+    "sources.N.connectivity": "tests/jobs/test_viewpoints.py",
+}
+"""Keys that need another dataset to change, and where that is tested."""
+
+EXEMPT = {"store", "export", "ray", "keep"}
+"""Where things lie and how work is spread: they change no row and no file."""
+
+
+def entry(path: str) -> str:
+    return re.sub(r"\.\d+(?=\.|$)", ".N", path)
+
+
+def said(path: str) -> set[str]:
+    """The stages that docs/configuration.md names for a key."""
+    (row,) = [line for line in FILE.read_text(encoding="utf-8").splitlines() if line.startswith(f"| `{entry(path)}` |")]
+    return set(re.findall(r"`(\w+)`", row.rpartition(" | ")[2])) & set(STAGES)
+
+
+def test_the_page_is_up_to_date() -> None:
+    assert FILE.read_text(encoding="utf-8") == configuration_page(), "run: python -m jobs.configuration_page"
+
+
+def test_every_key_is_described_and_tried() -> None:
+    found = list(keys())
+    assert [key.path for key in found if not key.about] == []
+    wanted = {key.path for key in found if key.path.partition(".")[0] not in EXEMPT}
+    assert {entry(path) for path in CHANGED} | set(ELSEWHERE) == wanted
+
+
+def changed(document: dict[str, Any], path: str) -> dict[str, Any]:
+    """The document with another value of a key."""
+    document = Config.model_validate(document).model_dump(mode="json")
+    *sections, last = path.split(".")
+    at: Any = document
+    for part in sections:
+        at = at[int(part) if part.isdigit() else part]
+    assert at[last] != CHANGED[path]
+    at[last] = CHANGED[path]
+    return document
+
+
+@pytest.fixture(scope="session")
+def stock(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], dict[str, Any]]:
+    """A configuration over two made apartments and two made houses, its store and export below a folder."""
+    data = tmp_path_factory.mktemp("families")
+    for family in ("replicacad", "procthor"):
+        make_samples(data / family, family=family, scenes=2, seed=3)
+
+    def document(folder: str) -> dict[str, Any]:
+        return {
+            "name": "made",
+            "store": f"{folder}/store",
+            "export": f"{folder}/export",
+            "sources": [{"family": family, "root": str(data / family)} for family in ("replicacad", "procthor")],
+            "instructions": {
+                "per_category": {"simple": 3, "chain": 3, "nested": 2},
+                "cells": [{"category": "chain", "count": 2}],
+                "counterfactual_groups": 1,
+            },
+        }
+
+    return document
+
+
+@pytest.mark.parametrize("path", CHANGED)
+def test_a_key_makes_stale_what_its_page_says(stock, path: str) -> None:
+    def read(document: dict[str, Any]) -> dict[str, bytes]:
+        config = Config.model_validate(document)
+        pipeline = build_pipeline(config)
+        units = list_units(config, hash_file)
+        found = {stage.name: b"".join(canonical_json(stage.parameters(u)) for u in units) for stage in pipeline.stages}
+        return found | {a.name: canonical_json(a.parameters()) for a in pipeline.aggregates}
+
+    if path in ("sources.0.scenes", "sources.0.exclude"):
+        assert said(path) == set(), "other scenes, and no other stage of one"
+        return
+    document = stock("nowhere")
+    if path == "text.preamble":
+        document["instructions"]["cells"][0]["words"] = [1, 200]
+    before, after = read(document), read(changed(document, path))
+    assert {name for name in before if before[name] != after[name]} == said(path)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("path", CHANGED)
+def test_a_key_changes_what_is_made(stock, stock_run, tmp_path: Path, path: str) -> None:
+    try:
+        made = outputs(changed(stock(str(tmp_path)), path), tmp_path)
+    except CondVLNError:
+        return  # refused, or too small a limit for all scenes
+    assert made != stock_run
+
+
+@pytest.fixture(scope="session")
+def stock_run(stock, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """What the configuration makes as it is."""
+    folder = tmp_path_factory.mktemp("stock")
+    return outputs(stock(str(folder)), folder)
+
+
+def outputs(document: dict[str, Any], folder: Path) -> dict[str, str]:
+    """The published ref and snapshot, and SHA-256 of every file of the export."""
+    run_generate(Config.model_validate(document), inline=True)
+    found = {path.relative_to(folder).as_posix(): "" for path in (folder / "store").glob("refs/*.json")}
+    found |= {path.relative_to(folder).as_posix(): "" for path in (folder / "store").glob("snapshots/*/manifest.json")}
+    files = sorted(path for path in (folder / "export").rglob("*") if path.is_file())
+    return found | {path.relative_to(folder).as_posix(): hash_file(path)[1] for path in files}
