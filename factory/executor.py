@@ -69,7 +69,7 @@ class Executor(Protocol):
 
 
 class InlineExecutor:
-    """All in this process, one unit after the other, without Ray: for debugging and for small runs."""
+    """All in this process, one unit after the other, the smallest first, without Ray: for small runs and debugging."""
 
     workers = 1
 
@@ -85,7 +85,8 @@ class InlineExecutor:
 
     def run(self, context: RunContext, tasks: Iterable[Task]) -> Iterator[Receipt]:
         worker = self._worker = Worker(context)
-        for task in tasks:
+        smallest_first = getattr(tasks, "smallest_first", None)
+        for task in tasks if smallest_first is None else smallest_first():
             for item in task.work:
                 receipt = self._one(worker, task, item, last_try=task.last_try)
                 if receipt.status == "memory":

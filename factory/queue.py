@@ -1,4 +1,7 @@
-"""The order of work: biggest first, so that no big unit is left to run alone at the end; tiny units share a task."""
+"""The order of work: biggest first, so that no big unit is left to run alone at the end; tiny units share a task.
+
+One worker alone takes the smallest first.
+"""
 
 from __future__ import annotations
 
@@ -34,10 +37,18 @@ class Queue:
         self._target = min(TASK_SECONDS, self.seconds / (4 * max(workers, 1)))
 
     def __iter__(self) -> Iterator[Task]:
+        """Biggest units first."""
+        return self._tasks(-self._costs)
+
+    def smallest_first(self) -> Iterator[Task]:
+        """For one worker, which has nobody to wait for: a unit without end then blocks no other."""
+        return self._tasks(self._costs)
+
+    def _tasks(self, ranks: Any) -> Iterator[Task]:
         held: list[Work] = []
         seconds = 0.0
         # Equal costs keep the order they came in.
-        for at in np.argsort(-self._costs, kind="stable").tolist():
+        for at in np.argsort(ranks, kind="stable").tolist():
             item = self._work[at]
             held.append(item)
             seconds += item.seconds

@@ -13,6 +13,8 @@ import toys
 
 from factory import LocalStore, Snapshot, plan, run
 from factory.commits import Commits
+from factory.receipt import Receipt
+from factory.report import Silence
 from factory.rows import parquet_bytes
 from schemas.errors import CorruptShardError, MissingFileError, StoreError, UsageError
 
@@ -340,7 +342,7 @@ def test_a_deadline_that_strikes_in_compiled_code_is_one(store: LocalStore) -> N
 @pytest.mark.parametrize("trouble", ["compiled-stop", "swallowed-stop"])
 def test_a_stop_is_no_fault_of_the_unit_it_strikes(store: LocalStore, trouble: str) -> None:
     """Wherever SIGTERM arrives, the run ends, and a sound unit does not end in quarantine."""
-    units = [toys.unit("a/struck", 4, trouble=trouble, cost=9.0), *toys.units(6)]
+    units = [toys.unit("a/struck", 4, trouble=trouble, cost=0.1), *toys.units(6)]
     with pytest.raises(KeyboardInterrupt):
         run(toys.pipeline(), units, store)
     assert [*Commits(store).quarantined()] == []
@@ -351,7 +353,7 @@ def test_a_stop_is_no_fault_of_the_unit_it_strikes(store: LocalStore, trouble: s
 def test_no_space_ends_the_run_and_keeps_what_is_committed(store: LocalStore, tmp_path: Path) -> None:
     units = toys.units(6)
     with pytest.raises(StoreError, match="space"):
-        run(toys.pipeline(), [toys.unit("a/full", trouble="full", cost=0.1), *units], store)
+        run(toys.pipeline(), [toys.unit("a/full", trouble="full", cost=9.0), *units], store)
     assert [*Commits(store).quarantined()] == []
     report = run(toys.pipeline(), [toys.unit("a/full"), *units], store)
     assert report.exit_code == 0
@@ -416,3 +418,16 @@ def test_a_table_that_only_a_unit_keeps_is_read_by_its_hash(store: LocalStore) -
 def test_two_units_with_one_id_are_refused(store: LocalStore) -> None:
     with pytest.raises(UsageError, match="one id"):
         run(toys.pipeline(), [toys.unit("a/x"), toys.unit("a/x", 3)], store)
+
+
+def test_one_worker_takes_the_smallest_units_first(store: LocalStore, tmp_path: Path) -> None:
+    """So that a unit which takes very long keeps no other from being committed."""
+    units = [toys.unit("a/big", cost=9.0), toys.unit("a/small", cost=0.1), toys.unit("a/middle", cost=1.0)]
+    done: list[str] = []
+
+    class Order(Silence):
+        def unit(self, receipt: Receipt) -> None:
+            done.append(receipt.unit_id)
+
+    run(toys.pipeline(), units, store, progress=Order())
+    assert done[-3:] == ["a/small", "a/middle", "a/big"]

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+import os
+import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import psutil
 import pytest
 
+from condvln.navigation.compiled import warm_up
 from condvln.samples import make_samples
+from factory import machine
+from factory.ray_executor import RayExecutor
 from jobs.generate import run_generate
-from schemas.config import Config, LimitsConfig, SourceConfig
+from jobs.report import Report
+from jobs.workspace import published
+from schemas.config import Config, LimitsConfig, RayConfig, SourceConfig
 from tests.huge_house import add_huge_house
 
 HUGE = 1200
@@ -52,3 +61,82 @@ def test_another_limit_tries_the_scene_again_and_changes_no_other(
     second = run_generate(config.model_copy(update={"limits": wider}), inline=True)
     assert second.document["snapshot_id"] == first.document["snapshot_id"]
     assert second.document["stages"] == {"scene": 2}
+
+
+class Peaks(threading.Thread):
+    """Watches this process and all below it; the most memory that any one of them held, in bytes, by process id."""
+
+    def __init__(self) -> None:
+        super().__init__(daemon=True)
+        self.of: dict[int, int] = {}
+        self._ended = threading.Event()
+
+    def run(self) -> None:
+        own = psutil.Process()
+        while not self._ended.wait(0.05):
+            for process in (own, *own.children(recursive=True)):
+                with contextlib.suppress(psutil.Error):
+                    self.of[process.pid] = max(self.of.get(process.pid, 0), process.memory_info().rss)
+
+    def __enter__(self) -> Peaks:
+        machine.reset_peak_rss()
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self.join()
+        # Between two looks this process may have held more; the system counts without a gap.
+        self.of[os.getpid()] = max(self.of.get(os.getpid(), 0), machine.peak_rss())
+
+
+def corpus(root: Path, small: int, *huge: int) -> Path:
+    """Made houses, and one house for each number of `huge` whose only room has so many objects."""
+    make_samples(root, "procthor", small, 5)
+    for objects in huge:
+        add_huge_house(root, f"huge{objects}", objects)
+    return root
+
+
+@pytest.mark.soak
+@pytest.mark.ray
+@pytest.mark.parametrize("workers", [0, 2])
+def test_rooms_of_ten_and_fifty_thousand_objects_leave_58_scenes_published(
+    tmp_path: Path, configured: Callable[..., Config], workers: int
+) -> None:
+    root = corpus(tmp_path / "houses", 58, 10_000, 50_000)
+    ray = RayConfig(workers=max(workers, 1))
+    config = configured(root, sources=(SourceConfig(family="procthor", root=root),), ray=ray)
+    # Kernels are compiled before the measurement, if they are not in the cache.
+    warm_up(lambda _: None)
+    with Peaks() as peaks:
+        if workers:
+            report = generated_by_ray(config, workers)
+        else:
+            report = run_generate(config, inline=True)
+    counts = report.document["counts"]
+    assert (counts["ok"], counts["quarantined"], report.exit_code, report.document["published"]) == (58, 2, 3, True)
+    messages = {entry["unit"]: entry["message"] for entry in report.document["quarantined"]}
+    limits = LimitsConfig()
+    assert f"10000 objects, and limits.objects_per_room is {limits.objects_per_room}" in messages["procthor/huge10000"]
+    assert (
+        f"50000 objects, and limits.objects_per_scene is {limits.objects_per_scene}" in messages["procthor/huge50000"]
+    )
+    print(f"largest processes, MiB: {sorted((peak >> 20 for peak in peaks.of.values()), reverse=True)[:4]}")
+    assert max(peaks.of.values()) <= 2 << 30
+    assert len(peaks.of) > workers
+    scenes = published(config).table("scenes")["scene_id"].to_pylist()
+    assert len(scenes) == 58
+
+
+def generated_by_ray(config: Config, workers: int) -> Report:
+    """A run on Ray, however small its estimate."""
+
+    @contextlib.contextmanager
+    def executor(*_: object, **__: object) -> Iterator[RayExecutor]:
+        with RayExecutor(workers=workers) as ray:
+            yield ray
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("jobs.generate._executor", executor)
+        return run_generate(config)
