@@ -104,8 +104,8 @@ def test_tasks_hold_every_unit_once_and_the_biggest_first(costs: list[float], wo
     work = [Work(toys.unit(f"a/{n}"), b"", cost, 10 * n) for n, cost in enumerate(costs)]
     with Spool(work) as spool:
         tasks = [*Queue(spool, 3, workers)]
-    assert sorted(item.unit.unit_id for task in tasks for item in task.work) == sorted(w.unit.unit_id for w in work)
         backwards = [item.seconds for task in Queue(spool, 3, workers).smallest_first() for item in task.work]
+    assert sorted(item.unit.unit_id for task in tasks for item in task.work) == sorted(w.unit.unit_id for w in work)
     order = [item.seconds for task in tasks for item in task.work]
     assert order == sorted(order, reverse=True)
     assert backwards == sorted(order)
