@@ -202,7 +202,7 @@ def test_a_wrong_command_line_is_told_before_anything_is_sent(
 
 
 def test_a_wrong_configuration_or_address_is_told_before_anything_is_sent(server: object, path: Path) -> None:
-    with pytest.raises(ConfigError, match="unknown key"):
+    with pytest.raises(ConfigError, match="'colour' is unknown"):
         submit(server, path, "plan", overrides=["colour=red"])
     assert server.asked == []  # type: ignore[attr-defined]
     for address in ("ray://host:10001", "host:8265", "auto"):
