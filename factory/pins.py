@@ -7,7 +7,7 @@ the same units; one killed after it finds the pin.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 
 import pyarrow as pa
@@ -15,7 +15,6 @@ import pyarrow as pa
 from factory.chain import SharedTables, Upstream
 from factory.commits import Commits
 from factory.faults import FaultPlan
-from factory.pipeline import Pipeline
 from factory.receipt import Receipt
 from factory.rows import logical_hash, parquet_bytes, parquet_table
 from factory.seal import sealed, unsealed
@@ -33,25 +32,32 @@ class Pins:
     Neither a pin nor its table can be computed again once there are more units, so the published snapshot has a copy of
     both: what is missing, damaged or older than the snapshot's is restored from there.
 
+    pipeline, aggregates : name of the pipeline, and what it pins
     published : manifest of what is published under the ref
     """
 
     def __init__(
         self,
-        pipeline: Pipeline,
+        pipeline: str,
+        aggregates: Sequence[Aggregate],
         commits: Commits,
         ref: str,
         faults: FaultPlan | None = None,
         published: SnapshotManifest | None = None,
     ) -> None:
-        self._pipeline = pipeline
+        self._aggregates = aggregates
         self._commits = commits
-        self._path = f"pins/{pipeline.name}/{ref}.json"
+        self._path = f"pins/{pipeline}/{ref}.json"
         self._faults = faults or FaultPlan()
         self._published = published
         self.damaged: list[str] = []
         """Paths of files that are missing or damaged, and that ``restore`` writes again."""
         self.pin = self._read()
+
+    def damaged_tables(self) -> list[str]:
+        """Paths of pinned tables that are missing or damaged; reads all of them."""
+        paths = {SharedTables.path(name, pinned.hash): pinned.hash for name, pinned in self.pin.tables.items()}
+        return [path for path, rows_hash in paths.items() if not self._sound(path, rows_hash)]
 
     def _read(self) -> Pin:
         store = self._commits.store
@@ -74,7 +80,7 @@ class Pins:
         """Hashes of the aggregates that hold: pinned under this version and these parameters, not to be renewed, and
         there (in their place or in the snapshot)."""
         found = {}
-        for aggregate in self._pipeline.aggregates:
+        for aggregate in self._aggregates:
             pinned = self.pin.tables.get(aggregate.name)
             if pinned is None or not _holds(pinned, aggregate) or aggregate.name in renew:
                 continue

@@ -74,7 +74,7 @@ def plan(
     published, _ = read_ref(store, ref)
     manifest = read_manifest(store, published.snapshot_id) if published is not None else None
     index = published_index(pipeline, store, published)
-    pins = Pins(pipeline, commits, ref, published=manifest)
+    pins = Pins(pipeline.name, pipeline.aggregates, commits, ref, published=manifest)
     shared = pins.hashes(renew)
     quarantined = frozenset() if retry_quarantined else frozenset(commits.quarantined())
     inventory = Inventory(commits, index)
@@ -183,7 +183,14 @@ class _Run:
         self.index = self.publisher.index()
         self.quarantined = frozenset() if self.retry else frozenset(self.commits.quarantined())
         self.publisher.look()
-        pins = Pins(self.pipeline, self.commits, self.ref, self.plan_of_faults, self.publisher.manifest)
+        pins = Pins(
+            self.pipeline.name,
+            self.pipeline.aggregates,
+            self.commits,
+            self.ref,
+            self.plan_of_faults,
+            self.publisher.manifest,
+        )
         self.shared = pins.hashes(self.renew)
         for path in pins.restore():
             self.progress.note(f"{path} was missing or damaged: restored from the published snapshot")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -10,10 +11,13 @@ from pydantic import ValidationError
 
 from factory.chain import SharedTables
 from factory.commits import Commits
+from factory.index import Index
+from factory.inventory import Inventory, missing_parts
 from factory.pins import Pins, build_aggregate
 from factory.pipeline import Pipeline
 from factory.snapshot import Snapshot, read_manifest, read_ref
 from factory.store import Store
+from schemas.errors import CorruptShardError
 from schemas.snapshot import Ref, RunRecord, SnapshotManifest
 from schemas.unit import QuarantineRecord
 
@@ -25,10 +29,15 @@ RUNS_SHOWN: Final = 10
 
 @dataclass(frozen=True)
 class RefStatus:
-    """One ref and what it names; ``manifest`` is None when the snapshot is damaged."""
+    """One ref and what it names.
+
+    manifest : None when it is missing or damaged
+    damaged : what the ref names and is not there, or not whole by a listing: a line for each file, one for all units
+    """
 
     ref: Ref
     manifest: SnapshotManifest | None
+    damaged: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -37,6 +46,7 @@ class StoreStatus:
 
     quarantine : every record, by unit id
     runs : the latest first
+    unpublished : names that a run published under and whose ref is missing
     files, bytes : by folder; empty unless sizes were asked for
     """
 
@@ -44,6 +54,7 @@ class StoreStatus:
     refs: tuple[RefStatus, ...]
     quarantine: tuple[QuarantineRecord, ...]
     runs: tuple[RunRecord, ...]
+    unpublished: tuple[str, ...]
     files: Counter[str]
     bytes: Counter[str]
 
@@ -54,7 +65,8 @@ def store_status(store: Store, *, sizes: bool = False) -> StoreStatus:
     for entry in sorted(store.list("refs"), key=lambda entry: entry.path):
         ref, _ = read_ref(store, entry.path.split("/", 1)[1].removesuffix(".json"))
         if ref is not None:
-            refs.append(RefStatus(ref, read_manifest(store, ref.snapshot_id)))
+            manifest = read_manifest(store, ref.snapshot_id)
+            refs.append(RefStatus(ref, manifest, tuple(_damage(store, ref, manifest))))
     commits = Commits(store)
     records = [commits.quarantine_record(stage, key) for stage, key in commits.quarantined()]
     runs = []
@@ -74,9 +86,29 @@ def store_status(store: Store, *, sizes: bool = False) -> StoreStatus:
         refs=tuple(refs),
         quarantine=tuple(sorted((record for record in records if record), key=lambda record: record.unit_id)),
         runs=tuple(runs),
+        unpublished=tuple(sorted({run.ref for run in runs if run.published} - {status.ref.name for status in refs})),
         files=files,
         bytes=size,
     )
+
+
+def _damage(store: Store, ref: Ref, manifest: SnapshotManifest | None) -> Iterator[str]:
+    """What of a published state is missing or damaged, as far as names and sizes tell."""
+    for path in missing_parts(store, ref.snapshot_id):
+        yield f"{store.url}/{path} is missing or damaged"
+    commits = Commits(store)
+    try:
+        index = Index.read(store, ref.index)
+    except CorruptShardError as error:
+        yield f"{error.where}: {error.what}"
+    else:
+        lost = int((~Inventory(commits, index).whole).sum())
+        if lost:
+            yield f"{store.url}/units: files of {lost} scenes are missing or cut"
+    if manifest is not None:
+        pins = Pins(manifest.pipeline, (), commits, ref.name, published=manifest)
+        for path in (*pins.damaged, *pins.damaged_tables()):
+            yield f"{store.url}/{path} is missing or damaged"
 
 
 @dataclass(frozen=True)
@@ -102,7 +134,7 @@ def drift(pipeline: Pipeline, store: Store, ref: str = "main") -> tuple[Aggregat
     Raises ``StoreError`` when nothing is published, ``CorruptShardError`` when a unit's files are damaged.
     """
     commits = Commits(store)
-    pins = Pins(pipeline, commits, ref)
+    pins = Pins(pipeline.name, pipeline.aggregates, commits, ref)
     index = Snapshot.open(store, ref).index()
     shared = SharedTables(commits, pins.hashes())
     found = []

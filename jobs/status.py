@@ -15,7 +15,7 @@ from jobs.progress import LOGS
 from jobs.report import Report, Section
 from jobs.target import Target
 from schemas.config import Config
-from schemas.errors import UsageError
+from schemas.errors import CorruptShardError, UsageError
 from schemas.snapshot import Pin, RunRecord, SnapshotManifest
 from schemas.unit import QuarantineRecord
 
@@ -25,6 +25,9 @@ HISTORY_SHOWN: Final = 5
 """Earlier snapshots of each ref that are listed."""
 
 OUTCOMES: Final = {0: "done", 3: "with quarantine", 4: "stopped over budget"}
+
+DAMAGED: Final = 3
+"""Exit code where files of what is published are missing or damaged."""
 
 MIB: Final = 2**20
 
@@ -50,10 +53,15 @@ def target_status(target: Target, *, measure_drift: bool = False, sizes: bool = 
     if not found.refs and target.name is None:
         report.lines.append("nothing is published yet")
     report.lines += [_line(status) for status in found.refs]
+    _tell_damage(report, found)
     report.sections.append(_snapshots(found.refs))
     if own is not None and own.manifest is not None:
         report.sections += [*_contents(own.manifest)]
-        add_funnel(report, Snapshot.open(store, own.ref.name))
+        try:
+            add_funnel(report, Snapshot.open(store, own.ref.name))
+        except CorruptShardError as error:
+            report.lines.append(f"no funnel: {error}")
+            report.exit_code = DAMAGED
     report.sections.append(_quarantine(found.quarantine))
     report.sections.append(_runs(found.runs))
     report.sections.append(_pins(store, found, report))
@@ -81,8 +89,24 @@ def _line(status: RefStatus) -> str:
     ref, manifest = status.ref, status.manifest
     head = f"{ref.name} → snapshot {ref.snapshot_id} (generation {ref.generation}, {ref.published_at})"
     if manifest is None:
-        return f"{head}: its manifest is missing or damaged; rebuild makes it again"
+        return f"{head}: its manifest is missing or damaged"
     return f"{head}: scenes " + ", ".join(f"{n} {status}" for status, n in sorted(manifest.units.items()))
+
+
+def _tell_damage(report: Report, found: StoreStatus) -> None:
+    """Files that are published and not there, with what to do; the exit code says so too."""
+    lines = [line for status in found.refs for line in status.damaged]
+    lines += [
+        f"{found.url}/refs/{name}.json is missing, though a run published it: what is committed is published again"
+        for name in found.unpublished
+    ]
+    report.document["damaged"] = lines
+    if lines:
+        report.lines += [f"DAMAGED: {line}" for line in lines]
+        report.lines.append(
+            "Run condvln rebuild CONFIG: it makes again what is missing or cut (--verify reads every file)"
+        )
+        report.exit_code = DAMAGED
 
 
 def _snapshots(refs: tuple[RefStatus, ...]) -> Section:

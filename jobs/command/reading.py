@@ -49,7 +49,9 @@ def status(
     from jobs.target import find_target
 
     found = find_target(target, overrides or (), ref)
-    answer(target_status(found, measure_drift=drift, sizes=sizes), as_json)
+    report = target_status(found, measure_drift=drift, sizes=sizes)
+    answer(report, as_json)
+    leave(report.exit_code)
 
 
 def query(
