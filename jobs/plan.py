@@ -34,6 +34,7 @@ def make_plan(config: Config) -> Report:
         "removed": list(found.removed),
         "renewed": list(found.renewed),
         "damaged": list(found.damaged),
+        "snapshot_id": found.snapshot_id,
         "scenes": entries,
     }
     lines = [
@@ -46,6 +47,8 @@ def make_plan(config: Config) -> Report:
         )
         + ("; compiling kernels, once on a machine, is not counted" if found.seconds or found.possible_seconds else ""),
     ]
+    if found.snapshot_id is None:
+        lines.append(f"nothing is published as {config.name!r} yet: {store.url}/refs/{config.name}.json is not there")
     if found.removed:
         lines.append(f"{len(found.removed)} no longer in the sources: {', '.join(found.removed[:5])} …")
     if found.renewed:

@@ -30,7 +30,7 @@ app.command()(reading.sources)
 app.command()(making.plan)
 app.command(epilog=EXIT_CODES)(making.generate)
 app.command(epilog=EXIT_CODES)(making.rebuild)
-app.command()(reading.status)
+app.command(epilog=EXIT_CODES)(reading.status)
 app.command(
     epilog="The exit code is that of the verb; 130 after Ctrl-C, when the job goes on.",
     context_settings={"ignore_unknown_options": True},

@@ -84,7 +84,7 @@ def rebuild(
     priors: RenewPriors = False,
     retry_quarantined: RetryQuarantined = False,
     verify: Annotated[
-        bool, typer.Option("--verify", help="read every published file again and mend those that are damaged")
+        bool, typer.Option("--verify", help="read every file that publishing rests on, and make damaged ones again")
     ] = False,
     inline: Inline = False,
     as_json: AsJson = False,

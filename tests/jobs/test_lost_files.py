@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -14,9 +17,10 @@ from jobs.generate import run_generate
 from jobs.plan import make_plan
 from jobs.query import run_query
 from jobs.rebuild import run_rebuild
+from jobs.store_lock import alone
 from jobs.workspace import open_store
 from schemas.config import Config, InstructionsConfig, SourceConfig
-from schemas.errors import CorruptShardError
+from schemas.errors import CorruptShardError, StoreError
 
 HOUSES = 2
 
@@ -125,3 +129,44 @@ def test_a_corrupt_snapshot_file_is_named_by_a_query_and_made_again_by_generate(
     assert (report.exit_code, report.document["snapshot_id"]) == (0, before)
     assert files(corpus.export) == exported
     assert run_query(corpus, "SELECT count(*) FROM episodes").document["rows"][0][0] > 0
+
+
+def test_the_second_of_two_generates_learns_it_before_any_work(corpus: Config, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("jobs.generate.listed_units", None)
+    with alone(store_of(corpus), corpus.name) as held:
+        assert held
+        with pytest.raises(StoreError, match=r"another generate or rebuild of 'made'.*Wait"):
+            run_generate(corpus, inline=True)
+
+
+def test_a_read_only_store_does_not_refuse_where_nothing_is_to_be_done(corpus: Config, tmp_path: Path) -> None:
+    """By times alone and by contents."""
+    command = [sys.executable]
+    if os.getuid() == 0:  # root writes where modes forbid it, unless it gives that up
+        if shutil.which("setpriv") is None:
+            pytest.skip("as root this needs setpriv")
+        command = ["setpriv", "--bounding-set=-dac_override", sys.executable]
+    run_rebuild(corpus, inline=True)
+    (tmp_path / "run.yaml").write_text(corpus.model_dump_json())
+    script = (
+        "from pathlib import Path; from jobs.configuration import load_config; from jobs.rebuild import run_rebuild;"
+        "from jobs.plan import make_plan; from jobs.query import run_query; from jobs.status import report_status;"
+        "config = load_config(Path('run.yaml'));"
+        "print(os.access('store', os.W_OK));"
+        "print(run_rebuild(config, if_changed=True).lines[0]); print(run_rebuild(config).lines[0]);"
+        "print(make_plan(config).lines[0]); print(report_status(config).exit_code);"
+        "print(run_query(config, 'SELECT count(*) > 0 FROM episodes').document['rows'])"
+    )
+    paths = [path for path in [tmp_path, *tmp_path.rglob("*")] if not path.is_symlink()]
+    for path in paths:
+        path.chmod(0o555 if path.is_dir() else 0o444)
+    command += ["-c", f"import os; {script}"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    for path in paths:
+        path.chmod(0o755 if path.is_dir() else 0o644)
+    assert done.returncode == 0, done.stderr[-2000:]
+    said = done.stdout.splitlines()
+    assert said[0] == "False"
+    assert said[1].startswith("nothing to do")
+    assert said[2] == f"nothing to do: {HOUSES} scenes are as published"
+    assert said[3:] == [f"{HOUSES} fresh", "0", "[[True]]"]

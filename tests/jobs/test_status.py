@@ -93,6 +93,9 @@ def test_a_store_with_several_names_says_which_there_are(made_run: tuple[Config,
     ref = tmp_path / "store" / "refs" / "made.json"
     document = json.loads(ref.read_text())
     (tmp_path / "store" / "refs" / "other.json").write_text(json.dumps({**document, "name": "other", "checksum": None}))
+    shutil.copy(
+        tmp_path / "store" / "pins" / "condvln" / "made.json", tmp_path / "store" / "pins" / "condvln" / "other.json"
+    )
     assert [found["name"] for found in status(str(tmp_path / "store"))["refs"]] == ["made", "other"]  # type: ignore[attr-defined]
     both = find_target(str(tmp_path / "store"))
     with pytest.raises(UsageError, match="made, other"):

@@ -1,0 +1,116 @@
+"""Each kind of file in a store, damaged in each way, met by each verb: healed with the same id, or one clear error."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator
+
+import pytest
+
+from condvln.samples import make_samples
+from jobs.listing import listed_units
+from jobs.rebuild import run_rebuild
+from jobs.report import Report
+from schemas.config import Config, InstructionsConfig, SourceConfig
+from schemas.errors import CondVLNError
+from tests.jobs.damaged_store import DAMAGES, KINDS, READERS, VERBS, Built, settle, told
+
+QUICK = {"plan", "status", "query"}
+"""Verbs of the part that every test run has; ``generate`` beside them after a removal."""
+
+CASES = [
+    pytest.param(
+        kind,
+        damage,
+        verb,
+        id=f"{kind}-{damage}-{verb}",
+        marks=()
+        if damage in ("removed", "changed") and (verb in QUICK or (verb == "generate" and damage == "removed"))
+        else pytest.mark.soak,
+    )
+    for kind in KINDS
+    for damage in DAMAGES
+    for verb in VERBS
+]
+
+outcomes: Counter[tuple[str, str]] = Counter()
+"""(kind of file, what became of it) of the cases of this process."""
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Built]:
+    """Two made houses whose navmeshes are built, published twice and exported."""
+    folder = tmp_path_factory.mktemp("matrix")
+    make_samples(folder / "dataset", family="procthor", scenes=2, seed=3)
+    settle(folder / "dataset")
+    config = Config(
+        name="made",
+        store=folder / "none",
+        sources=(SourceConfig(family="procthor", root=folder / "dataset"),),
+        instructions=InstructionsConfig(per_category={"simple": 2}),
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("jobs.generate.warm_up", lambda *arguments, **settings: None)
+        scenes = [unit.unit_id.split("/", 1)[1] for unit in listed_units(config)]
+        yield Built.make(folder, config, scenes)
+    print(f"\nstore matrix: {sum(outcomes.values())} cases here")
+    for (kind, outcome), count in sorted(outcomes.items()):
+        print(f"  {kind:15s} {outcome:12s} {count}")
+
+
+def names_file_and_remedy(text: str) -> bool:
+    """Whether a message names a file below the store or the export, and what to do."""
+    return re.search(r"/(store|export)/\S*\w", text) is not None and "condvln" in text
+
+
+def asked(verb: str, config: Config) -> tuple[Report | None, int, str]:
+    """(report, exit code, what was said) of a verb; an error that is not ours would be a traceback."""
+    try:
+        report = VERBS[verb](config)
+    except CondVLNError as error:
+        return None, error.exit_code, str(error)
+    return report, report.exit_code, "\n".join(report.lines)
+
+
+@pytest.mark.parametrize(("kind", "damage", "verb"), CASES)
+def test_damage_is_healed_or_told(built: Built, kind: str, damage: str, verb: str) -> None:
+    built.restore()
+    rows, exported = built.rows(), built.exported(built.aside)
+    path = built.damage(kind, damage)
+    wrong = path.read_bytes() if path.exists() else None
+    report, exit_code, said = asked(verb, built.config)
+    if report is None or exit_code != 0:
+        assert exit_code != 0
+        assert names_file_and_remedy(said), said
+        assert built.exported() == exported, "an error leaves the export as it was"
+        outcomes[kind, "error"] += 1
+        return
+    if kind == "ref" and damage == "older" and verb in READERS:
+        outcomes[kind, "older state"] += 1  # consistent in itself: what was published then is what is read
+        return
+    assert built.exported() == exported
+    if verb in READERS:
+        answer = told(verb, report)
+        if verb == "plan" and answer != built.answers[verb]:
+            assert answer["damaged"] or answer["reasons"] == {"damaged": 1} or kind == "ref", answer
+            outcomes[kind, "planned"] += 1
+            return
+        assert answer == built.answers[verb]
+        outcomes[kind, "not concerned"] += 1
+        return
+    if path.exists() and path.read_bytes() == wrong:
+        # Nobody read it, and its size is as it was: nothing was lost by it, and --verify finds it.
+        assert damage in ("changed", "older")
+        outcomes[kind, "left"] += 1
+        done = run_rebuild(built.config, inline=True, verify=True)
+        assert done.exit_code == 0, done.lines
+    else:
+        outcomes[kind, "healed"] += 1
+    assert built.rows() == rows
+    assert built.exported() == exported
+
+
+def test_the_matrix_is_whole() -> None:
+    assert len(CASES) == len(KINDS) * len(DAMAGES) * len(VERBS) >= 300
+    assert sum(not case.marks for case in CASES) >= 40
