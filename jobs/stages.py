@@ -168,7 +168,7 @@ class RelationStage(Stage):
 
     thresholds: Thresholds
     name: str = "relations"
-    version: int = 1
+    version: int = 2
     tables: tuple[str, ...] = ("relations",)
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects")
     reads_inputs: bool = True

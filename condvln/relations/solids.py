@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from condvln.relations.box_distances import SIGNS
 from condvln.scene import SceneObject
 from condvln.scene.meshes import WorldMesh
 
@@ -19,8 +20,7 @@ __all__ = ["BoxSolid", "MeshSolid", "Solid", "is_its_aabb", "solid_of"]
 
 F64 = NDArray[np.float64]
 
-# Corner k of a box has the sign of bit 2 for x, bit 1 for y, bit 0 for z; the faces look outwards.
-_CORNER_SIGNS: Final = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+# Triangles of a box's corners; they look outwards.
 _BOX_FACES: Final = np.array(
     [
         [0, 1, 3],
@@ -64,7 +64,7 @@ class BoxSolid:
     @cached_property
     def vertices(self) -> F64:
         """(8, 3) corners in the scene's frame."""
-        corners: F64 = self.center + (_CORNER_SIGNS * self.half_extents) @ self.rotation.T
+        corners: F64 = self.center + (SIGNS * self.half_extents) @ self.rotation.T
         return corners
 
     @cached_property
@@ -74,7 +74,7 @@ class BoxSolid:
 
     @cached_property
     def surface(self) -> Any:
-        """The surface as 12 triangles: `fcl.Box` against `fcl.Box` is wrong where centres share a coordinate."""
+        """The surface as 12 triangles, to be measured against a mesh."""
         return _bvh(self.vertices, _BOX_FACES)
 
     @property

@@ -1,15 +1,16 @@
-"""Distances between the surfaces of objects, measured with FCL where boxes are close enough for it to matter."""
+"""Distances between the surfaces of objects whose boxes are close: of boxes in closed form, of meshes with FCL."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final
 
 import fcl
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.relations.solids import Solid, is_its_aabb, solid_of
+from condvln.relations.box_distances import box_distances
+from condvln.relations.solids import BoxSolid, Solid, is_its_aabb, solid_of
 from condvln.scene import RoomArrays, SceneObject, round_mm
 from condvln.scene.meshes import WorldMesh
 
@@ -45,8 +46,20 @@ def surface_distances(arrays: RoomArrays, aabb_distance: F64, within: float, mes
     solids: dict[int, Solid] = {}
     for k in np.unique(np.concatenate([rows, columns])).tolist():
         solids[k] = solid_of(arrays.objects[k], np.array([arrays.aabb_min[k], arrays.aabb_max[k]]), found[k])
+    together: list[tuple[int, int]] = []
+    ones: list[BoxSolid] = []
+    others: list[BoxSolid] = []
     for i, j in zip(rows.tolist(), columns.tolist(), strict=True):
-        distance[i, j] = distance[j, i] = solid_distance(solids[i], solids[j])
+        one, other = solids[i], solids[j]
+        if isinstance(one, BoxSolid) and isinstance(other, BoxSolid):
+            together.append((i, j))
+            ones.append(one)
+            others.append(other)
+        else:
+            distance[i, j] = distance[j, i] = solid_distance(one, other)
+    if together:
+        rows, columns = np.array(together).T
+        distance[rows, columns] = distance[columns, rows] = _between_boxes(ones, others)
     np.fill_diagonal(distance, 0.0)
     return round_mm(distance)
 
@@ -55,15 +68,27 @@ def solid_distance(first: Solid, second: Solid) -> float:
     """Distance of two solids in metres; 0 where they overlap or one holds a piece of the other.
 
     FCL's bounding volume hierarchies know surfaces only and give the gap between a thing and the box it lies in, so
-    containment is asked apart.
+    containment is asked apart. Its distance of two triangles in one plane is now and then 0 though they are apart, so
+    that of the solids' axis-aligned boxes is the least that counts.
     """
-    result = fcl.DistanceResult()
-    distance = max(float(fcl.distance(first.surface, second.surface, _REQUEST, result)), 0.0)
-    if distance == 0.0 or not _extents_overlap(first, second):
+    if isinstance(first, BoxSolid) and isinstance(second, BoxSolid):
+        return float(_between_boxes([first], [second])[0])
+    apart = np.maximum(first.extent[0] - second.extent[1], second.extent[0] - first.extent[1])
+    gap = float(np.linalg.norm(np.maximum(apart, 0.0)))
+    distance = max(float(fcl.distance(first.surface, second.surface, _REQUEST, fcl.DistanceResult())), gap)
+    if distance == 0.0 or gap > 0.0:
         return distance
     holds = first.contains(second.pieces).any() or second.contains(first.pieces).any()
     return 0.0 if holds else distance
 
 
-def _extents_overlap(first: Solid, second: Solid) -> bool:
-    return bool((first.extent[0] <= second.extent[1]).all() and (second.extent[0] <= first.extent[1]).all())
+def _between_boxes(first: Sequence[BoxSolid], second: Sequence[BoxSolid]) -> F64:
+    one, other = (
+        (
+            np.array([box.center for box in boxes]),
+            np.array([box.half_extents for box in boxes]),
+            np.array([box.rotation for box in boxes]),
+        )
+        for boxes in (first, second)
+    )
+    return box_distances(one, other)
