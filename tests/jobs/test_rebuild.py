@@ -256,8 +256,8 @@ def test_of_two_on_two_machines_one_publishes_and_the_other_says_so(
     met: list[str] = []
     phase = RunProgress.phase
 
-    def interrupted(self: RunProgress, name: str, total: int, seconds: float) -> None:
-        phase(self, name, total, seconds)
+    def interrupted(self: RunProgress, name: str, total: int, seconds: float, workers: int = 1) -> None:
+        phase(self, name, total, seconds, workers)
         if name == "files" and not met:
             met.append("")
             met[0] = run_generate(rival, inline=True).document["snapshot_id"]
