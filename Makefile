@@ -34,8 +34,8 @@ test: lint  ## lint, types, contracts and tests (under ten minutes)
 	$(BIN)/python -m pytest -n $(WORKERS) -m "not soak"
 
 soak: $(VENV)/.ready  ## full fuzzing, fault and determinism matrices
-	$(BIN)/python -m pytest -n $(WORKERS) -m soak --draws $(DRAWS)
-	$(BIN)/python -m pytest -n $(WORKERS) -m "hypothesis and not soak" --draws $(DRAWS) --rounds 20
+	$(BIN)/python -m pytest -n $(WORKERS) -m "soak or costly" --draws $(DRAWS)
+	$(BIN)/python -m pytest -n $(WORKERS) -m "hypothesis and not soak and not costly" --draws $(DRAWS) --rounds 20
 
 bench: $(VENV)/.ready  ## side-by-side measurements, ratios in one run
 	$(BIN)/python -m benchmarks

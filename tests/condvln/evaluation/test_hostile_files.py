@@ -109,6 +109,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
 }
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("reader", READERS)
 @given(data=hostile())
 @example(data=b"")

@@ -32,6 +32,7 @@ def read(path: Path) -> Any:
     return {key: parsed(data, path, "") for key, data in found}
 
 
+@pytest.mark.costly
 @given(
     st.lists(containers, min_size=1, max_size=5) | st.dictionaries(texts, containers, max_size=5),
     st.sampled_from([None, 1]),

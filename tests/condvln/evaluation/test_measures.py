@@ -34,6 +34,7 @@ def check_all(path: np.ndarray, reference: np.ndarray, tau: float) -> None:
     assert listed(without_repeats(path)) == plain.no_repeats(p)
 
 
+@pytest.mark.costly
 @given(paths, paths, st.sampled_from([0.5, 1.0, 3.0]))
 @settings(max_examples=300)
 def test_equal_the_plain_definitions(path: np.ndarray, reference: np.ndarray, tau: float) -> None:
@@ -57,6 +58,7 @@ def check_fast(path: np.ndarray, reference: np.ndarray) -> None:
 long_paths = st.integers(1, 60).flatmap(lambda n: hnp.arrays(np.float64, (n, 3), elements=coordinate))
 
 
+@pytest.mark.costly
 @given(long_paths, long_paths)
 @settings(max_examples=60)
 def test_fast_mode_equals_the_package_that_vlnce_uses(path: np.ndarray, reference: np.ndarray) -> None:

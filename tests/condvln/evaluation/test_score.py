@@ -102,6 +102,7 @@ def check(case: dict[str, Any]) -> None:
     assert asdict(judged(case, prune=False)) == pytest.approx(ours, nan_ok=True, abs=0, rel=0)
 
 
+@pytest.mark.costly
 @given(cases())
 @settings(max_examples=250)
 def test_equal_the_plain_definitions(case: dict[str, Any]) -> None:
@@ -115,6 +116,7 @@ def test_equal_the_plain_definitions_at_length(case: dict[str, Any]) -> None:
     check(case)
 
 
+@pytest.mark.costly
 @given(cases())
 @settings(max_examples=200)
 def test_laws_on_any_input(case: dict[str, Any]) -> None:

@@ -30,6 +30,7 @@ def _pathfinder(floor: shapely.Geometry) -> Pathfinder:
     return Pathfinder.from_tile(tile_of_polygons(points, polygons))
 
 
+@pytest.mark.costly
 @given(st.integers(0, 10**9))
 @settings(max_examples=15)
 def test_a_made_floor_is_covered_once_by_convex_polygons_that_meet_along_whole_edges(seed: int) -> None:

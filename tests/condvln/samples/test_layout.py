@@ -23,6 +23,7 @@ layouts = st.builds(make_layout, st.integers(0, 2**63 - 1), st.none() | st.integ
 some = settings(max_examples=25)
 
 
+@pytest.mark.costly
 @given(layouts)
 @some
 def test_no_two_boxes_overlap(layout: Layout) -> None:
@@ -33,6 +34,7 @@ def test_no_two_boxes_overlap(layout: Layout) -> None:
         assert (common <= 1e-9).any(), (layout.furniture[i], layout.furniture[j])
 
 
+@pytest.mark.costly
 @given(layouts)
 @some
 def test_each_piece_stands_inside_its_room_and_within_its_height(layout: Layout) -> None:
@@ -43,6 +45,7 @@ def test_each_piece_stands_inside_its_room_and_within_its_height(layout: Layout)
         assert 0 <= y0 < y1 <= layout.ceiling, piece
 
 
+@pytest.mark.costly
 @given(layouts)
 @some
 def test_small_things_lie_on_what_carries_them(layout: Layout) -> None:
@@ -57,6 +60,7 @@ def test_small_things_lie_on_what_carries_them(layout: Layout) -> None:
             assert piece.aabb[0, 1] == 0 if hang is None else piece.aabb[0, 1] >= hang / 1000
 
 
+@pytest.mark.costly
 @given(layouts)
 @some
 def test_rooms_tile_the_plan_and_doors_join_them_all(layout: Layout) -> None:
@@ -75,6 +79,7 @@ def test_rooms_tile_the_plan_and_doors_join_them_all(layout: Layout) -> None:
     assert nx.is_connected(graph)
 
 
+@pytest.mark.costly
 @given(layouts)
 @some
 def test_nobody_walks_through_a_bathroom(layout: Layout) -> None:
@@ -83,6 +88,7 @@ def test_nobody_walks_through_a_bathroom(layout: Layout) -> None:
             assert sum(room.room_id in door.rooms for door in layout.doors) == 1
 
 
+@pytest.mark.costly
 @given(layouts)
 @some
 def test_the_free_floor_is_one_part_that_reaches_every_doorway_and_room(layout: Layout) -> None:
@@ -100,6 +106,7 @@ def test_the_free_floor_is_one_part_that_reaches_every_doorway_and_room(layout: 
             assert floor.distance(piece.footprint) >= 0.1 - 0.0015, piece
 
 
+@pytest.mark.costly
 @given(layouts)
 @some
 def test_every_coordinate_lies_on_the_millimetre_grid(layout: Layout) -> None:
@@ -109,6 +116,7 @@ def test_every_coordinate_lies_on_the_millimetre_grid(layout: Layout) -> None:
     assert np.abs(millimetres - np.round(millimetres)).max() < 1e-6
 
 
+@pytest.mark.costly
 @given(layouts)
 @some
 def test_rooms_hold_five_to_twelve_objects_with_unique_ids(layout: Layout) -> None:

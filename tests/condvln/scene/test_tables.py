@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -100,12 +101,14 @@ def exact(value: Any) -> Any:
     return value if names is None else {name: exact(getattr(value, name)) for name in names}
 
 
+@pytest.mark.costly
 @given(scenes())
 def test_a_scene_comes_back_to_the_bit(scene: Scene) -> None:
     tables = scene_tables(scene)
     assert exact(scene_from_tables(tables, ROOT, family="replicacad")) == exact(scene)
 
 
+@pytest.mark.costly
 @given(scenes())
 def test_tables_come_back_to_the_bit_through_parquet(scene: Scene) -> None:
     tables = scene_tables(scene, status="skipped", reason="no navmesh")

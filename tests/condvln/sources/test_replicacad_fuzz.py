@@ -68,6 +68,7 @@ def _check(made: Any, files: dict[Path, bytes], data: st.DataObject) -> None:
         assert refused.remedy
 
 
+@pytest.mark.costly
 @settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_broken_bytes_give_a_scene_or_our_error(made: Any, files: dict[Path, bytes], data: st.DataObject) -> None:

@@ -195,6 +195,7 @@ def programs(draw: st.DrawFn) -> Program:
     )
 
 
+@pytest.mark.costly
 @settings(max_examples=150)
 @given(programs(), st.integers(0, 2**32))
 def test_every_rendered_text_reads_as_its_program(program: Program, seed: int) -> None:

@@ -47,6 +47,7 @@ def test_a_shift_by_whole_cells_shifts_the_mesh(join, plate, box, dx: int, dy: i
     np.testing.assert_array_equal(here.tile.links, there.tile.links)
 
 
+@pytest.mark.costly
 @given(seed=st.integers(0, 2**32 - 1))
 def test_how_vertices_are_stored_does_not_matter(join, plate, box, seed: int) -> None:
     vertices, faces = furnished(join, plate, box)
