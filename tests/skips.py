@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Generator
 from typing import Any
 
@@ -34,10 +35,22 @@ _KNOWN = re.compile("|".join(f"(?:{reason})" for reason in REASONS))
 def pytest_runtest_makereport() -> Generator[None, Any, Any]:
     report = yield
     if report.skipped and not hasattr(report, "wasxfail"):
-        reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
-        if not _KNOWN.match(reason.removeprefix("Skipped: ")):
+        reason = _reason(report)
+        if not _KNOWN.match(reason):
             report.outcome = "failed"
             report.longrepr = (
                 f"{reason}\nThis reason is not in tests/skips.py: make the test run, or add the reason there."
             )
     return report
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """How many tests were skipped for each reason."""
+    reasons = Counter(_reason(report) for report in terminalreporter.stats.get("skipped", ()))
+    for reason, number in sorted(reasons.items()):
+        terminalreporter.write_line(f"{number} skipped: {reason}")
+
+
+def _reason(report: Any) -> str:
+    text = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
+    return str(text).removeprefix("Skipped: ")

@@ -159,3 +159,4 @@ def test_a_skip_needs_a_listed_reason(project: Path, repository: Path, reason: s
     done = subprocess.run(command, cwd=project, env=variables, capture_output=True, text=True, check=False)
     assert done.returncode == code, done.stdout
     assert ("tests/skips.py" in done.stdout) == bool(code)
+    assert (f"1 skipped: {reason}" in done.stdout) == (not code)
