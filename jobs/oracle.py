@@ -36,7 +36,7 @@ def linear_text(program: Program, instruction_id: str, heading_degrees: float, *
     moves = oracle_linear(program)
     told = render_moves(moves, seed, instruction_id)
     compass = any(move.qualifier is not None and move.qualifier.predicate in COMPASS for move in moves)
-    return with_preamble(told, heading_degrees) if preamble and compass else told
+    return with_preamble(told, heading_degrees, seed, instruction_id) if preamble and compass else told
 
 
 def oracle_split(

@@ -216,7 +216,7 @@ class ProgramStage(Stage):
     preamble: bool
     seed: int
     name: str = "programs"
-    version: int = 5
+    version: int = 6
     tables: tuple[str, ...] = ("stops", "candidates", "rejections")
     reads_inputs: bool = True
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "relations")
@@ -370,7 +370,7 @@ class TextStage(Stage):
     max_steps: int
     seed: int
     name: str = "text"
-    version: int = 3
+    version: int = 4
     tables: tuple[str, ...] = ("instructions", "episodes")
     reads: tuple[str, ...] | None = ("candidates", "placements", "unplaced", "rooms")
 
@@ -395,7 +395,7 @@ class TextStage(Stage):
             name = row["instruction_id"]
             named = self.text.preamble and names_compass(programs[name])
             texts[row["episode_id"]] = (
-                with_preamble(bodies[name], row["start_heading_degrees"]) if named else bodies[name]
+                with_preamble(bodies[name], row["start_heading_degrees"], self.seed, name) if named else bodies[name]
             )
         return StageOutput(
             tables={

@@ -76,11 +76,15 @@ class ObjectRef(Frozen):
 
 
 class Condition(Frozen):
-    """``there is a <label> [<qualifier>] in <room>``, with its truth and the objects that make it true."""
+    """``there is a <label> [<qualifier>] in <room>``, with its truth and the objects that make it true.
+
+    definite : exactly one thing of the room can be meant by the label, so that a person says "the lamp is near the bed"
+    """
 
     label: str
     room: RoomRef
     qualifier: Qualifier | None = None
+    definite: bool = False
     truth: bool
     witnesses: tuple[str, ...] = ()
 
@@ -88,6 +92,8 @@ class Condition(Frozen):
     def _witnessed(self) -> Condition:
         if self.truth != bool(self.witnesses):
             raise ValueError("a condition has witnesses exactly when it is true")
+        if self.definite and self.qualifier is None:
+            raise ValueError("only a condition with a relation can be about one definite thing")
         return self
 
     @property

@@ -202,6 +202,7 @@ _CONDITION: Final = pa.struct(
         _field("label", _S, "canonical label that is asked for"),
         _field("room", _ROOM_REF, "room in which it is asked for"),
         _field("qualifier", _QUALIFIER, "relation that is asked for; null for presence alone"),
+        _field("definite", _B, "the label fits one object of the room alone, so that text says `the`"),
         _field("truth", _B, "the condition holds"),
         _field("witnesses", pa.list_(_S), "object ids that make it true; empty where it is false"),
     ]

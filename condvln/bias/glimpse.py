@@ -15,13 +15,17 @@ __all__ = ["Asked", "Glimpse", "GlimpsedLeaf"]
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """A condition as asked, and its truth: known of episodes to learn from, hidden of one to guess."""
+    """A condition as asked, and its truth: known of episodes to learn from, hidden of one to guess.
+
+    definite : it speaks of one thing that is known to be there
+    """
 
     label: str
     room: str
     predicate: str
     anchor: str
     truth: bool
+    definite: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +102,7 @@ def _asked(condition: Mapping[str, Any]) -> Asked:
         predicate=qualifier["predicate"],
         anchor=qualifier["anchor_label"],
         truth=bool(condition["truth"]),
+        definite=bool(condition.get("definite", False)),
     )
 
 

@@ -14,6 +14,7 @@ from scipy.sparse import csr_matrix
 
 from condvln.bias.blocks import progressive
 from condvln.bias.glimpse import Asked, Glimpse
+from condvln.labels import vocabulary
 from schemas.program import SHAPES, Category
 
 __all__ = ["LEARNED", "NO_GUESS", "Learner", "leaf_truths"]
@@ -33,6 +34,8 @@ LEAST_TEXTS: Final = 2
 """Episodes that a word must stand in to be learned about."""
 MOST_TEXTS: Final = 0.95
 """Share of the episodes up to which a word may stand in them: what is in all tells nothing."""
+WORDS_A_CLASS: Final = 10
+"""Words by which two texts differ in length."""
 ITERATIONS: Final = 50
 TOLERANCE: Final = 1e-3
 """Gradient at which a regression ends; the guesses no longer change long before."""
@@ -185,12 +188,16 @@ def _features(glimpses: Sequence[Glimpse], words: Words) -> csr_matrix:
     return table[:, kept]
 
 
+def _words(glimpse: Glimpse) -> list[str]:
+    text = glimpse.text.lower()
+    for mark in ",.;:?":
+        text = text.replace(mark, f" {mark}")
+    return text.split()
+
+
 def _text_words(glimpse: Glimpse) -> Iterator[str]:
     """Words and pairs of neighbouring words, punctuation as words: "; if so" is not "if so"."""
-    words = glimpse.text.lower()
-    for mark in ",.;:":
-        words = words.replace(mark, f" {mark}")
-    found = words.split()
+    found = _words(glimpse)
     yield from found
     yield from (f"{one} {other}" for one, other in pairwise(found))
 
@@ -210,6 +217,24 @@ def _cues(glimpse: Glimpse) -> Iterator[str]:
         yield from (f"leaf {k} by {label}" for label in leaf.labels[:-1])
 
 
+def _form(glimpse: Glimpse) -> Iterator[str]:
+    """How a text is said and not what about: its length, its words but for nouns, which conditions are definite."""
+    yield f"{len(glimpse.text.split()) // WORDS_A_CLASS} words"
+    for k, asked in enumerate(glimpse.asked):
+        yield f"{k} {'definite' if asked.definite else 'indefinite'} {'relation' if asked.predicate else 'presence'}"
+    content = _content_words()
+    words = [word if word not in content else "_" for word in _words(glimpse)]
+    yield from (f"{one} {other}" for one, other in pairwise(words))
+
+
+@cache
+def _content_words() -> frozenset[str]:
+    """Words of the nouns of things and rooms."""
+    nouns = [vocabulary.entry(x).noun for x in vocabulary.labels if vocabulary.fit_for_text(x)]
+    nouns += [vocabulary.room(x).noun for x in vocabulary.room_labels if vocabulary.room(x).fit_for_text]
+    return frozenset(word for noun in nouns for word in noun.lower().split())
+
+
 _whole_statement = _prior(lambda asked: (asked.label, asked.room, asked.predicate, asked.anchor))
 
 LEARNED: Final[Mapping[str, Learner]] = {
@@ -217,6 +242,8 @@ LEARNED: Final[Mapping[str, Learner]] = {
     "label and room": _prior(lambda asked: (asked.label, asked.room)),
     "whole statement": _whole_statement,
     "statement in its layout": _in_layout(_whole_statement),
+    "definite or not": _prior(lambda asked: (str(asked.definite), asked.predicate)),
+    "form of the text": _regression(_form),
     "bag of words": _regression(_text_words),
     "words in place": _regression(_cues),
 }

@@ -97,7 +97,11 @@ class GraphEpisodes:
             self.left_out[str(refused)] += 1
             return None
         heading = heading_degrees(placement.yaw)
-        text = with_preamble(instruction["text"], heading) if compass else instruction["text"]
+        text = (
+            with_preamble(instruction["text"], heading, self.seed, instruction["instruction_id"])
+            if compass
+            else instruction["text"]
+        )
         row = _row(scan, instruction, program, placement, graph, text)
         item = r2r_episode(row, graph)
         if isinstance(item, str):

@@ -6,7 +6,7 @@ from condvln.instructions.oracle import oracle_linear
 from condvln.instructions.parsing import parse
 from condvln.instructions.priors import LabelPriors, PriorBits
 from condvln.instructions.reading import Reading, reading_of
-from condvln.instructions.rendering import names_compass, render, render_moves, with_preamble
+from condvln.instructions.rendering import names_compass, render, render_moves, voice_of, with_preamble
 from condvln.instructions.sampling import ProgramSampler
 from condvln.instructions.stops import Stops, apart_by_centres
 from condvln.instructions.tables import instruction_table, programs_from_table
@@ -30,5 +30,6 @@ __all__ = [
     "reading_of",
     "render",
     "render_moves",
+    "voice_of",
     "with_preamble",
 ]

@@ -163,9 +163,11 @@ class Asker:
     def _condition(self, room: RoomRef, question: Question) -> Condition:
         key = (room, question)
         if key not in self._made:
-            qualifier = None
+            qualifier, definite = None, False
             if question.predicate is not None and question.anchor is not None:
-                arrays = self._rooms[room.room_id].referents.arrays
+                referents = self._rooms[room.room_id].referents
+                arrays = referents.arrays
+                definite = question.label in referents.unique_labels
                 qualifier = Qualifier(
                     predicate=question.predicate,
                     anchor_id=arrays.object_ids[question.anchor],
@@ -175,6 +177,7 @@ class Asker:
                 label=question.label,
                 room=room,
                 qualifier=qualifier,
+                definite=definite,
                 truth=question.truth,
                 witnesses=question.witnesses,
             )

@@ -15,9 +15,13 @@ ID_LENGTH = 20
 
 
 def program_key(program: Program) -> str:
-    """SHA-256 of the program's canonical JSON, truths and witnesses included: what makes two programs distinct."""
-    document = orjson.dumps(program.model_dump(mode="json"), option=orjson.OPT_SORT_KEYS)
-    return hashlib.sha256(document).hexdigest()
+    """SHA-256 of the program's canonical JSON, truths and witnesses included: what makes two programs distinct.
+
+    Whether a condition is definite follows from the scene, and is left out.
+    """
+    document = program.model_dump(mode="json", exclude={"conditions": {"__all__": {"definite"}}})
+    text = orjson.dumps(document, option=orjson.OPT_SORT_KEYS)
+    return hashlib.sha256(text).hexdigest()
 
 
 def instruction_id(family: str, scene_id: str, program: Program) -> str:

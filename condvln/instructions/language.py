@@ -1,6 +1,6 @@
-"""A language as data: phrases, articles, nouns and the sentence templates of each category.
+"""A language as data: voices, phrases, articles, nouns and the sentence templates of each category.
 
-``grammar/<code>.yaml`` holds phrases and templates; nouns of languages other than English stand beside it in
+``grammar/<code>.yaml`` holds voices, phrases and templates; nouns of languages other than English stand beside it in
 ``nouns.<code>.csv`` and ``rooms.<code>.csv`` (English ones come from the vocabulary). Renderer and parser both work
 from what is loaded here, so that they cannot drift apart.
 """
@@ -14,34 +14,34 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from itertools import accumulate
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import yaml
 
 from condvln.instructions.predicates import PREDICATES
 from condvln.labels import vocabulary
-from schemas.program import CATEGORIES, SHAPES, Category
+from schemas.program import CATEGORIES, SHAPES, Category, Predicate
 
-__all__ = ["LANGUAGES", "LEAF_LETTERS", "PHRASINGS", "Language", "Noun", "Phrases", "Slot", "language"]
+__all__ = ["LANGUAGES", "LEAF_LETTERS", "SLOTS", "Language", "Noun", "Piece", "Slot", "Template", "Voice", "language"]
 
 LANGUAGES: Final = ("en", "es")
 """Codes of the languages that are shipped."""
-
-PHRASINGS: Final = 8
-"""Every slot of every language has at least so many phrasings."""
 
 CONDITION_LETTERS: Final = "ABC"
 LEAF_LETTERS: Final = "xyzw"
 
 SLOTS: Final = (
-    "if", "else", "check", "yes", "no", "nest", "and", "but",
-    "exists", "absent", "again", "never", "has", "lacks", "anywhere",
-    "go", "first", "then", "finally", "in", "same", "with", "scope", "facing",
+    "exists", "absent", "is_there", "has", "lacks", "does", "have", "is", "is_not", "asks_is",
+    "see", "check", "for", "look", "yes_one", "no_one", "yes_it", "no_it",
+    "go", "then", "last", "second", "in", "of", "there", "there_of", "with", "scope",
+    "facing",
 )  # fmt: skip
-"""Phrase slots that every language fills, beside one per predicate."""
+"""Phrase slots of every voice, beside one per predicate."""
+
+Form = Literal["asserted", "denied", "question", "see", "yes", "no", "leaf"]
 
 _SLOT: Final = re.compile(r"\{([^}]*)\}")
-_GUARD: Final = re.compile(r"if (not )?([ABC])(?: (and|but) (not )?([ABC]))?")
+_FORMS: Final[Mapping[str, Form]] = {"see ": "see", "yes ": "yes", "no ": "no", "-": "denied", "": "asserted"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,40 +53,53 @@ class Noun:
 
 
 @dataclass(frozen=True, slots=True)
-class Phrases:
-    """The phrasings of one slot, with their weights summed up."""
-
-    texts: tuple[str, ...]
-    sums: tuple[float, ...]
-
-
-@dataclass(frozen=True, slots=True)
 class Slot:
-    """A slot of a template.
+    """A slot of a template: a form of the condition, or the leaf, of an index."""
 
-    kind : "guard", "check", "leaf", or the name of a phrase slot
-    literals : for guards and checks the (condition index, asserted or denied) named, in order
-    joint : what joins two literals, "and" or "but"
-    leaf : for leaves the index
-    """
-
-    kind: str
-    literals: tuple[tuple[int, bool], ...] = ()
-    joint: str = ""
-    leaf: int = -1
+    form: Form
+    index: int
 
 
 Piece = str | Slot
-Template = tuple[Piece, ...]
+"""Words as they stand in the template, or a slot."""
+
+
+@dataclass(frozen=True, slots=True)
+class Template:
+    """The sentences of a category, and the names of the voices that use them."""
+
+    pieces: tuple[Piece, ...]
+    voices: frozenset[str]
+
+
+@dataclass(frozen=True, eq=False)
+class Voice:
+    """Phrases that go together.
+
+    slots : phrases by slot; the text takes one of them for its whole length
+    templates : by category, those of this voice
+    """
+
+    name: str
+    slots: Mapping[str, tuple[str, ...]]
+    templates: Mapping[Category, tuple[Template, ...]]
 
 
 @dataclass(frozen=True, eq=False)
 class Language:
-    """One language."""
+    """One language.
+
+    slots : all phrases of each slot, over all voices
+    connectives : the words that hold clauses together, by what they do
+    voices, sums : the voices and their weights, summed up
+    """
 
     code: str
-    slots: Mapping[str, Phrases]
-    predicates: Mapping[str, Phrases]
+    voices: tuple[Voice, ...]
+    sums: tuple[float, ...]
+    slots: Mapping[str, tuple[str, ...]]
+    connectives: Mapping[str, tuple[str, ...]]
+    predicates: Mapping[Predicate, tuple[str, ...]]
     directions: Mapping[str, str]
     templates: Mapping[Category, tuple[Template, ...]]
     articles: Mapping[str, Mapping[str, str]]
@@ -99,9 +112,15 @@ class Language:
         return f"{self.articles['definite'][noun.kind]} {noun.text}"
 
     def filled(self, phrase: str, noun: Noun) -> str:
-        """A phrase of existence with its noun: "there is {a}" → "there is a lamp"."""
-        article = {"a": self.articles["indefinite"][noun.kind], "none": self.articles["none"][noun.kind]}
-        return f"{phrase.format(**article)} {noun.text}"
+        """A phrase with its noun: "there's {a}" → "there's a lamp"."""
+        if "{" in phrase:
+            phrase = phrase.replace("{a}", self.articles["indefinite"][noun.kind])
+            phrase = phrase.replace("{none}", self.articles.get("none", {}).get(noun.kind, ""))
+        return f"{phrase} {noun.text}"
+
+    def answered(self, phrase: str, noun: Noun) -> str:
+        """An answer about a noun: "{lo} hay" → "la hay"."""
+        return phrase.replace("{lo}", self.articles["pronoun"][noun.kind]) if "{" in phrase else phrase
 
     def contracted(self, text: str) -> str:
         """Text with its prepositions and articles run together where the language does so."""
@@ -118,18 +137,19 @@ class Language:
 
 @cache
 def language(code: str = "en") -> Language:
-    """The language of a code.
-
-    Templates hold no words, so that a language that has none of its own has those of English.
-    """
+    """The language of a code."""
     document = _document(code)
-    templates = document.get("templates") or _document("en")["templates"]
+    templates = {c: tuple(_template(t, c) for t in document["templates"][c]) for c in CATEGORIES}
+    voices = tuple(_voice(name, own, document["phrases"], templates) for name, own in document["voices"].items())
     return Language(
         code=code,
-        slots={name: _phrases(document["slots"][name]) for name in SLOTS},
+        voices=voices,
+        sums=tuple(accumulate(float(own["weight"]) for own in document["voices"].values())),
+        slots={slot: tuple(dict.fromkeys(p for voice in voices for p in voice.slots[slot])) for slot in SLOTS},
+        connectives={name: tuple(phrases) for name, phrases in document["connectives"].items()},
         predicates={p: _predicate(document, p) for p in PREDICATES},
         directions=document["directions"],
-        templates={c: tuple(_template(t, c) for t in templates[c]) for c in CATEGORIES},
+        templates=templates,
         articles=document["articles"],
         contractions=document["contractions"],
         nouns=_nouns(code),
@@ -141,6 +161,20 @@ def _document(code: str) -> Mapping[str, Any]:
     text = files("condvln.instructions").joinpath("grammar", f"{code}.yaml").read_text(encoding="utf-8")
     document: Mapping[str, Any] = yaml.safe_load(text)
     return document
+
+
+def _voice(
+    name: str,
+    own: Mapping[str, Any],
+    common: Mapping[str, Sequence[str]],
+    templates: Mapping[Category, tuple[Template, ...]],
+) -> Voice:
+    slots = {slot: tuple(own.get(slot, common[slot])) for slot in SLOTS}
+    usable = {c: tuple(t for t in those if name in t.voices) for c, those in templates.items()}
+    lacking = [c for c, those in usable.items() if not those]
+    if lacking:
+        raise AssertionError(f"voice {name} has no template of {', '.join(lacking)}")
+    return Voice(name, slots, usable)
 
 
 def _nouns(code: str) -> dict[str, Noun]:
@@ -164,44 +198,33 @@ def _named(table: str) -> dict[str, Noun]:
     return {row["label"]: Noun(row["noun"], row["class"]) for row in csv.DictReader(text.splitlines())}
 
 
-def _phrases(weights: Mapping[str, float]) -> Phrases:
-    return Phrases(tuple(weights), tuple(accumulate(map(float, weights.values()))))
-
-
-def _predicate(document: Mapping[str, Any], predicate: str) -> Phrases:
+def _predicate(document: Mapping[str, Any], predicate: str) -> tuple[str, ...]:
     word = document["directions"].get(predicate.removesuffix(" of"), "")
-    return _phrases(
-        {phrase.replace("{direction}", word): weight for phrase, weight in document["predicates"][predicate].items()}
-    )
+    return tuple(phrase.replace("{direction}", word) for phrase in document["predicates"][predicate])
 
 
-def _template(text: str, category: Category) -> Template:
+def _template(entry: Mapping[str, str], category: Category) -> Template:
     pieces: list[Piece] = []
-    for k, part in enumerate(_SLOT.split(text)):
+    for k, part in enumerate(_SLOT.split(entry["text"])):
         if k % 2:
             pieces.append(_slot(part))
         elif part:
             pieces.append(part)
     shape = SHAPES[category]
-    asked = [index for piece in pieces if isinstance(piece, Slot) for index, _ in piece.literals]
-    leaves = sorted(piece.leaf for piece in pieces if isinstance(piece, Slot) and piece.kind == "leaf")
-    if set(asked) != set(range(len(shape.branches))) or leaves != list(range(shape.leaves)):
-        raise AssertionError(f"template does not name each condition and, once, each leaf of {category}: {text}")
-    return tuple(pieces)
+    slots = [piece for piece in pieces if isinstance(piece, Slot)]
+    asked = {slot.index for slot in slots if slot.form in ("asserted", "denied", "question", "see")}
+    leaves = sorted(slot.index for slot in slots if slot.form == "leaf")
+    if asked != set(range(len(shape.branches))) or leaves != list(range(shape.leaves)):
+        raise AssertionError(f"template does not ask each condition and name each leaf once: {entry['text']}")
+    return Template(tuple(pieces), frozenset(entry["voices"].split()))
 
 
 def _slot(text: str) -> Slot:
     if text in LEAF_LETTERS:
-        return Slot("leaf", leaf=LEAF_LETTERS.index(text))
-    if text.startswith("check "):
-        return Slot("check", ((CONDITION_LETTERS.index(text[-1]), True),))
-    guard = _GUARD.fullmatch(text)
-    if guard is None:
-        if text not in SLOTS:
-            raise AssertionError(f"unknown slot {{{text}}} in a template")
-        return Slot(text)
-    denied, one, joint, also_denied, other = guard.groups()
-    literals: Sequence[tuple[str, bool]] = [(one, denied is None)]
-    if other:
-        literals = [*literals, (other, also_denied is None)]
-    return Slot("guard", tuple((CONDITION_LETTERS.index(x), asserted) for x, asserted in literals), joint or "")
+        return Slot("leaf", LEAF_LETTERS.index(text))
+    if text.endswith("?"):
+        return Slot("question", CONDITION_LETTERS.index(text[:-1]))
+    for prefix, form in _FORMS.items():
+        if text.startswith(prefix) and text[len(prefix) :] in CONDITION_LETTERS:
+            return Slot(form, CONDITION_LETTERS.index(text[len(prefix) :]))
+    raise AssertionError(f"unknown slot {{{text}}} in a template")

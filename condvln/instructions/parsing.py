@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from functools import cache
 from typing import Any, Final
 
@@ -21,7 +22,12 @@ from schemas.program import CATEGORIES, SHAPES, Category, Predicate
 
 __all__ = ["grammar_source", "parse", "parser", "reading_from_tree"]
 
-PUNCTUATION: Final = {",": "COMMA", ";": "SEMICOLON", ":": "COLON", ".": "STOP"}
+PUNCTUATION: Final = {",": "COMMA", ";": "SEMICOLON", ":": "COLON", ".": "STOP", "?": "QUESTION"}
+ANSWERS: Final = ("yes_one", "yes_it", "no_one", "no_it")
+"""Slots whose phrases answer a question; they tell what kind of question it was."""
+
+_TOKEN: Final = re.compile(r"\(\d\)|[^\s,;:.?]+|[,;:.?]")
+"""Words, numbers in brackets and punctuation of a template."""
 
 Node = Tree[Token]
 
@@ -70,68 +76,71 @@ class _GrammarWriter:
 
     def source(self) -> str:
         w, rules = self.words, []
-        for name in w.slots:
-            if name not in ("go", "first"):
-                rules.append(f"{_rule(name)}: {self._any(w.slots[name].texts)}")
-        # A lone stop and the first of several may begin with the same words.
-        rules.append(f"_begin: {self._any(sorted({*w.slots['go'].texts, *w.slots['first'].texts}))}")
-        for predicate, phrases in w.predicates.items():
-            rules.append(f"{_rule(predicate)}: {self._any(phrases.texts)}")
-        for name, text in w.directions.items():
-            rules.append(f"direction_{_rule(name)}: {self._any([text])}")
+        for name, phrases in w.slots.items():
+            if name not in ("then", "second", "last", "there", "there_of", *ANSWERS):
+                rules.append(f"_{name}: {self._any(phrases)}")
+        rules.append(f"_joint: {self._any([*w.slots['then'], *w.slots['second'], *w.slots['last']])}")
+        rules.append(f"there: {self._any(w.slots['there'])}")
+        rules.append(f"there_of: {self._any(w.slots['there_of'])}")
+        rules += [f"{name}: {self._any(w.slots[name])}" for name in ANSWERS]
+        rules += [f"{_rule(predicate)}: {self._any(phrases)}" for predicate, phrases in w.predicates.items()]
+        rules += [f"direction_{_rule(name)}: {self._any([text])}" for name, text in w.directions.items()]
         rules += [
-            "start: [_facing direction] [_scope room STOP] body",
+            "start: [_facing direction] [_scope room COMMA] body",
             "direction: (" + " | ".join(f"direction_{_rule(d)}" for d in w.directions) + ") STOP",
-            "moves: _begin object (_then object)* [_finally object]",
-            "object: _THE NOUN [qualifier] [_in room | same]",
-            "room: _THE ROOM [_with _THE NOUN]",
-            "qualifier: (" + " | ".join(_rule(p) for p in w.predicates) + ") _THE NOUN",
-            "asserted: _exists NOUN [qualifier] [_in room | _anywhere] -> there_is",
-            "    | room _has NOUN [qualifier] -> room_has",
-            "    | _again NOUN -> such",
-            "denied: _absent NOUN [qualifier] [_in room | _anywhere] -> there_is",
-            "    | room _lacks NOUN [qualifier] -> room_has",
-            "    | _never NOUN -> such",
-            "check: _check asserted",
+            "moves: _go object (_joint object)*",
+            "object: _THE _noun [_where_of] | _THE _noun qualifier [_where]",
+            "_where: _in room | there",
+            "_where_of: _of room | there_of",
+            "room: _THE (ROOM | BOTH) [_with _THE _noun]",
+            "qualifier: (" + " | ".join(_rule(p) for p in w.predicates) + ") _THE _noun",
+            "asserted: _exists _noun [qualifier] [_where] -> some",
+            "    | room _has _noun [qualifier] -> some",
+            "    | _THE _noun [_where_of] _is qualifier -> the",
+            "denied: _absent _noun [qualifier] [_where] -> some",
+            "    | room _lacks _noun [qualifier] -> some",
+            "    | _THE _noun [_where_of] _is_not qualifier -> the",
+            "question: _is_there _noun [qualifier] [_where] QUESTION -> some",
+            "    | _does room _have _noun [qualifier] QUESTION -> some",
+            "    | _asks_is _THE _noun [_where_of] qualifier QUESTION -> the",
+            "see: _see asserted",
+            "    | _look _noun [qualifier] [_where] -> some",
+            "    | _check room _for _noun [qualifier] -> some",
+            "_noun: NOUN | BOTH",
+            "yes: yes_one | yes_it",
+            "no: no_one | no_it",
         ]
-        guards: dict[str, str] = {}
-        bodies: list[str] = []
-        for category in CATEGORIES:
-            for k, template in enumerate(w.templates[category]):
-                parts = [self._part(piece, guards) for piece in template]
-                bodies.append(f"{category}_{k}")
-                rules.append(f"{category}_{k}: {' '.join(filter(None, parts))}")
-        rules += [f"{name}: {right}" for name, right in sorted(guards.items())]
-        rules.append("body: " + " | ".join(bodies))
+        bodies = [
+            (f"{category}_{k}", " ".join(self._part(piece) for piece in template.pieces))
+            for category in CATEGORIES
+            for k, template in enumerate(w.templates[category])
+        ]
+        rules += [f"{name}: {right}" for name, right in bodies]
+        rules.append("body: " + " | ".join(name for name, _ in bodies))
         return "\n".join([*rules, *self._terminal_lines()]) + "\n"
 
-    def _part(self, piece: str | Slot, guards: dict[str, str]) -> str:
-        if isinstance(piece, str):
-            return " ".join(PUNCTUATION[c] for c in piece if not c.isspace())
-        if piece.kind == "leaf":
-            return "moves"
-        if piece.kind == "guard":
-            sides = ["asserted" if asserted else "denied" for _, asserted in piece.literals]
-            name = "guard_" + "_".join([*sides, piece.joint]).strip("_")
-            guards[name] = "_if " + (f" _{piece.joint} " if piece.joint else "").join(sides)
-            return name
-        return "check" if piece.kind == "check" else _rule(piece.kind)
+    def _part(self, piece: str | Slot) -> str:
+        if isinstance(piece, Slot):
+            return "moves" if piece.form == "leaf" else piece.form
+        return " ".join(PUNCTUATION.get(token) or self._terminal(token) for token in _TOKEN.findall(piece.lower()))
 
     def _any(self, texts: Iterable[str]) -> str:
-        return " | ".join(self._terminal(text.strip()) for text in texts)
+        return " | ".join(dict.fromkeys(self._terminal(text.strip()) for text in texts))
 
     def _terminal(self, phrase: str) -> str:
         pattern = _pattern(self.words.expanded(phrase))
-        for slot, kind in (("a", "indefinite"), ("none", "none")):
-            articles = sorted(set(self.words.articles[kind].values()), key=lambda x: (-len(x), x))
+        for slot, kind in (("a", "indefinite"), ("none", "none"), ("lo", "pronoun")):
+            articles = sorted(set(self.words.articles.get(kind, {}).values()), key=lambda x: (-len(x), x))
             pattern = pattern.replace(rf"\{{{slot}\}}", f"(?:{'|'.join(articles)})")
         return self.terminals.setdefault(pattern, f"_PHRASE_{len(self.terminals)}")
 
     def _terminal_lines(self) -> list[str]:
         w = self.words
+        nouns, rooms = ({noun.text.lower() for noun in those.values()} for those in (w.nouns, w.rooms))
         named = {
-            "NOUN": _alternatives(noun.text for noun in w.nouns.values()),
-            "ROOM": _alternatives(noun.text for noun in w.rooms.values()),
+            "NOUN": _alternatives(nouns - rooms, rooms),
+            "ROOM": _alternatives(rooms - nouns, nouns),
+            "BOTH": _alternatives(nouns & rooms) if nouns & rooms else "(?!)x",
             "_THE": _alternatives(w.articles["definite"].values()),
         }
         lines = [f"{name}: /{pattern}/" for pattern, name in self.terminals.items()]
@@ -141,15 +150,8 @@ class _GrammarWriter:
 
 
 def _rule(name: str) -> str:
-    """Rule of a slot; those that carry no meaning begin with "_", so that the tree leaves them out."""
-    plain = name.replace(" ", "_").replace("-", "_")
-    meaning = name == "same" or " " in name or name in ("near", "above", "below") or name in _DIRECTIONS
-    return plain if meaning else f"_{plain}"
-
-
-_DIRECTIONS: Final = frozenset(
-    ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
-)
+    """Rule of a predicate or direction."""
+    return name.replace(" ", "_").replace("-", "_")
 
 
 def _pattern(phrase: str) -> str:
@@ -157,9 +159,20 @@ def _pattern(phrase: str) -> str:
     return rf"{escaped}(?![\w-])"
 
 
-def _alternatives(texts: Iterable[str]) -> str:
+def _alternatives(texts: Iterable[str], others: Iterable[str] = ()) -> str:
+    """Any of `texts`, and not the beginning of one of `others`: "the television" is not "the television room"."""
     longest_first = sorted({text.lower() for text in texts}, key=lambda text: (-len(text), text))
-    return "(?:" + "|".join(r"\s+".join(re.escape(x) for x in t.split()) for t in longest_first) + r")(?![\w-])"
+    patterns = []
+    for text in longest_first:
+        rests = sorted(other.removeprefix(text) for other in others if other.startswith(f"{text} "))
+        guard = f"(?!{'|'.join(_spaced(rest) for rest in rests)})" if rests else ""
+        patterns.append(_spaced(text) + guard)
+    return "(?:" + "|".join(patterns) + r")(?![\w-])"
+
+
+def _spaced(text: str) -> str:
+    """A pattern of words with any white space between them."""
+    return (r"\s+" if text.startswith(" ") else "") + r"\s+".join(re.escape(word) for word in text.split())
 
 
 def reading_from_tree(tree: Node, words: Language) -> Reading:
@@ -168,12 +181,15 @@ def reading_from_tree(tree: Node, words: Language) -> Reading:
 
 
 class _TreeReader:
+    """Reads a tree from left to right, since "there" is the room that was named last."""
+
     def __init__(self, words: Language) -> None:
         self.labels = {noun.text.lower(): label for label, noun in words.nouns.items()}
         self.rooms = {noun.text.lower(): label for label, noun in words.rooms.items()}
-        self.predicates: dict[str, Predicate] = {_rule(p): p for p in words.predicates}  # type: ignore[misc]
+        self.predicates: dict[str, Predicate] = {_rule(p): p for p in words.predicates}
         self.words = words
         self.scope: Place | None = None
+        self.last_room: Place | None = None
 
     def reading(self, tree: Node) -> Reading:
         heading, scope, body = _parts(tree, "direction", "room", "body")
@@ -186,26 +202,20 @@ class _TreeReader:
         return self._filled(sentences, category, int(number), heading)  # type: ignore[arg-type]
 
     def _filled(self, sentences: Node, category: Category, number: int, heading: str | None) -> Reading:
-        slots = [s for s in self.words.templates[category][number] if isinstance(s, Slot)]
-        slots = [s for s in slots if s.kind in ("leaf", "guard", "check")]
+        slots = [piece for piece in self.words.templates[category][number].pieces if isinstance(piece, Slot)]
         conditions: dict[int, Phrase] = {}
         leaves: dict[int, tuple[Phrase, ...]] = {}
-        such: list[tuple[int, str]] = []
         for slot, subtree in zip(slots, _subtrees(sentences), strict=True):
-            if slot.kind == "leaf":
-                leaves[slot.leaf] = self._moves(subtree)
-                continue
-            for (index, _), literal in zip(slot.literals, _subtrees(subtree), strict=True):
-                if literal.data == "such":
-                    such.append((index, self._label(literal)))
-                    continue
-                phrase = self._literal(literal)
-                if conditions.setdefault(index, phrase) != phrase:
-                    raise FormatError(f"the text names one condition as {conditions[index]} and as {phrase}")
-        for index, label in such:
-            named = [k for k, phrase in conditions.items() if phrase.label == label]
-            if named != [index]:
-                raise FormatError(f"'such a {label}' does not point at the condition it should")
+            if slot.form == "leaf":
+                leaves[slot.index] = tuple(self._stop(stop) for stop in _subtrees(subtree))
+            elif slot.form in ("yes", "no"):
+                (answer,) = _subtrees(subtree)
+                if str(answer.data).endswith("_it") != conditions[slot.index].definite:
+                    raise FormatError(f"the answer to {conditions[slot.index]} asks for something else")
+            else:
+                phrase = self._asked(subtree)
+                if conditions.setdefault(slot.index, phrase) != phrase:
+                    raise FormatError(f"the text names one condition as {conditions[slot.index]} and as {phrase}")
         shape = SHAPES[category]
         return Reading(
             category=category,
@@ -214,38 +224,37 @@ class _TreeReader:
             heading=heading,
         )
 
-    def _moves(self, tree: Node) -> tuple[Phrase, ...]:
-        stops: list[Phrase] = []
-        for stop in _subtrees(tree):
-            room = self._room_of(stop)
-            if any(child.data == "same" for child in _subtrees(stop)):
-                if not stops:
-                    raise FormatError("the text says 'the same room' of a first stop")
-                room = stops[-1].room
-            stops.append(Phrase(self._label(stop), self._qualifier(stop), room))
-        return tuple(stops)
+    def _asked(self, tree: Node) -> Phrase:
+        """A condition; a request to see whether something is so holds the clause that says it."""
+        inner = [child for child in _subtrees(tree) if child.data in ("some", "the")]
+        clause = inner[0] if inner else tree
+        return replace(self._stop(clause), definite=clause.data == "the")
 
-    def _literal(self, tree: Node) -> Phrase:
-        # "asserted" and "denied" are told apart by the rule around them; their alternatives look alike.
-        return Phrase(self._label(tree), self._qualifier(tree), self._room_of(tree))
-
-    def _room_of(self, tree: Node) -> Place | None:
-        rooms = [child for child in _subtrees(tree) if child.data == "room"]
-        return self._place(rooms[0]) if rooms else self.scope
+    def _stop(self, tree: Node) -> Phrase:
+        """What is named, in the order of its words: a room may stand before the thing, or behind it."""
+        label, qualifier, room = "", None, self.scope
+        for child in tree.children:
+            if isinstance(child, Token):
+                label = self.labels[_plain(child)] if child.type in ("NOUN", "BOTH") else label
+            elif isinstance(child, Tree):
+                if child.data == "room":
+                    room = self._place(child)
+                elif child.data in ("there", "there_of"):
+                    if self.last_room is None:
+                        raise FormatError("the text says 'there' before it names a room")
+                    room = self.last_room
+                elif child.data == "qualifier":
+                    (relation,) = _subtrees(child)
+                    qualifier = self.predicates[str(relation.data)], self._label(child)
+        return Phrase(label, qualifier, room)
 
     def _place(self, tree: Node) -> Place:
         room, *anchor = _tokens(tree)
-        return Place(self.rooms[_plain(room)], self.labels[_plain(anchor[0])] if anchor else None)
+        self.last_room = Place(self.rooms[_plain(room)], self.labels[_plain(anchor[0])] if anchor else None)
+        return self.last_room
 
     def _label(self, tree: Node) -> str:
         return self.labels[_plain(_tokens(tree)[0])]
-
-    def _qualifier(self, tree: Node) -> tuple[Predicate, str] | None:
-        for child in _subtrees(tree):
-            if child.data == "qualifier":
-                (relation,) = _subtrees(child)
-                return self.predicates[str(relation.data)], self._label(child)
-        return None
 
 
 def _subtrees(tree: Node) -> list[Node]:
@@ -253,7 +262,9 @@ def _subtrees(tree: Node) -> list[Node]:
 
 
 def _tokens(tree: Node) -> list[str]:
-    return [str(child) for child in tree.children if isinstance(child, Token) and child.type in ("NOUN", "ROOM")]
+    return [
+        str(child) for child in tree.children if isinstance(child, Token) and child.type in ("NOUN", "ROOM", "BOTH")
+    ]
 
 
 def _plain(text: str) -> str:

@@ -76,6 +76,11 @@ class Referents:
         return _qualifications(self.facts, self.rival, self.nameable, self.unique, self.small)
 
     @cached_property
+    def unique_labels(self) -> frozenset[str]:
+        """Labels that fit one object of the room alone, under any word for them."""
+        return frozenset(self.arrays.labels[i] for i in np.flatnonzero(self.unique))
+
+    @cached_property
     def usable(self) -> Bools:
         """(n,) objects that text can name."""
         return np.asarray(self.unique | np.array([bool(q) for q in self.qualifications], dtype=bool))

@@ -1,12 +1,17 @@
-"""Program → text. All wording comes from the language's data; the choices are seeded by the instruction's id."""
+"""Program → text. All wording comes from the language's data; the choices are seeded by the instruction's id.
+
+A text is in one voice and takes one phrase for each slot, so that it sounds like one person. A thing that is the only
+one of its label in its room is definite ("if the bike is next to the sofa"). A room that was the last one named is
+"there" or "that room" from then on. Where everything is in one named room, the text says so once, at its start.
+"""
 
 from __future__ import annotations
 
-from collections import Counter
+from bisect import bisect_right
 from typing import Final
 
 from condvln.instructions.draws import Draws
-from condvln.instructions.language import Language, Slot, language
+from condvln.instructions.language import Language, Slot, Voice, language
 from condvln.instructions.predicates import COMPASS
 from condvln.seeding import generator, stable_hash
 from schemas.config.constants import HEADING_TOLERANCE
@@ -20,6 +25,7 @@ __all__ = [
     "preamble",
     "render",
     "render_moves",
+    "voice_of",
     "with_preamble",
     "word_count",
 ]
@@ -27,16 +33,12 @@ __all__ = [
 HEADINGS: Final = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 """Names of the headings 0°, 45°, … clockwise from north."""
 
-SCOPE_SHARE: Final = 0.8
-"""Share of texts in one named room that say so once, at the start, rather than at every noun."""
-ROOM_FIRST_SHARE: Final = 0.3
-"""Share of conditions with a named room that open with it ("if the kitchen has a lamp")."""
-SAME_ROOM_SHARE: Final = 0.6
-"""Share of stops in the room of the stop before that say "in the same room"."""
-SUCH_SHARE: Final = 0.9
-"""Share of repeated mentions of a condition that say "such a lamp"."""
-ANYWHERE_SHARE: Final = 0.5
-"""Share of presence conditions without a room that end in a word like "anywhere"."""
+THERE_SHARE: Final = 0.85
+"""Share of mentions of the room last named that say "there" or "in that room"."""
+ROOM_FIRST_SHARE: Final = 0.4
+"""Share of presences in a named room that open with it ("if the kitchen has a lamp")."""
+CHECK_SHARE: Final = 0.6
+"""Share of requests to look for something that name the place first ("check the kitchen for a lamp")."""
 
 
 def names_compass(program: Program) -> bool:
@@ -52,7 +54,7 @@ def heading_name(heading_degrees: float) -> str:
     Raises
     ------
     UsageError
-        The heading is no multiple of 45°, so that no sentence could state it exactly.
+        The heading is not a multiple of 45°, so that no sentence could state it exactly.
     """
     steps = heading_degrees / 45.0
     if abs(steps - round(steps)) * 45.0 > HEADING_TOLERANCE:
@@ -62,22 +64,28 @@ def heading_name(heading_degrees: float) -> str:
     return HEADINGS[round(steps) % len(HEADINGS)]
 
 
-def preamble(heading_degrees: float, choice: int = 0, code: str = "en") -> str:
-    """ "You are facing north-east." in one of its phrasings."""
+def voice_of(seed: int, instruction_id: str, code: str = "en") -> Voice:
+    """The voice in which an instruction is said."""
     words = language(code)
-    phrases = words.slots["facing"].texts
-    direction = words.directions[heading_name(heading_degrees)]
-    return _sentences(words, f"{phrases[choice % len(phrases)]} {direction}.")
+    share = stable_hash("voice", seed, instruction_id, code) / 2**256
+    return words.voices[min(bisect_right(words.sums, share * words.sums[-1]), len(words.sums) - 1)]
 
 
-def with_preamble(text: str, heading_degrees: float, code: str = "en") -> str:
-    """`text` after the sentence that states the start heading; the text itself chooses the phrasing."""
-    return f"{preamble(heading_degrees, stable_hash('preamble', text), code)} {text}"
+def preamble(heading_degrees: float, voice: Voice, code: str = "en") -> str:
+    """ "You're facing north-east." as a voice says it."""
+    words = language(code)
+    return _sentences(words, f"{voice.slots['facing'][0]} {words.directions[heading_name(heading_degrees)]}.")
+
+
+def with_preamble(text: str, heading_degrees: float, seed: int, instruction_id: str, code: str = "en") -> str:
+    """`text` after the sentence that states the start heading, in the voice of the instruction."""
+    return f"{preamble(heading_degrees, voice_of(seed, instruction_id, code), code)} {text}"
 
 
 def render(program: Program, seed: int, instruction_id: str, code: str = "en") -> str:
     """One rendering of `program`, decided by (seed, instruction id, language)."""
-    return _Renderer(language(code), Draws(generator(seed, "text", instruction_id, code))).program(program)
+    draws = Draws(generator(seed, "text", instruction_id, code))
+    return _Renderer(language(code), voice_of(seed, instruction_id, code), draws).program(program)
 
 
 def word_count(program: Program, seed: int, instruction_id: str, *, preamble: bool) -> int:
@@ -86,123 +94,161 @@ def word_count(program: Program, seed: int, instruction_id: str, *, preamble: bo
     preamble : whether texts that use compass words open with the start heading
     """
     text = render(program, seed, instruction_id)
-    return len((with_preamble(text, 0.0) if preamble and names_compass(program) else text).split())
+    if preamble and names_compass(program):
+        text = with_preamble(text, 0.0, seed, instruction_id)
+    return len(text.split())
 
 
 def render_moves(moves: tuple[ObjectRef, ...], seed: int, instruction_id: str, code: str = "en") -> str:
     """A bare sequence of moves as one sentence: what an oracle-linear twin says."""
     words = language(code)
-    renderer = _Renderer(words, Draws(generator(seed, "text", instruction_id, code)))
+    draws = Draws(generator(seed, "text", instruction_id, code))
+    renderer = _Renderer(words, voice_of(seed, instruction_id, code), draws)
     return _sentences(words, f"{renderer.moves(Leaf(moves=moves))}.")
 
 
 class _Renderer:
-    def __init__(self, words: Language, draws: Draws) -> None:
-        self.words, self.draws = words, draws
+    def __init__(self, words: Language, voice: Voice, draws: Draws) -> None:
+        self.words, self.voice, self.draws = words, voice, draws
         self.scope: RoomRef | None = None
-        self.named: set[Condition] = set()
-        self.suchable: set[str] = set()
+        self.last_room: RoomRef | None = None
+        self._chosen: dict[str, str] = {}
 
     def program(self, program: Program) -> str:
-        scope = self._scope(program)
-        # One word for "if" throughout: "if …, but supposing …" reads as two kinds of condition.
-        opener = self._pick("if")
-        self.named = set()
-        labels = Counter(condition.label for condition in program.conditions)
-        self.suchable = {label for label, count in labels.items() if count == 1}
-        texts = []
-        for piece in self.draws.choice(self.words.templates[program.category]):
-            if isinstance(piece, str):
-                texts.append(piece)
-            elif piece.kind == "leaf":
-                texts.append(self.moves(program.leaves[piece.leaf]))
-            elif piece.kind in ("guard", "check"):
-                texts.append(self._clause(piece, opener, program))
-            else:
-                texts.append(self._pick(piece.kind))
-        return _sentences(self.words, scope + "".join(texts))
+        opening = self._scope(program)
+        template = self.draws.choice(self.voice.templates[program.category])
+        texts = [piece if isinstance(piece, str) else self._slot(piece, program) for piece in template.pieces]
+        body = "".join(texts)
+        return _sentences(self.words, f"{opening}{body[:1].lower()}{body[1:]}" if opening else body)
 
-    def _pick(self, slot: str) -> str:
-        phrases = self.words.slots[slot]
-        return phrases.texts[self.draws.cumulative(phrases.sums)]
+    def _phrase(self, slot: str) -> str:
+        """The phrase that this text has for a slot."""
+        found = self._chosen.get(slot)
+        if found is None:
+            found = self._chosen[slot] = self.draws.choice(self.voice.slots[slot])
+        return found
 
     def _chance(self, share: float) -> bool:
         return self.draws.uniform() < share
 
     def _scope(self, program: Program) -> str:
-        """The sentence that puts everything into one room, where there is one; it then need not be named again."""
+        """The words that put everything into one room, where there is one; it then need not be named again."""
         rooms = {c.room for c in program.conditions} | {m.room for leaf in program.leaves for m in leaf.moves}
-        if len(rooms) > 1 or any(map(self._elided, rooms)) or not self._chance(SCOPE_SHARE):
+        (room, *others) = sorted(rooms, key=lambda r: r.room_id)
+        if others or room.label not in self.words.rooms:
             return ""
-        (self.scope,) = rooms
-        return f"{self._pick('scope')} {self._room(self.scope)}. "
+        text = f"{self._phrase('scope')} {self._room(room)}, "
+        self.scope = room
+        return text
 
     def _elided(self, room: RoomRef) -> bool:
         """Whether nouns are said without their room: it has no name, or is everything's."""
         return room == self.scope or room.label not in self.words.rooms
 
-    def _clause(self, slot: Slot, opener: str, program: Program) -> str:
-        literals = [self._literal(program.conditions[index], asserted) for index, asserted in slot.literals]
-        if slot.kind == "check":
-            return f"{self._pick('check')} {literals[0]}"
-        return f"{opener} " + (f" {self._joint(slot.joint, opener)} " if slot.joint else "").join(literals)
+    def _slot(self, slot: Slot, program: Program) -> str:
+        if slot.form == "leaf":
+            return self.moves(program.leaves[slot.index])
+        condition = program.conditions[slot.index]
+        if slot.form in ("yes", "no"):
+            answer = self._phrase(f"{slot.form}_{'it' if condition.definite else 'one'}")
+            return self.words.answered(answer, self.words.nouns[condition.label])
+        if slot.form == "question":
+            return self._question(condition)
+        if slot.form == "see":
+            return self._see(condition)
+        return self._clause(condition, asserted=slot.form == "asserted")
 
-    def _joint(self, slot: str, opener: str) -> str:
-        """A phrase that joins two literals; one that opens anew ("and if") only does so as the first was opened."""
-        phrase = self._pick(slot)
-        joint, _, again = phrase.partition(" ")
-        return joint if again != opener and again in self.words.slots["if"].texts else phrase
+    # -- conditions ----------------------------------------------------------------------------------------------------
 
-    def _literal(self, condition: Condition, asserted: bool) -> str:
+    def _clause(self, condition: Condition, *, asserted: bool) -> str:
+        if condition.definite:
+            return (
+                f"{self._subject(condition)} {self._phrase('is' if asserted else 'is_not')}{self._relation(condition)}"
+            )
         noun = self.words.nouns[condition.label]
-        if condition in self.named and condition.label in self.suchable and self._chance(SUCH_SHARE):
-            return self.words.filled(self._pick("again" if asserted else "never"), noun)
-        self.named.add(condition)
-        qualifier = self._qualifier(condition.qualifier)
-        elided = self._elided(condition.room)
-        if not elided and self._chance(ROOM_FIRST_SHARE):
-            verb = self._pick("has" if asserted else "lacks")
-            return f"{self._room(condition.room)} {self.words.filled(verb, noun)}{qualifier}"
-        there_is = self.words.filled(self._pick("exists" if asserted else "absent"), noun)
-        where = ""
-        if not elided:
-            where = f" {self._pick('in')} {self._room(condition.room)}"
-        elif not qualifier and self.scope is None and self._chance(ANYWHERE_SHARE):
-            # Once a room is named for all, "here" could be taken for where the agent stands.
-            where = f" {self._pick('anywhere')}"
-        return f"{there_is}{qualifier}{where}"
+        if self._names_room_first(condition):
+            room = self._room(condition.room)
+            return f"{room} {self._filled('has' if asserted else 'lacks', condition)}{self._relation(condition)}"
+        there = self.words.filled(self._phrase("exists" if asserted else "absent"), noun)
+        return f"{there}{self._relation(condition)}{self._where(condition.room)}"
+
+    def _question(self, condition: Condition) -> str:
+        if condition.definite:
+            return f"{self._phrase('asks_is')} {self._subject(condition)}{self._relation(condition)}?"
+        if self._names_room_first(condition):
+            room = self._room(condition.room)
+            return f"{self._phrase('does')} {room} {self._filled('have', condition)}{self._relation(condition)}?"
+        return f"{self._filled('is_there', condition)}{self._relation(condition)}{self._where(condition.room)}?"
+
+    def _see(self, condition: Condition) -> str:
+        if condition.definite or not self._chance(CHECK_SHARE):
+            return f"{self._phrase('see')} {self._clause(condition, asserted=True)}"
+        if self._elided(condition.room) or condition.room == self.last_room:
+            where = self._where(condition.room)
+            return f"{self._filled('look', condition)}{self._relation(condition)}{where}"
+        room = self._room(condition.room)
+        return f"{self._phrase('check')} {room} {self._filled('for', condition)}{self._relation(condition)}"
+
+    def _names_room_first(self, condition: Condition) -> bool:
+        elided = self._elided(condition.room) or condition.room == self.last_room
+        return not elided and self._chance(ROOM_FIRST_SHARE)
+
+    def _filled(self, slot: str, condition: Condition) -> str:
+        return self.words.filled(self._phrase(slot), self.words.nouns[condition.label])
+
+    def _subject(self, condition: Condition) -> str:
+        return f"{self.words.definite(self.words.nouns[condition.label])}{self._where(condition.room, '_of')}"
+
+    def _relation(self, named: Condition | ObjectRef) -> str:
+        qualifier: Qualifier | None = named.qualifier
+        if qualifier is None:
+            return ""
+        phrases = self.words.predicates[qualifier.predicate]
+        relation = phrases[0] if len(phrases) == 1 else self.draws.choice(phrases)
+        return f" {relation} {self.words.definite(self.words.nouns[qualifier.anchor_label])}"
+
+    # -- places --------------------------------------------------------------------------------------------------------
 
     def moves(self, leaf: Leaf) -> str:
         """The stops of one leaf as one imperative."""
         stops = leaf.moves
-        texts = [f"{self._pick('go' if len(stops) == 1 else 'first')} {self._object(stops[0], None)}"]
+        texts = [f"{self._phrase('go')} {self._stop(stops[0])}"]
         for k, stop in enumerate(stops[1:], start=1):
-            joint = self._pick("finally" if k == len(stops) - 1 else "then")
-            texts.append(f"{joint} {self._object(stop, stops[k - 1])}")
+            joint = "second" if len(stops) == 2 else "last" if k == len(stops) - 1 else "then"
+            texts.append(f"{self._phrase(joint)} {self._stop(stop)}")
         return "".join(texts)
 
-    def _object(self, ref: ObjectRef, before: ObjectRef | None) -> str:
-        phrase = self.words.definite(self.words.nouns[ref.label]) + self._qualifier(ref.qualifier)
-        if self._elided(ref.room):
-            return phrase
-        if before is not None and before.room == ref.room and self._chance(SAME_ROOM_SHARE):
-            return f"{phrase} {self._pick('same')}"
-        return f"{phrase} {self._pick('in')} {self._room(ref.room)}"
+    def _stop(self, ref: ObjectRef) -> str:
+        noun = self.words.definite(self.words.nouns[ref.label])
+        # Behind a relation, "of the bedroom" would go with the anchor.
+        kind = "_of" if ref.qualifier is None else ""
+        return f"{noun}{self._relation(ref)}{self._where(ref.room, kind)}"
 
-    def _qualifier(self, qualifier: Qualifier | None) -> str:
-        if qualifier is None:
+    def _where(self, room: RoomRef, kind: str = "") -> str:
+        """The room as a place ("in the bedroom"); with `kind` "_of" as what a thing belongs to ("del dormitorio")."""
+        if self._elided(room):
             return ""
-        phrases = self.words.predicates[qualifier.predicate]
-        relation = phrases.texts[self.draws.cumulative(phrases.sums)]
-        return f" {relation} {self.words.definite(self.words.nouns[qualifier.anchor_label])}"
+        if room == self.last_room and self._chance(THERE_SHARE):
+            return f" {self._phrase(f'there{kind}')}"
+        return f" {self._phrase('of' if kind else 'in')} {self._room(room)}"
 
     def _room(self, room: RoomRef) -> str:
+        self.last_room = room
         phrase = self.words.definite(self.words.rooms[room.label])
         if room.anchor_label is None:
             return phrase
-        return f"{phrase} {self._pick('with')} {self.words.definite(self.words.nouns[room.anchor_label])}"
+        return f"{phrase} {self._phrase('with')} {self.words.definite(self.words.nouns[room.anchor_label])}"
 
 
 def _sentences(words: Language, text: str) -> str:
     """Contractions made, and a capital at the start of each sentence."""
-    return ". ".join(part[:1].upper() + part[1:] for part in words.contracted(text).split(". "))
+    text = words.contracted(text)
+    for mark in (". ", "? "):
+        text = mark.join(_capital(part) for part in text.split(mark))
+    return text
+
+
+def _capital(sentence: str) -> str:
+    """The first letter as a capital, behind Spanish's opening mark too."""
+    at = 1 if sentence.startswith("¿") else 0
+    return sentence[:at] + sentence[at : at + 1].upper() + sentence[at + 1 :]

@@ -28,6 +28,7 @@ FACTS: Final[Mapping[str, str]] = {
     "absence_known": "absence is claimed only of rooms that are annotated completely",
     "absent_is_elsewhere": "a label claimed absent is that of a thing in another room of the scene",
     "condition_decided": "a condition is true or false with margin",
+    "condition_definite": "a condition speaks of a definite thing exactly where its label fits one thing of the room",
     "referents": "ids of the things and rooms that a stop's phrase means",
     "condition_referents": "ids of the room and the anchor that a condition means",
     "condition_truth": "truth of a condition",

@@ -104,6 +104,7 @@ def _check_claims(
             certificate.holds(answer.fact, False, answer.needed, answer.found, f"{name} ({reading.conditions[place]})")
             continue
         certificate.holds("condition_decided", True, None, None)
+        certificate.same("condition_definite", condition.definite, answer.definite, name)
         certificate.same("condition_truth", condition.truth, answer.truth, name)
         certificate.same("witnesses", sorted(condition.witnesses), sorted(answer.witnesses), name)
         certificate.same("condition_referents", _ids(condition), _found_ids(answer), name)
@@ -136,7 +137,7 @@ def _phrase(named: Condition | ObjectRef, single_room: bool) -> Phrase:
     """A part of the program as its text must name it."""
     qualifier = None if named.qualifier is None else (named.qualifier.predicate, named.qualifier.anchor_label)
     room = None if single_room else Named(named.room.label, named.room.anchor_label)
-    return Phrase(named.label, qualifier, room)
+    return Phrase(named.label, qualifier, room, isinstance(named, Condition) and named.definite)
 
 
 def _unplaced(phrase: Phrase, single_room: bool) -> Phrase:

@@ -24,8 +24,8 @@ END: Final = ""
 SO_FAR: Final = "\n"
 """Key of a node under which all phrases on the way to it stand, by kind; no word is white space."""
 
-_TOKEN: Final = re.compile(r"[^\s,.;:]+|[,.;:]")
-_ARTICLES: Final = {"{a}": "indefinite", "{none}": "none"}
+_TOKEN: Final = re.compile(r"[^\s,.;:?]+|[,.;:?]")
+_ARTICLES: Final = {"{a}": "indefinite", "{none}": "none", "{lo}": "pronoun"}
 
 Match = tuple[str, str, frozenset[str]]
 """Kind of phrase, what it stands for, and the classes of noun that its article goes with."""
@@ -69,10 +69,13 @@ def phrasebook(code: str = "en") -> Phrasebook:
     articles: Mapping[str, Mapping[str, str]] = document["articles"]
     together = {short: tuple(apart.split()) for apart, short in (document.get("contractions") or {}).items()}
     book = Phrasebook({}, together, frozenset(articles["definite"]))
-    for slot, phrases in document["slots"].items():
-        for phrase in phrases:
+    for slot in document["phrases"]:
+        for phrase in _phrases(document, slot):
             for text, classes in _with_articles(phrase, articles):
                 book.add(text, slot, "", classes)
+    for connective, phrases in document["connectives"].items():
+        for phrase in phrases:
+            book.add(phrase, connective, "", book.classes)
     for predicate, phrases in document["predicates"].items():
         direction = document["directions"].get(predicate.removesuffix(" of"), "")
         for phrase in phrases:
@@ -86,6 +89,12 @@ def phrasebook(code: str = "en") -> Phrasebook:
             book.add(noun, kind, label, (noun_class,))
     _gather(book.tree, 0, {})
     return book
+
+
+def _phrases(document: Mapping[str, Any], slot: str) -> list[str]:
+    """All phrases of a slot, whatever the voice."""
+    voices = document["voices"].values()
+    return list(dict.fromkeys(phrase for said in (document["phrases"], *voices) for phrase in said.get(slot, ())))
 
 
 def _gather(node: Node, words_so_far: int, before: Matches) -> None:

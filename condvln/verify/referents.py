@@ -34,9 +34,13 @@ class Referent(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """Whether a claim holds, by which things, and the numbers of the thing that decides it."""
+    """Whether a claim holds, by which things, and the numbers of the thing that decides it.
+
+    definite : the claim is a relation, and its label fits one thing of the room alone
+    """
 
     truth: bool
+    definite: bool
     witnesses: frozenset[str]
     room_id: str
     anchor_id: str | None
@@ -213,7 +217,8 @@ class Referents:
         if not sure and anchor is None and not self._elsewhere(phrase.label, view):
             return Problem("absent_is_elsewhere", f"a {phrase.label} in another room", "none in the scene")
         witnesses = frozenset(thing.object_id for thing in sure)
-        return Answer(bool(sure), witnesses, view.room.room_id, anchor, room_anchor, numbers)
+        definite = phrase.qualifier is not None and view.only(phrase.label) is not None
+        return Answer(bool(sure), definite, witnesses, view.room.room_id, anchor, room_anchor, numbers)
 
     def _elsewhere(self, label: str, view: RoomView) -> bool:
         return self.single_room or any(label in other.labels for other in self.rooms.values() if other is not view)

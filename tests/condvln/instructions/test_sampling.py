@@ -158,7 +158,8 @@ def test_a_cell_bounds_the_words_of_the_published_text(make_scene, facts_maker, 
         """As it is published from each heading."""
         text = render(program, 0, instruction_id(scene.family, scene.scene_id, program))
         opened = preamble and names_compass(program)
-        return [with_preamble(text, 45.0 * k) for k in range(8)] if opened else [text]
+        name = instruction_id(scene.family, scene.scene_id, program)
+        return [with_preamble(text, 45.0 * k, 0, name) for k in range(8)] if opened else [text]
 
     def words(program: Program) -> int:
         (count,) = {len(text.split()) for text in texts(program)}

@@ -49,7 +49,7 @@ def test_texts_read_back_to_their_programs(texts, code: str) -> None:
 
 def test_headings_read_back_too(texts, code: str) -> None:
     for k, (_, program, text) in enumerate(texts[::9]):
-        whole = with_preamble(text, 45.0 * (k % 8), code)
+        whole = with_preamble(text, 45.0 * (k % 8), 0, "any", code)
         assert parse(whole, code) == reading_of(program, heading=HEADINGS[k % 8])
 
 
@@ -80,9 +80,9 @@ def test_there_is_no_second_reading_of_thousands(sampled, code: str) -> None:
 
 def test_texts_are_clean(texts) -> None:
     for _, _, text in texts:
-        assert re.fullmatch(r"[^\W_][\w\s,;:.'-]*\.", text), text
-        assert not re.search(r"\s\s|\s[,;:.]|[,;:.]{2}|_", text), text
-        assert all(sentence[0].isupper() for sentence in text.split(". ")), text
+        assert re.fullmatch(r"[^\W_¿]?[\w\s,;:.'?¿()-]*\.", text), text
+        assert not re.search(r"\s\s|\s[,;:.?]|[,;:.?]{2}|_|{|}", text), text
+        assert all(sentence.lstrip("¿")[0].isupper() for sentence in re.split(r"[.?] ", text)), text
 
 
 def test_english_articles(texts, code: str) -> None:
@@ -96,8 +96,8 @@ def test_english_articles(texts, code: str) -> None:
 def test_wording_is_decided_by_seed_and_id(texts, code: str) -> None:
     _, program, _ = texts[0]
     assert render(program, 0, "a", code) == render(program, 0, "a", code)
-    assert len({render(program, seed, "a", code) for seed in range(20)}) > 15
-    assert len({render(program, 0, str(name), code) for name in range(20)}) > 15
+    assert len({render(program, seed, "a", code) for seed in range(20)}) > 10
+    assert len({render(program, 0, str(name), code) for name in range(20)}) > 10
 
 
 def test_rooms_are_named_where_there_are_several_and_only_there(texts, code: str) -> None:
@@ -114,20 +114,42 @@ def test_compass_words_are_noticed(texts, code: str) -> None:
         assert names_compass(program) == bool(re.search(rf"\b(?:{directions})\b", words.expanded(text.lower()))), text
 
 
-def test_texts_of_one_program_differ_in_every_slot(sampled, code: str) -> None:
+def test_every_phrase_and_every_template_is_used(sampled, code: str) -> None:
     programs = [p for _, _, _, programs in sampled for p in programs]
-    used: Counter[str] = Counter()
-    for k, program in enumerate(programs):
-        text = render(program, k, "variety", code).lower()
-        for name, phrases in language(code).slots.items():
-            used.update((name, p) for p in phrases.texts if p.split("{")[0].strip(" ,") in text)
-    unseen = [
-        (name, p)
-        for name, phrases in language(code).slots.items()
-        for p in phrases.texts
-        if name != "facing" and not used[name, p]
-    ]
-    assert unseen == []
+    texts = [render(program, k, "variety", code).lower() for k, program in enumerate(programs)]
+    words = language(code)
+    said = " ".join(words.expanded(text) for text in texts)
+    for name, phrases in words.slots.items():
+        for phrase in phrases:
+            if name != "facing":
+                pattern = re.sub(r"\\{\w+\\}", r"\\w+", re.escape(words.expanded(phrase.lower())))
+                assert re.search(pattern, said), (name, phrase)
+
+
+def test_a_known_thing_is_definite_and_an_unknown_one_is_not(texts, code: str) -> None:
+    met = Counter(condition.definite for _, program, _ in texts for condition in program.conditions)
+    assert met[True] > 100
+    assert met[False] > 100
+    for scene, program, _ in texts:
+        for condition in program.conditions:
+            labels = [o.label for o in scene.objects if o.room_id == condition.room.room_id]
+            if condition.definite:
+                assert labels.count(condition.label) == 1
+                assert condition.qualifier is not None
+
+
+def test_lengths_are_those_of_speech(texts, code: str) -> None:
+    """Single rooms and unnamed ones; the rooms' names of larger scenes cost words that no wording can save."""
+    if code != "en":
+        pytest.skip("a rule of English")
+    lengths: dict[int, list[int]] = {}
+    for scene, program, text in texts:
+        if scene.single_room:
+            lengths.setdefault(len(program.leaves), []).append(len(text.split()))
+    means = {leaves: sum(those) / len(those) for leaves, those in lengths.items()}
+    assert 20 <= means[2] <= 40
+    assert 35 <= means[3] <= 70
+    assert 50 <= means[4] <= 95
 
 
 def test_an_oracle_linear_twin_keeps_the_stops_in_order(texts, code: str) -> None:
@@ -167,14 +189,15 @@ PROGRAM = Program(
 @pytest.mark.parametrize(
     "text",
     [
-        "If there is a lamp north-east of the bed in the bedroom with the piano, go to the alarm clock in the bedroom "
-        "with the piano, then stop at the desk in the same room; otherwise, go to the sink in the kitchen.",
-        "Check whether the bedroom that has the piano holds a lamp located north-east of the bed. If not, head to the "
-        "sink in the kitchen. If so, first go to the alarm clock in the bedroom containing the piano, and stop at the "
-        "desk in the bedroom with the piano.",
-        "If there's no lamp north-east of the bed in the bedroom with the piano, walk to the sink in the kitchen. If "
-        "there is such a lamp, go to the alarm clock in the bedroom with the piano, and end at the desk inside the "
-        "same room.",
+        "If there's a lamp north-east of the bed in the bedroom with the piano, go to the alarm clock there, then stop "
+        "at the desk in that room. If not, go to the sink in the kitchen.",
+        "Check the bedroom with the piano for a lamp north-east of the bed. If there isn't, walk to the sink in "
+        "the kitchen. If there is one, walk to the alarm clock in the bedroom with the piano and stop at the desk "
+        "there.",
+        "Is there a lamp north-east of the bed in the bedroom with the piano? If so, head to the alarm clock there, "
+        "then the desk there. If not, head to the sink in the kitchen.",
+        "If the bedroom with the piano has no lamp north-east of the bed, go to the sink in the kitchen. If there is "
+        "one, go to the alarm clock in the bedroom with the piano and then the desk there.",
     ],
 )
 def test_texts_written_by_hand(text: str) -> None:
@@ -198,14 +221,18 @@ def test_a_reading_in_full() -> None:
     [
         ("", "can't be read"),
         ("Go to the sofa.", "can't be read"),
-        ("If there is a lamp, go to the sofa.", "can't be read"),
-        ("If there is a lamp, go to the gizmo; otherwise, go to the bed.", "can't be read"),
-        ("If there is a lamp, go to the sofa; otherwise, go to the bed. Otherwise, go to the desk.", "can't be read"),
-        ("If there is a lamp, go to the sofa; if there is no chair, go to the bed.", "names one condition as"),
-        ("If there is a lamp, go to the sofa; if there is no such chair, go to the bed.", "does not point"),
-        ("If there is a lamp, go to the sofa in the same room; otherwise, go to the bed.", "first stop"),
+        ("If there's a lamp, go to the sofa.", "can't be read"),
+        ("If there's a lamp, go to the gizmo. If not, go to the bed.", "can't be read"),
+        ("If there is a lamp, go to the sofa. Otherwise, go to the bed. Otherwise, go to the desk.", "can't be read"),
+        ("If there's no lamp, go to the sofa. If it is, go to the bed.", "asks for something else"),
+        ("If there's a lamp, go to the sofa there. If not, go to the bed.", "before it names a room"),
+        (
+            "If there's a lamp, look for a bed: if there is, go to the sofa; if there isn't, go to the desk. If "
+            "there's no chair, look for a sink: if there is, go to the table; if there isn't, go to the stool.",
+            "names one condition as",
+        ),
     ],
 )
-def test_what_is_no_instruction_is_refused(text: str, what: str) -> None:
+def test_what_is_not_an_instruction_is_refused(text: str, what: str) -> None:
     with pytest.raises(FormatError, match=what):
         parse(text)

@@ -37,10 +37,14 @@ def drop_a_word(files: Files, rng: np.random.Generator, world: World) -> bool:
 @mutator
 def negate_a_clause(files: Files, rng: np.random.Generator, world: World) -> bool:
     text = files.manifest["instruction_text"]
-    for affirmed, denied in (("there is a ", "there is no "), ("has a ", "has no "), ("there's a ", "there's no ")):
+    for affirmed, denied in (
+        ("if there is a ", "if there is no "),
+        ("if there's a ", "if there's no "),
+        (" is near ", " isn't near "),
+        (" has a ", " has no "),
+    ):
         if affirmed in text:
-            files.say(text.replace(affirmed, denied, 1))
-            return True
+            return _say_if_other(files, text.replace(affirmed, denied, 1))
     return False
 
 
@@ -67,7 +71,7 @@ def face_elsewhere(files: Files, rng: np.random.Generator, world: World) -> bool
 @mutator
 def drop_the_heading(files: Files, rng: np.random.Generator, world: World) -> bool:
     head, _, rest = files.manifest["instruction_text"].partition(". ")
-    if " fac" not in head and " look" not in head and "direction" not in head:
+    if "facing " not in head:
         return False
     files.say(rest)
     return True

@@ -67,7 +67,7 @@ class Files:
         assert yaw is not None
         if names_compass(program):
             nearest = round(heading_of(yaw) / 45.0) * 45.0 % 360.0
-            body = with_preamble(body, nearest)
+            body = with_preamble(body, nearest, 0, self.manifest["instruction_id"])
         self.say(body)
 
     def follow_truths(self) -> None:

@@ -195,7 +195,7 @@ def test_the_verifier_runs_none_of_the_code_that_it_verifies() -> None:
     """Beside the import contract: nothing of it is in the process either."""
     code = (
         "import sys, condvln.verify, condvln.verify.proof; from condvln.verify import read;"
-        "read('If there is a lamp, go to the sofa; otherwise, go to the desk.');"
+        "read('If there is a lamp, go to the sofa. Otherwise, go to the desk.');"
         "print([m for m in sys.modules if m.startswith(('condvln.relations', 'condvln.instructions',"
         " 'condvln.episodes', 'ray'))])"
     )

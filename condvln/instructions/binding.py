@@ -1,0 +1,174 @@
+"""The lint of human binding: does each answer word belong to the question that a listener takes it for?
+
+A listener takes "if so", "if not", "if there is one", "if it isn't" for what was asked or supposed last, "otherwise"
+for the opposite of the one "if" of the sentence before, "neither" and "none of them" for all that was supposed so far,
+and "there is one" only for a thing that may not exist, "it is" only for one that does. A template is sound when these
+rules lead to its category's leaves in every case, so that its text needs no second thought.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+from typing import Final
+
+from condvln.instructions.language import Language, Slot, Template
+from schemas.program import SHAPES, Category
+
+__all__ = ["Finding", "findings", "leaf_by_listener"]
+
+Context = tuple[tuple[int, bool], ...]
+"""What a listener supposes: (condition, truth) pairs that must all hold."""
+
+_WORD: Final = re.compile(r"\(\d\)|[^\s,;:.?]+|[,;:.?]")
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What a listener may take in another way."""
+
+    template: str
+    what: str
+
+
+@dataclass
+class _Listener:
+    """Follows a template from left to right.
+
+    asks : (context, condition, truth of the "if", or None of a question), in their order
+    """
+
+    asks: list[tuple[Context, int, bool | None]] = field(default_factory=list)
+    context: Context = ()
+    listed: bool = False
+    leaves: dict[int, list[Context]] = field(default_factory=dict)
+
+
+def findings(words: Language, category: Category, template: Template) -> Iterator[Finding]:
+    """What is doubtful in one template; nothing where a listener comes to the leaves of its category."""
+    shape = SHAPES[category]
+    text = written(template)
+    try:
+        leaves = _heard(words, template.pieces)
+    except ValueError as doubt:
+        yield Finding(text, str(doubt))
+        return
+    for truths in product((True, False), repeat=len(shape.branches)):
+        at = 0
+        while at >= 0:
+            branch = shape.branches[at]
+            at = branch.then if truths[branch.condition] else branch.otherwise
+        heard = [leaf for leaf, contexts in leaves.items() if any(_holds(c, truths) for c in contexts)]
+        if heard != [-1 - at]:
+            yield Finding(text, f"with conditions {truths} a listener goes to {heard}, not to leaf {-1 - at}")
+
+
+def leaf_by_listener(words: Language, template: Template, truths: Sequence[bool]) -> list[int]:
+    """The leaves that a listener goes to."""
+    return [leaf for leaf, cs in _heard(words, template.pieces).items() if any(_holds(c, truths) for c in cs)]
+
+
+def written(template: Template) -> str:
+    """A template with its slots in braces."""
+    return "".join(p if isinstance(p, str) else f"{{{p.form} {p.index}}}" for p in template.pieces)
+
+
+def _holds(context: Context, truths: Sequence[bool]) -> bool:
+    return all(truths[condition] == truth for condition, truth in context)
+
+
+def _heard(words: Language, pieces: Sequence[str | Slot]) -> dict[int, list[Context]]:
+    """By leaf, the contexts in which a listener goes there. Raises ValueError on what no listener understands."""
+    listener = _Listener()
+    connectives = {
+        tuple(_WORD.findall(phrase)): name for name, phrases in words.connectives.items() for phrase in phrases
+    }
+    supposing = False  # behind "if", before its claim or answer
+    sentence_ifs = previous_ifs = 0
+    sentence: Context = ()
+    for piece in pieces:
+        if isinstance(piece, Slot):
+            _hear_slot(listener, piece, supposing)
+            sentence_ifs += supposing and piece.form in ("asserted", "denied")
+            supposing = False
+            if piece.form == "see":
+                sentence = listener.context
+            continue
+        for name in _names(piece.lower(), connectives):
+            if name in (".", "?"):
+                if name == ".":
+                    listener.context, sentence = (), ()
+                    previous_ifs, sentence_ifs = sentence_ifs, 0
+            elif name in (";", ":"):
+                listener.context = sentence if name == ";" or sentence else listener.context
+            elif name == "if":
+                supposing = True
+            elif name in ("so", "not"):
+                context, condition, _ = _latest(listener)
+                listener.context = (*context, (condition, name == "so"))
+                supposing = False
+            elif name == "otherwise":
+                context, condition, truth = _latest(listener)
+                if truth is None or previous_ifs != 1:
+                    raise ValueError('"otherwise" follows a sentence that has not exactly one "if"')
+                listener.context = (*context, (condition, not truth))
+                sentence_ifs = 0
+            elif name in ("neither", "none"):
+                asks = listener.asks
+                if any(truth is None for _, _, truth in asks) or (name == "neither" and len(asks) != 2):
+                    raise ValueError(f'"{name}" is said of {len(asks)} things')
+                listener.context = tuple((condition, not truth) for _, condition, truth in asks)
+                supposing = False
+            elif name == "but":
+                supposing = True
+            elif name == "list":
+                listener.listed = True
+    return listener.leaves
+
+
+def _hear_slot(listener: _Listener, slot: Slot, supposing: bool) -> None:
+    if slot.form == "leaf":
+        listener.leaves.setdefault(slot.index, []).append(listener.context)
+    elif slot.form in ("yes", "no"):
+        context, condition, _ = _latest(listener)
+        if condition != slot.index:
+            raise ValueError(f"the answer about condition {slot.index} comes after condition {condition} was asked")
+        listener.context = (*context, (condition, slot.form == "yes"))
+    elif slot.form in ("question", "see"):
+        listener.asks.append((listener.context, slot.index, None))
+    elif not supposing:
+        raise ValueError('a claim without "if"')
+    else:
+        truth = slot.form == "asserted"
+        before = listener.context
+        if listener.listed:
+            before = (*before, *((condition, not held) for _, condition, held in listener.asks))
+        listener.asks.append((before, slot.index, truth))
+        listener.context = (*before, (slot.index, truth))
+
+
+def _latest(listener: _Listener) -> tuple[Context, int, bool | None]:
+    if not listener.asks:
+        raise ValueError("an answer before any question")
+    return listener.asks[-1]
+
+
+def _names(text: str, connectives: dict[tuple[str, ...], str]) -> Iterator[str]:
+    """The connectives and marks of a piece of template, in their order; the longest that fits at each place."""
+    tokens = _WORD.findall(text)
+    longest = max(map(len, connectives))
+    at = 0
+    while at < len(tokens):
+        for length in range(min(longest, len(tokens) - at), 0, -1):
+            name = connectives.get(tuple(tokens[at : at + length]))
+            if name is not None:
+                yield name
+                at += length
+                break
+        else:
+            if tokens[at] not in ",;:.?":
+                raise ValueError(f"the word {tokens[at]!r} is not one of the language's connectives")
+            yield tokens[at]
+            at += 1
