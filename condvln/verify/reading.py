@@ -41,19 +41,19 @@ class Named(NamedTuple):
 class Phrase(NamedTuple):
     """A thing as named: label, (predicate, label of the anchor), and the room; None where the text names none.
 
-    definite : of a condition, whether it speaks of one thing that is known to be there ("the lamp is near the bed")
+    known : of a condition, whether it speaks of one thing that is known to be there ("the lamp is near the bed")
     """
 
     label: str
     qualifier: tuple[str, str] | None
     room: Named | None
-    definite: bool = False
+    known: bool = False
 
     def __str__(self) -> str:
         qualifier = "" if self.qualifier is None else " {} {}".format(*self.qualifier)
         room = "" if self.room is None else f" in {self.room.label}"
         anchor = "" if self.room is None or self.room.anchor is None else f" with {self.room.anchor}"
-        return f"{'the ' if self.definite else ''}{self.label}{qualifier}{room}{anchor}"
+        return f"{'the ' if self.known else ''}{self.label}{qualifier}{room}{anchor}"
 
 
 Moves = tuple[Phrase, ...]
@@ -366,7 +366,7 @@ class _Reader:
         for slot, answer, kind in _ANSWERS:
             for end, _, _ in self._of(state.at, slot):
                 for place, ask in enumerate(state.asks):
-                    if kind is not None and state.named[ask.condition].definite != kind:
+                    if kind is not None and state.named[ask.condition].known != kind:
                         continue
                     cases = ask.context & (_HOLDS[ask.condition] if answer else ~_HOLDS[ask.condition])
                     early = state.early or place != len(state.asks) - 1

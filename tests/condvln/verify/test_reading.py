@@ -64,7 +64,7 @@ def test_a_definite_thing() -> None:
     reading = read(
         "Is the lamp in the kitchen near the bed? If it is, go to the sofa there. If it isn't, go to the bed there."
     )
-    assert reading.conditions == (Phrase("lamp", ("near", "bed"), KITCHEN, definite=True),)
+    assert reading.conditions == (Phrase("lamp", ("near", "bed"), KITCHEN, known=True),)
     assert reading.moves[1] == (SOFA,)
 
 
