@@ -30,7 +30,7 @@ CHANGED: dict[str, Any] = {
     "seed": 1,
     "sources.0.scenes": ["*0"],
     "sources.0.exclude": ["*0"],
-    "sources.0.navmesh": "navmeshes",
+    "sources.0.navmesh": "mine",
     "agent.radius": 0.2,
     "agent.height": 1.0,
     "agent.max_climb": 0.4,
@@ -168,22 +168,25 @@ def changed(document: dict[str, Any], path: str) -> dict[str, Any]:
 
 @pytest.fixture(scope="session")
 def stock(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], dict[str, Any]]:
-    """A configuration over two made apartments and two made houses, its store and export below a folder."""
+    """A configuration over made apartments, houses and a single room, its store and export below a folder."""
     data = tmp_path_factory.mktemp("families")
-    for family in ("replicacad", "procthor"):
-        make_samples(data / family, family=family, scenes=2, seed=3)
+    families = {"replicacad": 2, "procthor": 2, "ithor": 1}
+    for family, scenes in families.items():
+        make_samples(data / family, family=family, scenes=scenes, seed=3)
+    shutil.copytree(data / "replicacad" / "navmeshes_default", data / "replicacad" / "mine")
 
     def document(folder: str) -> dict[str, Any]:
         return {
             "name": "made",
             "store": f"{folder}/store",
             "export": f"{folder}/export",
-            "sources": [{"family": family, "root": str(data / family)} for family in ("replicacad", "procthor")],
+            "sources": [{"family": family, "root": str(data / family)} for family in families],
             "instructions": {
                 "per_category": {"simple": 3, "chain": 3, "nested": 2},
                 "cells": [{"category": "chain", "count": 2}],
                 "counterfactual_groups": 1,
             },
+            "sampling": {"predicates": {"far": 0.2}},
         }
 
     return document
