@@ -7,9 +7,9 @@ point at each other by index, leaves in reading order. ``Program.walk`` gives th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from schemas.base import Frozen
 
@@ -87,6 +87,12 @@ class Condition(Frozen):
     definite: bool = False
     truth: bool
     witnesses: tuple[str, ...] = ()
+
+    @field_validator("definite", mode="before")
+    @classmethod
+    def _unknown_is_indefinite(cls, value: Any) -> Any:
+        # Tables and manifests of before the field was there hold none.
+        return False if value is None else value
 
     @model_validator(mode="after")
     def _witnessed(self) -> Condition:

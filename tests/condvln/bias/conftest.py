@@ -84,7 +84,7 @@ def rows_of() -> RowsOf:
 
     def made(sampler: ProgramSampler) -> Iterator[dict[str, Any]]:
         scene = sampler.scene
-        for category in sampler.config.per_category:
+        for category in sampler.wanted.per_category:
             for k, program in enumerate(sampler.candidates(category)):
                 yield {
                     "episode_id": f"{scene.scene_id} {category} {k}",

@@ -25,7 +25,7 @@ def test_fair_rows_pass(made_rows, seed: int) -> None:
     assert report.passed, report.verdict()
     assert report.verdict().startswith("no guesser beats chance")
     # A test a guesser and part, and the leaves of the cells with 200 episodes and more.
-    assert report.tests == 11 * 4 + len(report.uniformity)
+    assert report.tests == 13 * 4 + len(report.uniformity)
     assert {cell.category: cell.p for cell in report.uniformity} == {"chain": 1.0, "nested_chain": 1.0}
 
 
@@ -59,7 +59,7 @@ def test_a_word_that_goes_with_a_leaf_is_found(made_rows) -> None:
         if row["gold_leaf"] == 0 and rng.random() < 0.6:
             row["instruction_text"] = row["instruction_text"].replace("go to", "please go to")
 
-    assert caught(made_rows(0, leak=leak)) == {"bag of words"}
+    assert caught(made_rows(0, leak=leak)) == {"bag of words", "form of the text"}
 
 
 def test_a_leaf_that_is_gold_too_often_is_found(made_rows) -> None:
