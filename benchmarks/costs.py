@@ -94,7 +94,7 @@ def first_run(family: str, root: Path, asked: int, folder: Path, scenes: int) ->
     handles = open_configured(config, config.sources[0], hashes).handles()
     found = FirstRun(family, units, {f"{family}/{h.scene_id}": h.counts for h in handles})
     pipeline = build_pipeline(config)
-    slowness()  # the probe is no part of the run
+    slowness()  # measured before the run, so that its time is not counted
     model = CostModel(Index.empty(pipeline), pipeline)
     found.expected = {s.name: sum(model.stage_seconds(u, -1, s.name) for u in units) for s in pipeline.stages}
     found.estimate = sum(found.expected.values())

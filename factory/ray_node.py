@@ -95,7 +95,7 @@ def _own_node_id() -> str:
     try:
         return str(ray.get_runtime_context().get_node_id())
     except Exception:
-        return ""  # through Ray's client there is no node of ours
+        return ""  # a driver that uses Ray's client runs on no node of the cluster
 
 
 def _logs() -> str:

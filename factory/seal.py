@@ -1,4 +1,4 @@
-"""Documents of the store that carry a checksum of themselves: damage is told from content, also where it is valid JSON.
+"""Documents of the store that carry their own checksum, which finds damage even where the document is still valid JSON.
 
 A changed digit in a manifest would otherwise be taken for what was published. Documents written before there were
 checksums have none and are taken as they are.

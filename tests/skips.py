@@ -19,7 +19,7 @@ REASONS = (
     # The machine.
     r"the golden hashes were made on ",
     r"needs \d+ GiB of free memory",
-    r"the name of an open file is told by Linux only",
+    r"only Linux gives the name of an open file",
     r"root may write anywhere",
     r"the system does not say how much memory a process holds",
     # One case of a product of parameters that does not exist.

@@ -87,7 +87,7 @@ def read_episode_stats(path: Path) -> dict[str, dict[str, float]]:
             found[name] = _measures(stats, file, place)
     if not found:
         raise FormatError(
-            "there is no result of any episode here", where=path, remedy=f"Name a folder of {_PREFIX}<id>.json files"
+            "this folder holds no episode results", where=path, remedy=f"Name a folder of {_PREFIX}<id>.json files"
         )
     return found
 

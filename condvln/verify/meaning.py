@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 from condvln.verify.certificate import Certificate
 from condvln.verify.heading import COMPASS, heading_of, yaw_of
+from condvln.verify.phrases import Moves, Named, Phrase
 from condvln.verify.predicates import DIRECTIONS
 from condvln.verify.program import leaf_of
-from condvln.verify.reading import Moves, Named, Phrase, Reading, Unreadable, read
+from condvln.verify.reading import Reading, Unreadable, read
 from condvln.verify.referents import Answer, Problem, Referent, Referents
 from condvln.verify.rules import Rules
 from schemas.config.constants import HEADING_TOLERANCE

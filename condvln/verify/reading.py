@@ -10,13 +10,14 @@ the latest question: who has to think back has not understood.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
-from condvln.verify.phrasebook import SO_FAR, Matches, Phrasebook, phrasebook
+from condvln.verify.phrasebook import phrasebook
+from condvln.verify.phrases import Moves, Named, Phrase, PhraseReader
 
-__all__ = ["MAX_CONDITIONS", "Moves", "Named", "Phrase", "Reading", "Unreadable", "read"]
+__all__ = ["MAX_CONDITIONS", "Reading", "Unreadable", "read"]
 
 MAX_CONDITIONS: Final = 3
 """Most conditions of any category."""
@@ -29,34 +30,6 @@ _HOLDS: Final = tuple(sum(1 << case for case in range(_CASES) if case >> k & 1) 
 
 class Unreadable(Exception):
     """The text has no reading, or several; the message says where or why."""
-
-
-class Named(NamedTuple):
-    """A room as named: its type, and the label of the thing that tells it apart."""
-
-    label: str
-    anchor: str | None
-
-
-class Phrase(NamedTuple):
-    """A thing as named: label, (predicate, label of the anchor), and the room; None where the text names none.
-
-    known : of a condition, whether it speaks of one thing that is known to be there ("the lamp is near the bed")
-    """
-
-    label: str
-    qualifier: tuple[str, str] | None
-    room: Named | None
-    known: bool = False
-
-    def __str__(self) -> str:
-        qualifier = "" if self.qualifier is None else " {} {}".format(*self.qualifier)
-        room = "" if self.room is None else f" in {self.room.label}"
-        anchor = "" if self.room is None or self.room.anchor is None else f" with {self.room.anchor}"
-        return f"{'the ' if self.known else ''}{self.label}{qualifier}{room}{anchor}"
-
-
-Moves = tuple[Phrase, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,14 +70,6 @@ class _State(NamedTuple):
     early: bool
 
 
-_Match = tuple[int, str, frozenset[str]]
-_Place = tuple[int, Named | None]
-"""A place in the text, and the room named last before it."""
-
-_STOPS: Final = frozenset(".;:")
-"""Marks that end a clause which says where to go."""
-
-
 def read(text: str, code: str = "en") -> Reading:
     """The one reading of `text`.
 
@@ -129,19 +94,8 @@ def read(text: str, code: str = "en") -> Reading:
 _Function = tuple[tuple[Phrase, ...], tuple[Moves, ...], str | None]
 
 
-class _Reader:
-    """All readings of one text. The words that begin at a place are looked up once, whatever led there."""
-
-    def __init__(self, book: Phrasebook, text: str) -> None:
-        self.book = book
-        self.tokens = book.tokens(text)
-        self.furthest = 0
-        self.scope: Named | None = None
-        self._matches: dict[int, Matches] = {}
-
-    def rest(self) -> str:
-        """Some words from the furthest place that was reached."""
-        return " ".join(self.tokens[self.furthest : self.furthest + 6])
+class _Reader(PhraseReader):
+    """All readings of one text."""
 
     def readings(self) -> Iterator[tuple[_Function, bool]]:
         """Meanings of the whole text, perhaps repeated, and whether they think back to an earlier question."""
@@ -152,160 +106,6 @@ class _Reader:
                     table = _table(state)
                     if table is not None:
                         yield (state.named, table, heading), state.early
-
-    # -- words and phrases ---------------------------------------------------------------------------------------------
-
-    def _here(self, at: int) -> Matches:
-        """By kind, the phrases that begin at a place."""
-        found = self._matches.get(at)
-        if found is None:
-            if at > self.furthest:
-                self.furthest = at
-            node: Any = self.book.tree
-            for token in self.tokens[at:]:
-                below = node.get(token)
-                if below is None:
-                    break
-                node = below
-            found = self._matches[at] = node[SO_FAR]
-        return found
-
-    def _of(self, at: int, kind: str) -> Sequence[_Match]:
-        """(end, value, classes) of the phrases of a kind that begin at a place."""
-        here = self._matches.get(at)
-        if here is None:
-            here = self._here(at)
-        if kind not in here:
-            return ()
-        return [(at + words, value, classes) for words, value, classes in here[kind]]
-
-    def _is(self, at: int, mark: str) -> bool:
-        return at < len(self.tokens) and self.tokens[at] == mark
-
-    def _opening(self) -> Iterator[tuple[int, str | None]]:
-        yield 0, None
-        for end, _, _ in self._of(0, "facing"):
-            for stop, direction, _ in self._of(end, "direction"):
-                if self._is(stop, "."):
-                    yield stop + 1, direction
-
-    def _scopes(self, at: int) -> Iterator[_Place]:
-        yield at, None
-        for end, _, _ in self._of(at, "scope"):
-            for stop, room in self._rooms(end):
-                if self._is(stop, ","):
-                    yield stop + 1, room
-
-    def _agreeing(self, at: int, kind: str, classes: frozenset[str]) -> Iterator[tuple[int, str]]:
-        for end, label, own in self._of(at, kind):
-            if own & classes:
-                yield end, label
-
-    def _definite(self, at: int, kind: str) -> Iterator[tuple[int, str]]:
-        for end, _, classes in self._of(at, "the"):
-            yield from self._agreeing(end, kind, classes)
-
-    def _rooms(self, at: int) -> Iterator[tuple[int, Named]]:
-        for end, label in self._definite(at, "room"):
-            yield end, Named(label, None)
-            for after, _, _ in self._of(end, "with"):
-                for stop, anchor in self._definite(after, "noun"):
-                    yield stop, Named(label, anchor)
-
-    def _related(self, at: int) -> Iterator[tuple[int, tuple[str, str]]]:
-        for end, predicate, _ in self._of(at, "predicate"):
-            for stop, anchor in self._definite(end, "noun"):
-                yield stop, (predicate, anchor)
-
-    def _qualified(self, at: int) -> Iterator[tuple[int, tuple[str, str] | None]]:
-        yield at, None
-        yield from self._related(at)
-
-    def _where(
-        self, at: int, last: Named | None, belonging: bool = False
-    ) -> Iterator[tuple[int, Named | None, Named | None]]:
-        """(end, the room, the room named last) of "in the bedroom", of "there", and of nothing.
-
-        belonging : right behind a definite noun, where some languages have other words ("la cama del dormitorio")
-        """
-        yield at, self.scope, last
-        for end, _, _ in self._of(at, "of" if belonging else "in"):
-            for stop, room in self._rooms(end):
-                yield stop, room, room
-        if last is not None:
-            for end, _, _ in self._of(at, "there_of" if belonging else "there"):
-                yield end, last, last
-
-    def _things(self, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:
-        """Stops as the moves name them: "the lamp near the bed in the bedroom"."""
-        for end, label in self._definite(at, "noun"):
-            for stop, qualifier in self._qualified(end):
-                for after, room, named in self._where(stop, last, belonging=qualifier is None):
-                    yield after, Phrase(label, qualifier, room), named
-
-    # -- conditions ----------------------------------------------------------------------------------------------------
-
-    def _some(self, slot: str, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:
-        """ "there's a lamp near the bed in the bedroom", by the phrases of a slot."""
-        for end, _, classes in self._of(at, slot):
-            for after, label in self._agreeing(end, "noun", classes):
-                for stop, qualifier in self._qualified(after):
-                    for place, room, named in self._where(stop, last):
-                        yield place, Phrase(label, qualifier, room), named
-
-    def _held(self, slot: str, at: int) -> Iterator[tuple[int, Phrase, Named | None]]:
-        """ "the bedroom has a lamp near the bed", by the phrases of a slot between room and thing."""
-        for end, room in self._rooms(at):
-            for after, _, classes in self._of(end, slot):
-                for stop, label in self._agreeing(after, "noun", classes):
-                    for place, qualifier in self._qualified(stop):
-                        yield place, Phrase(label, qualifier, room), room
-
-    def _known(self, slot: str | None, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:
-        """ "the lamp in the bedroom is near the bed", by the phrases of a slot; of None there is no verb in between."""
-        for end, label in self._definite(at, "noun"):
-            for after, room, named in self._where(end, last, belonging=True):
-                verbs = [after] if slot is None else [stop for stop, _, _ in self._of(after, slot)]
-                for verb in verbs:
-                    for stop, qualifier in self._related(verb):
-                        yield stop, Phrase(label, qualifier, room, True), named
-
-    def _said(self, at: int, last: Named | None) -> Iterator[tuple[int, bool, Phrase, Named | None]]:
-        """Claims: (end, whether it is said to hold, what, room named last)."""
-        for present, some, held, known in ((True, "exists", "has", "is"), (False, "absent", "lacks", "is_not")):
-            for found in (self._some(some, at, last), self._held(held, at), self._known(known, at, last)):
-                for end, what, named in found:
-                    yield end, present, what, named
-
-    def _requests(self, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:
-        """Requests to look, and questions with their mark."""
-        for end, _, _ in self._of(at, "filler"):
-            yield from self._requests(end, last)
-        for end, _, _ in self._of(at, "see"):
-            for stop, present, what, named in self._said(end, last):
-                if present:
-                    yield stop, what, named
-        yield from self._some("look", at, last)
-        for end, _, _ in self._of(at, "check"):
-            yield from self._held("for", end)
-        questions = [*self._some("is_there", at, last)]
-        questions += [found for end, _, _ in self._of(at, "does") for found in self._held("have", end)]
-        questions += [found for end, _, _ in self._of(at, "asks_is") for found in self._known(None, end, last)]
-        yield from ((end, what, named) for end, what, named in questions if self._is(end, "?"))
-
-    def _stops(self, at: int, last: Named | None) -> Iterator[tuple[int, Moves, Named | None]]:
-        """Where to go, up to the end of a clause: nothing comes between the last stop and the mark."""
-        for start, _, _ in self._of(at, "go"):
-            ahead: list[tuple[int, Moves, Named | None]] = [
-                (stop, (thing,), named) for stop, thing, named in self._things(start, last)
-            ]
-            while ahead:
-                end, moves, named = ahead.pop()
-                if end < len(self.tokens) and self.tokens[end] in _STOPS:
-                    yield end, moves, named
-                for slot in ("then", "second", "last"):
-                    for after, _, _ in self._of(end, slot):
-                        ahead += [(stop, (*moves, thing), room) for stop, thing, room in self._things(after, named)]
 
     # -- sentences -----------------------------------------------------------------------------------------------------
 

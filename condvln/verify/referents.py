@@ -7,8 +7,8 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 from condvln.scene import Room, Scene, SceneObject
+from condvln.verify.phrases import Named, Phrase
 from condvln.verify.predicates import FALSE, TRUE, Judge, Judgement, Thing
-from condvln.verify.reading import Named, Phrase
 from condvln.verify.surfaces import Shapes, SurfaceGauge
 from condvln.verify.words import Words, words
 from schemas.config import Thresholds

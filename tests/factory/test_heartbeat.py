@@ -19,7 +19,7 @@ from factory.report import Silence
 
 
 class Watch(Silence):
-    """Keeps what it is told."""
+    """Keeps every message that it gets."""
 
     def __init__(self) -> None:
         self.busy_units: list[Busy] = []

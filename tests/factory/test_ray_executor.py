@@ -192,7 +192,7 @@ def test_ray_is_not_started_for_nothing(store: LocalStore, monkeypatch: pytest.M
 def test_long_units_in_workers_are_mentioned(
     executor: RayExecutor, store: LocalStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Workers report units that are at a stage for half a minute; here they are told to report earlier."""
+    """Workers report units that are at a stage for half a minute; here the limit is lower."""
     found: list[Busy] = []
 
     class Listener(Silence):

@@ -139,7 +139,7 @@ def test_a_store_travels_to_workers(make: Make) -> None:
     assert pickle.loads(pickle.dumps(store)).read("a") == b"1"
 
 
-@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="the name of an open file is told by Linux only")
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="only Linux gives the name of an open file")
 def test_a_file_outlasts_a_power_cut_with_every_folder_above_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

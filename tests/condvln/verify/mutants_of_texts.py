@@ -49,6 +49,30 @@ def negate_a_clause(files: Files, rng: np.random.Generator, world: World) -> boo
 
 
 @mutator
+def turn_definite(files: Files, rng: np.random.Generator, world: World) -> bool:
+    """The program takes a thing for known that is not, or the other way round; the text says the same."""
+    if not _turned(files, rng):
+        return False
+    files.word()
+    return True
+
+
+@mutator
+def turn_definite_in_program(files: Files, rng: np.random.Generator, world: World) -> bool:
+    """Only the program does; the text stays."""
+    return _turned(files, rng)
+
+
+def _turned(files: Files, rng: np.random.Generator) -> bool:
+    relational = [condition for condition in files.conditions if condition["qualifier"] is not None]
+    if not relational:
+        return False
+    condition = pick(rng, relational)
+    condition["definite"] = not condition["definite"]
+    return True
+
+
+@mutator
 def replace_a_noun_in_text(files: Files, rng: np.random.Generator, world: World) -> bool:
     program = Program.model_validate(files.manifest["program"])
     label = pick(rng, [leaf.goal.label for leaf in program.leaves])

@@ -2,7 +2,7 @@
 
 A mutator puts one fault into an episode as its files have it, or says that it does not apply. Faults
 are carried through: where a truth is flipped, the gold leaf, its goals and the record follow, so that nothing but the
-scene itself can tell. Those of the kind "said" are worded anew, so that the text agrees with the program.
+scene itself can tell. Those of the kind "said" get a new text, so that it agrees with the program.
 """
 
 from __future__ import annotations

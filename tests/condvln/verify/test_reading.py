@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from condvln.instructions import parse, reading_of, render
 from condvln.verify.phrasebook import phrasebook
-from condvln.verify.reading import Named, Phrase, Reading, Unreadable, read
+from condvln.verify.phrases import Named, Phrase
+from condvln.verify.reading import Reading, Unreadable, read
 from condvln.verify.words import words
 from schemas.program import (
     CATEGORIES,
