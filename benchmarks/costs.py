@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.optimize import nnls
 
-from condvln.navigation.compiled import warm_up
+from condvln.compiled import warm_up
 from condvln.sources.source import SceneCounts
 from factory.costs import CostModel
 from factory.executor import InlineExecutor

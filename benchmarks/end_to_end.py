@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.costs import first_run, real_families
-from condvln.navigation.compiled import warm_up
+from condvln.compiled import warm_up
 from condvln.samples import make_samples
 from factory.executor import Executor, InlineExecutor
 from factory.local_store import LocalStore

@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 from fastdtw import fastdtw
 
+from condvln.compiled import warm_up
 from condvln.evaluation.evaluate import Evaluation, evaluate
 from condvln.evaluation.measures import ndtw, without_repeats
 from condvln.evaluation.nearness import Nearness
 from condvln.evaluation.predictions import Prediction, read_predictions, write_predictions
 from condvln.evaluation.score import Rules, score
 from condvln.evaluation.task import LeafTask, Task
-from condvln.navigation.compiled import warm_up
 from condvln.navigation.follower import Follower
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.samples import make_samples

@@ -23,10 +23,10 @@ from isal import igzip
 
 from condvln.export.rows import rows_of
 from condvln.export.snapshot import export_snapshot
-from condvln.export.streams import GZIP_LEVEL
 from condvln.export.tables import MemoryTables
 from condvln.export.tokens import Vocabulary
 from condvln.export.vlnce import ground_truth, scene_file, vlnce_episode
+from condvln.formats.streams import GZIP_LEVEL
 from schemas.tables import SCENES
 from tests.made_snapshot import made_scene, made_snapshot
 

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from condvln.navigation.compiled import warm_up
+from condvln.compiled import warm_up
 from condvln.navigation.follower import Follower
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.polygon_tile import tile_of_polygons
@@ -41,9 +41,7 @@ ROUNDS = 5
 SINGLES = 200
 """Queries asked one at a time in a round."""
 
-START = (
-    "from condvln.navigation.compiled import warm_up; from condvln.navigation import follower, pathfinder; warm_up()"
-)
+START = "from condvln.compiled import warm_up; from condvln.navigation import follower, pathfinder; warm_up()"
 """What a fresh process does to be ready for any query."""
 
 FIRST_QUERY = "from condvln.navigation import Pathfinder; Pathfinder.load({path!r}).find_path([1, 0, 1], [5, 0, 5])"

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
+from condvln.navigation.reachability import reachability
 from condvln.samples.maker import make_samples
-from condvln.sources.reachability import reachability
 from condvln.sources.registry import open_source
 
 

@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import Any, Final
 
 from condvln.export.compose import ComposedScene, compose_scene
-from condvln.export.streams import atomic_stream
 from condvln.export.vlnce import scene_file
+from condvln.formats.dataset_root import DatasetRoot
+from condvln.formats.streams import atomic_stream
 from condvln.navigation.navmesh_file import MAX_FILE_BYTES, NavMeshFile, parse_navmesh
 from condvln.navigation.pathfinder import Pathfinder
+from condvln.navigation.scene_navmesh import with_shipped_navmesh
 from condvln.scene import Scene
-from condvln.sources.dataset_root import DatasetRoot
 from condvln.sources.source import Source, hash_file
 from jobs.pipeline import open_configured
 from jobs.report import Report
@@ -46,7 +47,7 @@ def compose(config: Config, scene_id: str, out: Path, *, own_navmesh: bool = Fal
         raise UsageError(f"{out} is no {SUFFIX} file", place="OUT.glb", remedy=f"Name it {out.name}{SUFFIX}.")
     refuse_export(config.export, out.parent)
     source, name = _found(config, scene_id)
-    scene = source.read(name)
+    scene = with_shipped_navmesh(source.read(name), config.agent)
     shipped = shipped_navmesh(scene) if own_navmesh else None
     if own_navmesh and shipped is None:
         raise UsageError(

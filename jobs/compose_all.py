@@ -14,12 +14,12 @@ from rich.console import Console
 from condvln.export.compose import compose_scene, is_composed
 from condvln.export.contents import INDEX
 from condvln.export.licences import SOURCES
-from condvln.export.streams import read_unpacked
 from condvln.export.vlnce import scene_file
+from condvln.formats.dataset_root import DatasetRoot
+from condvln.formats.streams import read_unpacked
 from condvln.navigation.navmesh_file import NavMeshFile
+from condvln.navigation.scene_navmesh import built_path, with_shipped_navmesh
 from condvln.scene import Scene
-from condvln.sources.dataset_root import DatasetRoot
-from condvln.sources.navmesh_build import built_path
 from condvln.sources.source import Source, hash_file
 from jobs.compose import NAVMESH, refuse_export, shipped_navmesh, write_changed
 from jobs.pipeline import open_configured
@@ -169,7 +169,7 @@ class _Writer:
             )
         if isinstance(source, InputError):
             raise source
-        scene = source.read(name[1])
+        scene = with_shipped_navmesh(source.read(name[1]), self.agent)
         composed = compose_scene(scene, source.geometry(scene), self.agent)
         navmesh, origin = self._navmesh(scene, composed.navmesh)
         # The navmesh first: a loader that finds a scene finds its navmesh too.

@@ -8,6 +8,7 @@ from typing import Final
 
 from rich.console import Console
 
+from condvln.manifest import manifest_lines, manifest_path
 from condvln.samples import make_samples
 from jobs.evaluate import EvaluationReport, Question, evaluate_predictions, walk_split
 from jobs.generate import run_generate
@@ -85,7 +86,7 @@ def _measure(config: Config, out: Path) -> EvaluationReport | None:
     """Reference agents on the largest split of scenes that are not for training."""
     assert config.export is not None
     sizes = {
-        split: sum(1 for _ in (config.export / "manifest" / f"{split}.jsonl").open("rb"))
+        split: sum(1 for _ in manifest_lines(manifest_path(config.export, split)))
         for split in ("val_unseen", "test", "train")
     }
     split = max(sizes, key=lambda name: (sizes[name] > 0 and name != "train", sizes[name]))

@@ -15,14 +15,14 @@ from rich.text import Text
 
 from condvln.evaluation.agents import agent_named, predict_all
 from condvln.evaluation.evaluate import Evaluation
-from condvln.evaluation.navmeshes import NavmeshFolder
 from condvln.evaluation.plots import save_figures
 from condvln.evaluation.predictions import write_predictions
 from condvln.evaluation.render import as_csv, as_document, as_latex, as_markdown, as_rich
 from condvln.evaluation.score import Rules
 from condvln.evaluation.split import SplitOptions, evaluate_split, split_tasks
 from condvln.evaluation.tables import Table, all_tables, twin_tables
-from condvln.export.streams import atomic_stream
+from condvln.formats.streams import atomic_stream
+from condvln.navigation.navmesh_folder import NavmeshFolder
 from jobs.policy import eyes_of, is_policy, policy_named, walk_policy
 from jobs.report import Report
 from schemas.config import Config

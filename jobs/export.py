@@ -13,9 +13,9 @@ from condvln.export.report import ExportReport
 from condvln.export.rows import Row
 from condvln.export.snapshot import ExportConfig, export_snapshot
 from condvln.export.staging import staged
-from condvln.export.streams import atomic_stream
 from condvln.export.tables import FolderTables
 from condvln.export.viewpoints import FOLDER, ViewpointReport, write_viewpoints
+from condvln.formats.streams import atomic_stream
 from factory.snapshot import Snapshot, read_manifest, read_ref
 from jobs.bias import add_bias, priors_behind
 from jobs.built_navmeshes import built_navmeshes

@@ -17,6 +17,7 @@ from pydantic import Field, ValidationError
 
 from condvln.export.contents import ORIGIN, document_digest, read_document, read_index
 from condvln.export.selection import VERSION
+from condvln.manifest import manifest_paths
 from factory.snapshot import Snapshot
 from jobs.pipeline import build_pipeline
 from schemas.base import Document
@@ -286,7 +287,7 @@ def _counts(folder: Path) -> dict[str, int] | None:
     if index is not None and isinstance(index.get("episodes"), dict):
         return {str(split): int(count) for split, count in index["episodes"].items()}
     counts = {}
-    for path in sorted((folder / "manifest").glob("*.jsonl")):
+    for path in manifest_paths(folder):
         try:
             counts[path.stem] = path.read_bytes().count(b"\n")
         except OSError:

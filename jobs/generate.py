@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from rich.console import Console
 
-from condvln.navigation.compiled import warm_up
+from condvln.compiled import warm_up
 from factory.auto_executor import AutoExecutor
 from factory.executor import Executor, InlineExecutor
 from factory.report import ABORTED, RunReport

@@ -10,10 +10,11 @@ import orjson
 
 from condvln.evaluation.walker import heading_of
 from condvln.export.contents import INDEX
-from condvln.export.streams import atomic_copy
-from condvln.export.twin import TwinReport, read_manifest, rewrite_split
+from condvln.export.twin import TwinReport, rewrite_split
+from condvln.formats.streams import atomic_copy
 from condvln.instructions import oracle_linear, render_moves, with_preamble
 from condvln.instructions.predicates import COMPASS
+from condvln.manifest import manifest_path, read_manifest
 from jobs.report import Report
 from schemas.errors import UsageError
 from schemas.evaluation import ManifestEpisode
@@ -59,7 +60,7 @@ def oracle_split(
     target = out or export / "oracle" / split / f"{split}.json.gz"
     if target.resolve() == document.resolve():
         raise UsageError("the twin would take its original's place", where=target, remedy="Name another file: --out")
-    manifest = read_manifest(export / "manifest" / f"{split}.jsonl")
+    manifest = {row.episode_id: row for row in read_manifest(manifest_path(export, split))}
     rendering = _rendering(export)
     seed = int(rendering.get("seed", 0)) if seed is None else seed
     preamble = bool(rendering.get("preamble", True))

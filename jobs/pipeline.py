@@ -66,7 +66,6 @@ def open_configured(config: Config, source: SourceConfig, hash_file: HashFile) -
         source.root,
         scenes=source.scenes,
         exclude=source.exclude,
-        agent=config.agent,
         regions=source.regions,
         houses=source.houses,
         navmesh=source.navmesh,

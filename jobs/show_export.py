@@ -10,21 +10,17 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
 from condvln.episodes.picture import draw_episode
 from condvln.episodes.placing import heading_degrees
-from condvln.evaluation.json_entries import json_lines, parsed
-from condvln.evaluation.navmeshes import NavmeshFolder
 from condvln.evaluation.walker import heading_of
-from condvln.export.splits import SPLITS
+from condvln.manifest import ManifestLine, manifest_lines, manifest_paths
 from condvln.navigation.navmesh_file import read_navmesh
+from condvln.navigation.navmesh_folder import NavmeshFolder
 from condvln.scene import Scene
 from jobs.report import Report
 from jobs.show import episode_lines, spread
 from jobs.tree import program_tree
 from schemas.errors import FormatError, UsageError
-from schemas.evaluation import ManifestEpisode
 
 __all__ = ["show_export"]
 
@@ -51,7 +47,7 @@ def show_export(
     UsageError : no manifest, or no such episode
     FormatError : a damaged manifest
     """
-    found = [_row(path, number, line) for path, number, line in _chosen(export, episode, sample or 1)]
+    found = [line.row() for line in _chosen(export, episode, sample or 1)]
     if not found:
         raise UsageError(
             "the manifests hold no episodes" if episode is None else f"no episode {episode!r}",
@@ -77,47 +73,36 @@ def show_export(
     return report
 
 
-def _chosen(export: Path, episode: str | None, sample: int) -> list[tuple[Path, int, bytes]]:
+def _chosen(export: Path, episode: str | None, sample: int) -> list[ManifestLine]:
     """Lines of the manifests; those of a sample have the first ids of each category and source."""
-    found: list[tuple[Path, int, bytes]] = []
-    first: dict[tuple[str, str], list[tuple[str, Path, int, bytes]]] = {}
-    for path, number, line in _lines(export):
-        entry = parsed(line, path, f"line {number}")
-        names = [entry.get(key) for key in ("category", "source", "episode_id")] if isinstance(entry, dict) else [None]
+    found: list[ManifestLine] = []
+    first: dict[tuple[str, str], list[tuple[str, ManifestLine]]] = {}
+    for line in _lines(export):
+        fields = line.fields()
+        names = [fields.get(key) for key in ("category", "source", "episode_id")]
         if not all(isinstance(name, str) for name in names):
-            raise FormatError("not a manifest row", where=path, place=f"line {number}", remedy="Export again.")
+            raise FormatError(
+                "not a manifest row", where=line.path, place=f"line {line.number}", remedy="Export the split again"
+            )
         category, source, name = map(str, names)
         if episode is not None:
             if name.startswith(episode):
-                found.append((path, number, line))
+                found.append(line)
             continue
         kept = first.setdefault((category, source), [])
-        insort(kept, (name, path, number, line))
+        insort(kept, (name, line))
         del kept[sample:]
-    if episode is not None:
-        return found
-    return [(path, number, line) for _, path, number, line in spread(first, sample)]
+    return found if episode is not None else [line for _, line in spread(first, sample)]
 
 
-def _lines(export: Path) -> Iterator[tuple[Path, int, bytes]]:
-    paths = [export / "manifest" / f"{split}.jsonl" for split in SPLITS]
-    there = [path for path in paths if path.is_file()]
-    if not there:
+def _lines(export: Path) -> Iterator[ManifestLine]:
+    paths = manifest_paths(export)
+    if not paths:
         raise UsageError(
             "neither a configuration nor an export", place=str(export), remedy="Name a YAML file or an export's folder."
         )
-    for path in there:
-        for number, line in json_lines(path):
-            yield path, number, line
-
-
-def _row(path: Path, number: int, line: bytes) -> ManifestEpisode:
-    try:
-        return ManifestEpisode.model_validate_json(line)
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = f"line {number}: {'.'.join(map(str, first['loc']))}"
-        raise FormatError(str(first["msg"]), where=path, place=place, remedy="Export the split again.") from error
+    for path in paths:
+        yield from manifest_lines(path)
 
 
 def _as_published(row: Row) -> Row:

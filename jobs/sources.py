@@ -9,9 +9,9 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from condvln.sources.downloads import look_for
-from condvln.sources.survey import Survey, survey_source
 from jobs.pipeline import open_configured
 from jobs.report import Report, Section
+from jobs.survey import Survey, survey_source
 from jobs.workspace import file_hashes, hasher
 from schemas.config import Config
 from schemas.errors import ConfigError, MissingFileError
@@ -42,7 +42,7 @@ def survey(config: Config, *, limit: int | None = None, console: Console | None 
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
         with Progress(*columns, console=console or Console(stderr=True), transient=True) as progress:
             task = progress.add_task(f"reading {source.family}", total=min(len(handles), limit or len(handles)))
-            found = survey_source(opened, handles, limit=limit, tick=partial(progress.advance, task))
+            found = survey_source(opened, handles, config.agent, limit=limit, tick=partial(progress.advance, task))
         inputs = {i.path: i.size for handle in handles for i in handle.inputs}
         kinds = look_for(source.family, source.root, source.houses)
         document.append(

@@ -46,12 +46,12 @@ from condvln.instructions import (
 )
 from condvln.navigation.navmesh_file import parse_navmesh
 from condvln.navigation.pathfinder import Pathfinder
+from condvln.navigation.scene_navmesh import with_built_navmesh, with_shipped_navmesh
 from condvln.relations import RoomRelations, relate_scene, relation_table, text_facts
 from condvln.scene import Scene
 from condvln.scene.limits import check_limits
 from condvln.scene.meshes import MeshLibrary
 from condvln.scene.tables import scene_from_tables, scene_tables
-from condvln.sources.navmesh_build import with_built_navmesh
 from condvln.sources.registry import open_source
 from condvln.sources.source import Source
 from factory.stage import Aggregate, Stage, StageOutput
@@ -84,18 +84,16 @@ def _navmeshes_table(scene_id: str, data: bytes | None) -> pa.Table:
 
 
 @lru_cache(maxsize=8)
-def _source(
-    family: str, root: str, regions: str | None, houses: str | None, navmesh: str | None, agent: AgentConfig
-) -> Source:
+def _source(family: str, root: str, regions: str | None, houses: str | None, navmesh: str | None) -> Source:
     """One reader a process and dataset: its shared files are read once."""
     side, house_folder = (None if path is None else Path(path) for path in (regions, houses))
-    return open_source(family, Path(root), agent=agent, navmesh=navmesh, regions=side, houses=house_folder)
+    return open_source(family, Path(root), navmesh=navmesh, regions=side, houses=house_folder)
 
 
-def _source_of(unit: Unit, agent: AgentConfig) -> Source:
+def _source_of(unit: Unit) -> Source:
     keys = ("regions", "houses", "navmesh")
     regions, houses, navmesh = (None if value is None else str(value) for value in map(unit.payload.get, keys))
-    return _source(str(unit.payload["family"]), str(unit.payload["root"]), regions, houses, navmesh, agent)
+    return _source(str(unit.payload["family"]), str(unit.payload["root"]), regions, houses, navmesh)
 
 
 def _scene(unit: Unit, tables: Tables) -> Scene:
@@ -111,8 +109,7 @@ def _pathfinder(scene: Scene, tables: Tables) -> Pathfinder:
 
 
 def _view(unit: Unit, scene: Scene) -> SceneView:
-    # Surfaces are those of the scene, whoever walks there.
-    return SceneView(scene, _source_of(unit, AgentConfig()).geometry(scene))
+    return SceneView(scene, _source_of(unit).geometry(scene))
 
 
 def _dump(section: Section) -> JSON:
@@ -143,8 +140,8 @@ class SceneStage(Stage):
         return {"agent": _dump(self.agent), "limits": _dump(self.limits)} | preferred
 
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
-        source = _source_of(unit, self.agent)
-        scene = source.read(str(unit.payload["scene_id"]))
+        source = _source_of(unit)
+        scene = with_shipped_navmesh(source.read(str(unit.payload["scene_id"])), self.agent)
         check_limits(scene, self.limits)
         built: bytes | None = None
         reason = ""

@@ -12,7 +12,9 @@ from typing import Any, Final
 import orjson
 
 from condvln.export.contents import CERTIFICATES, INDEX, SUMMARY, read_index
-from condvln.export.streams import ByteStream, atomic_stream
+from condvln.formats.streams import ByteStream, atomic_stream
+from condvln.manifest import manifest_lines, manifest_paths
+from condvln.navigation.scene_navmesh import with_shipped_navmesh
 from condvln.scene import Scene
 from condvln.sources.source import Source, hash_file
 from condvln.verify import FACTS, Certificate, Rules, Surfaces, prove_export
@@ -92,19 +94,14 @@ def _faults_of_snapshot(config: Config, export_dir: Path) -> Iterator[Fault]:
     except (StoreError, FileNotFoundError) as error:
         yield Fault(str(config.store), f"the published snapshot can't be read: {error} --without-store leaves it out.")
         return
-    for path in sorted(export_dir.glob("manifest/*.jsonl")):
-        for name in _episode_ids(path):
-            if name not in known:
-                yield Fault(f"{MANIFEST}/{path.name}", f"episode {name} is not in the snapshot")
+    for path in manifest_paths(export_dir):
+        for line in manifest_lines(path):
+            with suppress(InputError, KeyError):
+                if (name := line.fields()["episode_id"]) not in known:
+                    yield Fault(f"{MANIFEST}/{path.name}", f"episode {name} is not in the snapshot")
     counts = [count for part in ("episodes", "left_out") for count in (index.get(part) or {}).values()]
     if sum(counts) != len(known):
         yield Fault(INDEX, f"accounts for {sum(counts)} of the {len(known)} episodes of the snapshot")
-
-
-def _episode_ids(manifest: Path) -> Iterator[str]:
-    for line in manifest.read_bytes().splitlines():
-        with suppress(ValueError, KeyError, TypeError):
-            yield orjson.loads(line)["episode_id"]
 
 
 def _relative(where: str, export_dir: Path) -> str:
@@ -116,6 +113,7 @@ class _Scenes:
     """Scenes of the configured sources, read as they are on disk now."""
 
     def __init__(self, config: Config) -> None:
+        self._agent = config.agent
         self._sources: dict[str, list[Source]] = {}
         for source in config.sources:
             opened = open_configured(config, source, hash_file)
@@ -127,7 +125,7 @@ class _Scenes:
         )
         for one in self._sources.get(source, ()):
             try:
-                scene = one.read(scene_id)
+                scene = with_shipped_navmesh(one.read(scene_id), self._agent)
                 return scene, partial(one.geometry, scene)
             except MissingFileError as error:
                 missing = error
@@ -195,5 +193,5 @@ def _line(certificate: Certificate) -> bytes:
 
 def _hashes(export_dir: Path) -> dict[str, str]:
     """SHA-256 of the files that were verified: a certificate is worth nothing beside others."""
-    paths = [*export_dir.glob("manifest/*.jsonl"), *export_dir.glob("vlnce/*/*.json.gz")]
+    paths = [*manifest_paths(export_dir), *export_dir.glob("vlnce/*/*.json.gz")]
     return {path.relative_to(export_dir).as_posix(): hash_file(path)[1] for path in sorted(paths)}

@@ -23,8 +23,8 @@ from condvln.bias.guessers import FIXED
 from condvln.bias.learners import LEARNED, NO_GUESS
 from condvln.bias.report import ALL, BiasReport, Finding, Uniformity
 from condvln.bias.significance import binomial_tail, holm, interval, p_by_scenes, p_uniform
-from condvln.evaluation.json_entries import json_lines, parsed
-from schemas.errors import FormatError, MissingFileError
+from condvln.manifest import manifest_lines, manifest_paths
+from schemas.errors import MissingFileError
 from schemas.program import CATEGORIES
 
 __all__ = ["CELL_CAP", "LEAST_EPISODES", "UNIFORM_FROM", "judge", "judge_export"]
@@ -169,12 +169,9 @@ def _parts(
 
 
 def _manifest_rows(folder: Path) -> Iterator[Mapping[str, Any]]:
-    paths = sorted((folder / "manifest").glob("*.jsonl"))
+    paths = manifest_paths(folder)
     if not paths:
         raise MissingFileError("no manifest/<split>.jsonl", where=folder, remedy="Name the folder of an export")
     for path in paths:
-        for number, line in json_lines(path):
-            row = parsed(line, path, f"line {number}")
-            if not isinstance(row, dict):
-                raise FormatError("no object", where=path, place=f"line {number}", remedy="Export again")
-            yield row
+        for line in manifest_lines(path):
+            yield line.fields()

@@ -18,9 +18,9 @@ import numpy as np
 
 from condvln.evaluation.branching import NO_LEAF
 from condvln.evaluation.evaluate import AXES, Evaluation
-from condvln.evaluation.json_entries import document, head
 from condvln.evaluation.score import Rules, Score
 from condvln.evaluation.task import Task
+from condvln.formats.json_entries import document, head
 from schemas.errors import FormatError
 
 __all__ = ["NAMES", "evaluation_of_stats", "is_episode_stats", "read_episode_stats"]

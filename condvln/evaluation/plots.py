@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from condvln.evaluation.aggregate import by_axis
 from condvln.evaluation.evaluate import Evaluation
-from condvln.export.streams import atomic_stream
+from condvln.formats.streams import atomic_stream
 from schemas.errors import UsageError
 
 __all__ = ["SHOWN", "axis_figure", "save_figures"]

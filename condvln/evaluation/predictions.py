@@ -24,9 +24,9 @@ import numpy as np
 import numpy.typing as npt
 import orjson
 
-from condvln.evaluation.json_entries import entries, head, json_lines, parsed
-from condvln.export.streams import JsonArrayStream, atomic_stream
-from condvln.sources.json_document import MAX_COORDINATE
+from condvln.formats.json_document import MAX_COORDINATE
+from condvln.formats.json_entries import entries, head, json_lines, parsed
+from condvln.formats.streams import JsonArrayStream, atomic_stream
 from schemas.errors import FormatError
 
 __all__ = [

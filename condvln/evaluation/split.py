@@ -9,11 +9,12 @@ from pathlib import Path
 from condvln.evaluation.episode_stats import evaluation_of_stats, is_episode_stats, read_episode_stats
 from condvln.evaluation.evaluate import Evaluation, evaluate
 from condvln.evaluation.graph_split import GraphSplit, r2r_file
-from condvln.evaluation.navmeshes import NavmeshFolder
 from condvln.evaluation.predictions import detect_format, read_graph_predictions, read_predictions
 from condvln.evaluation.score import Rules
 from condvln.evaluation.task import Task, read_tasks
 from condvln.export.graphs import GraphFolder
+from condvln.manifest import manifest_path, manifest_paths
+from condvln.navigation.navmesh_folder import NavmeshFolder
 from schemas.errors import MissingFileError, UsageError
 
 __all__ = ["SplitOptions", "evaluate_split", "split_tasks"]
@@ -40,9 +41,9 @@ def split_tasks(export: Path, split: str) -> list[Task]:
     ------
     MissingFileError : the export has no such split
     """
-    manifest = export / "manifest" / f"{split}.jsonl"
+    manifest = manifest_path(export, split)
     if not manifest.is_file():
-        there = sorted(path.stem for path in (export / "manifest").glob("*.jsonl"))
+        there = [path.stem for path in manifest_paths(export)]
         raise MissingFileError(
             f"no split {split!r} here", where=manifest, remedy=f"There are: {', '.join(there) or 'none'}"
         )
@@ -98,7 +99,7 @@ def _evaluate_discrete(
     export: Path, split: str, predictions: Mapping[str, Path], options: SplitOptions
 ) -> tuple[list[Evaluation], list[Task]]:
     file = r2r_file(export, split)
-    known = split_tasks(export, split) if (export / "manifest").is_dir() else []
+    known = split_tasks(export, split) if manifest_paths(export) else []
     graph_split = GraphSplit(file, known, GraphFolder(*options.connectivity))
     found = [
         graph_split.evaluate(list(read_graph_predictions(path)), agent=name, where=str(path), radii=options.radii)

@@ -10,9 +10,10 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import ValidationError
 
-from condvln.evaluation.json_entries import entries, json_lines, parsed
 from condvln.export.axes import observability_class, route_class, words_class
 from condvln.export.densify import densify
+from condvln.formats.json_entries import entries, parsed
+from condvln.manifest import read_manifest
 from schemas.errors import FormatError
 from schemas.evaluation import ManifestEpisode
 from schemas.program import Program
@@ -119,29 +120,13 @@ def read_tasks(manifest: Path, ground_truth: Path | None = None) -> Iterator[Tas
     FormatError : a line that is not a manifest row, an id twice, an episode without ground truth
     """
     locations = read_ground_truth(ground_truth) if ground_truth is not None else None
-    seen: set[str] = set()
-    for number, line in json_lines(manifest):
-        try:
-            row = ManifestEpisode.model_validate_json(line)
-        except ValidationError as error:
-            first = error.errors()[0]
-            place = ".".join(str(part) for part in first["loc"])
-            raise _damaged(manifest, f"line {number}: {place}", str(first["msg"])) from error
-        if len(row.leaves) != len(row.program.leaves) or {leaf.leaf for leaf in row.leaves} != {
-            *range(len(row.leaves))
-        }:
-            raise _damaged(manifest, f"line {number}: leaves", "not one entry for each leaf of the program")
-        if not 0 <= row.gold_leaf < len(row.leaves):
-            raise _damaged(manifest, f"line {number}: gold_leaf", "no such leaf")
-        if row.episode_id in seen:
-            raise _damaged(manifest, f"line {number}: episode_id", f"{row.episode_id} stands twice")
-        seen.add(row.episode_id)
+    for row in read_manifest(manifest):
         if locations is None:
             yield task_of(row)
         elif row.episode_id in locations:
             yield task_of(row, locations[row.episode_id])
         else:
-            raise _damaged(manifest, f"line {number}: episode_id", f"{row.episode_id} has no entry in {ground_truth}")
+            raise _damaged(manifest, f"episode {row.episode_id}", f"has no entry in {ground_truth}")
 
 
 def read_ground_truth(path: Path) -> dict[str, Points]:

@@ -21,6 +21,8 @@ import pyarrow as pa
 
 from condvln.export.pool import FIT, Hashes, Pool, hashes_of
 from condvln.export.splits import SPLITS, Split
+from condvln.manifest import manifest_lines, manifest_path
+from schemas.errors import InputError
 
 __all__ = ["Changes", "Generated", "PublishedEpisodes", "changes_between", "with_entry"]
 
@@ -57,16 +59,15 @@ class PublishedEpisodes:
 
         def rows() -> Iterator[tuple[Split, str, dict[str, Any]]]:
             for split in SPLITS:
-                with (export / "manifest" / f"{split}.jsonl").open("rb") as lines:
-                    for line in lines:
-                        row = orjson.loads(line)
-                        snapshots.add(row["snapshot"])
-                        yield split, row["source"], row
+                for line in manifest_lines(manifest_path(export, split)):
+                    row = line.fields()
+                    snapshots.add(row["snapshot"])
+                    yield split, row["source"], row
 
         snapshots: set[str] = set()
         try:
             found = cls.of_rows("", rows())
-        except (OSError, ValueError, KeyError, TypeError):
+        except (InputError, ValueError, KeyError, TypeError):
             return None
         return cls(**{**vars(found), "snapshot": min(snapshots)}) if snapshots else None
 

@@ -26,11 +26,11 @@ from condvln.export.scene_table import NavmeshBytes, SceneTable
 from condvln.export.selection import OUT, Selection, select
 from condvln.export.splits import SPLITS, Split
 from condvln.export.staging import staged
-from condvln.export.streams import atomic_stream
 from condvln.export.tables import SnapshotTables, joined_by_scene
 from condvln.export.tokens import TOKEN_LENGTH, Vocabulary
 from condvln.export.vlnce import SCENE_PATTERNS
 from condvln.export.writer import ExportWriter, Layout
+from condvln.formats.streams import atomic_stream
 from schemas.config import SplitsConfig
 from schemas.errors import InputError, StoreError
 

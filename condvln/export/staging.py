@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Final
 
 from condvln.export.contents import file_hashes, owned_files, stale_proofs
-from condvln.export.streams import sync
+from condvln.formats.streams import sync
 from schemas.errors import StoreError
 
 __all__ = ["check_place", "placed", "recover", "staged"]

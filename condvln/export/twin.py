@@ -8,16 +8,15 @@ from pathlib import Path
 from typing import Any
 
 import orjson
-from pydantic import ValidationError
 
 from condvln.export.oracle import oracle_episode
-from condvln.export.streams import JsonArrayStream, atomic_stream, read_unpacked
 from condvln.export.tokens import PAD_INDEX, UNK_INDEX, Vocabulary, tokenize
 from condvln.export.vlnce import encode
-from schemas.errors import FormatError, MissingFileError
+from condvln.formats.streams import JsonArrayStream, atomic_stream, read_unpacked
+from schemas.errors import FormatError
 from schemas.evaluation import ManifestEpisode
 
-__all__ = ["TwinReport", "read_manifest", "rewrite_split"]
+__all__ = ["TwinReport", "rewrite_split"]
 
 LinearText = Callable[[ManifestEpisode], str]
 """The gold branch told as a plain instruction."""
@@ -46,7 +45,7 @@ def rewrite_split(
     Parameters
     ----------
     document : a stock VLN-CE, ANSR-v1 or RxR file
-    manifest : rows by episode id, from :func:`read_manifest`
+    manifest : rows by episode id
 
     Raises
     ------
@@ -114,21 +113,3 @@ def _document(path: Path) -> dict[str, Any]:
         ) from error
     found: dict[str, Any] = content
     return found
-
-
-def read_manifest(path: Path) -> dict[str, ManifestEpisode]:
-    """Rows of ``manifest/<split>.jsonl`` by episode id.
-
-    Raises
-    ------
-    MissingFileError, FormatError : it is not there, or damaged
-    """
-    try:
-        rows = [ManifestEpisode.model_validate_json(line) for line in path.read_bytes().splitlines() if line.strip()]
-    except (FileNotFoundError, IsADirectoryError) as error:
-        raise MissingFileError("no such file", where=path, remedy="Check the path") from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"])
-        raise FormatError(str(first["msg"]), where=path, place=place, remedy="Export the split again") from error
-    return {row.episode_id: row for row in rows}

@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from condvln.export.graph_episodes import GraphEpisode
-from condvln.export.manifest import manifest_row
 from condvln.export.report import WrittenFile
 from condvln.export.splits import SPLITS
-from condvln.export.streams import ByteStream, JsonArrayStream, atomic_stream
 from condvln.export.vlnce import encode
+from condvln.formats.streams import ByteStream, JsonArrayStream, atomic_stream
+from condvln.manifest import manifest_path, manifest_row
 
 __all__ = ["FOLDER", "ViewpointReport", "write_viewpoints"]
 
@@ -65,7 +65,7 @@ def write_viewpoints(
             if split not in opened:
                 items = stack.enter_context(atomic_stream(folder / f"R2R_{split}.json", closing=b"]\n"))
                 items.write(b"[")
-                manifest = stack.enter_context(atomic_stream(folder / "manifest" / f"{split}.jsonl"))
+                manifest = stack.enter_context(atomic_stream(manifest_path(folder, split)))
                 opened[split] = JsonArrayStream(items), manifest
             items_of, manifest = opened[split]
             items_of.entry(encode(episode.item))
@@ -88,5 +88,5 @@ def write_viewpoints(
     for split in SPLITS:
         if split not in opened:
             (folder / f"R2R_{split}.json").unlink(missing_ok=True)
-            (folder / "manifest" / f"{split}.jsonl").unlink(missing_ok=True)
+            manifest_path(folder, split).unlink(missing_ok=True)
     return report

@@ -17,8 +17,8 @@ import orjson
 
 from condvln.export.densify import densify
 from condvln.export.rows import Row
-from condvln.export.streams import JsonArrayStream, atomic_stream
 from condvln.export.tokens import Vocabulary
+from condvln.formats.streams import JsonArrayStream, atomic_stream
 from schemas.config.constants import PATH_SPACING
 from schemas.program import SHAPES
 

@@ -12,7 +12,6 @@ from urllib.parse import quote
 
 from condvln.export.ansr import ansr_bytes
 from condvln.export.axes import observability_class, route_class, words_class
-from condvln.export.manifest import manifest_row
 from condvln.export.oracle import OracleText, oracle_episode, oracle_text_of
 from condvln.export.r2r import Graphs, r2r_episode
 from condvln.export.report import ExportReport, WrittenFile
@@ -20,7 +19,6 @@ from condvln.export.rows import Row
 from condvln.export.rxr import rxr_episode
 from condvln.export.scene_table import SceneTable
 from condvln.export.splits import SPLITS
-from condvln.export.streams import ByteStream, JsonArrayStream, atomic_copy, atomic_stream
 from condvln.export.tokens import Vocabulary, tokenize
 from condvln.export.vlnce import (
     DocumentWriter,
@@ -31,6 +29,8 @@ from condvln.export.vlnce import (
     truth_writer,
     vlnce_episode,
 )
+from condvln.formats.streams import ByteStream, JsonArrayStream, atomic_copy, atomic_stream
+from condvln.manifest import manifest_path, manifest_row
 from schemas.program import SHAPES
 
 __all__ = ["ExportWriter", "Layout"]
@@ -105,7 +105,7 @@ class ExportWriter:
 
     def _opened(self, split: str) -> _SplitFiles:
         truth = self._open.enter_context(truth_writer(self._out / self._truth_name("vlnce", split)))
-        manifest = self._open.enter_context(atomic_stream(self._out / "manifest" / f"{split}.jsonl"))
+        manifest = self._open.enter_context(atomic_stream(manifest_path(self._out, split)))
         files = _SplitFiles(split, truth, manifest)
         for variant in self._variants:
             path = self._out / variant / split / f"{self._stem(variant, split)}.json.gz"

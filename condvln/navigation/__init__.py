@@ -9,7 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from condvln.navigation.compiled import warm_up
+    from condvln.compiled import warm_up
     from condvln.navigation.follower import RXR, VLN_CE, ActionSpace, FollowedRoute, Follower
     from condvln.navigation.graph_pathfinder import GraphPathfinder
     from condvln.navigation.habitat_pathfinder import HabitatPathfinder

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from condvln.navigation.compiled import register_warm_up
+from condvln.compiled import register_warm_up
 from condvln.navigation.kernels.following import (
     ARRIVED,
     FORWARD,

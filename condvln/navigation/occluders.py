@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from condvln.navigation.compiled import register_warm_up
+from condvln.compiled import register_warm_up
 from condvln.navigation.kernels.slabs import blocked_looks
 from schemas.errors import FormatError, UsageError
 

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from condvln.navigation.compiled import register_warm_up
+from condvln.compiled import register_warm_up
 from condvln.navigation.kernels.islands import find_islands
 from condvln.navigation.kernels.mesh import BMAX, BMIN, query_mesh
 from condvln.navigation.kernels.movement import nearest_walls, steps

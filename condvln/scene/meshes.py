@@ -10,10 +10,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.formats.dataset_root import DatasetRoot
+from condvln.formats.glb import MAX_GLB_BYTES, GlbGeometry, read_glb
 from condvln.scene.boxes import transform_points
 from condvln.scene.scene import MeshPart, SceneObject
-from condvln.sources.dataset_root import DatasetRoot
-from condvln.sources.glb import MAX_GLB_BYTES, GlbGeometry, read_glb
 
 __all__ = ["CACHE_BYTES", "MeshLibrary", "WorldMesh"]
 

@@ -180,7 +180,12 @@ class RoomArrays:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A whole scene in Habitat's frame; `root` is the folder that all its relative paths stand in."""
+    """A whole scene in Habitat's frame.
+
+    root : folder of the dataset; all paths of the scene are relative to it
+    navmesh : the navmesh that episodes are placed on, once it was chosen
+    shipped_navmeshes : files of the dataset that may hold the scene's navmesh, the preferred ones first; not all exist
+    """
 
     family: str
     scene_id: str
@@ -188,6 +193,7 @@ class Scene:
     rooms: tuple[Room, ...]
     objects: tuple[SceneObject, ...]
     navmesh: NavmeshFile | None = None
+    shipped_navmeshes: tuple[str, ...] = ()
     stage: tuple[MeshPart, ...] = ()
     warnings: tuple[SceneWarning, ...] = ()
 

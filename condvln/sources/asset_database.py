@@ -8,9 +8,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.sources.dataset_root import DatasetRoot
+from condvln.formats.dataset_root import DatasetRoot
+from condvln.formats.json_document import parse_json
 from condvln.sources.input_ledger import InputLedger
-from condvln.sources.json_document import parse_json
 from schemas.errors import MissingFileError
 
 __all__ = ["Asset", "AssetDatabase"]

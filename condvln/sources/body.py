@@ -9,12 +9,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.formats.json_document import JsonNode
 from condvln.labels import vocabulary
 from condvln.scene import MeshPart, SceneWarning
 from condvln.scene.boxes import placement
 from condvln.scene.frames import asset_frame
 from condvln.sources.input_ledger import InputLedger
-from condvln.sources.json_document import JsonNode
 from condvln.sources.lexicon import Lexicon
 from condvln.sources.scene_dataset import Attribute, SceneDataset, Template
 from condvln.sources.scene_instance import MAX_SCALE, Placed

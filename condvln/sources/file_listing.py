@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 
-from condvln.sources.dataset_root import TRANSIENT, DatasetRoot
+from condvln.formats.dataset_root import TRANSIENT, DatasetRoot
 from schemas.errors import ConfigError, InputError, MissingFileError, PathEscapeError, TransientIOError
 
 __all__ = ["FileListing", "list_files"]

@@ -16,15 +16,14 @@ from typing import ClassVar, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.formats.json_document import JsonNode
 from condvln.labels import vocabulary
 from condvln.scene import MeshPart, Room, Scene, SceneObject, SceneWarning, round_mm
 from condvln.scene.boxes import placement
 from condvln.scene.frames import Z_UP_TO_HABITAT
 from condvln.scene.geometry import SceneGeometry
 from condvln.sources.input_ledger import InputLedger
-from condvln.sources.json_document import JsonNode
 from condvln.sources.mesh_geometry import scan_geometry
-from condvln.sources.navmesh_choice import NavmeshChoice, choose_navmesh, shipped_navmeshes
 from condvln.sources.regions import in_rooms, side_regions
 from condvln.sources.scene_graph import MAX_GRAPH_BYTES, read_npz, read_scn
 from condvln.sources.scene_source import Note, SceneSource, SourceOptions
@@ -84,15 +83,15 @@ class GibsonSource(SceneSource):
         rooms = rooms or (_whole(items, self.family, complete),)
         placed, lost = in_rooms((o for o in items if not o.room_id), rooms)
         placed += [o for o in items if o.room_id]
-        stage, navmesh = self._beside(scene_id, path, ledger)
-        said = {*warnings, *lost, *navmesh.warnings}
+        stage, navmeshes = self._beside(scene_id, path, ledger)
+        said = {*warnings, *lost}
         return Scene(
             family=self.family,
             scene_id=scene_id,
             root=self.root,
             rooms=tuple(sorted(rooms, key=lambda r: r.room_id)),
             objects=tuple(sorted(placed, key=lambda o: o.object_id)),
-            navmesh=navmesh.file,
+            shipped_navmeshes=navmeshes,
             stage=stage,
             warnings=tuple(sorted(said, key=lambda w: (w.code, w.where, w.message))),
         )
@@ -107,8 +106,8 @@ class GibsonSource(SceneSource):
             side_regions(self.options.regions, [posixpath.basename(scene_id)], self.family, ledger)
         self._beside(scene_id, path, ledger)
 
-    def _beside(self, scene_id: str, path: str, ledger: InputLedger) -> tuple[tuple[MeshPart, ...], NavmeshChoice]:
-        """The building's mesh and navmesh, beside its annotation or in the root folder."""
+    def _beside(self, scene_id: str, path: str, ledger: InputLedger) -> tuple[tuple[MeshPart, ...], tuple[str, ...]]:
+        """The building's mesh and possible navmeshes, beside its annotation or in the root folder."""
         name, folder = posixpath.basename(scene_id), posixpath.dirname(path)
         folders = list(dict.fromkeys([folder, ""]))
         mesh = next((m for m in (posixpath.join(f, f"{name}.glb") for f in folders) if self.files.has(m)), None)
@@ -117,8 +116,7 @@ class GibsonSource(SceneSource):
             ledger.file(mesh)
             stage = (MeshPart(mesh, placement(Z_UP_TO_HABITAT)),)
         own = [posixpath.join(f, f"{name}.navmesh") for f in folders]
-        candidates = shipped_navmeshes(self.files, name, self.options.navmesh, own)
-        return stage, choose_navmesh(self.files, candidates, self.options.agent, self.options.hash_file, ledger)
+        return stage, self.shipped_navmeshes(name, ledger, own)
 
     def _buildings(self) -> dict[str, str]:
         """Scene id → path of its annotation, sorted."""

@@ -14,7 +14,7 @@ from typing import Final, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.sources.json_document import MAX_COORDINATE
+from condvln.formats.json_document import MAX_COORDINATE
 from condvln.sources.source import MAX_OBJECTS
 from schemas.errors import FormatError
 

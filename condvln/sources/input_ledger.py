@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 from typing import Any
 
-from condvln.sources.dataset_root import DatasetRoot
-from condvln.sources.json_document import canonical_json
+from condvln.formats.dataset_root import DatasetRoot
+from condvln.formats.json_document import canonical_json
 from condvln.sources.source import HashFile, SceneInput
 from schemas.errors import MissingFileError
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import ClassVar, Final, Literal
 
-from condvln.sources.json_document import JsonNode
+from condvln.formats.json_document import JsonNode
 from condvln.sources.source import UNKNOWN_LABEL
 from condvln.sources.thor_metadata import scene_name
 from condvln.sources.thor_scene import ThorSceneSource

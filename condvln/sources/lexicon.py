@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from condvln.formats.json_document import JsonNode
 from condvln.sources.input_ledger import InputLedger
-from condvln.sources.json_document import JsonNode
 from condvln.sources.scene_dataset import SceneDataset
 from schemas.errors import MissingFileError
 

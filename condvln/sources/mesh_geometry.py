@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.navigation.recast.meshes import glb_triangles
+from condvln.formats.dataset_root import DatasetRoot
+from condvln.formats.glb import MAX_GLB_BYTES
+from condvln.formats.triangles import glb_triangles
 from condvln.scene import Scene
 from condvln.scene.geometry import STRUCTURE, SceneGeometry
 from condvln.scene.meshes import MeshLibrary, WorldMesh
-from condvln.sources.dataset_root import DatasetRoot
-from condvln.sources.glb import MAX_GLB_BYTES
 from condvln.sources.solids import Piece, joined
 
 __all__ = ["assembled_geometry", "scan_geometry"]

@@ -19,7 +19,6 @@ from condvln.scene.geometry import SceneGeometry
 from condvln.sources.house_file import HouseFile, HouseObject, HouseRegion, read_house_file
 from condvln.sources.input_ledger import InputLedger
 from condvln.sources.mesh_geometry import scan_geometry
-from condvln.sources.navmesh_choice import NavmeshChoice, choose_navmesh, shipped_navmeshes
 from condvln.sources.regions import in_rooms, side_regions
 from condvln.sources.scene_source import Note, SceneSource, SourceOptions
 from condvln.sources.source import UNKNOWN_LABEL
@@ -72,16 +71,16 @@ class Mp3dSource(SceneSource):
             if drawn:
                 rooms = drawn
                 items, warnings = in_rooms(items, drawn)
-        stage, navmesh = self._beside(scene_id, path, ledger)
+        stage, navmeshes = self._beside(scene_id, path, ledger)
         return Scene(
             family=self.family,
             scene_id=scene_id,
             root=self.root,
             rooms=tuple(sorted(rooms, key=lambda r: r.room_id)),
             objects=tuple(sorted(items, key=lambda o: o.object_id)),
-            navmesh=navmesh.file,
+            shipped_navmeshes=navmeshes,
             stage=stage,
-            warnings=tuple(sorted({*warnings, *navmesh.warnings}, key=lambda w: (w.code, w.where, w.message))),
+            warnings=tuple(sorted(set(warnings), key=lambda w: (w.code, w.where, w.message))),
         )
 
     def geometry(self, scene: Scene) -> SceneGeometry | None:
@@ -109,8 +108,8 @@ class Mp3dSource(SceneSource):
             side_regions(self.options.regions, [scene_id], self.family, ledger)
         self._beside(scene_id, path, ledger)
 
-    def _beside(self, scene_id: str, path: str, ledger: InputLedger) -> tuple[tuple[MeshPart, ...], NavmeshChoice]:
-        """The scan's mesh and navmesh, in its folder or beside its ``.house``."""
+    def _beside(self, scene_id: str, path: str, ledger: InputLedger) -> tuple[tuple[MeshPart, ...], tuple[str, ...]]:
+        """The scan's mesh and possible navmeshes, in its folder or beside its ``.house``."""
         folder = posixpath.dirname(path)
         folders = list(dict.fromkeys([folder.removesuffix("/house_segmentations"), folder]))
         mesh = next((m for m in (f"{f}/{scene_id}.glb" for f in folders) if self.files.has(m)), None)
@@ -119,8 +118,7 @@ class Mp3dSource(SceneSource):
             ledger.file(mesh)
             stage = (MeshPart(mesh, placement(Z_UP_TO_HABITAT)),)
         own = [f"{f}/{scene_id}.navmesh" for f in folders]
-        candidates = shipped_navmeshes(self.files, scene_id, self.options.navmesh, own)
-        return stage, choose_navmesh(self.files, candidates, self.options.agent, self.options.hash_file, ledger)
+        return stage, self.shipped_navmeshes(scene_id, ledger, own)
 
     def _scans(self) -> dict[str, str]:
         """Scan → path of its ``.house``, sorted; the first layout that has it counts."""

@@ -13,15 +13,14 @@ from typing import Any, ClassVar, Final, NoReturn
 import numpy as np
 import orjson
 
+from condvln.formats.json_document import parse_json
+from condvln.formats.json_lines import MAX_LINE_BYTES, JsonLines
 from condvln.labels import vocabulary
 from condvln.scene import OrientedBox, Room, Scene, SceneObject, SceneWarning, round_mm
 from condvln.scene.boxes import aabb_of, box_corners, rounded_box
 from condvln.scene.geometry import SceneGeometry
 from condvln.sources.asset_database import FILE_NAMES, Asset, AssetDatabase
 from condvln.sources.input_ledger import InputLedger
-from condvln.sources.json_document import parse_json
-from condvln.sources.json_lines import MAX_LINE_BYTES, JsonLines
-from condvln.sources.navmesh_choice import choose_navmesh, shipped_navmeshes
 from condvln.sources.procthor_house import House, HouseObject, read_house
 from condvln.sources.procthor_solids import house_structure
 from condvln.sources.regions import check_polygon, in_rooms, side_regions
@@ -121,9 +120,7 @@ class ProcthorSource(SceneSource):
         kinds = {o.object_id: database.asset(o.asset_id, ledger) for o in house.objects}
         objects = [self._object(o, kinds[o.object_id]) for o in house.objects]
         placed, lost = _with_parents_rooms(objects, house, rooms)
-        candidates = shipped_navmeshes(self.files, scene_id, self.options.navmesh)
-        navmesh = choose_navmesh(self.files, candidates, self.options.agent, self.options.hash_file, ledger)
-        warnings = {*lost, *navmesh.warnings, *_unknown_assets(house, kinds)}
+        warnings = {*lost, *_unknown_assets(house, kinds)}
         warnings |= {SceneWarning(_snake(name), "metadata.warnings", text) for name, text in house.warnings}
         unnamed = {o.room_id for o in placed if o.raw_label == UNKNOWN_LABEL}
         return Scene(
@@ -133,7 +130,7 @@ class ProcthorSource(SceneSource):
             # Where a thing has no name, nothing can be said not to be there.
             rooms=tuple(replace(r, complete=r.room_id not in unnamed) for r in sorted(rooms, key=lambda r: r.room_id)),
             objects=tuple(sorted(placed, key=lambda o: o.object_id)),
-            navmesh=navmesh.file,
+            shipped_navmeshes=self.shipped_navmeshes(scene_id, ledger),
             warnings=tuple(sorted(warnings, key=lambda w: (w.code, w.where, w.message))),
         )
 
@@ -212,8 +209,7 @@ class ProcthorSource(SceneSource):
             database.asset(asset_id, ledger)
         if self.options.regions is not None:
             side_regions(self.options.regions, [scene_id], self.family, ledger)
-        candidates = shipped_navmeshes(self.files, scene_id, self.options.navmesh)
-        choose_navmesh(self.files, candidates, self.options.agent, self.options.hash_file, ledger)
+        self.shipped_navmeshes(scene_id, ledger)
 
     def rooms(self, house: House) -> tuple[Room, ...]:
         """A house's rooms; FormatError where a floor's outline crosses itself."""

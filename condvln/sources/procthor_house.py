@@ -13,8 +13,8 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.formats.json_document import JsonNode
 from condvln.scene.frames import UNITY_TO_HABITAT, unity_rotation
-from condvln.sources.json_document import JsonNode
 
 __all__ = ["House", "HouseObject", "HouseRoom", "HouseWall", "Opening", "read_house"]
 

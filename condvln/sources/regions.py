@@ -12,11 +12,11 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from condvln.formats.dataset_root import DatasetRoot
+from condvln.formats.json_document import JsonNode, parse_json
 from condvln.labels import vocabulary
 from condvln.scene import Room, SceneObject, SceneWarning, round_mm
-from condvln.sources.dataset_root import DatasetRoot
 from condvln.sources.input_ledger import InputLedger
-from condvln.sources.json_document import JsonNode, parse_json
 
 __all__ = ["NEAREST_REGION", "RegionIndex", "check_polygon", "in_rooms", "read_regions", "side_regions"]
 

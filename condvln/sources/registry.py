@@ -16,7 +16,6 @@ from condvln.sources.robothor import RobothorSource
 from condvln.sources.scene_choice import SceneChoice
 from condvln.sources.scene_source import SceneSource, SourceOptions
 from condvln.sources.source import HashFile, Source, hash_file
-from schemas.config import AgentConfig
 from schemas.errors import ConfigError
 
 __all__ = ["FAMILIES", "open_source"]
@@ -38,7 +37,6 @@ def open_source(
     *,
     scenes: Sequence[str] = ("*",),
     exclude: Sequence[str] = (),
-    agent: AgentConfig | None = None,
     navmesh: str | None = None,
     regions: Path | None = None,
     houses: Path | None = None,
@@ -49,7 +47,6 @@ def open_source(
     Parameters
     ----------
     scenes, exclude : scene ids or patterns with ``*`` and ``?``, to read and to leave out
-    agent : whose navmesh is wanted; Habitat's default agent where None
     navmesh : folder of navmeshes, relative to `root`, to look in before any other
     regions : side file or folder of user-drawn room zones
     houses : folder of ProcTHOR's house JSON, where `root` is Habitat's scene dataset of them (ai2thor-hab)
@@ -68,7 +65,7 @@ def open_source(
             remedy="Download the dataset, or set the source's 'root' to the folder it stands in",
         )
     choice = SceneChoice(tuple(scenes), tuple(exclude))
-    options = SourceOptions(choice, agent or AgentConfig(), navmesh, regions, hash_file)
+    options = SourceOptions(choice, navmesh, regions, hash_file)
     if houses is None:
         return FAMILIES[family](root, options)
     if family != ProcthorHabitatSource.family:

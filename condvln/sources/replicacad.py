@@ -26,7 +26,6 @@ from condvln.sources.body import Body, BodyReader
 from condvln.sources.input_ledger import InputLedger
 from condvln.sources.lexicon import read_descriptors
 from condvln.sources.mesh_geometry import assembled_geometry
-from condvln.sources.navmesh_choice import NavmeshChoice, choose_navmesh, shipped_navmeshes
 from condvln.sources.regions import in_rooms, read_regions, side_regions
 from condvln.sources.scene_dataset import SceneDataset
 from condvln.sources.scene_instance import SceneInstance, read_scene_instance
@@ -51,7 +50,7 @@ class Assembly:
     bodies: list[Body]
     stage: tuple[MeshPart, ...]
     regions: tuple[Room, ...]
-    navmesh: NavmeshChoice
+    navmeshes: tuple[str, ...]
     warnings: list[SceneWarning]
 
 
@@ -90,7 +89,7 @@ class ReplicaCadSource(SceneSource):
             # Where a thing has no name, nothing can be said not to be there.
             rooms=tuple(replace(r, complete=r.room_id not in unnamed) for r in rooms),
             objects=tuple(sorted(objects, key=lambda o: o.object_id)),
-            navmesh=assembly.navmesh.file,
+            shipped_navmeshes=assembly.navmeshes,
             stage=assembly.stage,
             warnings=tuple(sorted({*assembly.warnings, *lost}, key=lambda w: (w.code, w.where, w.message))),
         )
@@ -107,7 +106,7 @@ class ReplicaCadSource(SceneSource):
         stage = () if instance.stage is None else reader.stage(instance.stage)
         bodies = [reader.rigid(p) for p in instance.objects] + [reader.articulated(p) for p in instance.articulated]
         ledger.objects = len(bodies)
-        navmesh, said = self._navmesh(dataset, posixpath.basename(scene_id), instance, ledger)
+        navmeshes, said = self._navmeshes(dataset, posixpath.basename(scene_id), instance, ledger)
         regions = () if annotated is None else read_regions(annotated[1], "dataset", self.family)
         if self.options.regions is not None:
             names = [posixpath.basename(scene_id)]
@@ -115,16 +114,16 @@ class ReplicaCadSource(SceneSource):
                 names.append(posixpath.basename(instance.stage.template))
             regions = side_regions(self.options.regions, names, self.family, ledger) or regions
         ledger.rooms = len(regions) or 1
-        return Assembly(bodies, stage, regions, navmesh, [*reader.warnings, *said, *navmesh.warnings])
+        return Assembly(bodies, stage, regions, navmeshes, [*reader.warnings, *said])
 
     def _rooms(self, scene_id: str, assembly: Assembly, objects: Sequence[SceneObject]) -> tuple[Room, ...]:
         """Rooms of a scene whose objects are in none yet: its regions, else the whole of it."""
         return assembly.regions or (_whole_scene(objects, self.family),)
 
-    def _navmesh(
+    def _navmeshes(
         self, dataset: SceneDataset, scene_name: str, instance: SceneInstance, ledger: InputLedger
-    ) -> tuple[NavmeshChoice, list[SceneWarning]]:
-        """The scene's navmesh: of the asked folder, of the dataset's configuration, of ``navmeshes*/`` beside it."""
+    ) -> tuple[tuple[str, ...], list[SceneWarning]]:
+        """Where the navmesh may be (see `shipped_navmeshes`), and a warning where the scene names an unknown one."""
         named = instance.navmesh or dataset.default("scene_instances", "navmesh_instance")
         handles = [scene_name] if named is None else [named.text(), scene_name]
         configured: list[str] = []
@@ -137,8 +136,7 @@ class ReplicaCadSource(SceneSource):
             elif named is not None and handle == named.text():
                 message = f"the dataset names no navmesh {handle!r}; one of the scene's own name is looked for"
                 warnings.append(SceneWarning("navmesh_handle_unknown", "navmesh", message))
-        candidates = shipped_navmeshes(self.files, scene_name, self.options.navmesh, configured)
-        return choose_navmesh(self.files, candidates, self.options.agent, self.options.hash_file, ledger), warnings
+        return self.shipped_navmeshes(scene_name, ledger, configured), warnings
 
     def _object(self, body: Body) -> SceneObject:
         """A body with its geometry; in no room yet."""

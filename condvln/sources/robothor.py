@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar, Final, Literal
 
-from condvln.sources.json_document import JsonNode
+from condvln.formats.json_document import JsonNode
 from condvln.sources.thor_scene import ThorSceneSource
 
 __all__ = ["RobothorSource"]

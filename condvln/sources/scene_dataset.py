@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Final
 
-from condvln.sources.dataset_root import DatasetRoot
+from condvln.formats.dataset_root import DatasetRoot
+from condvln.formats.json_document import JsonNode, parse_json
 from condvln.sources.file_listing import FileListing, list_files
 from condvln.sources.input_ledger import InputLedger
-from condvln.sources.json_document import JsonNode, parse_json
 from condvln.sources.urdf import MAX_URDF_BYTES, LinkMesh, read_urdf
 from schemas.errors import ConfigError, PathEscapeError
 

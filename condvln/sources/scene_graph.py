@@ -8,8 +8,8 @@ import zlib
 from ast import literal_eval
 from typing import Any, Final
 
-from condvln.sources.json_document import JsonNode, parse_json
-from condvln.sources.restricted_pickle import UnsafePickleError, load_plain, plain
+from condvln.formats.json_document import JsonNode, parse_json
+from condvln.formats.restricted_pickle import UnsafePickleError, load_plain, plain
 from schemas.errors import FormatError
 
 __all__ = ["MAX_GRAPH_BYTES", "read_npz", "read_scn"]

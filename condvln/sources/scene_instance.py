@@ -10,8 +10,8 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.formats.json_document import JsonNode
 from condvln.scene.quaternions import from_wxyz, to_matrix
-from condvln.sources.json_document import JsonNode
 from condvln.sources.source import MAX_OBJECTS
 
 __all__ = ["Placed", "SceneInstance", "read_scene_instance"]

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import math
+import posixpath
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Final
 
+from condvln.formats.dataset_root import DatasetRoot
 from condvln.scene import Scene
 from condvln.scene.geometry import SceneGeometry
-from condvln.sources.dataset_root import DatasetRoot
 from condvln.sources.file_listing import FileListing, list_files
 from condvln.sources.input_ledger import InputLedger
 from condvln.sources.scene_choice import SceneChoice
 from condvln.sources.source import HashFile, SceneCounts, SceneHandle, SceneInput
-from schemas.config import AgentConfig
 from schemas.errors import ConfigError, InputError, MissingFileError
 
 __all__ = ["Note", "SceneSource", "SourceOptions"]
@@ -33,7 +33,6 @@ class SourceOptions:
     """How a dataset is to be read; see `open_source`."""
 
     choice: SceneChoice
-    agent: AgentConfig
     navmesh: str | None
     regions: Path | None
     hash_file: HashFile
@@ -120,6 +119,30 @@ class SceneSource(ABC):
     def pass_over(self, path: str, why: str) -> None:
         """Note a file that holds no scene."""
         self._passed_over[path] = why
+
+    def shipped_navmeshes(
+        self, scene_name: str, ledger: InputLedger, configured: Sequence[str] = ()
+    ) -> tuple[str, ...]:
+        """Files that may hold a scene's navmesh, the preferred ones first; those that exist are noted as inputs.
+
+        In the folder that was asked for, where the dataset's configuration says, in every ``navmesh*`` folder of the
+        root; under the names that the configuration uses, then under the scene's own.
+
+        Raises
+        ------
+        PathEscapeError : the folder asked for is outside of the root
+        """
+        asked = self.options.navmesh
+        folders = [] if asked is None else [self.files.join("", asked)]
+        beside = ["navmeshes", *sorted(p.name for p in self.root.glob("navmesh*") if p.is_dir())]
+        candidates: list[str] = []
+        for name in dict.fromkeys([*map(posixpath.basename, configured), f"{scene_name}.navmesh"]):
+            own = [path for path in configured if posixpath.basename(path) == name]
+            candidates += [*(f"{f}/{name}" for f in folders), *own, *(f"{f}/{name}" for f in beside)]
+        for path in candidates:
+            if self.files.has(path):
+                ledger.file(path)
+        return tuple(candidates)
 
     def _fits_none(self, pattern: str) -> MissingFileError:
         return MissingFileError(

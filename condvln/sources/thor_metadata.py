@@ -7,11 +7,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.formats.json_document import JsonNode
 from condvln.labels import vocabulary
 from condvln.scene import OrientedBox, SceneObject, round_mm
 from condvln.scene.boxes import rounded_box
 from condvln.scene.frames import UNITY_TO_HABITAT
-from condvln.sources.json_document import JsonNode
 from condvln.sources.source import MAX_OBJECTS
 
 __all__ = ["MAX_METADATA_BYTES", "floor_outline", "read_objects", "scene_name"]

@@ -11,12 +11,11 @@ from functools import partial
 from pathlib import Path
 from typing import ClassVar, Final, Literal
 
+from condvln.formats.json_document import JsonNode, parse_json
 from condvln.labels import vocabulary
 from condvln.scene import Room, Scene
 from condvln.scene.geometry import SceneGeometry
 from condvln.sources.input_ledger import InputLedger
-from condvln.sources.json_document import JsonNode, parse_json
-from condvln.sources.navmesh_choice import NavmeshChoice, choose_navmesh, shipped_navmeshes
 from condvln.sources.regions import in_rooms, side_regions
 from condvln.sources.scene_source import Note, SceneSource, SourceOptions
 from condvln.sources.thor_metadata import MAX_METADATA_BYTES, floor_outline, read_objects
@@ -81,15 +80,15 @@ class ThorSceneSource(SceneSource):
             complete=True,
         )
         placed, lost = in_rooms(items, rooms) if rooms else ([replace(o, room_id=WHOLE_SCENE) for o in items], [])
-        navmesh = self._navmesh(scene_id, ledger)
+        navmeshes = self.shipped_navmeshes(posixpath.basename(scene_id), ledger)
         return Scene(
             family=self.family,
             scene_id=scene_id,
             root=self.root,
             rooms=rooms or (whole,),
             objects=tuple(sorted(placed, key=lambda o: o.object_id)),
-            navmesh=navmesh.file,
-            warnings=tuple(sorted({*lost, *navmesh.warnings}, key=lambda w: (w.code, w.where, w.message))),
+            shipped_navmeshes=navmeshes,
+            warnings=tuple(sorted(set(lost), key=lambda w: (w.code, w.where, w.message))),
         )
 
     def geometry(self, scene: Scene) -> SceneGeometry | None:
@@ -107,16 +106,12 @@ class ThorSceneSource(SceneSource):
     def _note(self, scene_id: str, path: str, ledger: InputLedger) -> None:
         ledger.file(path)
         self._drawn(scene_id, ledger)
-        self._navmesh(scene_id, ledger)
+        self.shipped_navmeshes(posixpath.basename(scene_id), ledger)
 
     def _drawn(self, scene_id: str, ledger: InputLedger) -> tuple[Room, ...]:
         """Rooms of the user's side file, if any."""
         side = self.options.regions
         return () if side is None else side_regions(side, [posixpath.basename(scene_id)], self.family, ledger)
-
-    def _navmesh(self, scene_id: str, ledger: InputLedger) -> NavmeshChoice:
-        candidates = shipped_navmeshes(self.files, posixpath.basename(scene_id), self.options.navmesh)
-        return choose_navmesh(self.files, candidates, self.options.agent, self.options.hash_file, ledger)
 
     def _scenes(self) -> dict[str, str]:
         """Scene id → path of its metadata, sorted; the folder is part of the id where there is one."""

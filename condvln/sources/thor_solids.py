@@ -8,9 +8,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.formats.json_document import JsonNode
 from condvln.scene import SceneObject
 from condvln.scene.geometry import STRUCTURE, SceneGeometry
-from condvln.sources.json_document import JsonNode
 from condvln.sources.solids import SMALLEST, Hole, Piece, floor, joined, object_boxes, pierced_wall, upright_slabs
 from condvln.sources.thor_metadata import floor_outline
 

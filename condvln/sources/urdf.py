@@ -13,9 +13,9 @@ from defusedxml.common import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 from numpy.typing import NDArray
 
+from condvln.formats.json_document import MAX_COORDINATE
 from condvln.scene.boxes import placement
 from condvln.scene.quaternions import rotation_rpy
-from condvln.sources.json_document import MAX_COORDINATE
 from schemas.errors import FormatError
 
 __all__ = ["MAX_URDF_BYTES", "LinkMesh", "read_urdf"]

@@ -11,8 +11,8 @@ from typing import Any, Final
 import numpy as np
 from pydantic import ValidationError
 
-from condvln.evaluation.json_entries import entries, json_lines, opened, parsed
-from condvln.evaluation.kernels.json_scan import new_state, scan
+from condvln.formats.json_entries import entries, json_lines, opened, parsed
+from condvln.formats.json_scan import new_state, scan
 from schemas.errors import FormatError, MissingFileError
 from schemas.evaluation import ManifestEpisode
 

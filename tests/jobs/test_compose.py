@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from condvln.formats.glb import read_glb
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.samples import make_samples
-from condvln.sources.glb import read_glb
 from condvln.sources.registry import open_source
 from jobs.command import app
 from jobs.compose import compose

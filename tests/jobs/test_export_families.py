@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from condvln.export.splits import SPLITS
-from condvln.export.streams import read_unpacked
+from condvln.formats.streams import read_unpacked
 from condvln.samples import FAMILIES
 from jobs.oracle import oracle_split
 from jobs.validate import validate_files

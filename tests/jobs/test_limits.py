@@ -11,7 +11,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from condvln.navigation.compiled import warm_up
+from condvln.compiled import warm_up
 from condvln.samples import make_samples
 from factory import machine
 from factory.ray_executor import RayExecutor

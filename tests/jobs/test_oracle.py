@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from condvln.export.snapshot import ExportConfig, export_snapshot
-from condvln.export.streams import read_unpacked
+from condvln.formats.streams import read_unpacked
 from condvln.labels import vocabulary
 from jobs.command import app
 from jobs.oracle import oracle_split

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from condvln.export.streams import read_unpacked
+from condvln.formats.streams import read_unpacked
 from jobs.command import app
 from jobs.export import export_snapshot_of
 from jobs.report import Report

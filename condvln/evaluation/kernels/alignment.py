@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from condvln.navigation.compiled import compiled, register_warm_up
+from condvln.compiled import compiled, register_warm_up
 
 __all__ = ["coverage_distances", "dtw", "dtw_of_costs", "fast_dtw"]
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Final
 
-from condvln.sources.json_document import JsonNode
+from condvln.formats.json_document import JsonNode
 
 __all__ = ["Image", "MaterialReader", "shifted"]
 

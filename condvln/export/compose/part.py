@@ -1,6 +1,6 @@
 """A GLB file as a part of another: what of it can be copied, checked against the bytes that are there.
 
-Geometry comes first through `condvln.sources.gltf_tree`, which refuses what can't be read. Of the rest are kept the
+Geometry comes first through `condvln.formats.gltf_tree`, which refuses what can't be read. Of the rest are kept the
 attributes and materials that a renderer of static scenes uses; skins, animations, cameras and lights stay behind.
 """
 
@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from condvln.export.compose.material import MaterialReader
-from condvln.sources.glb import glb_chunks
-from condvln.sources.gltf_tree import geometry_tree
-from condvln.sources.json_document import JsonNode
+from condvln.formats.glb import glb_chunks
+from condvln.formats.gltf_tree import geometry_tree
+from condvln.formats.json_document import JsonNode
 
 __all__ = ["Accessor", "GlbPart", "Node", "Primitive", "read_part"]
 

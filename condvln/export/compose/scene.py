@@ -17,16 +17,16 @@ from numpy.typing import NDArray
 
 from condvln.export.compose.part import GlbPart, read_part
 from condvln.export.compose.writer import GlbWriter
+from condvln.formats.dataset_root import DatasetRoot
+from condvln.formats.glb import MAX_GLB_BYTES
+from condvln.formats.triangles import Z_UP, glb_triangles
 from condvln.navigation.navmesh_file import NavMeshFile
 from condvln.navigation.recast import build_navmesh
-from condvln.navigation.recast.meshes import Z_UP, glb_triangles
 from condvln.navigation.settings import NavMeshSettings
 from condvln.scene import MeshPart, Scene
 from condvln.scene.boxes import placement
 from condvln.scene.frames import Z_UP_TO_HABITAT
 from condvln.scene.geometry import STRUCTURE, SceneGeometry
-from condvln.sources.dataset_root import DatasetRoot
-from condvln.sources.glb import MAX_GLB_BYTES
 from schemas.config import AgentConfig
 from schemas.errors import InputError
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from condvln.export.compose.material import shifted
 from condvln.export.compose.part import Accessor, GlbPart, Primitive
-from condvln.sources.glb import MAX_GLB_BYTES
+from condvln.formats.glb import MAX_GLB_BYTES
 from schemas.errors import InputError
 
 __all__ = ["GENERATOR", "GlbWriter", "is_composed"]

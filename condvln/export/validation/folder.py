@@ -10,14 +10,14 @@ from typing import Any, Final
 
 import orjson
 
-from condvln.evaluation.json_entries import nonstandard_number
 from condvln.export.contents import CERTIFICATES, INDEX, ORIGIN
-from condvln.export.streams import read_unpacked
 from condvln.export.validation.document import Document, PathfinderOf
 from condvln.export.validation.documents import check_document
 from condvln.export.validation.findings import Finding, Report
 from condvln.export.validation.r2r import check_r2r
 from condvln.export.validation.truths import check_truths
+from condvln.formats.json_entries import nonstandard_number
+from condvln.formats.streams import read_unpacked
 from condvln.navigation.graph_pathfinder import GraphPathfinder
 from schemas.errors import InputError, UsageError
 

@@ -7,14 +7,14 @@ beside the mesh, as Habitat's own datasets have it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
-import orjson
-
-from condvln.evaluation.navmeshes import NavmeshFolder
+from condvln.manifest import manifest_lines, manifest_paths
+from condvln.navigation.navmesh_folder import NavmeshFolder
 from condvln.navigation.pathfinder import Pathfinder
-from schemas.errors import CondVLNError, MissingFileError
+from schemas.errors import CondVLNError, InputError, MissingFileError
 
 __all__ = ["EpisodeNavmeshes"]
 
@@ -38,7 +38,7 @@ class EpisodeNavmeshes:
     """
 
     def __init__(self, path: Path, roots: Sequence[Path]) -> None:
-        export = next((p for p in (path, *path.parents[: _LEVELS + 1]) if (p / "manifest").is_dir()), None)
+        export = next((p for p in (path, *path.parents[: _LEVELS + 1]) if manifest_paths(p)), None)
         self._roots = tuple(roots)
         self._recorded = {} if export is None else _recorded(export)
         self._proven = NavmeshFolder((*([export] if export is not None else []), *roots))
@@ -85,12 +85,9 @@ class EpisodeNavmeshes:
 def _recorded(export: Path) -> dict[str, str]:
     """Path of the navmesh by its hash, as the manifests have it; damaged lines are passed over."""
     found: dict[str, str] = {}
-    for path in sorted((export / "manifest").glob("*.jsonl")):
-        with path.open("rb") as lines:
-            for line in lines:
-                try:
-                    row = orjson.loads(line)
-                    found.setdefault(str(row["navmesh_sha256"]), str(row["navmesh"]))
-                except (ValueError, KeyError, TypeError):
-                    continue
+    for path in manifest_paths(export):
+        for line in manifest_lines(path):
+            with suppress(InputError, KeyError):
+                row = line.fields()
+                found.setdefault(str(row["navmesh_sha256"]), str(row["navmesh"]))
     return found

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from condvln.navigation.compiled import compiled
+from condvln.compiled import compiled
 from condvln.navigation.kernels.geometry import HALF, ZERO, distance
 from condvln.navigation.kernels.mesh import QueryMesh
 from condvln.navigation.tile import Floats, Indices

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.navigation.compiled import compiled
+from condvln.compiled import compiled
 from condvln.navigation.kernels.astar import CLOSED, OPEN, Search, moved_up, new_search, place_at_edge, pop, push
 from condvln.navigation.kernels.geometry import GREATEST, HALF, ONE, ZERO, distance, inside_polygon, point_to_segment
 from condvln.navigation.kernels.mesh import QueryMesh

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from condvln.navigation.compiled import compiled
+from condvln.compiled import compiled
 from condvln.navigation.kernels.astar import Search, find_corridor, new_search
 from condvln.navigation.kernels.geometry import ZERO
 from condvln.navigation.kernels.mesh import QueryMesh

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.navigation.compiled import compiled
+from condvln.compiled import compiled
 from condvln.navigation.kernels.geometry import ONE, ZERO, triangle_area
 from condvln.navigation.kernels.mesh import QueryMesh
 from condvln.navigation.kernels.projection import NAN, height_on_polygon

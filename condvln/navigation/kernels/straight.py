@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.navigation.compiled import compiled
+from condvln.compiled import compiled
 from condvln.navigation.kernels.astar import edge_to
 from condvln.navigation.kernels.geometry import ZERO, clamp_to_polygon, point_to_segment, triangle_area
 from condvln.navigation.kernels.mesh import QueryMesh

@@ -7,7 +7,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from condvln.navigation.compiled import compiled
+from condvln.compiled import compiled
 
 __all__ = ["Array", "Ground", "Point", "ground", "grown", "grown_rows", "point"]
 

@@ -11,10 +11,10 @@ from collections.abc import Iterable
 import numpy as np
 import numpy.typing as npt
 
-from condvln.navigation.compiled import register_warm_up
+from condvln.compiled import register_warm_up
+from condvln.formats.triangles import MeshSource, PlacedMesh, mesh_triangles
 from condvln.navigation.navmesh_file import NavMeshFile
 from condvln.navigation.recast.config import MEMORY_LIMIT_BYTES, RecastProfile
-from condvln.navigation.recast.meshes import MeshSource, PlacedMesh, mesh_triangles
 from condvln.navigation.recast.stages import Report, build_stages
 from condvln.navigation.settings import NavMeshSettings
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from condvln.navigation.compiled import compiled
+from condvln.compiled import compiled
 from condvln.navigation.recast.arrays import Array
 from condvln.navigation.recast.filters import DX, DZ, SKY
 from condvln.navigation.recast.heightfield import Heightfield

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.navigation.compiled import compiled
+from condvln.compiled import compiled
 from condvln.navigation.recast.arrays import Array, Ground, ground
 
 __all__ = ["EDGES_PER_POINT", "cross_2d", "delaunay", "distance_2d"]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.navigation.compiled import compiled
+from condvln.compiled import compiled
 from condvln.navigation.recast.arrays import Array
 from condvln.navigation.recast.heightfield import Heightfield
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from condvln.navigation.compiled import compiled
+from condvln.compiled import compiled
 from condvln.navigation.recast.arrays import Array, grown_rows
 from condvln.navigation.recast.config import MAX_SPAN_HEIGHT, RecastConfig
 

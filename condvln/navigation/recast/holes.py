@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.navigation.compiled import compiled
+from condvln.compiled import compiled
 from condvln.navigation.recast.arrays import Array, Ground, ground
 from condvln.navigation.recast.contours import Contours
 from condvln.navigation.recast.planar import coincide, in_cone, segments_touch

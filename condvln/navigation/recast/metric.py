@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.navigation.compiled import compiled
+from condvln.compiled import compiled
 from condvln.navigation.recast.arrays import Array, Ground, Point, ground
 
 __all__ = ["FAR", "depth_inside", "height_error", "least_extent", "segment_distance", "segment_distance_2d"]

@@ -5,7 +5,7 @@ Points are (x, z). "Left" is as seen on a map with z pointing down.
 
 from __future__ import annotations
 
-from condvln.navigation.compiled import compiled
+from condvln.compiled import compiled
 from condvln.navigation.recast.arrays import Ground
 
 __all__ = ["coincide", "in_cone", "segments_cross", "segments_touch", "turn"]

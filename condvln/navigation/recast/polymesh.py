@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from condvln.navigation.compiled import compiled
+from condvln.compiled import compiled
 from condvln.navigation.recast.arrays import Array, ground
 from condvln.navigation.recast.contours import Contours
 from condvln.navigation.recast.planar import turn

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.navigation.compiled import compiled
+from condvln.compiled import compiled
 from condvln.navigation.recast.arrays import Array, Point, grown_rows, point
 from condvln.navigation.recast.heights import sample_height
 from condvln.navigation.recast.metric import FAR, depth_inside, height_error, segment_distance

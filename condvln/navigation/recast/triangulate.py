@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from condvln.navigation.compiled import compiled
+from condvln.compiled import compiled
 from condvln.navigation.recast.arrays import Array, Ground, ground
 from condvln.navigation.recast.planar import coincide, in_cone, segments_cross, segments_touch
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.navigation.compiled import compiled
+from condvln.compiled import compiled
 
 __all__ = ["clearances", "near_goals"]
 

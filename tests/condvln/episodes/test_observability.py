@@ -24,7 +24,7 @@ from condvln.scene import Room, Scene, SceneObject
 from condvln.scene.geometry import STRUCTURE, SceneGeometry
 from condvln.sources.registry import open_source
 from condvln.sources.source import Source
-from schemas.config import AgentConfig, EpisodeConfig, PlacesConfig
+from schemas.config import EpisodeConfig, PlacesConfig
 from schemas.config.constants import FLOOR_LIFT, FLOOR_POINTS, PREFIX_STRAY
 from schemas.program import SHAPES, Condition, Leaf, ObjectRef, Program, Qualifier, RoomRef
 from tests.condvln.episodes.floors import box, box_triangles, grid_floor, inside, surfaces_of
@@ -303,12 +303,12 @@ def walls_hide(source: Source, scene_id: str) -> None:
 
 def test_walls_of_a_made_house_hide_its_other_rooms(tmp_path: Path) -> None:
     make_samples(tmp_path, family="procthor", scenes=2, seed=3)
-    source = open_source("procthor", tmp_path, agent=AgentConfig())
+    source = open_source("procthor", tmp_path)
     for handle in source.handles():
         walls_hide(source, handle.scene_id)
 
 
 def test_walls_of_real_houses_hide_their_other_rooms(real_data: Path) -> None:
-    source = open_source("procthor", real_data / "procthor", agent=AgentConfig())
+    source = open_source("procthor", real_data / "procthor")
     for handle in source.handles()[:6:3]:
         walls_hide(source, handle.scene_id)

@@ -19,7 +19,7 @@ from condvln.evaluation.discrete import read_graph_episodes
 from condvln.evaluation.episode_stats import NAMES, is_episode_stats, read_episode_stats
 from condvln.evaluation.predictions import detect_format, read_graph_predictions, read_predictions
 from condvln.evaluation.task import read_ground_truth, read_tasks
-from condvln.sources.json_document import MAX_COORDINATE
+from condvln.formats.json_document import MAX_COORDINATE
 from schemas.errors import FormatError
 
 VLNCE = {

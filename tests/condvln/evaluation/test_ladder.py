@@ -13,10 +13,10 @@ from rich.console import Console
 
 from condvln.evaluation.agents import AGENTS, predict_all
 from condvln.evaluation.evaluate import Evaluation, evaluate
-from condvln.evaluation.navmeshes import NavmeshFolder
 from condvln.evaluation.split import split_tasks
 from condvln.evaluation.task import Task
 from condvln.export.splits import SPLITS
+from condvln.navigation.navmesh_folder import NavmeshFolder
 from condvln.samples import make_samples
 from jobs.generate import run_generate
 from schemas.config import Config, InstructionsConfig, SourceConfig

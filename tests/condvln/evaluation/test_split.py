@@ -13,12 +13,12 @@ import pytest
 
 from condvln.evaluation.episode_stats import evaluation_of_stats, read_episode_stats
 from condvln.evaluation.evaluate import AXES, Evaluation, evaluate
-from condvln.evaluation.navmeshes import NavmeshFolder
 from condvln.evaluation.predictions import Prediction, read_predictions
 from condvln.evaluation.split import SplitOptions, evaluate_split, split_tasks
 from condvln.evaluation.task import Task, read_tasks
 from condvln.export.rxr import numeric_id
 from condvln.export.snapshot import export_snapshot
+from condvln.navigation.navmesh_folder import NavmeshFolder
 from condvln.navigation.pathfinder import Pathfinder
 from schemas.errors import FormatError, MissingFileError, PathEscapeError, UsageError
 from tests.condvln.evaluation.conftest import OpenPlain, task_with

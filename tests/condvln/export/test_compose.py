@@ -21,13 +21,13 @@ from PIL import Image
 from condvln.export.compose import ComposedScene, compose_scene
 from condvln.export.compose.part import GlbPart, read_part
 from condvln.export.compose.writer import GlbWriter
+from condvln.formats.glb import glb_chunks, read_glb
+from condvln.formats.triangles import Z_UP, glb_triangles
 from condvln.navigation.pathfinder import Pathfinder
-from condvln.navigation.recast.meshes import Z_UP, glb_triangles
+from condvln.navigation.scene_navmesh import with_built_navmesh, with_shipped_navmesh
 from condvln.samples.maker import make_layouts, make_samples, write_replicacad
 from condvln.scene import Scene
 from condvln.scene.geometry import SceneGeometry
-from condvln.sources.glb import glb_chunks, read_glb
-from condvln.sources.navmesh_build import with_built_navmesh
 from condvln.sources.registry import open_source
 from condvln.sources.source import Source
 from schemas.config import AgentConfig
@@ -123,7 +123,7 @@ def test_the_navmesh_leads_as_the_shipped_one_does(made: Path) -> None:
     """The shipped ones are built of the same apartments as one body; walls on voxels' edges fall to either side."""
     source = open_source("replicacad", made / "replicacad")
     for handle in source.handles():
-        scene = source.read(handle.scene_id)
+        scene = with_shipped_navmesh(source.read(handle.scene_id), AgentConfig())
         whole = compose_scene(scene, source.geometry(scene), AgentConfig())
         assert scene.navmesh is not None
         assert scene.navmesh.fits
@@ -150,7 +150,7 @@ def test_real_furniture_stands_where_the_shipped_navmesh_goes_around_it(real_dat
         file.write_bytes(slab.export(file_type="glb"))
     source = open_source("replicacad", root, scenes=("v3_sc[01]_staging_00",))
     for handle in source.handles():
-        scene = source.read(handle.scene_id)
+        scene = with_shipped_navmesh(source.read(handle.scene_id), AgentConfig())
         whole = compose_scene(scene, source.geometry(scene), AgentConfig())
         assert scene.navmesh is not None
         shipped, ours = Pathfinder.load(root / scene.navmesh.path), Pathfinder(whole.navmesh)
@@ -179,7 +179,7 @@ def test_drawn_scenes_have_the_navmesh_of_their_episodes(made: Path, family: str
 def test_real_scenes_have_the_navmesh_of_their_episodes(real_data: Path, family: str, scenes: tuple[str, ...]) -> None:
     source = open_source(family, real_data / family, scenes=scenes)
     for handle in source.handles():
-        scene = source.read(handle.scene_id)
+        scene = with_shipped_navmesh(source.read(handle.scene_id), AgentConfig())
         geometry = source.geometry(scene)
         assert geometry is not None
         whole = compose_scene(scene, geometry, AgentConfig())
@@ -200,7 +200,7 @@ def test_the_navmesh_is_the_agents(made: Path) -> None:
 
 def test_without_surfaces_there_is_nothing_to_compose(real_data: Path) -> None:
     source = open_source("replicacad", real_data / "replicacad")
-    scene = source.read("v3_sc0_staging_00")
+    scene = with_shipped_navmesh(source.read("v3_sc0_staging_00"), AgentConfig())
     with pytest.raises(InputError, match="neither a mesh nor walls") as caught:
         compose_scene(scene, source.geometry(scene), AgentConfig())
     assert caught.value.where == "replicacad/v3_sc0_staging_00"

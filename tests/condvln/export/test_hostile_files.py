@@ -15,9 +15,10 @@ from hypothesis import strategies as st
 
 from condvln.evaluation.discrete import read_graph_episodes
 from condvln.evaluation.episode_stats import is_episode_stats, read_episode_stats
-from condvln.export.twin import read_manifest, rewrite_split
+from condvln.export.twin import rewrite_split
 from condvln.export.validation import CODES, validate
 from condvln.export.validation.navmeshes import EpisodeNavmeshes
+from condvln.manifest import read_manifest
 from schemas.errors import CondVLNError
 from tests.strict_loader import read
 
@@ -99,7 +100,7 @@ def test_the_linter_never_falls_over(documents: dict[str, Any], tmp_path: Path, 
 def test_the_twin_is_one_error_or_a_file_of_as_many_episodes(
     documents: dict[str, Any], exported: Path, tmp_path: Path, data: st.DataObject
 ) -> None:
-    manifest = read_manifest(exported / "manifest" / "test.jsonl")
+    manifest = {row.episode_id: row for row in read_manifest(exported / "manifest" / "test.jsonl")}
     document = spoiled(documents[data.draw(st.sampled_from(["test.json", "test_guide.json"]))], data)
     source, out = tmp_path / "x.json", tmp_path / "twin.json"
     out.unlink(missing_ok=True)

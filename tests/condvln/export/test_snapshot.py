@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from condvln.export import streams
 from condvln.export.rows import rows_of
 from condvln.export.snapshot import ExportConfig, export_snapshot
 from condvln.export.splits import SPLITS
 from condvln.export.tables import FolderTables, MemoryTables
 from condvln.export.tokens import Vocabulary, tokenize
+from condvln.formats import streams
 from schemas.config import SplitsConfig
 from schemas.errors import FormatError, MissingFileError, StoreError
 from schemas.evaluation import ManifestEpisode

@@ -8,10 +8,15 @@ from pathlib import Path
 
 import pytest
 
-from condvln.export.twin import read_manifest, rewrite_split
+from condvln.export.twin import rewrite_split
+from condvln.manifest import read_manifest
 from schemas.errors import FormatError, MissingFileError
 from schemas.evaluation import ManifestEpisode
 from tests.strict_loader import load_split, read
+
+
+def rows(manifest: Path) -> dict[str, ManifestEpisode]:
+    return {row.episode_id: row for row in read_manifest(manifest)}
 
 
 def told(row: ManifestEpisode) -> str:
@@ -25,7 +30,7 @@ def paths(exported: Path) -> tuple[Path, Path]:
 
 def test_the_twin_is_the_one_that_the_export_writes(exported: Path, tmp_path: Path) -> None:
     document, manifest = paths(exported)
-    report = rewrite_split(document, read_manifest(manifest), tmp_path / "twin.json.gz", told)
+    report = rewrite_split(document, rows(manifest), tmp_path / "twin.json.gz", told)
     assert report.unknown_words == 0
     assert report.episodes == len(read(document)["episodes"])
     assert (tmp_path / "twin.json.gz").read_bytes() == (exported / "oracle" / "test" / "test.json.gz").read_bytes()
@@ -39,7 +44,7 @@ def test_a_file_of_bare_tokens_stays_bare(exported: Path, tmp_path: Path) -> Non
         episode["instruction"]["instruction_tokens"] = [token for token in tokens if token]
     bare = tmp_path / "bare.json.gz"
     bare.write_bytes(gzip.compress(json.dumps(content).encode()))
-    report = rewrite_split(bare, read_manifest(manifest), tmp_path / "twin.json.gz", lambda row: "Walk to the zyzzyva.")
+    report = rewrite_split(bare, rows(manifest), tmp_path / "twin.json.gz", lambda row: "Walk to the zyzzyva.")
     assert report.unknown_words == report.episodes
     for episode in load_split(tmp_path / "twin.json.gz"):
         assert len(episode.instruction.instruction_tokens) == 5
@@ -51,16 +56,16 @@ def test_what_is_amiss_is_said(exported: Path, tmp_path: Path) -> None:
     out = tmp_path / "twin.json.gz"
     other = exported / "manifest" / "train.jsonl"
     with pytest.raises(FormatError, match=r"is not in the manifest"):
-        rewrite_split(document, read_manifest(other), out, told)
+        rewrite_split(document, rows(other), out, told)
     assert not out.exists()
     with pytest.raises(MissingFileError):
         rewrite_split(tmp_path / "none", {}, out, told)
     with pytest.raises(MissingFileError):
-        read_manifest(tmp_path / "none")
+        rows(tmp_path / "none")
     content = read(document)
     content["episodes"][0]["instruction"]["instruction_tokens"] = 1  # no list: the twin's are bare
     (tmp_path / "odd.json").write_text(json.dumps(content))
-    rewrite_split(tmp_path / "odd.json", read_manifest(manifest), out, told)
+    rewrite_split(tmp_path / "odd.json", rows(manifest), out, told)
     assert 0 not in read(out)["episodes"][0]["instruction"]["instruction_tokens"]
     for text in (b"{", b"{}", b'{"episodes": [{}]}', b"[1]"):
         (tmp_path / "bad.json").write_bytes(text)
@@ -68,4 +73,4 @@ def test_what_is_amiss_is_said(exported: Path, tmp_path: Path) -> None:
             rewrite_split(tmp_path / "bad.json", {}, out, told)
     (tmp_path / "bad.jsonl").write_text("{}")
     with pytest.raises(FormatError, match=r"bad\.jsonl"):
-        read_manifest(tmp_path / "bad.jsonl")
+        rows(tmp_path / "bad.jsonl")

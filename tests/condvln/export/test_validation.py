@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from condvln.export import streams
 from condvln.export.validation import CODES, Options, validate
+from condvln.formats import streams
 from condvln.navigation.graph_pathfinder import GraphPathfinder
 from schemas.errors import UsageError
 from tests.condvln.export.findings import codes, errors, write

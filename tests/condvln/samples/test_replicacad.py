@@ -16,10 +16,12 @@ import trimesh
 
 from condvln.labels import vocabulary
 from condvln.navigation.pathfinder import Pathfinder
+from condvln.navigation.scene_navmesh import with_shipped_navmesh
 from condvln.samples import Layout, SampleReport, make_layout, make_layouts, make_samples, write_replicacad
 from condvln.samples.catalogue import catalogue
 from condvln.samples.stage import FLOOR_THICKNESS, wall_boxes
 from condvln.sources.registry import open_source
+from schemas.config import AgentConfig
 from schemas.errors import UsageError
 
 SCENES = 7
@@ -148,7 +150,7 @@ def test_read_back_it_is_the_same_scene(report: SampleReport, layouts: dict[str,
     assert [handle.scene_id for handle in handles] == list(layouts)
     assert all(handle.fault is None for handle in handles)
     for name, layout in layouts.items():
-        scene = source.read(name)
+        scene = with_shipped_navmesh(source.read(name), AgentConfig())
         assert scene.warnings == ()
         assert {room.room_id: room.label for room in scene.rooms} == {room.room_id: room.label for room in layout.rooms}
         for room in scene.rooms:

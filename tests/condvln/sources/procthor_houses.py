@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from condvln.sources.json_document import parse_json
+from condvln.formats.json_document import parse_json
 from condvln.sources.procthor import ProcthorSource
 from condvln.sources.procthor_house import House, read_house
 from condvln.sources.registry import open_source

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from condvln.formats.dataset_root import DatasetRoot
 from condvln.samples import FAMILIES, make_samples
-from condvln.sources.dataset_root import DatasetRoot
 from condvln.sources.file_listing import list_files
 from condvln.sources.registry import open_source
 from condvln.sources.source import Source

@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from condvln.navigation.scene_navmesh import with_shipped_navmesh
 from condvln.scene.tables import scene_tables
 from condvln.sources import scene_graph
 from condvln.sources.registry import open_source
 from condvln.sources.scene_graph import read_npz
+from schemas.config import AgentConfig
 from schemas.errors import ConfigError, MissingFileError
 from tests.condvln.sources.gibson_buildings import as_npz, building, write
 
@@ -90,7 +92,7 @@ def test_mesh_and_navmesh_beside_it_are_taken(tmp_path: Path, made: Any, glb_of_
     source = write(tmp_path, building(), "Made.scn")
     (tmp_path / "Made.glb").write_bytes(glb_of_box([1, 2, 3]))
     (tmp_path / "Made.navmesh").write_bytes((made.root / "navmeshes_default/flat.navmesh").read_bytes())
-    scene = source.read("Made")
+    scene = with_shipped_navmesh(source.read("Made"), AgentConfig())
     assert scene.navmesh is not None
     assert (scene.navmesh.path, scene.navmesh.fits) == ("Made.navmesh", True)
     (part,) = scene.stage

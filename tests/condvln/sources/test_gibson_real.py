@@ -11,9 +11,11 @@ import pytest
 
 from condvln.navigation.navmesh_file import read_navmesh
 from condvln.navigation.pathfinder import Pathfinder
+from condvln.navigation.scene_navmesh import with_shipped_navmesh
 from condvln.scene import Scene
 from condvln.scene.tables import scene_from_tables, scene_tables
 from condvln.sources.registry import open_source
+from schemas.config import AgentConfig
 from tests.condvln.sources.gibson_buildings import Document
 
 
@@ -81,7 +83,7 @@ def test_what_the_files_call_an_area_is_a_perimeter(raw: dict[str, Document]) ->
 
 
 def test_oyens_lies_on_its_navmesh(scenes: dict[str, Scene], real_data: Path) -> None:
-    scene = scenes["automated/Oyens"]
+    scene = with_shipped_navmesh(scenes["automated/Oyens"], AgentConfig())
     assert scene.navmesh is not None
     assert scene.navmesh.path == "navmesh/Oyens.navmesh"
     pathfinder = Pathfinder.load(real_data / "gibson" / scene.navmesh.path)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from condvln.formats.triangles import Z_UP, PlacedMesh, mesh_triangles
 from condvln.navigation.pathfinder import Pathfinder
-from condvln.navigation.recast.meshes import Z_UP, PlacedMesh, mesh_triangles
 from condvln.samples.layout import Layout
 from condvln.samples.maker import make_layouts, make_samples
 from condvln.samples.solid import layout_triangles

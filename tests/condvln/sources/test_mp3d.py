@@ -14,10 +14,12 @@ import shapely
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from condvln.navigation.scene_navmesh import with_shipped_navmesh
 from condvln.scene.tables import scene_tables
 from condvln.sources.house_file import read_house_file
 from condvln.sources.mp3d import Mp3dSource
 from condvln.sources.registry import open_source
+from schemas.config import AgentConfig
 from schemas.errors import ConfigError, FormatError, InputError, MissingFileError
 
 SCAN = "made1234567"
@@ -130,7 +132,7 @@ def test_every_layout_is_found_with_what_lies_beside(
     folder = folder.parent if folder.name == "house_segmentations" else folder
     (folder / f"{SCAN}.glb").write_bytes(glb_of_box([1, 2, 3]))
     (folder / f"{SCAN}.navmesh").write_bytes((made.root / "navmeshes_default/flat.navmesh").read_bytes())
-    scene = source.read(SCAN)
+    scene = with_shipped_navmesh(source.read(SCAN), AgentConfig())
     assert scene.navmesh is not None
     assert scene.navmesh.fits
     (part,) = scene.stage

@@ -14,9 +14,11 @@ import shapely
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from condvln.navigation.scene_navmesh import with_shipped_navmesh
 from condvln.scene.boxes import box_corners
 from condvln.scene.tables import scene_tables
 from condvln.sources.registry import open_source
+from schemas.config import AgentConfig
 from schemas.errors import ConfigError, FormatError, InputError, MissingFileError
 from tests.condvln.sources.procthor_houses import DATABASE, House_, floor, house, parsed, write, xyz
 
@@ -153,7 +155,7 @@ def test_a_shipped_navmesh_is_found(root: Path, made: Any) -> None:
     made.navmesh("n/x.navmesh", 0.1)
     (root / "navmeshes").mkdir()
     (root / "navmeshes" / "train-0.navmesh").write_bytes((made.root / "n/x.navmesh").read_bytes())
-    scene = source.read("train-0")
+    scene = with_shipped_navmesh(source.read("train-0"), AgentConfig())
     assert scene.navmesh is not None
     assert (scene.navmesh.path, scene.navmesh.fits) == ("navmeshes/train-0.navmesh", True)
     assert "navmeshes/train-0.navmesh" in {i.path for i in source.handles()[0].inputs}

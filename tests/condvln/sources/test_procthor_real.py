@@ -55,7 +55,7 @@ def test_all_houses_are_read_whole(scenes: dict[str, Scene], raw: dict[str, Any]
     assert sum(len(s.objects) for s in scenes.values()) == 5396
     assert len(boxes) == 1653
     assert Counter(o.geometry for s in scenes.values() for o in s.objects) == {"obb": 5396}
-    assert {w.code for s in scenes.values() for w in s.warnings} == {"no_navmesh"}
+    assert not [w.code for s in scenes.values() for w in s.warnings]
     assert all(r.complete for s in scenes.values() for r in s.rooms)
     assert {h["metadata"]["schema"] for h in raw.values()} == {"1.0.0"}
     counted = Counter(r.label for s in scenes.values() for r in s.rooms)

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from condvln.formats.json_document import parse_json
 from condvln.scene import Room
-from condvln.sources.json_document import parse_json
 from condvln.sources.regions import NEAREST_REGION, RegionIndex, read_regions
 from schemas.errors import FormatError
 

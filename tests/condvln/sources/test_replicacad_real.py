@@ -11,6 +11,7 @@ import pytest
 
 from condvln.navigation.navmesh_file import read_navmesh
 from condvln.navigation.pathfinder import Pathfinder
+from condvln.navigation.scene_navmesh import with_shipped_navmesh
 from condvln.scene import Scene, SceneObject
 from condvln.scene.boxes import aabb_of, placement, transform_points
 from condvln.scene.meshes import MeshLibrary
@@ -18,6 +19,7 @@ from condvln.scene.quaternions import to_matrix
 from condvln.scene.tables import scene_from_tables, scene_tables
 from condvln.sources.registry import open_source
 from condvln.sources.source import SceneHandle, Source
+from schemas.config import AgentConfig
 
 FURNITURE = {"table", "sofa", "tv_stand", "chair", "cabinet", "beanbag"}
 ARTICULATED = {"cabinet", "chestOfDrawers_01", "door2", "fridge", "kitchenCupboard_01", "kitchen_counter"}
@@ -135,7 +137,8 @@ def test_all_staged_objects_are_static(staged: dict[str, Scene]) -> None:
 
 
 def test_the_navmesh_taken_is_that_of_the_default_agent(scenes: dict[str, Scene]) -> None:
-    for name, scene in scenes.items():
+    for name, read in scenes.items():
+        scene = with_shipped_navmesh(read, AgentConfig())
         assert scene.navmesh is not None
         assert scene.navmesh.path == f"navmeshes_default/{name}.navmesh"
         assert scene.navmesh.fits

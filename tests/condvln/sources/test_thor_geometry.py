@@ -10,10 +10,10 @@ import pytest
 
 from condvln.navigation.occluders import MeshOccluders
 from condvln.navigation.pathfinder import Pathfinder
+from condvln.navigation.reachability import Reachability, reachability
 from condvln.samples.maker import make_samples
 from condvln.scene.boxes import corners
 from condvln.scene.geometry import STRUCTURE, SceneGeometry
-from condvln.sources.reachability import Reachability, reachability
 from condvln.sources.registry import open_source
 from condvln.sources.source import Source
 from tests.condvln.sources.thor_plans import corner_points, plan, thing, write

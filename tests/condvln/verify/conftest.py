@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from condvln.navigation.scene_navmesh import with_shipped_navmesh
 from condvln.samples import make_samples
 from condvln.scene import Scene
 from condvln.scene.geometry import SceneGeometry
@@ -58,6 +59,6 @@ def made_export(tmp_path_factory: pytest.TempPathFactory) -> MadeExport:
     run_generate(config, inline=True, console=Console(file=io.StringIO()))
     runs = tuple(ExportFiles(folder / "export").runs())
     source = open_source("replicacad", folder / "scenes")
-    scenes = {run.scene_id: source.read(run.scene_id) for run in runs}
+    scenes = {run.scene_id: with_shipped_navmesh(source.read(run.scene_id), config.agent) for run in runs}
     surfaces = {name: source.geometry(scene) for name, scene in scenes.items()}
     return MadeExport(config, folder / "export", scenes, surfaces, runs)

@@ -7,7 +7,7 @@ PROGRAM = """
 import numpy as np
 from condvln.navigation.recast import build_navmesh
 from condvln.navigation.recast.builder import _warm_up
-from condvln.navigation.compiled import compilation_reported_to
+from condvln.compiled import compilation_reported_to
 
 _warm_up()
 with compilation_reported_to(print):

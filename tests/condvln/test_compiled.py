@@ -18,7 +18,7 @@ from kernel import double
 print(double(21))
 """
 SOURCE = """
-from condvln.navigation.compiled import compiled
+from condvln.compiled import compiled
 @compiled
 def double(x):
     return 2 * x
@@ -90,7 +90,7 @@ def test_an_edit_of_any_kernel_of_the_folder_makes_a_new_cache(kernels: Path, tm
 def test_progress_is_told_while_kernels_compile(tmp_path: Path) -> None:
     """Cold: each step and each kernel by name. From the cache: the steps only."""
     code = (
-        "from condvln.navigation.compiled import register_warm_up, warm_up, compiled\n"
+        "from condvln.compiled import register_warm_up, warm_up, compiled\n"
         "from condvln.navigation.kernels.geometry import distance\n"
         "import numpy as np\n"
         "register_warm_up('geometry', lambda: distance(*[np.float32(0)] * 6))\n"

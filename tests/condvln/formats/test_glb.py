@@ -17,8 +17,8 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from condvln.sources.glb import read_glb
-from condvln.sources.gltf_tree import MAX_NODE_DEPTH
+from condvln.formats.glb import read_glb
+from condvln.formats.gltf_tree import MAX_NODE_DEPTH
 from schemas.errors import DeadlineError, FormatError
 
 Tree = dict[str, Any]

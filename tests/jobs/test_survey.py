@@ -10,7 +10,8 @@ from condvln.samples import FAMILIES, make_samples
 from condvln.sources.downloads import downloads, look_for
 from condvln.sources.registry import FAMILIES as READERS
 from condvln.sources.registry import open_source
-from condvln.sources.survey import survey_source
+from jobs.survey import survey_source
+from schemas.config import AgentConfig
 
 NO_MESH = {"procthor", "ithor", "robothor"}
 
@@ -33,7 +34,7 @@ def test_counts_are_those_of_what_was_written(made) -> None:
     family, root, report = made
     source = open_source(family, root)
     ticks: list[None] = []
-    survey = survey_source(source, source.handles(), tick=lambda: ticks.append(None))
+    survey = survey_source(source, source.handles(), AgentConfig(), tick=lambda: ticks.append(None))
     assert len(ticks) == survey.read == survey.scenes
     assert survey.read >= 2
     scenes = [source.read(handle.scene_id) for handle in source.handles()]
@@ -64,7 +65,7 @@ def test_a_limit_spreads_over_the_list(tmp_path: Path) -> None:
     make_samples(tmp_path, family="procthor", scenes=6, seed=1)
     source = open_source("procthor", tmp_path)
     handles = source.handles()
-    survey = survey_source(source, handles, limit=2)
+    survey = survey_source(source, handles, AgentConfig(), limit=2)
     first, fourth = (source.read(handles[k].scene_id) for k in (0, 3))
     assert (survey.scenes, survey.read) == (6, 2)
     assert survey.objects == len(first.objects) + len(fourth.objects)
@@ -75,7 +76,7 @@ def test_a_broken_scene_is_told_and_the_others_are_read(tmp_path: Path) -> None:
     paths = sorted(p for p in tmp_path.rglob("*.json") if b'"sceneName"' in p.read_bytes())
     paths[1].write_bytes(paths[1].read_bytes()[:-100])
     source = open_source("ithor", tmp_path)
-    survey = survey_source(source, source.handles())
+    survey = survey_source(source, source.handles(), AgentConfig())
     assert [scene for scene, _ in survey.unreadable] == [paths[1].stem]
     assert survey.read == len(paths) - 1
 
@@ -84,7 +85,7 @@ def test_real_datasets(real_data: Path) -> None:
     found = {}
     for family in ("procthor", "ithor", "mp3d", "gibson"):
         source = open_source(family, real_data / family)
-        found[family] = survey_source(source, source.handles())
+        found[family] = survey_source(source, source.handles(), AgentConfig())
     assert (found["procthor"].scenes, found["procthor"].rooms, found["procthor"].without_extent) == (60, 296, 0)
     assert found["procthor"].navmeshes == {"to be built": 60}
     assert (found["ithor"].scenes, found["ithor"].navmeshes) == (7, {"to be built": 7})

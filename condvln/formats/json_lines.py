@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, BinaryIO, Final
 
-from condvln.sources.dataset_root import DatasetRoot
+from condvln.formats.dataset_root import DatasetRoot
 from schemas.errors import FormatError, MissingFileError
 
 __all__ = ["MAX_LINE_BYTES", "JsonLines"]

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from condvln.evaluation import json_entries
-from condvln.evaluation.json_entries import entries, first_character, json_lines, parsed
+from condvln.formats import json_entries
+from condvln.formats.json_entries import entries, first_character, json_lines, parsed
 from schemas.errors import FormatError, MissingFileError
 
 scalars = st.none() | st.booleans() | st.integers(-(10**6), 10**6) | st.floats(allow_nan=False, allow_infinity=False)

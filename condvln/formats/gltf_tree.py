@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, Final
 
-from condvln.sources.json_document import JsonNode
+from condvln.formats.json_document import JsonNode
 
 __all__ = ["MAX_TRIANGLES", "geometry_tree"]
 

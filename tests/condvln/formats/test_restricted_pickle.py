@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from condvln.sources.restricted_pickle import UnsafePickleError, load_plain, plain
+from condvln.formats.restricted_pickle import UnsafePickleError, load_plain, plain
 
 values = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text() | st.binary(),

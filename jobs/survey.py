@@ -7,8 +7,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from condvln.labels import vocabulary
+from condvln.navigation.scene_navmesh import with_shipped_navmesh
 from condvln.scene import Scene
 from condvln.sources.source import UNKNOWN_LABEL, SceneHandle, Source
+from schemas.config import AgentConfig
 from schemas.errors import InputError
 
 __all__ = ["Survey", "survey_source"]
@@ -47,6 +49,7 @@ class Survey:
 def survey_source(
     source: Source,
     handles: Sequence[SceneHandle],
+    agent: AgentConfig,
     *,
     limit: int | None = None,
     tick: Callable[[], object] | None = None,
@@ -56,6 +59,7 @@ def survey_source(
     Parameters
     ----------
     handles : the scenes, as ``source.handles()`` lists them
+    agent : whose navmesh is looked for
     limit : most scenes read, spread evenly over the list; all where None
     tick : called after each scene
     """
@@ -66,7 +70,7 @@ def survey_source(
         sound = [sound[k * len(sound) // limit] for k in range(limit)]
     for scene_id in sound:
         try:
-            scene = source.read(scene_id)
+            scene = with_shipped_navmesh(source.read(scene_id), agent)
             _count(survey, source, scene)
         except InputError as error:
             survey.unreadable.append((scene_id, str(error)))

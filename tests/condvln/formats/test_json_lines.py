@@ -13,9 +13,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from condvln.sources import json_lines
-from condvln.sources.dataset_root import DatasetRoot
-from condvln.sources.json_lines import MAX_LINE_BYTES, JsonLines
+from condvln.formats import json_lines
+from condvln.formats.dataset_root import DatasetRoot
+from condvln.formats.json_lines import MAX_LINE_BYTES, JsonLines
 from schemas.errors import FormatError, MissingFileError
 
 

@@ -9,10 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from condvln.sources import json_depth, json_document
-from condvln.sources.json_arrays import TextArray
-from condvln.sources.json_depth import nesting_depth
-from condvln.sources.json_document import MAX_DEPTH, JsonNode, canonical_json, parse_json
+from condvln.formats import json_document
+from condvln.formats.json_arrays import TextArray
+from condvln.formats.json_document import MAX_DEPTH, JsonNode, canonical_json, nesting_depth, parse_json
 from schemas.errors import FormatError
 
 documents = st.recursive(
@@ -69,7 +68,7 @@ def test_depth_is_that_of_a_plain_count(text: bytes, piece: int) -> None:
             depth += (mark in "[{") - (mark in "]}")
             deepest = max(deepest, depth)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(json_depth, "_PIECE", piece)
+        patch.setattr(json_document, "_PIECE", piece)
         assert nesting_depth(text) == deepest
 
 

@@ -16,8 +16,8 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from condvln.sources.gltf_tree import geometry_tree
-from condvln.sources.json_document import MAX_COORDINATE, JsonNode, parse_json
+from condvln.formats.gltf_tree import geometry_tree
+from condvln.formats.json_document import MAX_COORDINATE, JsonNode, parse_json
 from schemas.errors import DeadlineError, FormatError
 
 __all__ = ["MAX_GLB_BYTES", "GlbGeometry", "glb_chunks", "glb_scene", "read_glb"]

@@ -6,9 +6,8 @@ import hashlib
 from collections import OrderedDict
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
-from typing import Final
+from typing import Final, Protocol
 
-from condvln.evaluation.task import Task
 from condvln.navigation.pathfinder import Pathfinder
 from schemas.errors import FormatError, MissingFileError, PathEscapeError
 
@@ -16,6 +15,25 @@ __all__ = ["NavmeshFolder"]
 
 _KEPT: Final = 64
 """Pathfinders kept in memory: predictions name scenes in any order."""
+
+
+class OnNavmesh(Protocol):
+    """Anything that is placed on a navmesh and says on which: a task, a manifest's row."""
+
+    @property
+    def episode_id(self) -> str:
+        """Id of the episode, for messages."""
+        ...
+
+    @property
+    def navmesh(self) -> str:
+        """Path below a root, '/'-separated."""
+        ...
+
+    @property
+    def navmesh_sha256(self) -> str:
+        """Hash of the file, hex."""
+        ...
 
 
 class NavmeshFolder:
@@ -30,15 +48,15 @@ class NavmeshFolder:
         self._roots = tuple(roots)
         self._pathfinders: OrderedDict[str, Pathfinder] = OrderedDict()
 
-    def __call__(self, task: Task) -> Pathfinder:
-        """The pathfinder of a task's scene.
+    def __call__(self, episode: OnNavmesh) -> Pathfinder:
+        """The pathfinder of an episode's scene.
 
         Raises
         ------
         MissingFileError : the navmesh is in none of the folders
         FormatError : what is there is another file than the episodes were made on
         """
-        return self.load(task.navmesh, task.navmesh_sha256, f"episode {task.episode_id}")
+        return self.load(episode.navmesh, episode.navmesh_sha256, f"episode {episode.episode_id}")
 
     def load(self, navmesh: str, sha256: str, place: str) -> Pathfinder:
         """The pathfinder of a navmesh by its path below a root and its hash; ``place`` is who asks, for messages.
@@ -46,7 +64,7 @@ class NavmeshFolder:
         Raises
         ------
         PathEscapeError : the path lies outside of every root
-        MissingFileError, FormatError : as for a task
+        MissingFileError, FormatError : as for an episode
         """
         found = self._pathfinders.get(sha256)
         if found is None:

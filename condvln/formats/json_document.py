@@ -11,11 +11,10 @@ from typing import Any, Final, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.sources.json_arrays import TextArray, parse_large
-from condvln.sources.json_depth import nesting_depth
+from condvln.formats.json_arrays import TextArray, parse_large
 from schemas.errors import FormatError
 
-__all__ = ["MAX_COORDINATE", "MAX_DEPTH", "JsonNode", "canonical_json", "parse_json"]
+__all__ = ["MAX_COORDINATE", "MAX_DEPTH", "JsonNode", "canonical_json", "nesting_depth", "parse_json"]
 
 MAX_DEPTH = 64
 """Deepest nesting accepted. Real documents have under ten levels; the parser's own limit depends on the call stack."""
@@ -25,6 +24,14 @@ MAX_COORDINATE = 1e5
 
 LARGE_BYTES: Final = 16 << 20
 """From here on long arrays stay text until they are asked for. Real documents of one scene have under 1 MB."""
+
+_PIECE: Final = 1 << 20
+"""Bytes looked at in one go: what is counted for a piece takes ten times its size."""
+
+# A whole string; or one that goes on behind the piece, of which its quote and a last lone backslash are kept. No input
+# makes either try again from every quote.
+_STRING = re.compile(rb'"[^"\\]*(?:\\.[^"\\]*)*"|(")[^"\\]*(?:\\.[^"\\]*)*(\\?)\Z', re.DOTALL)
+_REST = re.compile(rb'[^"\\]*(?:\\(?:.|\Z)[^"\\]*)*(?:"|\Z)', re.DOTALL)
 
 _SURROGATE = re.compile(rb"\\u[dD][89a-fA-F]")
 _REMEDY = "Take the file from its dataset again, or mend the entry"
@@ -62,6 +69,27 @@ def parse_json(data: bytes, where: str) -> JsonNode:
 def canonical_json(value: Any) -> bytes:
     """The bytes that a part of a document is hashed by: sorted keys, no blanks, ASCII."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False, default=_listed).encode("ascii")
+
+
+def nesting_depth(data: bytes) -> int:
+    """The most brackets and braces that are open at one place, those inside of strings not counted."""
+    at, depth, deepest = 0, 0, 0
+    while at < len(data):
+        end = min(at + _PIECE, len(data))
+        bare = _STRING.sub(rb"\1\2", data[at:end])
+        quote = bare.find(b'"')
+        if quote >= 0:
+            rest = _REST.match(data, end - len(bare) + quote + 1)
+            assert rest is not None
+            bare, end = bare[:quote], rest.end()
+        marks = np.frombuffer(bare, dtype=np.uint8)
+        opens, closes = (marks == ord("[")) | (marks == ord("{")), (marks == ord("]")) | (marks == ord("}"))
+        steps = np.cumsum(opens.astype(np.int8) - closes.astype(np.int8), dtype=np.int32)
+        if len(steps):
+            deepest = max(deepest, depth + int(steps.max()))
+            depth += int(steps[-1])
+        at = end
+    return deepest
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,16 +10,18 @@ import os
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from condvln.navigation.recast.arrays import Array
+from condvln.formats.glb import glb_scene
 from schemas.errors import FormatError, MissingFileError
 
 if TYPE_CHECKING:  # slow to import, and a build from arrays needs none of it
     import trimesh
+
+Array: TypeAlias = npt.NDArray[Any]
 
 __all__ = ["Z_UP", "MeshSource", "PlacedMesh", "glb_triangles", "mesh_triangles"]
 
@@ -80,14 +82,12 @@ def glb_triangles(data: bytes, where: str, transform: npt.ArrayLike) -> tuple[Ar
     Raises
     ------
     FormatError
-        As `condvln.sources.glb.glb_scene`; `where` names the file.
+        As `condvln.formats.glb.glb_scene`; `where` names the file.
     """
     return _joined(_parts_of_glb(data, where, _matrix(transform, "transform")))
 
 
 def _parts_of_glb(data: bytes, where: str, root: Array) -> list[tuple[Array, Array]]:
-    from condvln.sources.glb import glb_scene
-
     scene = glb_scene(data, where)
     return _join(scene, sorted(scene.graph.nodes_geometry, key=_node_number), root)
 

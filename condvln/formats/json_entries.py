@@ -19,9 +19,8 @@ from typing import Any, BinaryIO, Final, NoReturn, cast
 import numpy as np
 import orjson
 
-from condvln.evaluation.kernels.json_scan import DEPTH, IN_STRING, new_state, scan
-from condvln.sources.json_depth import nesting_depth
-from condvln.sources.json_document import MAX_DEPTH
+from condvln.formats.json_document import MAX_DEPTH, nesting_depth
+from condvln.formats.json_scan import DEPTH, IN_STRING, new_state, scan
 from schemas.errors import FormatError, MissingFileError
 
 __all__ = [

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from condvln.sources.dataset_root import DatasetRoot
+from condvln.formats.dataset_root import DatasetRoot
 from schemas.errors import FormatError, InputError, MissingFileError, PathEscapeError
 
 

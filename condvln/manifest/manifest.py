@@ -1,0 +1,143 @@
+"""Rows of ``manifest/<split>.jsonl``: the whole truth about each episode, for evaluators and never for agents."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pydantic import ValidationError
+
+from condvln.formats.json_entries import json_lines, parsed
+from schemas.errors import FormatError
+from schemas.evaluation import ManifestEpisode
+from schemas.version import SCHEMA_VERSION
+
+__all__ = ["ManifestLine", "manifest_lines", "manifest_path", "manifest_paths", "manifest_row", "read_manifest"]
+
+FOLDER = "manifest"
+_REMEDY = "Export the split again"
+
+
+class ManifestLine(NamedTuple):
+    """One line of a manifest as it is in the file; ``number`` counts from 1."""
+
+    path: Path
+    number: int
+    text: bytes
+
+    def fields(self) -> dict[str, Any]:
+        """The line's JSON object, not validated: for readers that need few fields of many rows.
+
+        Raises
+        ------
+        FormatError : not a JSON object
+        """
+        fields = parsed(self.text, self.path, f"line {self.number}")
+        if not isinstance(fields, dict):
+            raise self._damaged("", "not a JSON object")
+        return fields
+
+    def row(self) -> ManifestEpisode:
+        """The line as a manifest row.
+
+        Raises
+        ------
+        FormatError : a field is missing or has a wrong type; the leaves do not match the program
+        """
+        try:
+            row = ManifestEpisode.model_validate_json(self.text)
+        except ValidationError as error:
+            first = error.errors()[0]
+            raise self._damaged(".".join(str(part) for part in first["loc"]), str(first["msg"])) from error
+        if sorted(leaf.leaf for leaf in row.leaves) != [*range(len(row.program.leaves))]:
+            raise self._damaged("leaves", "not one entry for each leaf of the program")
+        if not 0 <= row.gold_leaf < len(row.leaves):
+            raise self._damaged("gold_leaf", f"there is no leaf {row.gold_leaf}")
+        return row
+
+    def _damaged(self, field: str, what: str) -> FormatError:
+        place = f"line {self.number}: {field}" if field else f"line {self.number}"
+        return FormatError(what, where=self.path, place=place, remedy=_REMEDY)
+
+
+def manifest_path(export: Path, split: str) -> Path:
+    """File of a split's manifest."""
+    return export / FOLDER / f"{split}.jsonl"
+
+
+def manifest_paths(export: Path) -> list[Path]:
+    """The manifests that an export has, sorted."""
+    return sorted((export / FOLDER).glob("*.jsonl"))
+
+
+def manifest_lines(path: Path) -> Iterator[ManifestLine]:
+    """The lines of a manifest that are not blank.
+
+    Raises
+    ------
+    MissingFileError : there is no such file
+    FormatError : a line is longer than any real one
+    """
+    for number, text in json_lines(path):
+        yield ManifestLine(path, number, text)
+
+
+def read_manifest(path: Path) -> Iterator[ManifestEpisode]:
+    """The rows of a manifest in their order, validated.
+
+    Raises
+    ------
+    MissingFileError, FormatError : as :func:`manifest_lines` and :meth:`ManifestLine.row`; an episode id occurs twice
+    """
+    seen: set[str] = set()
+    for line in manifest_lines(path):
+        row = line.row()
+        if row.episode_id in seen:
+            place = f"line {line.number}: episode_id"
+            raise FormatError(f"the id {row.episode_id} occurs twice", where=path, place=place, remedy=_REMEDY)
+        seen.add(row.episode_id)
+        yield row
+
+
+def manifest_row(
+    episode: Mapping[str, Any], instruction: Mapping[str, Any], *, source: str, split: str, navmesh: str, snapshot: str
+) -> dict[str, Any]:
+    """A :class:`schemas.evaluation.ManifestEpisode` as a plain dictionary."""
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "episode_id": episode["episode_id"],
+        "instruction_id": episode["instruction_id"],
+        "group_id": episode["group_id"],
+        "source": source,
+        "scene_id": episode["scene_id"],
+        "split": split,
+        "category": episode["category"],
+        "depth": instruction["depth"],
+        "chain": instruction["chain"],
+        "composition": episode["composition"],
+        "observability": episode["observability"],
+        "evidence_in_view": episode["evidence_in_view"],
+        "observability_approximate": episode["observability_approximate"],
+        "evidence": episode["evidence"],
+        "moves": episode["moves"],
+        "words": episode["words"],
+        "instruction_text": episode["instruction_text"],
+        "program": {
+            "category": instruction["category"],
+            "conditions": instruction["conditions"],
+            "branches": instruction["branches"],
+            "leaves": instruction["leaves"],
+        },
+        "gold_leaf": episode["gold_leaf"],
+        "start_position": episode["start_position"],
+        "start_rotation": episode["start_rotation"],
+        "leaves": episode["leaves"],
+        "success_distance": episode["success_distance"],
+        "max_steps": episode["max_steps"],
+        "geodesic_distance": episode["geodesic_distance"],
+        "route_length": episode["route_length"],
+        "navmesh": navmesh,
+        "navmesh_sha256": episode["navmesh_sha256"],
+        "snapshot": snapshot,
+    }

@@ -1,0 +1,106 @@
+"""The navmesh that a scene's episodes are placed on: one that its dataset ships, else one built from its surfaces."""
+
+from __future__ import annotations
+
+import hashlib
+import posixpath
+from dataclasses import replace
+from urllib.parse import quote
+
+from condvln.formats.dataset_root import DatasetRoot
+from condvln.navigation.navmesh_file import MAX_FILE_BYTES, parse_navmesh
+from condvln.navigation.recast import build_navmesh
+from condvln.navigation.settings import NavMeshSettings
+from condvln.scene import NavmeshFile, Scene, SceneWarning
+from condvln.scene.geometry import SceneGeometry
+from schemas.config import AgentConfig
+from schemas.errors import InputError
+
+__all__ = ["built_path", "with_built_navmesh", "with_shipped_navmesh"]
+
+
+def with_shipped_navmesh(scene: Scene, agent: AgentConfig) -> Scene:
+    """The scene with the navmesh of its dataset that was built for the agent.
+
+    Of ``scene.shipped_navmeshes`` the first file whose settings fit the agent is taken, else the first one that
+    exists, with the warning ``navmesh_does_not_fit``. Where none exists the scene has no navmesh and the warning
+    ``no_navmesh``.
+
+    Raises
+    ------
+    FormatError : a file that had to be read is not a valid navmesh
+    """
+    root = DatasetRoot(scene.root)
+    candidates = list(dict.fromkeys(scene.shipped_navmeshes))
+    first: NavmeshFile | None = None
+    for path in candidates:
+        if not root.has(path):
+            continue
+        data = root.read(path, MAX_FILE_BYTES)
+        own = parse_navmesh(data, str(scene.root / path)).known_settings
+        fits = own.fits(agent.radius, agent.height, agent.max_climb, agent.max_slope)
+        file = NavmeshFile(
+            path=posixpath.normpath(path),
+            sha256=hashlib.sha256(data).hexdigest(),
+            built=False,
+            fits=fits,
+            agent_radius=own.agent_radius,
+            agent_height=own.agent_height,
+            agent_max_climb=own.agent_max_climb,
+            agent_max_slope=own.agent_max_slope,
+        )
+        if fits:
+            return replace(scene, navmesh=file)
+        first = first or file
+    if first is None:
+        message = f"none of {', '.join(scene.shipped_navmeshes) or 'the usual places'} is there"
+        return _with_warning(scene, SceneWarning("no_navmesh", "navmesh", message))
+    message = (
+        f"{first.path} was built for radius {first.agent_radius}, height {first.agent_height}, "
+        f"climb {first.agent_max_climb}, slope {first.agent_max_slope}, "
+        f"not for {agent.radius}, {agent.height}, {agent.max_climb}, {agent.max_slope}"
+    )
+    return _with_warning(replace(scene, navmesh=first), SceneWarning("navmesh_does_not_fit", "navmesh", message))
+
+
+def built_path(family: str, scene_id: str) -> str:
+    """Path of a scene's built navmesh in an export, '/'-separated."""
+    return f"navmeshes/{family}/{quote(scene_id, safe='')}.navmesh"
+
+
+def with_built_navmesh(scene: Scene, geometry: SceneGeometry, agent: AgentConfig) -> tuple[Scene, bytes | None]:
+    """The scene with a navmesh built as Habitat would build it, and that navmesh's bytes.
+
+    Objects are part of the floor plan: they are in the agent's way. A scene in which no agent can stand stays without
+    a navmesh and gets the warning ``navmesh_not_built``.
+
+    Parameters
+    ----------
+    scene : without a navmesh
+    geometry : the scene's surfaces
+    agent : whom the navmesh must fit
+    """
+    scene = replace(scene, warnings=tuple(warning for warning in scene.warnings if warning.code != "no_navmesh"))
+    try:
+        built = build_navmesh(geometry.vertices, geometry.faces, NavMeshSettings.furnished(agent))
+    except InputError as error:
+        return _with_warning(scene, SceneWarning("navmesh_not_built", "navmesh", error.what)), None
+    data = built.to_bytes()
+    file = NavmeshFile(
+        path=built_path(scene.family, scene.scene_id),
+        sha256=hashlib.sha256(data).hexdigest(),
+        built=True,
+        fits=True,
+        agent_radius=agent.radius,
+        agent_height=agent.height,
+        agent_max_climb=agent.max_climb,
+        agent_max_slope=agent.max_slope,
+    )
+    surfaces = "its walls and the boxes of its objects" if geometry.approximate else "the scene's surfaces"
+    note = SceneWarning("navmesh_built", "navmesh", f"the dataset ships none: built from {surfaces}")
+    return _with_warning(replace(scene, navmesh=file), note), data
+
+
+def _with_warning(scene: Scene, warning: SceneWarning) -> Scene:
+    warnings = sorted({*scene.warnings, warning}, key=lambda w: (w.code, w.where, w.message))
+    return replace(scene, warnings=tuple(warnings))
