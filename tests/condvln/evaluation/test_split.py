@@ -136,7 +136,7 @@ def spoiled(export: Path, folder: Path, change: Any) -> Path:
         (lambda lines: lines[1].update(gold_leaf=-1), "line 2: gold_leaf: no such leaf"),
         (lambda lines: lines[1]["leaves"].pop(), "line 2: leaves"),
         (lambda lines: lines[1]["leaves"][0].update(leaf=1), "line 2: leaves"),
-        (lambda lines: lines.append(lines[0]), "stands twice"),
+        (lambda lines: lines.append(lines[0]), "occurs twice"),
         (lambda lines: lines[0].update(start_position=[0, 0]), "line 1: start_position"),
     ],
 )
@@ -269,7 +269,7 @@ def test_episode_stats_of_nothing_or_twice(tmp_path: Path) -> None:
         read_episode_stats(tmp_path)
     (tmp_path / "stats_a.json").write_text('{"success": 1}')
     (tmp_path / "stats_b.json").write_text('{"a": {"success": 1}}')
-    with pytest.raises(FormatError, match="stands twice"):
+    with pytest.raises(FormatError, match="two results"):
         read_episode_stats(tmp_path)
 
 

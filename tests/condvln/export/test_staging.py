@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from condvln.export import staging, streams
+from condvln.export import staging
+from condvln.formats import streams
 from condvln.export.contents import INDEX
 from condvln.export.staging import check_place, recover, staged
 from schemas.errors import StoreError
