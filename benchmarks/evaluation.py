@@ -14,10 +14,10 @@ from fastdtw import fastdtw
 
 from condvln.compiled import warm_up
 from condvln.evaluation.evaluate import Evaluation, evaluate
+from condvln.evaluation.goal_distances import Nearness
 from condvln.evaluation.measures import ndtw, without_repeats
-from condvln.evaluation.nearness import Nearness
 from condvln.evaluation.predictions import Prediction, read_predictions, write_predictions
-from condvln.evaluation.score import Rules, score
+from condvln.evaluation.score import ScoreRules, score
 from condvln.evaluation.task import LeafTask, Task
 from condvln.navigation.follower import Follower
 from condvln.navigation.pathfinder import Pathfinder
@@ -92,7 +92,7 @@ def _compare_pruning(tasks: list[Task], predictions: list[Prediction], pathfinde
     for prune in (True, False):
         began = time.perf_counter()
         scores[prune] = [
-            score(task, prediction, Nearness(pathfinders[int(task.navmesh)], prune=prune), Rules())
+            score(task, prediction, Nearness(pathfinders[int(task.navmesh)], prune=prune), ScoreRules())
             for prediction, task in zip(predictions, tasks, strict=False)
         ]
         seconds[prune] = time.perf_counter() - began

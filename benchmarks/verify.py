@@ -24,11 +24,11 @@ from condvln.samples import make_samples
 from condvln.scene import Scene
 from condvln.sources.registry import open_source
 from condvln.sources.source import Source
-from condvln.verify import Rules, Surfaces, placement, proof, prove_export
+from condvln.verify import Surfaces, VerifierRules, placement, proof, prove_export
 from condvln.verify.files import ExportFiles
+from condvln.verify.geodesics import Geodesics
 from condvln.verify.proof import SceneReader
 from condvln.verify.surfaces import Shapes
-from condvln.verify.walks import Walks
 from jobs.generate import run_generate
 from schemas.config import Config, InstructionsConfig, SourceConfig
 from schemas.program import CATEGORIES
@@ -43,7 +43,7 @@ TARGET: Final = 1000
 """Episodes a second and core, apart from navmesh work."""
 
 NAVMESH: Final[tuple[tuple[Any, str], ...]] = (
-    (Walks, "ask"),
+    (Geodesics, "ask"),
     (proof, "find_navmesh"),
     (proof, "Obstacles"),
     (placement, "_check_budget"),
@@ -82,7 +82,7 @@ def _made(folder: Path) -> tuple[Path, Path]:
 def _measure(export: Path, root: Path) -> None:
     source = open_source("replicacad", root)
     spent: Counter[str] = Counter()
-    for _ in prove_export(export, Rules(), _reader(source, source.read)):
+    for _ in prove_export(export, VerifierRules(), _reader(source, source.read)):
         pass  # kernels are compiled and files cached
     for kind, asking in zip(ASIDE, (NAVMESH, SIGHT), strict=True):
         for owner, name in asking:
@@ -133,7 +133,7 @@ def _round(export: Path, read: SceneReader, spent: Counter[str]) -> list[_Part]:
     parts: list[_Part] = []
     spent.clear()
     began, before, scene = time.process_time(), Counter[str](), ""
-    for certificate in prove_export(export, Rules(), read):
+    for certificate in prove_export(export, VerifierRules(), read):
         if certificate.scene_id != scene:
             # The certificates of a scene come together, when all of them are made.
             now = time.process_time()

@@ -33,7 +33,7 @@ __all__ = ["compilation_reported_to", "compiled", "register_warm_up", "warm_up"]
 
 P = ParamSpec("P")
 R = TypeVar("R")
-Report = Callable[[str], None]
+Notify = Callable[[str], None]
 
 # Editing a kernel leaves the caches of earlier versions behind; this many are kept beside the current one.
 CACHE_VERSIONS_KEPT = 2
@@ -62,7 +62,7 @@ def register_warm_up(name: str, run: Callable[[], object]) -> None:
     _warm_ups[name] = run
 
 
-def warm_up(report: Report | None = None, only: Collection[str] | None = None) -> None:
+def warm_up(report: Notify | None = None, only: Collection[str] | None = None) -> None:
     """Compile (or load from the cache) all registered kernels now, or the groups named, naming each to ``report``.
 
     Call it before work is timed or fanned out; workers then find the code in the shared cache.
@@ -76,7 +76,7 @@ def warm_up(report: Report | None = None, only: Collection[str] | None = None) -
 
 
 @contextmanager
-def compilation_reported_to(report: Report) -> Iterator[None]:
+def compilation_reported_to(report: Notify) -> Iterator[None]:
     """Within this block, ``report`` gets a line for each kernel that really compiles (a cached one is silent)."""
     before = _announcer.report
     _announcer.report = report
@@ -93,7 +93,7 @@ class _Announcer(numba_event.Listener):  # type: ignore[misc]
     """
 
     def __init__(self) -> None:
-        self.report: Report | None = None
+        self.report: Notify | None = None
         self._told = False
         self._depth = threading.local()
 

@@ -1,4 +1,4 @@
-"""SIGTERM as a wish: what a scheduler sends ends a run as Ctrl-C does."""
+"""SIGTERM, which schedulers send, ends a run as Ctrl-C does."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from condvln.evaluation.evaluate import Evaluation
 from condvln.evaluation.plots import save_figures
 from condvln.evaluation.predictions import write_predictions
 from condvln.evaluation.render import as_csv, as_document, as_latex, as_markdown, as_rich
-from condvln.evaluation.score import Rules
+from condvln.evaluation.score import ScoreRules
 from condvln.evaluation.split import SplitOptions, evaluate_split, split_tasks
 from condvln.evaluation.tables import Table, all_tables, twin_tables
 from condvln.formats.streams import atomic_stream
@@ -209,7 +209,7 @@ def evaluate_predictions(asked: Question) -> EvaluationReport:
     for option, radius in said:
         if not (math.isfinite(radius) and radius > 0):
             raise UsageError(f"{option} {radius:g}", remedy="Success distances are positive numbers of metres.")
-    rules = Rules(
+    rules = ScoreRules(
         distance="euclidean" if asked.euclidean else "geodesic",
         oracle_success_distance=asked.oracle_radius,
         fast_dtw=asked.fast_dtw,

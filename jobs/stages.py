@@ -20,7 +20,7 @@ from condvln.episodes.candidates import Candidate, candidates_from_table, candid
 from condvln.episodes.goals import blocked_footprints, scene_goals
 from condvln.episodes.observability import Observer
 from condvln.episodes.placing import Placer, reachable_stops
-from condvln.episodes.pool import Pool, fill_pool
+from condvln.episodes.pool import EpisodePool, fill_pool
 from condvln.episodes.routes import GoalField
 from condvln.episodes.table import (
     PLACEMENTS,
@@ -343,7 +343,7 @@ class EpisodeStage(Stage):
 
     def _without_navmesh(self, scene: Scene, candidates: list[Candidate]) -> StageOutput:
         """Instructions as many as wanted; every candidate counts as one that could not be placed."""
-        pool = Pool()
+        pool = EpisodePool()
         wanted, groups = self.instructions.wanted, self.instructions.counterfactual_groups
         for candidate in candidates:
             pool.candidates[candidate.cell] += 1

@@ -17,7 +17,7 @@ from condvln.manifest import manifest_lines, manifest_paths
 from condvln.navigation.scene_navmesh import with_shipped_navmesh
 from condvln.scene import Scene
 from condvln.sources.source import Source, hash_file
-from condvln.verify import FACTS, Certificate, Rules, Surfaces, prove_export
+from condvln.verify import FACTS, Certificate, Surfaces, VerifierRules, prove_export
 from condvln.verify.completeness import Fault, find_faults, row_counts
 from jobs.pipeline import open_configured
 from jobs.report import Report, Section
@@ -53,7 +53,7 @@ def verify_export(config: Config, export_dir: Path, *, without_store: bool = Fal
     try:
         with ExitStack() as stack:
             streams: dict[str, ByteStream] = {}
-            for certificate in prove_export(export_dir, Rules.of(config), _Scenes(config)):
+            for certificate in prove_export(export_dir, VerifierRules.of(config), _Scenes(config)):
                 tally.add(certificate)
                 name = f"{certificate.split}.jsonl"
                 if name not in streams:

@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.bias.glimpse import Glimpse
+from condvln.bias.guesser_view import GuesserView
 from condvln.bias.guessers import FIXED
 from condvln.bias.learners import LEARNED, NO_GUESS
 from condvln.bias.report import ALL, BiasReport, Finding, Uniformity
@@ -57,9 +57,9 @@ def judge(rows: Iterable[Mapping[str, Any]]) -> BiasReport:
     """
     sample = _Sample()
     for row in rows:
-        sample.add(Glimpse.of(row))
-    glimpses = sample.glimpses()
-    findings = list(_findings(glimpses)) if len(glimpses) >= LEAST_EPISODES else []
+        sample.add(GuesserView.of(row))
+    views = sample.views()
+    findings = list(_findings(views)) if len(views) >= LEAST_EPISODES else []
     cells = [
         Uniformity(source, category, tuple(counts), p_uniform(counts))
         for (source, category), counts in sorted(sample.gold.items())
@@ -68,7 +68,7 @@ def judge(rows: Iterable[Mapping[str, Any]]) -> BiasReport:
     corrected = holm([*(f.p for f in findings), *(cell.p for cell in cells)])
     tested = {(f.source, f.category) for f in findings}
     return BiasReport(
-        episodes=len(glimpses),
+        episodes=len(views),
         groups=len(sample.groups),
         findings=tuple(replace(f, p_holm=p) for f, p in zip(findings, corrected, strict=False)),
         uniformity=tuple(replace(cell, p_holm=p) for cell, p in zip(cells, corrected[len(findings) :], strict=True)),
@@ -81,35 +81,35 @@ class _Sample:
 
     def __init__(self) -> None:
         self.gold: dict[tuple[str, str], list[int]] = {}
-        self.groups: dict[tuple[str, str], tuple[int, Glimpse]] = {}
-        self._cells: dict[tuple[str, str], list[tuple[int, str, Glimpse]]] = {}
+        self.groups: dict[tuple[str, str], tuple[int, GuesserView]] = {}
+        self._cells: dict[tuple[str, str], list[tuple[int, str, GuesserView]]] = {}
 
-    def add(self, glimpse: Glimpse) -> None:
+    def add(self, view: GuesserView) -> None:
         """One more episode."""
-        counts = self.gold.setdefault((glimpse.source, glimpse.category), [0] * len(glimpse.leaves))
-        counts[glimpse.gold] += 1
-        rank = _rank(glimpse.episode_id)
-        if glimpse.group is None:
-            self._keep(rank, glimpse)
+        counts = self.gold.setdefault((view.source, view.category), [0] * len(view.leaves))
+        counts[view.gold] += 1
+        rank = _rank(view.episode_id)
+        if view.group is None:
+            self._keep(rank, view)
             return
-        key = (glimpse.scene, glimpse.group)
+        key = (view.scene, view.group)
         known = self.groups.get(key)
         if known is None or rank < known[0]:
-            self.groups[key] = (rank, glimpse)
+            self.groups[key] = (rank, view)
 
-    def _keep(self, rank: int, glimpse: Glimpse) -> None:
-        cell = self._cells.setdefault((glimpse.source, glimpse.category), [])
-        entry = (-rank, glimpse.episode_id, glimpse)
+    def _keep(self, rank: int, view: GuesserView) -> None:
+        cell = self._cells.setdefault((view.source, view.category), [])
+        entry = (-rank, view.episode_id, view)
         if len(cell) < CELL_CAP:
             heapq.heappush(cell, entry)
         else:
             heapq.heappushpop(cell, entry)
 
-    def glimpses(self) -> list[Glimpse]:
+    def views(self) -> list[GuesserView]:
         """The episodes to guess at, in an order of their own."""
-        for rank, glimpse in self.groups.values():
-            self._keep(rank, glimpse)
-        found = [glimpse for cell in self._cells.values() for _, _, glimpse in cell]
+        for rank, view in self.groups.values():
+            self._keep(rank, view)
+        found = [view for cell in self._cells.values() for _, _, view in cell]
         return sorted(found, key=lambda g: (g.source, g.category, g.scene, g.episode_id))
 
 
@@ -117,13 +117,13 @@ def _rank(episode_id: str) -> int:
     return int.from_bytes(hashlib.blake2b(episode_id.encode(), digest_size=8).digest(), "big")
 
 
-def _findings(glimpses: Sequence[Glimpse]) -> Iterator[Finding]:
-    gold = np.array([glimpse.gold for glimpse in glimpses])
-    chance = np.array([1.0 / len(glimpse.leaves) for glimpse in glimpses])
-    scene = np.unique([glimpse.scene for glimpse in glimpses], return_inverse=True)[1]
-    source = np.array([glimpse.source for glimpse in glimpses])
-    category = np.array([CATEGORIES.index(glimpse.category) for glimpse in glimpses])
-    for name, guess in _guesses(glimpses, source).items():
+def _findings(views: Sequence[GuesserView]) -> Iterator[Finding]:
+    gold = np.array([view.gold for view in views])
+    chance = np.array([1.0 / len(view.leaves) for view in views])
+    scene = np.unique([view.scene for view in views], return_inverse=True)[1]
+    source = np.array([view.source for view in views])
+    category = np.array([CATEGORIES.index(view.category) for view in views])
+    for name, guess in _guesses(views, source).items():
         for where, what, inside in _parts(source, category, guess != NO_GUESS):
             right = guess[inside] == gold[inside]
             own, scenes = chance[inside], scene[inside]
@@ -142,14 +142,14 @@ def _findings(glimpses: Sequence[Glimpse]) -> Iterator[Finding]:
             )
 
 
-def _guesses(glimpses: Sequence[Glimpse], source: NDArray[np.str_]) -> dict[str, NDArray[np.int64]]:
+def _guesses(views: Sequence[GuesserView], source: NDArray[np.str_]) -> dict[str, NDArray[np.int64]]:
     """By guesser the leaf guessed for each episode; who learns, learns from one source."""
-    found = {name: np.array([guesser(g) for g in glimpses], dtype=np.int64) for name, guesser in FIXED.items()}
+    found = {name: np.array([guesser(g) for g in views], dtype=np.int64) for name, guesser in FIXED.items()}
     for name, learner in LEARNED.items():
-        found[name] = np.full(len(glimpses), NO_GUESS, dtype=np.int64)
+        found[name] = np.full(len(views), NO_GUESS, dtype=np.int64)
         for family in np.unique(source):
             mine = np.flatnonzero(source == family)
-            found[name][mine] = learner([glimpses[k] for k in mine.tolist()])
+            found[name][mine] = learner([views[k] for k in mine.tolist()])
     return found
 
 

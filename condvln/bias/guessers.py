@@ -5,37 +5,37 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Final
 
-from condvln.bias.glimpse import Glimpse
+from condvln.bias.guesser_view import GuesserView
 from condvln.labels import vocabulary
 from schemas.program import SHAPES
 
 __all__ = ["FIXED", "Guesser"]
 
-Guesser = Callable[[Glimpse], int]
+Guesser = Callable[[GuesserView], int]
 
 
-def _constant(glimpse: Glimpse, truth: bool) -> int:
-    branches = SHAPES[glimpse.category].branches
+def _constant(view: GuesserView, truth: bool) -> int:
+    branches = SHAPES[view.category].branches
     at = 0
     while at >= 0:
         at = branches[at].then if truth else branches[at].otherwise
     return -1 - at
 
 
-def always_then(glimpse: Glimpse) -> int:
+def always_then(view: GuesserView) -> int:
     """The leaf to which nothing but yes leads."""
-    return _constant(glimpse, True)
+    return _constant(view, True)
 
 
-def always_else(glimpse: Glimpse) -> int:
+def always_else(view: GuesserView) -> int:
     """The leaf to which nothing but no leads."""
-    return _constant(glimpse, False)
+    return _constant(view, False)
 
 
-def last_named(glimpse: Glimpse) -> int:
+def last_named(view: GuesserView) -> int:
     """The leaf whose goal the text names last; texts may tell the else part first."""
-    text = glimpse.text.lower()
-    places = [text.rfind(_noun(leaf.labels[-1])) for leaf in glimpse.leaves]
+    text = view.text.lower()
+    places = [text.rfind(_noun(leaf.labels[-1])) for leaf in view.leaves]
     return places.index(max(places))
 
 
@@ -43,19 +43,19 @@ def _noun(label: str) -> str:
     return vocabulary.entry(label).noun if vocabulary.fit_for_text(label) else label
 
 
-def nearest(glimpse: Glimpse) -> int:
+def nearest(view: GuesserView) -> int:
     """The leaf whose goal is nearest."""
-    return _least([leaf.distance for leaf in glimpse.leaves])
+    return _least([leaf.distance for leaf in view.leaves])
 
 
-def farthest(glimpse: Glimpse) -> int:
+def farthest(view: GuesserView) -> int:
     """The leaf whose goal is farthest."""
-    return _least([-leaf.distance for leaf in glimpse.leaves])
+    return _least([-leaf.distance for leaf in view.leaves])
 
 
-def longest_route(glimpse: Glimpse) -> int:
+def longest_route(view: GuesserView) -> int:
     """The leaf with the longest way by its subgoals."""
-    return _least([-leaf.route for leaf in glimpse.leaves])
+    return _least([-leaf.route for leaf in view.leaves])
 
 
 def _least(values: list[float]) -> int:

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from condvln.bias.blocks import progressive
-from condvln.bias.glimpse import Asked, Glimpse
+from condvln.bias.guesser_view import Asked, GuesserView
 from condvln.labels import vocabulary
 from schemas.program import SHAPES, Category
 
 __all__ = ["LEARNED", "NO_GUESS", "Learner", "leaf_truths"]
 
 Guesses = NDArray[np.int64]
-Learner = Callable[[Sequence[Glimpse]], Guesses]
+Learner = Callable[[Sequence[GuesserView]], Guesses]
 """Guesses for the episodes of one source, each learned from scenes that come before; `NO_GUESS` in the first block."""
 
 NO_GUESS: Final = -1
@@ -40,7 +40,7 @@ ITERATIONS: Final = 50
 TOLERANCE: Final = 1e-3
 """Gradient at which a regression ends; the guesses no longer change long before."""
 
-Words = Callable[[Glimpse], Iterable[str]]
+Words = Callable[[GuesserView], Iterable[str]]
 
 
 @cache
@@ -76,16 +76,16 @@ def _usual_truth(category: Category) -> tuple[float, ...]:
     return tuple(share.tolist())
 
 
-def majority_leaf(glimpses: Sequence[Glimpse]) -> Guesses:
+def majority_leaf(views: Sequence[GuesserView]) -> Guesses:
     """The leaf that was gold most often in its category."""
-    guesses = np.full(len(glimpses), NO_GUESS, dtype=np.int64)
-    for learned, guessed in progressive([glimpse.scene for glimpse in glimpses]):
+    guesses = np.full(len(views), NO_GUESS, dtype=np.int64)
+    for learned, guessed in progressive([view.scene for view in views]):
         seen: defaultdict[str, Counter[int]] = defaultdict(Counter)
         for k in learned:
-            seen[glimpses[k].category][glimpses[k].gold] += 1
+            seen[views[k].category][views[k].gold] += 1
         for k in guessed:
-            counts = seen[glimpses[k].category]
-            guesses[k] = max(range(len(glimpses[k].leaves)), key=lambda leaf: (counts[leaf], -leaf))
+            counts = seen[views[k].category]
+            guesses[k] = max(range(len(views[k].leaves)), key=lambda leaf: (counts[leaf], -leaf))
     return guesses
 
 
@@ -96,30 +96,30 @@ def _prior(key: Callable[[Asked], tuple[str, ...]]) -> Learner:
     than its place has it a statement was true.
     """
 
-    def learner(glimpses: Sequence[Glimpse]) -> Guesses:
-        guesses = np.full(len(glimpses), NO_GUESS, dtype=np.int64)
-        for learned, guessed in progressive([glimpse.scene for glimpse in glimpses]):
+    def learner(views: Sequence[GuesserView]) -> Guesses:
+        guesses = np.full(len(views), NO_GUESS, dtype=np.int64)
+        for learned, guessed in progressive([view.scene for view in views]):
             seen: defaultdict[tuple[str, ...], list[float]] = defaultdict(lambda: [0.0, 0.0, 0.0, 0.0])
             for k in learned:
-                usual = _usual_truth(glimpses[k].category)
-                for asked, share in zip(glimpses[k].asked, usual, strict=True):
+                usual = _usual_truth(views[k].category)
+                for asked, share in zip(views[k].asked, usual, strict=True):
                     counts = seen[key(asked)]
                     counts[asked.truth] += 1.0
                     counts[2] += 1.0 - share
                     counts[3] += share
             for k in guessed:
-                guesses[k] = _likeliest(glimpses[k], seen, key)
+                guesses[k] = _likeliest(views[k], seen, key)
         return guesses
 
     return learner
 
 
 def _likeliest(
-    glimpse: Glimpse, seen: Mapping[tuple[str, ...], Sequence[float]], key: Callable[[Asked], tuple[str, ...]]
+    view: GuesserView, seen: Mapping[tuple[str, ...], Sequence[float]], key: Callable[[Asked], tuple[str, ...]]
 ) -> int:
-    usual = _usual_truth(glimpse.category)
+    usual = _usual_truth(view.category)
     odds = []
-    for asked, share in zip(glimpse.asked, usual, strict=True):
+    for asked, share in zip(view.asked, usual, strict=True):
         false, true, usual_false, usual_true = seen.get(key(asked), (0.0, 0.0, 0.0, 0.0))
         odds.append(
             (
@@ -127,18 +127,18 @@ def _likeliest(
                 np.log((true + PRIOR_WEIGHT * share) / (usual_true + PRIOR_WEIGHT * share)),
             )
         )
-    scores = [sum(odds[k][truth] for k, truth in way) for way in leaf_truths(glimpse.category)]
+    scores = [sum(odds[k][truth] for k, truth in way) for way in leaf_truths(view.category)]
     return int(np.argmax(scores))
 
 
 def _in_layout(learner: Learner) -> Learner:
     """One learner a layout, who sees but stagings of it, and guesses at no scene that is none."""
 
-    def guesser(glimpses: Sequence[Glimpse]) -> Guesses:
-        guesses = np.full(len(glimpses), NO_GUESS, dtype=np.int64)
-        for layout in sorted({glimpse.layout for glimpse in glimpses} - {""}):
-            mine = np.array([k for k, glimpse in enumerate(glimpses) if glimpse.layout == layout])
-            guesses[mine] = learner([glimpses[k] for k in mine])
+    def guesser(views: Sequence[GuesserView]) -> Guesses:
+        guesses = np.full(len(views), NO_GUESS, dtype=np.int64)
+        for layout in sorted({view.layout for view in views} - {""}):
+            mine = np.array([k for k, view in enumerate(views) if view.layout == layout])
+            guesses[mine] = learner([views[k] for k in mine])
         return guesses
 
     return guesser
@@ -147,25 +147,25 @@ def _in_layout(learner: Learner) -> Learner:
 def _regression(words: Words) -> Learner:
     """Multinomial logistic regression, one a category."""
 
-    def learner(glimpses: Sequence[Glimpse]) -> Guesses:
-        guesses = np.full(len(glimpses), NO_GUESS, dtype=np.int64)
-        for category in sorted({glimpse.category for glimpse in glimpses}):
-            mine = np.array([k for k, glimpse in enumerate(glimpses) if glimpse.category == category])
+    def learner(views: Sequence[GuesserView]) -> Guesses:
+        guesses = np.full(len(views), NO_GUESS, dtype=np.int64)
+        for category in sorted({view.category for view in views}):
+            mine = np.array([k for k, view in enumerate(views) if view.category == category])
             if len(mine) >= LEAST_EPISODES:
-                guesses[mine] = _regressed([glimpses[k] for k in mine], words)
+                guesses[mine] = _regressed([views[k] for k in mine], words)
         return guesses
 
     return learner
 
 
-def _regressed(glimpses: Sequence[Glimpse], words: Words) -> Guesses:
+def _regressed(views: Sequence[GuesserView], words: Words) -> Guesses:
     # Imported here: it takes a second, and most exports of tests are too small for it.
     from sklearn.linear_model import LogisticRegression
 
-    guesses = np.full(len(glimpses), NO_GUESS, dtype=np.int64)
-    gold = np.array([glimpse.gold for glimpse in glimpses], dtype=np.int64)
-    features = _features(glimpses, words)
-    for learned, guessed in progressive([glimpse.scene for glimpse in glimpses]):
+    guesses = np.full(len(views), NO_GUESS, dtype=np.int64)
+    gold = np.array([view.gold for view in views], dtype=np.int64)
+    features = _features(views, words)
+    for learned, guessed in progressive([view.scene for view in views]):
         if len(np.unique(gold[learned])) < 2 or features.shape[1] == 0:
             guesses[guessed] = gold[learned[0]]
             continue
@@ -176,54 +176,54 @@ def _regressed(glimpses: Sequence[Glimpse], words: Words) -> Guesses:
     return guesses
 
 
-def _features(glimpses: Sequence[Glimpse], words: Words) -> csr_matrix:
+def _features(views: Sequence[GuesserView], words: Words) -> csr_matrix:
     """(episodes, words) 1 where a word stands in an episode, of words that are neither too rare nor everywhere."""
     index: dict[str, int] = {}
-    rows = [np.unique([index.setdefault(word, len(index)) for word in words(glimpse)]) for glimpse in glimpses]
+    rows = [np.unique([index.setdefault(word, len(index)) for word in words(view)]) for view in views]
     columns = np.concatenate(rows).astype(np.int64)
     offsets = np.concatenate([[0], np.cumsum([len(row) for row in rows])])
     counts = np.bincount(columns, minlength=len(index))
-    kept = np.flatnonzero((counts >= LEAST_TEXTS) & (counts <= MOST_TEXTS * len(glimpses)))
-    table = csr_matrix((np.ones(len(columns)), columns, offsets), shape=(len(glimpses), len(index)))
+    kept = np.flatnonzero((counts >= LEAST_TEXTS) & (counts <= MOST_TEXTS * len(views)))
+    table = csr_matrix((np.ones(len(columns)), columns, offsets), shape=(len(views), len(index)))
     return table[:, kept]
 
 
-def _words(glimpse: Glimpse) -> list[str]:
-    text = glimpse.text.lower()
+def _words(view: GuesserView) -> list[str]:
+    text = view.text.lower()
     for mark in ",.;:?":
         text = text.replace(mark, f" {mark}")
     return text.split()
 
 
-def _text_words(glimpse: Glimpse) -> Iterator[str]:
+def _text_words(view: GuesserView) -> Iterator[str]:
     """Words and pairs of neighbouring words, punctuation as words: "; if so" is not "if so"."""
-    found = _words(glimpse)
+    found = _words(view)
     yield from found
     yield from (f"{one} {other}" for one, other in pairwise(found))
 
 
-def _cues(glimpse: Glimpse) -> Iterator[str]:
+def _cues(view: GuesserView) -> Iterator[str]:
     """What each condition asks and each leaf names, with its place in the tree."""
-    for k, asked in enumerate(glimpse.asked):
+    for k, asked in enumerate(view.asked):
         yield f"{k} {asked.label}"
         yield f"{k} {asked.label} in {asked.room}"
         yield f"{k} is {asked.predicate}"
         yield f"{k} by {asked.anchor}"
         yield f"{k} {asked.label} {asked.predicate} {asked.anchor}"
-    for k, leaf in enumerate(glimpse.leaves):
+    for k, leaf in enumerate(view.leaves):
         yield f"leaf {k} {leaf.labels[-1]}"
         yield f"leaf {k} in {leaf.room}"
         yield f"leaf {k} of {len(leaf.labels)} moves"
         yield from (f"leaf {k} by {label}" for label in leaf.labels[:-1])
 
 
-def _form(glimpse: Glimpse) -> Iterator[str]:
+def _form(view: GuesserView) -> Iterator[str]:
     """How a text is said and not what about: its length, its words but for nouns, which conditions are definite."""
-    yield f"{len(glimpse.text.split()) // WORDS_A_CLASS} words"
-    for k, asked in enumerate(glimpse.asked):
+    yield f"{len(view.text.split()) // WORDS_A_CLASS} words"
+    for k, asked in enumerate(view.asked):
         yield f"{k} {'definite' if asked.definite else 'indefinite'} {'relation' if asked.predicate else 'presence'}"
     content = _content_words()
-    words = [word if word not in content else "_" for word in _words(glimpse)]
+    words = [word if word not in content else "_" for word in _words(view)]
     yield from (f"{one} {other}" for one, other in pairwise(words))
 
 

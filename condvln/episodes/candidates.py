@@ -9,7 +9,7 @@ from typing import Final
 import pyarrow as pa
 
 from condvln.instructions.counterfactuals import group_id
-from condvln.instructions.ids import instruction_id
+from condvln.instructions.programs import instruction_id
 from condvln.instructions.sampling import ProgramSampler
 from condvln.instructions.tables import instruction_table, programs_from_table
 from schemas.config import InstructionCell

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from condvln.episodes.floor import floor_points
 from condvln.episodes.footprint import Footprint
 from condvln.episodes.goals import wide_islands
-from condvln.episodes.placing import Prospect
+from condvln.episodes.placing import Outlook
 from condvln.episodes.view import SceneView
 from condvln.labels import Vocabulary, vocabulary
 from condvln.navigation.protocol import PathfinderProtocol
@@ -100,12 +100,12 @@ class Observer:
         self._targets: dict[_Target, SightTarget | None] = {}
         self._seen: dict[tuple[_Target, bytes], Bools] = {}
 
-    def observe(self, placed: Sequence[tuple[Program, Prospect]]) -> list[Observation]:
+    def observe(self, placed: Sequence[tuple[Program, Outlook]]) -> list[Observation]:
         """The observation of each program where it is placed, in their order."""
         asked = [
             {k: self._needs(program.conditions[k]) for k in sorted(set(program.route()[0]))} for program, _ in placed
         ]
-        starts = [eyes_at(prospect.start, self._places.eye_height) for _, prospect in placed]
+        starts = [eyes_at(outlook.start, self._places.eye_height) for _, outlook in placed]
         self._look(
             (target, eye)
             for needs, eye in zip(asked, starts, strict=True)
@@ -116,8 +116,8 @@ class Observer:
             {k: self._known(ways, eye) for k, ways in needs.items()} for needs, eye in zip(asked, starts, strict=True)
         ]
         paths = [
-            np.concatenate([eye, self._eyes_on_the_way(prospect)])
-            for (_, prospect), eye in zip(placed, starts, strict=True)
+            np.concatenate([eye, self._eyes_on_the_way(outlook)])
+            for (_, outlook), eye in zip(placed, starts, strict=True)
         ]
         self._look(
             (target, path)
@@ -127,16 +127,16 @@ class Observer:
             for target in _all(ways)
         )
         found = []
-        for (_, prospect), needs, known, eye, path in zip(placed, asked, at_start, starts, paths, strict=True):
+        for (_, outlook), needs, known, eye, path in zip(placed, asked, at_start, starts, paths, strict=True):
             evidence = []
             for k, ways in needs.items():
                 level: Observability = "O0" if known[k] else "O1" if self._known(ways, path) else "O2"
-                evidence.append(ConditionEvidence(k, level, known[k] and self._known(ways, eye, prospect.yaw)))
+                evidence.append(ConditionEvidence(k, level, known[k] and self._known(ways, eye, outlook.yaw)))
             found.append(Observation(tuple(evidence), self._view.approximate))
         return found
 
-    def _eyes_on_the_way(self, prospect: Prospect) -> F64:
-        prefix = common_prefix(prospect.paths)
+    def _eyes_on_the_way(self, outlook: Outlook) -> F64:
+        prefix = common_prefix(outlook.paths)
         return eyes_at(_spaced(prefix, EYE_SPACING)[1:], self._places.eye_height)
 
     def _needs(self, condition: Condition) -> _Needs:

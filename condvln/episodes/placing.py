@@ -25,10 +25,10 @@ from schemas.config import EpisodeConfig, PlacesConfig
 from schemas.program import Program
 
 __all__ = [
+    "Outlook",
     "PlacedLeaf",
     "Placement",
     "Placer",
-    "Prospect",
     "Rejected",
     "heading_degrees",
     "reachable_stops",
@@ -77,7 +77,7 @@ class PlacedLeaf:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Prospect:
+class Outlook:
     """What an agent may see before it must choose: start (3,), yaw in radians about +Y, and the way (n, 3) to each
     leaf."""
 
@@ -86,7 +86,7 @@ class Prospect:
     paths: tuple[F64, ...]
 
 
-Fit: TypeAlias = Callable[[Prospect], float | None]
+Fit: TypeAlias = Callable[[Outlook], float | None]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -99,9 +99,9 @@ class Placement:
     success_distance: float
 
     @property
-    def prospect(self) -> Prospect:
+    def outlook(self) -> Outlook:
         """What may be seen of it."""
-        return Prospect(self.start, self.yaw, tuple(leaf.route.path for leaf in self.leaves))
+        return Outlook(self.start, self.yaw, tuple(leaf.route.path for leaf in self.leaves))
 
     @property
     def steps(self) -> int:
@@ -304,7 +304,7 @@ class Placer:
         if lengths is not None and not all(lengths[0] <= route.length <= lengths[1] for route in routes):
             raise Rejected(ROUTE_MISSED)
         if fit is not None:
-            fitting = fit(Prospect(start, yaw, tuple(route.path for route in routes)))
+            fitting = fit(Outlook(start, yaw, tuple(route.path for route in routes)))
             if fitting is None:
                 raise Rejected(NOT_FIT)
             yaw = fitting

@@ -11,11 +11,11 @@ from typing import Final
 from condvln.episodes.candidates import Candidate
 from condvln.episodes.label_share import allowed_share, most_leaves, over_share
 from condvln.episodes.observability import FIRST_VIEW, Observation, Observer
-from condvln.episodes.placing import Fit, Placement, Placer, Prospect, Rejected
+from condvln.episodes.placing import Fit, Outlook, Placement, Placer, Rejected
 from schemas.config import InstructionCell
 from schemas.program import SHAPES, Program
 
-__all__ = ["Pool", "PooledEpisode", "fill_pool"]
+__all__ = ["EpisodePool", "PooledEpisode", "fill_pool"]
 
 QUARTERS: Final = tuple(k * math.pi / 2 for k in range(4))
 """Turns of a start whose first view must show the evidence; they keep a compass point a compass point."""
@@ -44,7 +44,7 @@ class PooledEpisode:
 
 
 @dataclass
-class Pool:
+class EpisodePool:
     """What one scene yields: its episodes in the order of their candidates, and why the others failed.
 
     candidates : how many there were, by cell, of groups under None; each is an episode or is rejected once
@@ -75,7 +75,7 @@ def fill_pool(
     names_compass: Callable[[Program], bool],
     observer: Observer | None = None,
     groups: int = 0,
-) -> Pool:
+) -> EpisodePool:
     """Place candidates in their order until every cell has what is wanted.
 
     Within a cell no gold index gets more than its equal share, so that position says nothing. `label_cap` bounds the
@@ -166,9 +166,9 @@ class _Filling:
                         self._count(one, 1)
                         refilling = True
 
-    def pool(self, tries: Sequence[_Try]) -> Pool:
+    def pool(self, tries: Sequence[_Try]) -> EpisodePool:
         """What came of them all, observed."""
-        pool = Pool()
+        pool = EpisodePool()
         for one in tries:
             pool.candidates[one.cell] += len(one.members)
             if one.refused is not None:
@@ -182,7 +182,7 @@ class _Filling:
                 own = replace(one.placement, leaves=tuple(one.placement.leaves[k] for k in places))
                 pool.episodes.append(PooledEpisode(member, own))
         if self._observer is not None:
-            found = self._observer.observe([(e.program, e.placement.prospect) for e in pool.episodes])
+            found = self._observer.observe([(e.program, e.placement.outlook) for e in pool.episodes])
             pool.episodes = [replace(e, observation=o) for e, o in zip(pool.episodes, found, strict=True)]
         return pool
 
@@ -240,10 +240,10 @@ class _Filling:
         assert observer is not None, "a cell asks for an observability and nothing tells it"
         turns = QUARTERS if asked == FIRST_VIEW else QUARTERS[:1]
 
-        def fit(prospect: Prospect) -> float | None:
+        def fit(outlook: Outlook) -> float | None:
             for turn in turns:
-                yaw = math.remainder(prospect.yaw + turn, 2 * math.pi)
-                if observer.observe([(program, replace(prospect, yaw=yaw))])[0].fits(asked):
+                yaw = math.remainder(outlook.yaw + turn, 2 * math.pi)
+                if observer.observe([(program, replace(outlook, yaw=yaw))])[0].fits(asked):
                     return yaw
             return None
 

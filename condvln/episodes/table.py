@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from condvln.episodes.candidates import cell_name
 from condvln.episodes.observability import Observation
 from condvln.episodes.placing import PlacedLeaf, heading_degrees, yaw_quaternion
-from condvln.episodes.pool import Pool, PooledEpisode
+from condvln.episodes.pool import EpisodePool, PooledEpisode
 from condvln.scene import round_mm
 from schemas.config import InstructionCell
 from schemas.config.constants import GROUP_SIZE
@@ -73,7 +73,9 @@ def goals_from_table(table: pa.Table) -> dict[str, NDArray[np.float64]]:
     }
 
 
-def placements_table(scene_id: str, pool: Pool, compositions: Mapping[str, str], navmesh_sha256: str) -> pa.Table:
+def placements_table(
+    scene_id: str, pool: EpisodePool, compositions: Mapping[str, str], navmesh_sha256: str
+) -> pa.Table:
     """The pool's episodes as PLACEMENTS rows; `compositions` by instruction id."""
     rows = [_row(scene_id, e, compositions[e.instruction_id], navmesh_sha256) for e in pool.episodes]
     return pa.Table.from_pylist(rows, schema=PLACEMENTS)
@@ -181,7 +183,7 @@ def rejections_table(
     return pa.Table.from_pylist(rows, schema=REJECTIONS)
 
 
-def funnel_table(scene_id: str, cells: Sequence[InstructionCell], pool: Pool, groups: int = 0) -> pa.Table:
+def funnel_table(scene_id: str, cells: Sequence[InstructionCell], pool: EpisodePool, groups: int = 0) -> pa.Table:
     """What came of each cell that was wanted, and of counterfactual groups, as FUNNEL rows; all count episodes."""
     placed = pool.placed
     wanted: list[tuple[InstructionCell | None, int]] = [(cell, cell.count) for cell in cells]

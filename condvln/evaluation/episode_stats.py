@@ -18,7 +18,7 @@ import numpy as np
 
 from condvln.evaluation.branching import NO_LEAF
 from condvln.evaluation.evaluate import AXES, Evaluation
-from condvln.evaluation.score import Rules, Score
+from condvln.evaluation.score import Score, ScoreRules
 from condvln.evaluation.task import Task
 from condvln.formats.json_entries import document, head
 from schemas.errors import FormatError
@@ -148,7 +148,7 @@ def evaluation_of_stats(
     rows = [_row(task, stats.get(task.episode_id)) for task in tasks]
     return Evaluation(
         agent,
-        Rules(),
+        ScoreRules(),
         tuple(task.episode_id for task in tasks),
         tuple(task.group_id for task in tasks),
         {axis: np.array([task.axes[axis] for task in tasks], dtype=object) for axis in AXES},

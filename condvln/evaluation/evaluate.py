@@ -9,9 +9,9 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from condvln.evaluation.nearness import Nearness
+from condvln.evaluation.goal_distances import Nearness
 from condvln.evaluation.predictions import Prediction
-from condvln.evaluation.score import Rules, Score, score
+from condvln.evaluation.score import Score, ScoreRules, score
 from condvln.evaluation.task import Task
 from condvln.export.rxr import numeric_id
 from condvln.navigation.protocol import PathfinderProtocol
@@ -53,7 +53,7 @@ class Evaluation:
     """
 
     agent: str
-    rules: Rules
+    rules: ScoreRules
     episode_ids: tuple[str, ...]
     group_ids: tuple[str | None, ...]
     axes: Mapping[str, npt.NDArray[np.object_]]
@@ -79,7 +79,7 @@ def evaluate(
     tasks: Sequence[Task],
     predictions: Iterable[Prediction],
     pathfinder_of: PathfinderOf,
-    rules: Rules | None = None,
+    rules: ScoreRules | None = None,
     *,
     agent: str = "agent",
     where: str = "",
@@ -99,7 +99,7 @@ def evaluate(
     ------
     FormatError : a prediction of an unknown episode, or two of one, or one that starts elsewhere
     """
-    rules = rules or Rules()
+    rules = rules or ScoreRules()
     numbers = {task.episode_id: number for number, task in enumerate(tasks)}
     aliases = {str(numeric_id(name)): name for name in numbers}
     scores: list[Score | None] = [None] * len(tasks)

@@ -25,7 +25,7 @@ from condvln.evaluation.discrete import (
 )
 from condvln.evaluation.evaluate import AXES, SWEPT, Evaluation
 from condvln.evaluation.predictions import GraphPrediction
-from condvln.evaluation.score import Rules, Score
+from condvln.evaluation.score import Score, ScoreRules
 from condvln.evaluation.task import Task
 from condvln.export.rxr import numeric_id
 from condvln.navigation.graph_pathfinder import GraphPathfinder
@@ -104,7 +104,7 @@ class GraphSplit:
         of_episode = self._of_episode
         return Evaluation(
             agent,
-            Rules(success_distance=ERROR_MARGIN),
+            ScoreRules(success_distance=ERROR_MARGIN),
             tuple(episode.instruction_id for episode in self._episodes),
             tuple(task.group_id if task is not None else None for task in of_episode),
             {axis: np.array([self._axis(row, axis) for row in range(len(of_episode))], dtype=object) for axis in AXES},

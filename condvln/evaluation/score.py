@@ -9,14 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from condvln.evaluation.branching import NO_LEAF, committed_leaf, first_divergence
+from condvln.evaluation.goal_distances import Nearness, SnappedPath
 from condvln.evaluation.measures import FIDELITY_DISTANCE, cls, ndtw, path_length, spl
-from condvln.evaluation.nearness import Nearness, SnappedPath
 from condvln.evaluation.predictions import Prediction
 from condvln.evaluation.subgoals import DistanceMode, reached_in_order, reached_in_order_euclidean
 from condvln.evaluation.task import Task
 from schemas.errors import FormatError
 
-__all__ = ["START_TOLERANCE", "Rules", "Score", "score"]
+__all__ = ["START_TOLERANCE", "Score", "ScoreRules", "score"]
 
 START_TOLERANCE: Final = 0.25
 """Metres a path may begin away from the episode's start: one forward step. More means another episode or another
@@ -27,7 +27,7 @@ Points = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Rules:
+class ScoreRules:
     """How episodes are judged; the defaults are those of docs/metrics.md. Metres."""
 
     distance: DistanceMode = "geodesic"
@@ -91,7 +91,7 @@ class _Walk:
     collisions: float
 
 
-def score(task: Task, prediction: Prediction | None, nearness: Nearness, rules: Rules, where: str = "") -> Score:
+def score(task: Task, prediction: Prediction | None, nearness: Nearness, rules: ScoreRules, where: str = "") -> Score:
     """Measures of what ``prediction`` did in ``task``; a missing prediction and an empty path are failures.
 
     Raises
@@ -154,7 +154,7 @@ def _check_start(task: Task, prediction: Prediction, where: str) -> None:
         )
 
 
-def _judged(task: Task, prediction: Prediction, nearness: Nearness, rules: Rules) -> _Walk:
+def _judged(task: Task, prediction: Prediction, nearness: Nearness, rules: ScoreRules) -> _Walk:
     positions, stopped, collided = prediction.positions, prediction.stopped, prediction.collided
     over = rules.keep_budget and prediction.counts_actions and len(positions) - 1 > task.max_steps
     if over:
@@ -163,7 +163,7 @@ def _judged(task: Task, prediction: Prediction, nearness: Nearness, rules: Rules
     return _Walk(nearness.snap(positions), stopped, over, collisions)
 
 
-def _reached(task: Task, walk: _Walk, nearness: Nearness, rules: Rules, radius: float) -> int:
+def _reached(task: Task, walk: _Walk, nearness: Nearness, rules: ScoreRules, radius: float) -> int:
     if rules.distance == "euclidean":
         return reached_in_order_euclidean(walk.path.positions, task.gold.subgoals, radius)
     return reached_in_order(nearness, walk.path, task.gold.subgoals, radius)

@@ -10,7 +10,7 @@ from condvln.evaluation.episode_stats import evaluation_of_stats, is_episode_sta
 from condvln.evaluation.evaluate import Evaluation, evaluate
 from condvln.evaluation.graph_split import GraphSplit, r2r_file
 from condvln.evaluation.predictions import detect_format, read_graph_predictions, read_predictions
-from condvln.evaluation.score import Rules
+from condvln.evaluation.score import ScoreRules
 from condvln.evaluation.task import Task, read_tasks
 from condvln.export.graphs import GraphFolder
 from condvln.manifest import manifest_path, manifest_paths
@@ -24,7 +24,7 @@ __all__ = ["SplitOptions", "evaluate_split", "split_tasks"]
 class SplitOptions:
     """How files are read and judged."""
 
-    rules: Rules = field(default_factory=Rules)
+    rules: ScoreRules = field(default_factory=ScoreRules)
     radii: tuple[float, ...] = ()
     """Success distances of a sweep, metres."""
     navmesh_roots: tuple[Path, ...] = ()
@@ -70,7 +70,7 @@ def evaluate_split(
         raise UsageError("two prediction files have one name", remedy="Agents are named after their files: rename one")
     discrete = [not is_episode_stats(path) and detect_format(path) == "r2r" for path in predictions]
     if all(discrete):
-        if options.rules != Rules() or options.assume_stop:
+        if options.rules != ScoreRules() or options.assume_stop:
             raise UsageError(
                 "paths over viewpoints are judged by R2R's rules alone",
                 remedy="Leave out what is said of distances, of nDTW and of STOP.",

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from condvln.evaluation.nearness import Nearness, SnappedPath
+from condvln.evaluation.goal_distances import Nearness, SnappedPath
 
 __all__ = ["DistanceMode", "reached_in_order", "reached_in_order_euclidean"]
 

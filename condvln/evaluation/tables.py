@@ -153,7 +153,12 @@ def sweep_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Table:
     columns = (Column("success_distance", "τ", "metres"), _AGENT, *_SWEEP_COLUMNS, _EPISODES)
     assert {column.key for column in _SWEEP_COLUMNS} == {*SWEPT}
     rows = tuple(
-        (Cell(row.group["success_distance"]), Cell(agent), *_cells(row, _SWEEP_COLUMNS), Cell(row.episodes))
+        (
+            Cell(row.group["success_distance"]),
+            Cell(agent),
+            *_cells(row, _SWEEP_COLUMNS),
+            Cell(row.episodes),
+        )
         for agent, row in found
     )
     return Table("sweep", "Success distance swept", columns, rows, blocks=1)
@@ -300,7 +305,12 @@ def _grouped(
     told = [row for found in blocks.values() for _, row in found]
     columns = [column for column in columns if any(row.estimates[column.key].n for row in told)]
     rows = tuple(
-        (*(Cell("" if p is None else str(p)) for p in key), Cell(agent), *_cells(row, columns), Cell(row.episodes))
+        (
+            *(Cell("" if p is None else str(p)) for p in key),
+            Cell(agent),
+            *_cells(row, columns),
+            Cell(row.episodes),
+        )
         for key, found in blocks.items()
         for agent, row in found
     )

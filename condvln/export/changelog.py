@@ -19,7 +19,7 @@ import numpy.typing as npt
 import orjson
 import pyarrow as pa
 
-from condvln.export.pool import FIT, Hashes, Pool, hashes_of
+from condvln.export.pool import FIT, ExportPool, Hashes, hashes_of
 from condvln.export.splits import SPLITS, Split
 from condvln.manifest import manifest_lines, manifest_path
 from schemas.errors import InputError
@@ -118,7 +118,7 @@ class Generated:
     reasons: tuple[str, ...]
 
     @classmethod
-    def of(cls, pool: Pool) -> Generated:
+    def of(cls, pool: ExportPool) -> Generated:
         """What of a pool is needed to tell why an episode came or went."""
         order = np.argsort(pool.episode)
         return cls(pool.episode[order], pool.unfit[order], pool.reasons)

@@ -21,7 +21,16 @@ from condvln.export.tokens import longer_than
 from schemas.errors import StoreError
 from schemas.program import CATEGORIES
 
-__all__ = ["FIT", "INSTRUCTION_COLUMNS", "POOL_COLUMNS", "STEP_CEILING", "Hashes", "Pool", "PoolBuilder", "hashes_of"]
+__all__ = [
+    "FIT",
+    "INSTRUCTION_COLUMNS",
+    "POOL_COLUMNS",
+    "STEP_CEILING",
+    "ExportPool",
+    "Hashes",
+    "PoolBuilder",
+    "hashes_of",
+]
 
 POOL_COLUMNS: Final = (
     "scene_id",
@@ -55,7 +64,7 @@ Hashes = npt.NDArray[np.uint64]
 
 
 @dataclass(frozen=True)
-class Pool:
+class ExportPool:
     """One entry an episode, in the order in which the snapshot is read.
 
     ``source``, ``scene``, ``category``, ``stratum`` and ``unfit`` are indices into names; ``episode``, ``instruction``
@@ -168,7 +177,7 @@ class PoolBuilder:
         for name, values in columns.items():
             self._columns.setdefault(name, []).append(values)
 
-    def build(self) -> Pool:
+    def build(self) -> ExportPool:
         """All that was added.
 
         Raises
@@ -191,7 +200,7 @@ class PoolBuilder:
         def codes(name: str) -> Codes:
             return columns[name].astype(np.int64)
 
-        return Pool(
+        return ExportPool(
             sources=self._sources.listed(),
             scenes=self._scenes.listed(),
             strata=self._strata.listed(),

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from condvln.bias import BiasReport
-from condvln.export.selection import Cell
+from condvln.export.selection import SelectionCell
 from schemas.version import SCHEMA_VERSION
 
 __all__ = ["ExportReport", "WrittenFile"]
@@ -30,7 +30,7 @@ class ExportReport:
     episodes: dict[str, int] = field(default_factory=dict)
     scenes: dict[str, list[str]] = field(default_factory=dict)
     """By split, ``<source>/<scene>``."""
-    cells: list[Cell] = field(default_factory=list)
+    cells: list[SelectionCell] = field(default_factory=list)
     left_out: dict[str, int] = field(default_factory=dict)
     """Episodes of the pool in no split, by reason."""
     empty_splits: dict[str, str] = field(default_factory=dict)
@@ -53,7 +53,7 @@ class ExportReport:
     """By path below the export's folder."""
 
     @property
-    def shortfalls(self) -> list[Cell]:
+    def shortfalls(self) -> list[SelectionCell]:
         """Cells with fewer episodes than were wanted."""
         return [cell for cell in self.cells if cell.shortfall]
 

@@ -15,12 +15,12 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from condvln.export.pool import FIT, Pool
+from condvln.export.pool import FIT, ExportPool
 from condvln.export.splits import GROUPS, SPLITS, Group, Split, fractions, scene_group
 from schemas.config import SplitsConfig
 from schemas.program import CATEGORIES, SHAPES, Category
 
-__all__ = ["OUT", "VERSION", "Cell", "Selection", "select"]
+__all__ = ["OUT", "VERSION", "Selection", "SelectionCell", "select"]
 
 OUT: Final = -1
 """Code of an episode that is in no split."""
@@ -39,7 +39,7 @@ Terms = list[tuple[int, int]]
 
 
 @dataclass(frozen=True)
-class Cell:
+class SelectionCell:
     """One split × source × category × gold leaf: what there was, what was wanted of it, and what was taken."""
 
     split: Split
@@ -61,7 +61,7 @@ class Selection:
     """``split[i]`` is the index into :data:`SPLITS` of episode ``i`` of the pool, or :data:`OUT`."""
 
     split: npt.NDArray[np.int8]
-    cells: list[Cell] = field(default_factory=list)
+    cells: list[SelectionCell] = field(default_factory=list)
     left_out: Counter[str] = field(default_factory=Counter)
     truth_imbalance: dict[str, float] = field(default_factory=dict)
     """By source: Σ |true − false| ÷ Σ (true + false) over label × room type × kind of condition, before and after."""
@@ -69,7 +69,7 @@ class Selection:
     """Splits that were asked for and have no episode, with the reason."""
 
 
-def select(pool: Pool, config: SplitsConfig) -> Selection:
+def select(pool: ExportPool, config: SplitsConfig) -> Selection:
     """Choose and place; the same pool and configuration give the same answer, whatever the order of their names."""
     selection = Selection(np.full(len(pool), OUT, dtype=np.int8))
     placed = _place(pool, config, selection.left_out)
@@ -104,7 +104,7 @@ def select(pool: Pool, config: SplitsConfig) -> Selection:
     return selection
 
 
-def _empty_splits(pool: Pool, config: SplitsConfig, selection: Selection) -> dict[Split, str]:
+def _empty_splits(pool: ExportPool, config: SplitsConfig, selection: Selection) -> dict[Split, str]:
     """Why splits have no episode. One that the configuration gives no share and no scenes is not asked for."""
     groups = Counter(scene_group(family, scene, config) for family, scene in pool.scenes)
     shares = dict(zip(GROUPS, config.fractions, strict=True))
@@ -130,7 +130,7 @@ def _empty_splits(pool: Pool, config: SplitsConfig, selection: Selection) -> dic
     return found
 
 
-def _place(pool: Pool, config: SplitsConfig, left_out: Counter[str]) -> npt.NDArray[np.int8]:
+def _place(pool: ExportPool, config: SplitsConfig, left_out: Counter[str]) -> npt.NDArray[np.int8]:
     """Split of each episode fit for one; no unit and no program falls into two."""
     groups = [scene_group(family, scene, config) for family, scene in pool.scenes]
     by_group = {"train": SPLITS.index("train"), "val_unseen": SPLITS.index("val_unseen"), "test": SPLITS.index("test")}
@@ -156,7 +156,7 @@ def _place(pool: Pool, config: SplitsConfig, left_out: Counter[str]) -> npt.NDAr
     return kept
 
 
-def _seeded_order(pool: Pool, seed: int) -> npt.NDArray[np.int64]:
+def _seeded_order(pool: ExportPool, seed: int) -> npt.NDArray[np.int64]:
     """All episodes by the hash of their id, but one of each scene before the second of any."""
     by_hash = np.argsort(fractions(pool.episode, seed, "order"), kind="stable")
     by_scene = by_hash[np.argsort(pool.scene[by_hash], kind="stable")]
@@ -167,7 +167,7 @@ def _seeded_order(pool: Pool, seed: int) -> npt.NDArray[np.int64]:
     return by_hash[np.argsort(turn[by_hash], kind="stable")]
 
 
-def _groups(pool: Pool, block: npt.NDArray[np.int64]) -> list[list[int]]:
+def _groups(pool: ExportPool, block: npt.NDArray[np.int64]) -> list[list[int]]:
     """Rows of each counterfactual group of a block, in the order in which it has their first."""
     groups: dict[int, list[int]] = defaultdict(list)
     for row in block[pool.grouped[block]].tolist():
@@ -175,7 +175,7 @@ def _groups(pool: Pool, block: npt.NDArray[np.int64]) -> list[list[int]]:
     return list(groups.values())
 
 
-def _with_fitting_groups(pool: Pool, block: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+def _with_fitting_groups(pool: ExportPool, block: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
     """The block without the counterfactual groups that can't all be taken where every leaf is taken equally often.
 
     A group is taken as a whole or not at all, so that of what it has too many of one leaf nothing else makes up.
@@ -199,7 +199,7 @@ def _with_fitting_groups(pool: Pool, block: npt.NDArray[np.int64]) -> npt.NDArra
         most = reached
 
 
-def _quotas(pool: Pool, blocks: dict[int, npt.NDArray[np.int64]], per_cell: int | None) -> dict[int, int]:
+def _quotas(pool: ExportPool, blocks: dict[int, npt.NDArray[np.int64]], per_cell: int | None) -> dict[int, int]:
     """Episodes of each leaf that each source gives: as many as its scarcest leaf has, the sources sharing
     ``per_cell`` evenly."""
     most = {source: _scarcest_leaf(pool, block) for source, block in blocks.items()}
@@ -215,7 +215,7 @@ def _quotas(pool: Pool, blocks: dict[int, npt.NDArray[np.int64]], per_cell: int 
     return given
 
 
-def _wanted(pool: Pool, quotas: dict[int, int], per_cell: int | None) -> dict[int, int]:
+def _wanted(pool: ExportPool, quotas: dict[int, int], per_cell: int | None) -> dict[int, int]:
     """Episodes of each leaf that each source should give, ``per_cell`` together: what it gives, and of what all lack
     together its share."""
     wanted = dict(quotas)
@@ -229,7 +229,7 @@ def _wanted(pool: Pool, quotas: dict[int, int], per_cell: int | None) -> dict[in
     return wanted
 
 
-def _scarcest_leaf(pool: Pool, block: npt.NDArray[np.int64]) -> int:
+def _scarcest_leaf(pool: ExportPool, block: npt.NDArray[np.int64]) -> int:
     if len(block) == 0:
         return 0
     leaves = int(pool.n_leaves[block[0]])
@@ -239,7 +239,7 @@ def _scarcest_leaf(pool: Pool, block: npt.NDArray[np.int64]) -> int:
 class _Picker:
     """Takes ``quota`` episodes of each leaf from one split × source × category."""
 
-    def __init__(self, pool: Pool, block: npt.NDArray[np.int64], quota: int, balance: list[int]) -> None:
+    def __init__(self, pool: ExportPool, block: npt.NDArray[np.int64], quota: int, balance: list[int]) -> None:
         self._pool = pool
         self._balance = balance
         self._block = block
@@ -333,24 +333,24 @@ class _Queue:
 
 
 def _cells(
-    pool: Pool,
+    pool: ExportPool,
     split: Split,
     source: int,
     category: Category,
     block: npt.NDArray[np.int64],
     taken: npt.NDArray[np.int64],
     wanted: int,
-) -> list[Cell]:
+) -> list[SelectionCell]:
     leaves = SHAPES[category].leaves
     available = np.bincount(pool.leaf[block], minlength=leaves)
     selected = np.bincount(pool.leaf[taken], minlength=leaves)
     return [
-        Cell(split, pool.sources[source], category, leaf, int(available[leaf]), wanted, int(selected[leaf]))
+        SelectionCell(split, pool.sources[source], category, leaf, int(available[leaf]), wanted, int(selected[leaf]))
         for leaf in range(leaves)
     ]
 
 
-def _imbalance(pool: Pool, inside: npt.NDArray[np.bool_]) -> float:
+def _imbalance(pool: ExportPool, inside: npt.NDArray[np.bool_]) -> float:
     """Σ |true − false| ÷ Σ (true + false) over the kinds of condition of the episodes ``inside``."""
     chosen = np.repeat(inside, np.diff(pool.offsets))
     kinds, truths = pool.conditions[chosen], pool.truths[chosen]

@@ -1,15 +1,14 @@
 """Relation graph → typed conditional programs → text, and text → reading."""
 
 from condvln.instructions.counterfactuals import counterfactual_group, group_id
-from condvln.instructions.ids import instruction_id, program_key
-from condvln.instructions.oracle import oracle_linear
 from condvln.instructions.parsing import parse
 from condvln.instructions.priors import LabelPriors, PriorBits
-from condvln.instructions.reading import Reading, reading_of
+from condvln.instructions.programs import instruction_id, oracle_linear, program_key
 from condvln.instructions.rendering import names_compass, render, render_moves, voice_of, with_preamble
 from condvln.instructions.sampling import ProgramSampler
 from condvln.instructions.stops import Stops, apart_by_centres
 from condvln.instructions.tables import instruction_table, programs_from_table
+from condvln.instructions.text_reading import Reading, reading_of
 
 __all__ = [
     "LabelPriors",

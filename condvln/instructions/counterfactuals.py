@@ -9,11 +9,11 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator
 
-from condvln.instructions.asking import Asker
+from condvln.instructions.condition_sampler import ConditionSampler
 from condvln.instructions.degeneracy import degeneracies
-from condvln.instructions.draws import Draws
-from condvln.instructions.ids import ID_LENGTH, program_key
+from condvln.instructions.programs import ID_LENGTH, program_key
 from condvln.labels import Vocabulary
+from condvln.seeding import Draws
 from schemas.program import Condition, Program
 
 __all__ = ["Group", "counterfactual_group", "flipped", "group_id", "swapped"]
@@ -22,14 +22,16 @@ Group = tuple[Program, Program, Program, Program]
 """The program; its condition flipped; its leaves exchanged; both."""
 
 
-def counterfactual_group(program: Program, asker: Asker, draws: Draws, vocabulary: Vocabulary) -> Group | None:
+def counterfactual_group(
+    program: Program, condition_sampler: ConditionSampler, draws: Draws, vocabulary: Vocabulary
+) -> Group | None:
     """The group of `program`; None where no condition on its route has a twin.
 
     The condition is one that the gold route asks and whose flip changes the gold leaf, the last such first: it decides
     between the fewest leaves. The leaves exchanged are the gold ones before and after the flip.
     """
     for index, leaf in _decisive(program):
-        twin = asker.twin(program, index, draws)
+        twin = condition_sampler.twin(program, index, draws)
         if twin is not None:
             other = flipped(program, index, twin)
             group = (

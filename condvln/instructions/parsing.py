@@ -16,7 +16,7 @@ from lark import Lark, Token, Tree
 from lark.exceptions import LarkError, UnexpectedInput
 
 from condvln.instructions.language import Language, Slot, language
-from condvln.instructions.reading import Phrase, Place, Reading
+from condvln.instructions.text_reading import Phrase, Place, Reading
 from schemas.errors import FormatError
 from schemas.program import CATEGORIES, SHAPES, Category, Predicate
 

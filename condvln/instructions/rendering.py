@@ -10,10 +10,9 @@ from __future__ import annotations
 from bisect import bisect_right
 from typing import Final
 
-from condvln.instructions.draws import Draws
 from condvln.instructions.language import Language, Slot, Voice, language
 from condvln.instructions.predicates import COMPASS
-from condvln.seeding import generator, stable_hash
+from condvln.seeding import Draws, generator, stable_hash
 from schemas.config.constants import HEADING_TOLERANCE
 from schemas.errors import UsageError
 from schemas.program import Condition, Leaf, ObjectRef, Program, Qualifier, RoomRef

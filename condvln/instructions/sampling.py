@@ -14,36 +14,34 @@ from functools import cached_property
 from itertools import accumulate
 from typing import Final
 
-from condvln.instructions.asking import Asker
-from condvln.instructions.composition import composition
+from condvln.instructions.condition_sampler import ConditionSampler
 from condvln.instructions.conditions import ConditionPool
 from condvln.instructions.counterfactuals import Group, counterfactual_group
 from condvln.instructions.degeneracy import idle_conditions, is_circular, outcomes
-from condvln.instructions.draws import Draws
-from condvln.instructions.ids import instruction_id
 from condvln.instructions.priors import PriorBits
+from condvln.instructions.programs import composition, instruction_id
 from condvln.instructions.referents import ALTERNATIVES, Facts, Referents, object_refs, room_refs
 from condvln.instructions.rejection import GivenUp
 from condvln.instructions.rendering import word_count
-from condvln.instructions.stops import Stops, Target, TargetLot, targets
+from condvln.instructions.stops import Stops, Target, TargetPool, targets
 from condvln.labels import Vocabulary, vocabulary
 from condvln.scene import Scene
-from condvln.seeding import generator
+from condvln.seeding import Draws, generator
 from schemas.config import InstructionCell, InstructionsConfig, SamplingConfig
 from schemas.episode import Composition
 from schemas.program import CATEGORIES, SHAPES, Category, Leaf, ObjectRef, Program, RoomRef
 
 __all__ = ["ProgramSampler"]
 
-WISHES_PER_CANDIDATE: Final = 2
-"""Wishes tried for each candidate wanted, so that a scene that can't fulfil some of them still fills its number."""
+TRIES_PER_CANDIDATE: Final = 2
+"""Shapes tried for each candidate wanted, so that a scene that can't fulfil some of them still fills its number."""
 
-VAIN_WISHES: Final = 30
-"""Wishes in a row, each drawn many times, after which a cell has given all that it can."""
+VAIN_TRIES: Final = 30
+"""Shapes in a row, each drawn many times, after which a cell has given all that it can."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Wish:
+class _Shape:
     """What a candidate should be: its composition (None where no room allows any) and the moves of each leaf."""
 
     composition: str | None
@@ -93,7 +91,7 @@ class ProgramSampler:
         self._names = room_refs(list(self.referents.values()), words)
         self.targets = targets(self.referents, self._names, stops, sampling)
         pools = {name: (self.referents[name], self._pool(name, bits)) for name in self._names}
-        self.asker = Asker(pools, sampling, words, single_room=scene.single_room)
+        self.condition_sampler = ConditionSampler(pools, sampling, words, single_room=scene.single_room)
         self._refs: dict[tuple[RoomRef, str], tuple[ObjectRef, ...]] = {}
 
     def _pool(self, room_id: str, bits: PriorBits) -> ConditionPool:
@@ -121,21 +119,21 @@ class ProgramSampler:
         return dict(sorted(members.items()))
 
     @cached_property
-    def _waypoints(self) -> TargetLot:
+    def _waypoints(self) -> TargetPool:
         weights = {target.label: target.weight for target in self.targets}
-        return TargetLot(self._members, weights)
+        return TargetPool(self._members, weights)
 
     @cached_property
     def label_cap(self) -> float:
         """Largest share of leaf targets a label may have; an equal share where the scene has too few labels."""
         return max(self.wanted.label_cap, 1.0 / max(1, len(self._members)))
 
-    def _lot(self, category: Category, used: Counter[str]) -> TargetLot:
+    def _target_pool(self, category: Category, used: Counter[str]) -> TargetPool:
         """Goals: labels by weight and rarity, none beyond its share."""
         candidates = sum(self.sampling.candidates(cell) for cell in self.wanted.cells_of(category))
         most = max(1.0, self.label_cap * candidates * SHAPES[category].leaves)
         weights = {t.label: t.weight / (1 + used[t.label]) for t in self.targets if used[t.label] + 1 <= most}
-        return TargetLot(self._members, weights)
+        return TargetPool(self._members, weights)
 
     def candidates(self, category: Category) -> Iterator[Program]:
         """Distinct programs of all that is wanted of a category, in a seeded order."""
@@ -151,29 +149,29 @@ class ProgramSampler:
 
     def _drawn(self, cell: InstructionCell, seen: set[Program], used: Counter[str]) -> Iterator[Program]:
         category, wanted = cell.category, self.sampling.candidates(cell)
-        if wanted and not self.asker.rooms:
+        if wanted and not self.condition_sampler.rooms:
             self.rejections[cell, "nothing_to_ask"] += 1
             return
         purpose = ("programs", category, cell.name) if cell.drawn else ("programs", category)
         draws = Draws(generator(self.seed, self.scene.family, self.scene.scene_id, *purpose))
-        lot = self._lot(category, used)
+        pool = self._target_pool(category, used)
         found = failed = 0
-        for _ in range(wanted * WISHES_PER_CANDIDATE):
-            if found >= wanted or failed >= VAIN_WISHES:
+        for _ in range(wanted * TRIES_PER_CANDIDATE):
+            if found >= wanted or failed >= VAIN_TRIES:
                 return
             failed += 1
-            # What is hard to draw is not given up for what is easy: a wish stands until it is met.
-            wish = self._wish(cell, draws)
+            # What is hard to draw is not given up for what is easy: a shape stands until it is met.
+            shape = self._shape(cell, draws)
             for _ in range(self.sampling.draws_per_candidate):
                 program = None
                 with self._counted(cell):
-                    program = self._worded(cell, _unseen(self._draw(category, wish, draws, lot), seen))
+                    program = self._worded(cell, _unseen(self._draw(category, shape, draws, pool), seen))
                 if program is None:
                     continue
                 seen.add(program)
                 found, failed = found + 1, 0
                 used.update(leaf.goal.label for leaf in program.leaves)
-                lot = self._lot(category, used)
+                pool = self._target_pool(category, used)
                 yield program
                 break
 
@@ -190,20 +188,20 @@ class ProgramSampler:
         """Counterfactual groups, as many candidates as for so many episodes, their categories in turn; all distinct."""
         wanted = self.wanted.counterfactual_groups * self.sampling.candidates_per_episode
         cells = [cells for cells in map(self.wanted.cells_of, CATEGORIES) if cells]
-        if not wanted or not cells or not self.asker.rooms:
+        if not wanted or not cells or not self.condition_sampler.rooms:
             return
         draws = Draws(generator(self.seed, self.scene.family, self.scene.scene_id, "counterfactual groups"))
         order = draws.sample(cells, len(cells))
         seen: set[Program] = set()
-        lots = {cell.category: self._lot(cell.category, Counter()) for cells in order for cell in cells}
+        pools = {cell.category: self._target_pool(cell.category, Counter()) for cells in order for cell in cells}
         for k in range(wanted):
             cell = draws.choice(order[k % len(order)])
-            wish = self._wish(cell, draws)
+            shape = self._shape(cell, draws)
             for _ in range(self.sampling.draws_per_candidate):
                 group = None
                 with self._counted(None):
                     group = self._group(
-                        _unseen(self._draw(cell.category, wish, draws, lots[cell.category]), seen), draws
+                        _unseen(self._draw(cell.category, shape, draws, pools[cell.category]), seen), draws
                     )
                 if group is not None and not seen & set(group):
                     seen.update(group)
@@ -212,22 +210,22 @@ class ProgramSampler:
 
     @contextmanager
     def _counted(self, cell: InstructionCell | None) -> Iterator[None]:
-        """Counts why what is done within was given up, and what the asker passed over."""
+        """Counts why what is done within was given up, and what the condition_sampler passed over."""
         try:
             yield
         except GivenUp as given_up:
             self.rejections[cell, given_up.reason] += 1
         finally:
-            self.rejections.update({(cell, rule): n for rule, n in self.asker.clashes.items()})
-            self.asker.clashes.clear()
+            self.rejections.update({(cell, rule): n for rule, n in self.condition_sampler.clashes.items()})
+            self.condition_sampler.clashes.clear()
 
     def _group(self, program: Program, draws: Draws) -> Group:
-        group = counterfactual_group(program, self.asker, draws, self.words)
+        group = counterfactual_group(program, self.condition_sampler, draws, self.words)
         if group is None:
             raise GivenUp("no_twin")
         return group
 
-    def _wish(self, cell: InstructionCell, draws: Draws) -> _Wish:
+    def _shape(self, cell: InstructionCell, draws: Draws) -> _Shape:
         category, wanted = cell.category, cell.composition
         if wanted is None:
             weights = self.sampling.compositions
@@ -241,33 +239,33 @@ class ProgramSampler:
                 wanted = draws.weighted(tuple(options), tuple(options.values()))
         n_leaves = SHAPES[category].leaves
         if cell.moves is not None:
-            return _Wish(wanted, (cell.moves,) * n_leaves)
+            return _Shape(wanted, (cell.moves,) * n_leaves)
         shares = tuple(accumulate(self.sampling.moves))
-        return _Wish(wanted, tuple(1 + draws.cumulative(shares) for _ in range(n_leaves)))
+        return _Shape(wanted, tuple(1 + draws.cumulative(shares) for _ in range(n_leaves)))
 
     def _roomy(self, category: Category) -> tuple[str, ...]:
         """Rooms that can hold a whole program."""
         n = SHAPES[category].leaves
-        return tuple(room for room in self.asker.rooms if self._held[room].bit_count() >= n)
+        return tuple(room for room in self.condition_sampler.rooms if self._held[room].bit_count() >= n)
 
-    def _draw(self, category: Category, wish: _Wish, draws: Draws, lot: TargetLot) -> Program:
-        rooms = self._spread(category, wish.composition, draws)
+    def _draw(self, category: Category, shape: _Shape, draws: Draws, pool: TargetPool) -> Program:
+        rooms = self._spread(category, shape.composition, draws)
         allowed = 0
         for room_id in rooms:
             allowed |= self._held[room_id]
-        goals = self._goals(category, allowed, draws, lot)
-        stops = [self._moves(goal, goals, n, allowed, draws) for goal, n in zip(goals, wish.moves, strict=True)]
+        goals = self._goals(category, allowed, draws, pool)
+        stops = [self._moves(goal, goals, n, allowed, draws) for goal, n in zip(goals, shape.moves, strict=True)]
         visited = [target for moves in stops for target in moves]
         names = {room_id: draws.choice(self._room_names(room_id, visited)) for room_id in rooms}
         leaves = tuple(Leaf(moves=tuple(self._named(t, names[t.room_id], draws) for t in moves)) for moves in stops)
         # A leaf drawn evenly; truths that don't matter on the way to it are fair coins.
         gold = draws.index(len(leaves))
         truths = draws.choice([assignment for assignment, leaf in outcomes(category).items() if leaf == gold])
-        conditions = self.asker.conditions(truths, (m for leaf in leaves for m in leaf.moves), names, draws)
+        conditions = self.condition_sampler.conditions(truths, (m for leaf in leaves for m in leaf.moves), names, draws)
         if idle_conditions(category, [leaf.goal.object_id for leaf in leaves]):
             raise GivenUp("idle_condition")
         program = Program(category=category, conditions=conditions, branches=SHAPES[category].branches, leaves=leaves)
-        if composition(program) != wish.composition:
+        if composition(program) != shape.composition:
             raise GivenUp("composition_missed")
         return program
 
@@ -281,17 +279,17 @@ class ProgramSampler:
             return [draws.choice(roomy)]
         if wanted == "C2":
             return rooms
-        one = draws.choice(self.asker.rooms)
+        one = draws.choice(self.condition_sampler.rooms)
         return [one, draws.choice([room for room in rooms if room != one])]
 
-    def _goals(self, category: Category, allowed: int, draws: Draws, lot: TargetLot) -> list[Target]:
+    def _goals(self, category: Category, allowed: int, draws: Draws, pool: TargetPool) -> list[Target]:
         """One goal a leaf, of different labels, pairwise apart; rarely used labels first in line."""
         n = SHAPES[category].leaves
         goals: list[Target] = []
         while len(goals) < n:
-            position = lot.draw(allowed, draws)
+            position = pool.draw(allowed, draws)
             if position is None:
-                raise GivenUp("no_targets" if lot.holds_nothing_back(allowed) else "label_over_cap")
+                raise GivenUp("no_targets" if pool.holds_nothing_back(allowed) else "label_over_cap")
             goal = self.targets[position]
             left = allowed & goal.apart & ~self._members[goal.label]
             if left.bit_count() >= n - len(goals) - 1:

@@ -10,12 +10,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.instructions.draws import Draws
 from condvln.instructions.referents import Referents
 from condvln.scene import Scene
+from condvln.seeding import Draws
 from schemas.config import PlacesConfig, SamplingConfig
 
-__all__ = ["Stops", "Target", "TargetLot", "apart_by_centres", "targets"]
+__all__ = ["Stops", "Target", "TargetPool", "apart_by_centres", "targets"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,7 @@ class Target:
     apart: int
 
 
-class TargetLot:
+class TargetPool:
     """Draws targets: first a label by its weight, then one of its objects evenly.
 
     Parameters

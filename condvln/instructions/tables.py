@@ -7,7 +7,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from condvln.instructions.composition import composition
+from condvln.instructions.programs import composition
 from schemas.program import Program
 from schemas.tables import INSTRUCTIONS
 

@@ -118,7 +118,7 @@ class FollowedRoute:
 
 
 class Follower:
-    """Walks a navmesh to goals.
+    """Geodesics a navmesh to goals.
 
     Parameters
     ----------

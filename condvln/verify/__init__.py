@@ -4,7 +4,17 @@ code that made it."""
 from condvln.verify.certificate import FACTS, Certificate, Disagreement
 from condvln.verify.observability import Surfaces
 from condvln.verify.proof import prove_export
-from condvln.verify.reading import Reading, Unreadable, read
-from condvln.verify.rules import Rules
+from condvln.verify.rules import VerifierRules
+from condvln.verify.text_reader import TextReading, Unreadable, read
 
-__all__ = ["FACTS", "Certificate", "Disagreement", "Reading", "Rules", "Surfaces", "Unreadable", "prove_export", "read"]
+__all__ = [
+    "FACTS",
+    "Certificate",
+    "Disagreement",
+    "Surfaces",
+    "TextReading",
+    "Unreadable",
+    "VerifierRules",
+    "prove_export",
+    "read",
+]

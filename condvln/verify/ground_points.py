@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Room, Scene
 from condvln.seeding import generator
-from condvln.verify.standing import Ground
+from condvln.verify.footprints import Ground
 from schemas.config.constants import FLOOR_LEAST_SPACING, FLOOR_LIFT, FLOOR_POINTS, SINK, SNAP_TOLERANCE
 
 __all__ = ["ground_points"]

@@ -3,7 +3,7 @@
 What must be seen to know that a condition is true: one of its witnesses, and the thing that its qualifier refers to.
 That it is false: next to all of its room's floor; or, where things are there that its words could mean, all of these
 with the thing of the qualifier. O0 is what is seen from the start, O1 what is seen from the places on the way that all
-leaves share, taken together (:mod:`condvln.verify.prospect`), O2 the rest.
+leaves share, taken together (:mod:`condvln.verify.lookouts`), O2 the rest.
 
 The rule: the published level of each condition, whether it is seen without turning, and whether boxes stood in for
 surfaces must be what is found here, exactly. Found by whose points, where sets of points could differ, is told in
@@ -25,13 +25,13 @@ from condvln.navigation.sight import eyes_at
 from condvln.scene import Scene
 from condvln.scene.geometry import SceneGeometry
 from condvln.verify.certificate import Certificate
+from condvln.verify.footprints import Obstacles
 from condvln.verify.ground_points import ground_points
 from condvln.verify.heading import yaw_of
-from condvln.verify.prospect import stands
-from condvln.verify.referents import Referents
-from condvln.verify.rules import Rules
+from condvln.verify.lookouts import stands
+from condvln.verify.referents import SceneReferents
+from condvln.verify.rules import VerifierRules
 from condvln.verify.sight import Sight, Sought
-from condvln.verify.standing import Obstacles
 from schemas.episode import Evidence, Observability
 from schemas.evaluation import ManifestEpisode
 from schemas.program import Condition
@@ -68,7 +68,7 @@ def check_observability(
     rows: Sequence[ManifestEpisode],
     certificates: Sequence[Certificate],
     sight: Sight,
-    referents: Referents,
+    referents: SceneReferents,
     eye_height: float,
 ) -> None:
     """The evidence of all episodes of one scene, after their places were checked."""
@@ -97,7 +97,12 @@ def check_observability(
 
 
 def sight_of(
-    scene: Scene, surfaces: Surfaces, referents: Referents, pathfinder: Pathfinder, obstacles: Obstacles, rules: Rules
+    scene: Scene,
+    surfaces: Surfaces,
+    referents: SceneReferents,
+    pathfinder: Pathfinder,
+    obstacles: Obstacles,
+    rules: VerifierRules,
 ) -> Sight:
     """Looks in a scene of which nothing but its files is known.
 
@@ -113,7 +118,7 @@ def sight_of(
     return Sight(scene, surfaces(), referents.is_structure, floor, rules.places, rules.episodes)
 
 
-def _asked(row: ManifestEpisode, certificate: Certificate, referents: Referents, eye_height: float) -> _Asked:
+def _asked(row: ManifestEpisode, certificate: Certificate, referents: SceneReferents, eye_height: float) -> _Asked:
     yaw = yaw_of(row.start_rotation)
     assert yaw is not None, "a start without a heading is refuted before"
     conditions = row.program.conditions
@@ -127,7 +132,7 @@ def _ways(row: ManifestEpisode, eye_height: float) -> list[F64]:
     return [eyes_at(places, eye_height) for places in stands(paths)]
 
 
-def _proofs(condition: Condition, referents: Referents) -> Proofs:
+def _proofs(condition: Condition, referents: SceneReferents) -> Proofs:
     anchor: list[Sought] = [] if condition.qualifier is None else [("thing", condition.qualifier.anchor_id)]
     if condition.truth:
         return [[("thing", witness), *anchor] for witness in condition.witnesses]

@@ -16,11 +16,11 @@ import numpy as np
 from condvln.navigation.follower import Follower
 from condvln.scene import Scene
 from condvln.verify.certificate import Certificate
+from condvln.verify.footprints import Obstacles, Reach
+from condvln.verify.geodesics import Geodesics, Point
 from condvln.verify.heading import yaw_of
 from condvln.verify.kernels.separation import clearances, near_goals
-from condvln.verify.rules import Rules
-from condvln.verify.standing import Obstacles, Reach
-from condvln.verify.walks import Point, Walks
+from condvln.verify.rules import VerifierRules
 from schemas.config.constants import GROUP_SIZE, SNAP_TOLERANCE, WALL_DETOUR
 from schemas.episode import EpisodeLeaf
 from schemas.evaluation import ManifestEpisode
@@ -76,7 +76,7 @@ def check_placement(
     scene: Scene,
     follower: Follower,
     obstacles: Obstacles,
-    rules: Rules,
+    rules: VerifierRules,
 ) -> None:
     """Everything about the episodes of one scene that has a place."""
     lines = _Lines(rows)
@@ -125,13 +125,13 @@ class _Lines:
 
 
 class _Checker:
-    def __init__(self, scene: Scene, rules: Rules) -> None:
+    def __init__(self, scene: Scene, rules: VerifierRules) -> None:
         single = scene.single_room
         self.goals, self.island_radius = rules.goals, rules.places.island_radius
         self.success = rules.places.success(single)
         self.range = rules.episodes.range(single)
         self.separation = rules.places.leaf_separation(single)
-        self.walks = Walks()
+        self.walks = Geodesics()
         self.reach = Reach(scene)
         self._inside: dict[int, str] = {}
         self._astray: set[int] = set()
@@ -306,7 +306,7 @@ class _Groups:
 
 
 def _check_budget(
-    row: ManifestEpisode, groups: _Groups, follower: Follower, rules: Rules, certificate: Certificate
+    row: ManifestEpisode, groups: _Groups, follower: Follower, rules: VerifierRules, certificate: Certificate
 ) -> None:
     """The budget by the words of the text, and by the actions to the leaf that takes most of them."""
     yaw = yaw_of(row.start_rotation)

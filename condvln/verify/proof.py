@@ -14,17 +14,17 @@ from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Scene
 from condvln.verify.certificate import Certificate
 from condvln.verify.corpus import Corpus
+from condvln.verify.episode_record import check_record
 from condvln.verify.files import ExportFiles, Row
-from condvln.verify.meaning import check_meaning
+from condvln.verify.footprints import Obstacles
+from condvln.verify.ground_truth import check_truth
 from condvln.verify.observability import Surfaces, check_observability, sight_of
 from condvln.verify.placement import check_placement
-from condvln.verify.program import check_program
-from condvln.verify.record import check_record
-from condvln.verify.referents import Referents
-from condvln.verify.rules import Rules
-from condvln.verify.standing import Obstacles
+from condvln.verify.program_check import check_program
+from condvln.verify.referents import SceneReferents
+from condvln.verify.rules import VerifierRules
 from condvln.verify.surfaces import Shapes
-from condvln.verify.truth import check_truth
+from condvln.verify.text_check import check_meaning
 from schemas.errors import InputError, MissingFileError, PathEscapeError
 
 __all__ = ["Navmesh", "SceneReader", "find_navmesh", "prove_export", "prove_scene"]
@@ -47,7 +47,7 @@ class Navmesh:
     pathfinder: Pathfinder
 
 
-def prove_export(folder: Path, rules: Rules, read_scene: SceneReader) -> Iterator[Certificate]:
+def prove_export(folder: Path, rules: VerifierRules, read_scene: SceneReader) -> Iterator[Certificate]:
     """Certificates of all episodes of an export, a scene's together.
 
     Raises
@@ -95,7 +95,7 @@ def prove_scene(
     scene: Scene,
     surfaces: Surfaces,
     folder: Path,
-    rules: Rules,
+    rules: VerifierRules,
     shapes: Shapes,
 ) -> None:
     """Check all episodes of one scene; what was found is noted on their certificates.
@@ -104,7 +104,7 @@ def prove_scene(
     ------
     InputError : a mesh of the scene, or its surfaces, can't be read
     """
-    referents = Referents(scene, rules.thresholds, shapes)
+    referents = SceneReferents(scene, rules.thresholds, shapes)
     for row, certificate in zip(rows, certificates, strict=True):
         check_meaning(row.manifest, referents, rules, certificate)
         check_program(row.manifest, certificate)

@@ -13,7 +13,7 @@ from condvln.verify.surfaces import Shapes, SurfaceGauge
 from condvln.verify.words import Words, words
 from schemas.config import Thresholds
 
-__all__ = ["Answer", "Problem", "Referent", "Referents", "RoomView"]
+__all__ = ["Answer", "Problem", "Referent", "RoomView", "SceneReferents"]
 
 
 class Problem(NamedTuple):
@@ -77,7 +77,7 @@ class RoomView:
         return found[0] if len(found) == 1 and found[0].label == label else None
 
 
-class Referents:
+class SceneReferents:
     """The phrases of all texts of one scene; what one phrase means is found once."""
 
     def __init__(self, scene: Scene, thresholds: Thresholds, shapes: Shapes) -> None:

@@ -14,11 +14,11 @@ from schemas.config import (
     Thresholds,
 )
 
-__all__ = ["Rules"]
+__all__ = ["VerifierRules"]
 
 
 @dataclass(frozen=True, slots=True)
-class Rules:
+class VerifierRules:
     """The parts of a configuration that decide whether an episode is sound."""
 
     thresholds: Thresholds = field(default_factory=Thresholds)
@@ -29,7 +29,7 @@ class Rules:
     agent: AgentConfig = field(default_factory=AgentConfig)
 
     @classmethod
-    def of(cls, config: Config) -> Rules:
+    def of(cls, config: Config) -> VerifierRules:
         """The rules of a run."""
         return cls(
             config.thresholds,

@@ -227,7 +227,7 @@ def _share(seen: Bools) -> float:
 
 
 def evenly(triangles: F64, count: int = OWN_POINTS) -> F64:
-    """Points (count, 3) on triangles (m, 3, 3), equally many to equal areas; drawn by no lot.
+    """Points (count, 3) on triangles (m, 3, 3), equally many to equal areas; not drawn at random.
 
     Within triangles they follow the R2 sequence (Roberts 2018), turned from the square onto a triangle by the root map.
     """

@@ -10,7 +10,7 @@ from typing import Final
 import typer
 from rich.console import Console
 
-from jobs.command import making, measuring, navmesh, publishing, reading, submission
+from jobs.command import build_verbs, evaluation_verbs, export_verbs, navmesh, query_verbs, submit_verb
 from jobs.command.options import EXIT_CODES
 from schemas.errors import CondVLNError
 
@@ -24,25 +24,25 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-app.command(epilog=EXIT_CODES)(making.demo)
-app.command()(making.samples)
-app.command()(reading.sources)
-app.command()(making.plan)
-app.command(epilog=EXIT_CODES)(making.generate)
-app.command(epilog=EXIT_CODES)(making.rebuild)
-app.command(epilog=EXIT_CODES)(reading.status)
+app.command(epilog=EXIT_CODES)(build_verbs.demo)
+app.command()(build_verbs.samples)
+app.command()(query_verbs.sources)
+app.command()(build_verbs.plan)
+app.command(epilog=EXIT_CODES)(build_verbs.generate)
+app.command(epilog=EXIT_CODES)(build_verbs.rebuild)
+app.command(epilog=EXIT_CODES)(query_verbs.status)
 app.command(
     epilog="The exit code is that of the verb; 130 after Ctrl-C, when the job goes on.",
     context_settings={"ignore_unknown_options": True},
-)(submission.submit)
-app.command(epilog=EXIT_CODES)(publishing.export)
-app.command()(publishing.oracle)
-app.command(epilog=EXIT_CODES)(publishing.compose)
-app.command()(reading.query)
-app.command()(reading.show)
-app.command(epilog=EXIT_CODES)(measuring.verify)
-app.command()(measuring.walk)
-app.command()(measuring.evaluate)
+)(submit_verb.submit)
+app.command(epilog=EXIT_CODES)(export_verbs.export)
+app.command()(export_verbs.oracle)
+app.command(epilog=EXIT_CODES)(export_verbs.compose)
+app.command()(query_verbs.query)
+app.command()(query_verbs.show)
+app.command(epilog=EXIT_CODES)(evaluation_verbs.verify)
+app.command()(evaluation_verbs.walk)
+app.command()(evaluation_verbs.evaluate)
 app.add_typer(navmesh.group, name="navmesh")
 
 CLICK_USAGE: Final = 2

@@ -19,7 +19,7 @@ TECHNICAL = {
     "relations/metrics.py": {"MILLIMETRES_PER_METRE"},
     "relations/compass.py": {"SECTOR_DEGREES", "COINCIDENT"},
     "verify/surfaces.py": {"KEPT_TRIANGLES", "ORTHOGONAL"},
-    "verify/prospect.py": {"EVEN"},
+    "verify/outlook.py": {"EVEN"},
     "verify/record.py": {"HEADING"},
     "verify/heading.py": {"UNIT"},
     "verify/truth.py": {"ROUNDED", "SLACK"},

@@ -93,7 +93,7 @@ def read_part(data: bytes, where: str) -> GlbPart:
 
 
 class _Copier:
-    """Walks the default scene again; that its nodes and triangles are sound is known by now."""
+    """Geodesics the default scene again; that its nodes and triangles are sound is known by now."""
 
     def __init__(self, root: JsonNode, binary: bytes, tree: dict[str, Any]) -> None:
         self.root, self.binary = root, binary

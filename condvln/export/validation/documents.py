@@ -7,14 +7,14 @@ from typing import Any, Final
 from condvln.export.tokens import PAD_INDEX, UNK_INDEX, Vocabulary
 from condvln.export.validation.document import Document, Kind, PathfinderOf
 from condvln.export.validation.episodes import EpisodeChecks
-from condvln.export.validation.findings import Report
+from condvln.export.validation.findings import LintReport
 
 __all__ = ["check_document"]
 
 _TOP: Final = frozenset({"episodes", "instruction_vocab"})
 
 
-def check_document(report: Report, content: dict[str, Any], pathfinder_of: PathfinderOf | None = None) -> Document:
+def check_document(report: LintReport, content: dict[str, Any], pathfinder_of: PathfinderOf | None = None) -> Document:
     """Check one document; ``pathfinder_of`` adds the checks against navmeshes."""
     episodes = content.get("episodes")
     if not isinstance(episodes, list):
@@ -47,7 +47,7 @@ def _kind(file: str, episodes: list[Any]) -> Kind:
     return "vlnce"
 
 
-def _vocabulary(report: Report, found: Any, kind: Kind) -> Vocabulary | None:
+def _vocabulary(report: LintReport, found: Any, kind: Kind) -> Vocabulary | None:
     if found is None and kind == "rxr":
         return None
     if not isinstance(found, dict) or not isinstance(found.get("word_list"), list):

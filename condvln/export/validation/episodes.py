@@ -14,7 +14,7 @@ import numpy as np
 
 from condvln.export.tokens import PAD_INDEX, UNK_INDEX, tokenize
 from condvln.export.validation.document import Document, PathfinderOf
-from condvln.export.validation.findings import Report
+from condvln.export.validation.findings import LintReport
 from condvln.export.validation.values import check_keys, is_number, is_point, points, straight
 
 __all__ = ["EpisodeChecks"]
@@ -59,7 +59,7 @@ _GEODESIC: Final = 0.02
 class EpisodeChecks:
     """Checks of one document's episodes, one after the other; what they hold goes into ``document``."""
 
-    def __init__(self, report: Report, document: Document, pathfinder_of: PathfinderOf | None) -> None:
+    def __init__(self, report: LintReport, document: Document, pathfinder_of: PathfinderOf | None) -> None:
         self._report = report
         self._document = document
         self._pathfinder_of = pathfinder_of

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final, Literal
 
-__all__ = ["CODES", "Finding", "Report", "Rule", "Severity"]
+__all__ = ["CODES", "Finding", "LintReport", "Rule", "Severity"]
 
 Severity = Literal["error", "warning"]
 """An error crashes a known loader or makes a score wrong; a warning may be meant so."""
@@ -112,7 +112,7 @@ class Finding:
         return f"{self.file}: {place}{self.severity} [{self.code}] {self.message}"
 
 
-class Report:
+class LintReport:
     """Findings of one file, in the order in which they were made."""
 
     def __init__(self, file: str) -> None:

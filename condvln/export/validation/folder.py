@@ -13,7 +13,7 @@ import orjson
 from condvln.export.contents import CERTIFICATES, INDEX, ORIGIN
 from condvln.export.validation.document import Document, PathfinderOf
 from condvln.export.validation.documents import check_document
-from condvln.export.validation.findings import Finding, Report
+from condvln.export.validation.findings import Finding, LintReport
 from condvln.export.validation.r2r import check_r2r
 from condvln.export.validation.truths import check_truths
 from condvln.formats.json_entries import nonstandard_number
@@ -65,7 +65,7 @@ def validate(path: Path, options: Options | None = None) -> list[Finding]:
     for file in files:
         if _is_truth(file):
             continue
-        report = Report(_shown(file, path))
+        report = LintReport(_shown(file, path))
         document = _check_file(report, file, options)
         findings += _without_shards(report, file)
         if document is not None:
@@ -84,7 +84,7 @@ def validate(path: Path, options: Options | None = None) -> list[Finding]:
     return sorted(findings, key=lambda finding: finding.file)
 
 
-def _check_file(report: Report, file: Path, options: Options) -> Document | None:
+def _check_file(report: LintReport, file: Path, options: Options) -> Document | None:
     content = _content(report, file)
     if isinstance(content, dict) and "episodes" in content:
         return check_document(report, content, options.pathfinder_of)
@@ -95,7 +95,7 @@ def _check_file(report: Report, file: Path, options: Options) -> Document | None
     return None
 
 
-def _without_shards(report: Report, file: Path) -> Iterator[Finding]:
+def _without_shards(report: LintReport, file: Path) -> Iterator[Finding]:
     """The findings, but that a split whose episodes stand in shards holds none itself."""
     has_shards = any((file.parent / _SHARDS).glob("*.json.gz"))
     return (finding for finding in report if not (has_shards and finding.code == "no-episodes"))
@@ -138,7 +138,7 @@ def _place(file: Path) -> tuple[Path, str]:
     return (folder.parent, split) if folder.name == split else (folder, split)
 
 
-def _content(report: Report, file: Path) -> Any:
+def _content(report: LintReport, file: Path) -> Any:
     try:
         data = read_unpacked(file)
     except InputError as error:
@@ -155,8 +155,8 @@ def _content(report: Report, file: Path) -> Any:
         return None
 
 
-def _check_truth_file(file: Path, root: Path, documents: Mapping[Path, Document]) -> Report:
-    report = Report(_shown(file, root))
+def _check_truth_file(file: Path, root: Path, documents: Mapping[Path, Document]) -> LintReport:
+    report = LintReport(_shown(file, root))
     content = _content(report, file)
     beside = [file.with_name(_stem(file).removesuffix(_TRUTH) + suffix) for suffix in _SUFFIXES]
     document = next((documents[other] for other in beside if other in documents), None)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any, Final
 
-from condvln.export.validation.findings import Report
+from condvln.export.validation.findings import LintReport
 from condvln.export.validation.values import check_keys, is_number
 from condvln.navigation.graph_pathfinder import GraphPathfinder
 from schemas.errors import CondVLNError
@@ -20,7 +20,7 @@ _DISTANCE: Final = 0.02
 """Metres: R2R rounds distances to 1 cm."""
 
 
-def check_r2r(report: Report, items: list[Any], graphs: Mapping[str, GraphPathfinder] | None = None) -> set[str]:
+def check_r2r(report: LintReport, items: list[Any], graphs: Mapping[str, GraphPathfinder] | None = None) -> set[str]:
     """Check one file; its scans."""
     if not items:
         report.add("", "no-episodes", "there is none")
@@ -43,7 +43,7 @@ def check_r2r(report: Report, items: list[Any], graphs: Mapping[str, GraphPathfi
     return scans
 
 
-def _check(report: Report, place: str, item: dict[str, Any], graph: GraphPathfinder | None) -> None:
+def _check(report: LintReport, place: str, item: dict[str, Any], graph: GraphPathfinder | None) -> None:
     heading, texts, path = item["heading"], item["instructions"], item["path"]
     if not is_number(heading) or not 0 <= heading < 2 * math.pi:
         report.add(f"{place}.heading", "heading-range", f"{heading!r}")
@@ -60,7 +60,7 @@ def _check(report: Report, place: str, item: dict[str, Any], graph: GraphPathfin
         _check_graph(report, place, item, graph)
 
 
-def _check_graph(report: Report, place: str, item: dict[str, Any], graph: GraphPathfinder) -> None:
+def _check_graph(report: LintReport, place: str, item: dict[str, Any], graph: GraphPathfinder) -> None:
     unknown = [viewpoint for viewpoint in item["path"] if viewpoint not in graph.graph.ids]
     if unknown:
         report.add(f"{place}.path", "unknown-viewpoint", unknown[0])

@@ -7,7 +7,7 @@ from itertools import pairwise
 from typing import Any, Final
 
 from condvln.export.validation.document import Document
-from condvln.export.validation.findings import Report
+from condvln.export.validation.findings import LintReport
 from condvln.export.validation.values import check_keys, points, straight
 
 __all__ = ["check_truths"]
@@ -22,7 +22,7 @@ _DENSE: Final = 1.0
 """Metres between locations beyond which nDTW suffers: a step of the coarsest agents."""
 
 
-def check_truths(report: Report, content: dict[str, Any], document: Document | None) -> None:
+def check_truths(report: LintReport, content: dict[str, Any], document: Document | None) -> None:
     """Check one ground-truth document, against its episodes where they are given."""
     for name, truth in content.items():
         place = f"episode {name}"
@@ -37,7 +37,7 @@ def check_truths(report: Report, content: dict[str, Any], document: Document | N
             report.add(f"episode {name}", "truth-missing", "has no entry")
 
 
-def _check(report: Report, place: str, truth: dict[str, Any], name: str, document: Document | None) -> None:
+def _check(report: LintReport, place: str, truth: dict[str, Any], name: str, document: Document | None) -> None:
     locations = truth["locations"]
     if not points(report, f"{place}.locations", locations):
         return
@@ -57,7 +57,7 @@ def _check(report: Report, place: str, truth: dict[str, Any], name: str, documen
         report.add(f"{place}.locations", "truth-goal", f"end {min(reach):.2f} m outside of every goal's radius")
 
 
-def _check_actions(report: Report, place: str, truth: dict[str, Any]) -> None:
+def _check_actions(report: LintReport, place: str, truth: dict[str, Any]) -> None:
     actions, steps = truth.get("actions"), truth.get("forward_steps")
     if actions is not None:
         if not isinstance(actions, list) or not all(type(a) is int and a in _ACTIONS for a in actions):

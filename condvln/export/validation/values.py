@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
-from condvln.export.validation.findings import Report
+from condvln.export.validation.findings import LintReport
 
 __all__ = ["check_keys", "is_number", "is_point", "points", "straight"]
 
@@ -21,7 +21,7 @@ def is_point(value: Any, size: int = 3) -> bool:
     return isinstance(value, list) and len(value) == size and all(is_number(part) for part in value)
 
 
-def points(report: Report, place: str, value: Any, size: int = 3) -> bool:
+def points(report: LintReport, place: str, value: Any, size: int = 3) -> bool:
     """Is ``value`` a list of points? What it is instead is noted."""
     if not isinstance(value, list):
         report.add(place, "wrong-type", f"not a list of points but {type(value).__name__}")
@@ -41,7 +41,7 @@ def straight(a: Iterable[float], b: Iterable[float]) -> float:
     return math.dist(tuple(a), tuple(b))
 
 
-def check_keys(report: Report, place: str, record: Any, required: frozenset[str], allowed: frozenset[str]) -> bool:
+def check_keys(report: LintReport, place: str, record: Any, required: frozenset[str], allowed: frozenset[str]) -> bool:
     """Is ``record`` an object with all ``required`` keys? Unknown and missing ones are noted."""
     if not isinstance(record, dict):
         report.add(place, "wrong-type", f"not an object but {type(record).__name__}")

@@ -15,7 +15,7 @@ from condvln.compiled import register_warm_up
 from condvln.formats.triangles import MeshSource, PlacedMesh, mesh_triangles
 from condvln.navigation.navmesh_file import NavMeshFile
 from condvln.navigation.recast.config import MEMORY_LIMIT_BYTES, RecastProfile
-from condvln.navigation.recast.stages import Report, build_stages
+from condvln.navigation.recast.stages import Notify, build_stages
 from condvln.navigation.settings import NavMeshSettings
 
 __all__ = ["build_navmesh", "build_scene_navmesh"]
@@ -28,7 +28,7 @@ def build_navmesh(
     profile: RecastProfile | str = RecastProfile.HABITAT_0_3_4,
     *,
     memory_limit: int = MEMORY_LIMIT_BYTES,
-    report: Report | None = None,
+    report: Notify | None = None,
 ) -> NavMeshFile:
     """Navmesh of a triangle mesh.
 
@@ -64,7 +64,7 @@ def build_scene_navmesh(
     *,
     static_objects: Iterable[PlacedMesh] = (),
     memory_limit: int = MEMORY_LIMIT_BYTES,
-    report: Report | None = None,
+    report: Notify | None = None,
 ) -> NavMeshFile:
     """Navmesh of a scene: its stage and, if ``settings.include_static_objects``, the objects that don't move.
 

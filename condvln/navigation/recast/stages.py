@@ -25,10 +25,10 @@ from condvln.navigation.recast.watershed import watershed
 from condvln.navigation.settings import NavMeshSettings
 from condvln.navigation.tile import NavMeshTile
 
-__all__ = ["BuildStages", "Report", "build_stages"]
+__all__ = ["BuildStages", "Notify", "build_stages"]
 
 # Called with the name of each stage as it begins.
-Report = Callable[[str], None]
+Notify = Callable[[str], None]
 # How the reference dumps of stages write "no neighbour".
 NOT_CONNECTED = MAX_LAYERS + 1
 
@@ -100,7 +100,7 @@ def build_stages(
     profile: RecastProfile = RecastProfile.HABITAT_0_3_4,
     *,
     memory_limit: int = MEMORY_LIMIT_BYTES,
-    report: Report | None = None,
+    report: Notify | None = None,
 ) -> BuildStages:
     """Build a navmesh and keep every stage. Parameters and errors are those of ``build_navmesh``."""
     begin = report or _silent

@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from condvln.bias.blocks import BLOCKS, blocks, progressive
-from condvln.bias.glimpse import Glimpse
+from condvln.bias.guesser_view import GuesserView
 from condvln.bias.guessers import FIXED
 from condvln.bias.learners import LEARNED, NO_GUESS, leaf_truths
 from schemas.program import CATEGORIES, SHAPES, Program
@@ -52,24 +52,24 @@ def test_ways_to_leaves_are_the_program_s(category) -> None:
 @pytest.mark.parametrize("name", LEARNED)
 def test_guesses_do_not_move_with_later_gold(made_rows, name: str) -> None:
     rows = made_rows(0, scenes=12)
-    glimpses = [Glimpse.of(row) for row in rows]
-    scenes = [glimpse.scene for glimpse in glimpses]
-    guesses = LEARNED[name](glimpses)
+    views = [GuesserView.of(row) for row in rows]
+    scenes = [view.scene for view in views]
+    guesses = LEARNED[name](views)
     steps = list(progressive(scenes))
     assert set(np.flatnonzero(guesses == NO_GUESS)) >= set(steps[0][0].tolist())
     # All that is guessed in the last step is turned: what was guessed until then, and there too, stays.
     last = set(steps[-1][1].tolist())
     turned = [
-        Glimpse.of({**row, "gold_leaf": SHAPES[row["category"]].leaves - 1 - row["gold_leaf"]}) if k in last else g
-        for k, (row, g) in enumerate(zip(rows, glimpses, strict=True))
+        GuesserView.of({**row, "gold_leaf": SHAPES[row["category"]].leaves - 1 - row["gold_leaf"]}) if k in last else g
+        for k, (row, g) in enumerate(zip(rows, views, strict=True))
     ]
     if name not in ("bag of words", "words in place"):
         assert (LEARNED[name](turned) == guesses).all()
         return
     # A regression has steps of its own in each category.
     for category in ("simple", "chain"):
-        mine = [k for k, glimpse in enumerate(glimpses) if glimpse.category == category]
-        own = LEARNED[name]([glimpses[k] for k in mine])
+        mine = [k for k, view in enumerate(views) if view.category == category]
+        own = LEARNED[name]([views[k] for k in mine])
         assert (own == guesses[mine]).all()
 
 
@@ -78,10 +78,10 @@ def test_right_guesses_at_noise_are_binomial(made_rows) -> None:
     hits, trials = 0, Counter()
     low = 0
     for seed in range(120):
-        glimpses = [Glimpse.of(row) for row in made_rows(seed, scenes=12, each=3, categories=("simple",))]
-        guesses = LEARNED["label and room"](glimpses)
+        views = [GuesserView.of(row) for row in made_rows(seed, scenes=12, each=3, categories=("simple",))]
+        guesses = LEARNED["label and room"](views)
         made = np.flatnonzero(guesses != NO_GUESS)
-        right = int(sum(glimpses[k].gold == guesses[k] for k in made))
+        right = int(sum(views[k].gold == guesses[k] for k in made))
         hits, trials = hits + right, trials + Counter({0.5: len(made)})
         low += stats.binom.sf(right - 1, len(made), 0.5) < 0.05
     assert stats.binom.sf(hits - 1, trials[0.5], 0.5) > 0.001
@@ -97,8 +97,8 @@ def test_fixed_guessers_by_hand(made_rows) -> None:
         leaf["moves"] = [{"label": name, "room": {"label": "kitchen"}}]
         row["leaves"][names.index(name)] = {"geodesic_distance": distance, "route_length": route}
     row["instruction_text"] = "If not, go to the rug. If so, go to the bed, or the sink, or the lamp."
-    glimpse = Glimpse.of(row)
-    assert {name: guesser(glimpse) for name, guesser in FIXED.items()} == {
+    view = GuesserView.of(row)
+    assert {name: guesser(view) for name, guesser in FIXED.items()} == {
         "always then": 0,
         "always else": 3,
         "last leaf": 2,

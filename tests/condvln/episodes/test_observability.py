@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from condvln.episodes.floor import floor_points
 from condvln.episodes.footprint import Footprint
 from condvln.episodes.observability import Observation, Observer, common_prefix
-from condvln.episodes.placing import Prospect
+from condvln.episodes.placing import Outlook
 from condvln.episodes.view import SceneView
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.sight import View, eyes_at
@@ -81,15 +81,15 @@ def asking(*conditions: Condition) -> Program:
     return Program(category=category, conditions=conditions, branches=SHAPES[category].branches, leaves=tuple(leaves))
 
 
-def ways(*paths: list[list[float]], yaw: float = 0.0) -> Prospect:
+def ways(*paths: list[list[float]], yaw: float = 0.0) -> Outlook:
     """Leaves that are reached along these (x, z) corners, all from the first of the first."""
     corners = tuple(np.array([[x, 0.0, z] for x, z in path]) for path in paths)
-    return Prospect(corners[0][0], yaw, corners)
+    return Outlook(corners[0][0], yaw, corners)
 
 
 def observed(
     program: Program,
-    placement: Prospect,
+    placement: Outlook,
     *objects: SceneObject,
     geometry: str = "exact",
     rules: EpisodeConfig = RULES,
@@ -107,7 +107,7 @@ SURFACES = pytest.mark.parametrize("geometry", ["exact", "approximate"])
 
 @SURFACES
 def test_from_the_start_on_the_way_or_only_by_a_detour(geometry) -> None:
-    def level(condition: Condition, placement: Prospect) -> str:
+    def level(condition: Condition, placement: Outlook) -> str:
         return observed(asking(condition), placement, geometry=geometry).observability
 
     assert level(present("lamp", WEST, "lamp"), STAYING) == "O0"

@@ -17,7 +17,7 @@ from condvln.episodes.candidates import Candidate, candidates_from_table, candid
 from condvln.episodes.label_share import allowed_share, most_leaves, over_share
 from condvln.episodes.observability import Observer
 from condvln.episodes.placing import Placement, Placer, Rejected
-from condvln.episodes.pool import Pool, fill_pool
+from condvln.episodes.pool import EpisodePool, fill_pool
 from condvln.episodes.rules import REASONS
 from condvln.episodes.table import funnel_table, placements_table, rejections_table, with_text
 from condvln.episodes.unplaced import unplaced_programs
@@ -56,7 +56,9 @@ def asking(first: str, second: str, witness: str, truth: bool) -> Program:
     return Program(category="simple", conditions=(condition,), branches=SHAPES["simple"].branches, leaves=tuple(leaves))
 
 
-def filled(flat, candidates: list[Candidate], cells: tuple[InstructionCell, ...], label_cap: float = 1.0) -> Pool:
+def filled(
+    flat, candidates: list[Candidate], cells: tuple[InstructionCell, ...], label_cap: float = 1.0
+) -> EpisodePool:
     scene, pathfinder = flat
     placer = placer_of(scene, pathfinder)
     observer = Observer(scene, SceneView(scene), pathfinder, PLACES, RULES, placer.obstacles)
@@ -243,7 +245,7 @@ class Anywhere(Placer):
         return Placement(np.zeros(3), 0.0, tuple(program.leaves), 1.0)
 
 
-def shares(pool: Pool) -> Counter[str]:
+def shares(pool: EpisodePool) -> Counter[str]:
     return Counter(leaf.goal.label for e in pool.episodes for leaf in e.program.leaves)
 
 

@@ -10,8 +10,8 @@ import pytest
 
 from condvln.evaluation.agents import AGENTS
 from condvln.evaluation.discrete import ERROR_MARGIN
+from condvln.evaluation.goal_distances import SLACK, SNAPPED
 from condvln.evaluation.measures import FIDELITY_DISTANCE
-from condvln.evaluation.nearness import SLACK, SNAPPED
 from condvln.evaluation.score import START_TOLERANCE, Score
 from condvln.evaluation.statistics import REPLICATES
 

@@ -12,7 +12,7 @@ import pytest
 
 from condvln.evaluation.evaluate import Evaluation
 from condvln.evaluation.plots import save_figures
-from condvln.evaluation.score import Rules
+from condvln.evaluation.score import ScoreRules
 from condvln.evaluation.split import SplitOptions, evaluate_split
 from condvln.evaluation.tables import all_tables
 from condvln.evaluation.task import Task
@@ -148,7 +148,11 @@ def test_what_is_amiss_is_said(export: Path, tmp_path: Path) -> None:
     space.write_text('{"e": [{"position": [0, 0, 0], "stop": true}]}')
     with pytest.raises(UsageError, match="two calls"):
         evaluate_split(export, "train", [graph, space], options(export))
-    for rules, stop in ((Rules(distance="euclidean"), False), (Rules(fast_dtw=True), False), (Rules(), True)):
+    for rules, stop in (
+        (ScoreRules(distance="euclidean"), False),
+        (ScoreRules(fast_dtw=True), False),
+        (ScoreRules(), True),
+    ):
         with pytest.raises(UsageError, match="R2R's rules alone"):
             evaluate_split(export, "train", [graph], SplitOptions(rules, assume_stop=stop))
     with pytest.raises(MissingFileError, match="--connectivity"):

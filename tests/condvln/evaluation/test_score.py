@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from condvln.evaluation.nearness import Nearness
+from condvln.evaluation.goal_distances import Nearness
 from condvln.evaluation.predictions import Prediction
-from condvln.evaluation.score import Rules, Score, score
+from condvln.evaluation.score import Score, ScoreRules, score
 from condvln.navigation.pathfinder import Pathfinder
 from schemas.errors import FormatError
 from tests.condvln.evaluation import plain
@@ -79,7 +79,7 @@ def judged(case: dict[str, Any], prune: bool = True) -> Score:
         max_steps=case["max_steps"],
     )
     prediction = Prediction("e", np.array(case["path"], float), case["stopped"], case["counts"])
-    rules = Rules(distance="euclidean" if case["euclidean"] else "geodesic")
+    rules = ScoreRules(distance="euclidean" if case["euclidean"] else "geodesic")
     return score(task, prediction, Nearness(OPEN, prune=prune), rules)
 
 
@@ -150,9 +150,9 @@ def walk(*points: Any, stopped: bool = True, counts: bool = True) -> Prediction:
     return Prediction("e", np.array(points, float).reshape(-1, 3), stopped, counts)
 
 
-def scored(prediction: Prediction | None, rules: Rules | None = None, **changes: Any) -> Score:
+def scored(prediction: Prediction | None, rules: ScoreRules | None = None, **changes: Any) -> Score:
     task = task_with(changes.pop("leaves", TWO), changes.pop("gold", 0), **changes)
-    return score(task, prediction, Nearness(OPEN), rules or Rules())
+    return score(task, prediction, Nearness(OPEN), rules or ScoreRules())
 
 
 def test_a_perfect_walk() -> None:
@@ -176,18 +176,18 @@ def test_the_authors_ball_is_closed_and_ours_open() -> None:
     path = walk([0, 0, 0], [3, 0, 0])
     leaves = [{"goals": [[3, 0, 0]], "subgoals": [[1, 0, 0]]}, TWO[1]]
     assert scored(path, leaves=leaves).bsa == 0  # the start is exactly 1 m from the subgoal
-    assert scored(path, Rules(distance="euclidean"), leaves=leaves).bsa == 1
+    assert scored(path, ScoreRules(distance="euclidean"), leaves=leaves).bsa == 1
 
 
 def test_one_pose_reaches_several_subgoals_here_and_one_there() -> None:
     leaves = [{"goals": [[3, 0, 0]], "subgoals": [[1, 0, 0], [1.5, 0, 0]]}, TWO[1]]
     path = walk([0, 0, 0], [1.2, 0, 0], [3, 0, 0])
     assert scored(path, leaves=leaves).bsa == 1
-    assert scored(path, Rules(distance="euclidean"), leaves=leaves).bsa == 1  # the start takes the first
+    assert scored(path, ScoreRules(distance="euclidean"), leaves=leaves).bsa == 1  # the start takes the first
     far = [{"goals": [[6, 0, 0]], "subgoals": [[3, 0, 0], [3.5, 0, 0]]}, TWO[1]]
     path = walk([0, 0, 0], [3.2, 0, 0], [6, 0, 0])
     assert scored(path, leaves=far).bsa == 1
-    assert scored(path, Rules(distance="euclidean"), leaves=far).bsa == 0.5
+    assert scored(path, ScoreRules(distance="euclidean"), leaves=far).bsa == 0.5
 
 
 def test_subgoals_count_in_order() -> None:
@@ -255,7 +255,7 @@ def test_the_budget_cuts_the_path_and_its_stop() -> None:
     cut = scored(path, max_steps=11)
     assert (cut.success, cut.over_budget, cut.stopped, cut.steps) == (0, 1, 0, 11)
     assert cut.path_length == pytest.approx(2.75)
-    assert scored(path, Rules(keep_budget=False), max_steps=11).success == 1
+    assert scored(path, ScoreRules(keep_budget=False), max_steps=11).success == 1
     free = replace(path, counts_actions=False)
     assert scored(free, max_steps=11).success == 1
     assert math.isnan(scored(free).steps)
@@ -271,21 +271,21 @@ def test_a_million_step_path() -> None:
 
 def test_oracle_success_never_falls_below_success() -> None:
     path = walk([0, 0, 0], [2.5, 0, 0])
-    assert scored(path, Rules(oracle_success_distance=0.1)).oracle_success == 1
-    assert scored(walk([0, 0, 0], [0.5, 0, 0]), Rules(oracle_success_distance=3.0)).oracle_success == 1
+    assert scored(path, ScoreRules(oracle_success_distance=0.1)).oracle_success == 1
+    assert scored(walk([0, 0, 0], [0.5, 0, 0]), ScoreRules(oracle_success_distance=3.0)).oracle_success == 1
 
 
 def test_a_given_success_distance_replaces_the_episodes_own() -> None:
     path = walk([0, 0, 0], [1, 0, 0])
     assert scored(path).success == 0
-    assert scored(path, Rules(success_distance=3.0)).success == 1
+    assert scored(path, ScoreRules(success_distance=3.0)).success == 1
 
 
 def test_geodesics_go_around_corners(l_shape: Pathfinder) -> None:
     # From (4, 2) round the reflex corner (2, 2) to (2, 4): 4 m, though the straight line is 2.83 m.
     leaves = [{"goals": [[2.0, 0, 4.0]], "subgoals": [[2.0, 0, 3.9]]}, {"goals": [[0, 0, 0]]}]
     task = task_with(leaves, start=(4.0, 0, 2.0), tau=3.0)
-    stay = score(task, walk([4, 0, 2]), Nearness(l_shape), Rules())
+    stay = score(task, walk([4, 0, 2]), Nearness(l_shape), ScoreRules())
     assert stay.navigation_error == pytest.approx(4.0, abs=1e-5)
     assert (stay.success, stay.oracle_success, stay.bsa) == (0, 0, 0)
-    assert score(task, walk([4, 0, 2]), Nearness(l_shape), Rules(distance="euclidean")).bsa == 1
+    assert score(task, walk([4, 0, 2]), Nearness(l_shape), ScoreRules(distance="euclidean")).bsa == 1

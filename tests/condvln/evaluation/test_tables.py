@@ -15,7 +15,16 @@ from rich.console import Console
 from condvln.evaluation.evaluate import Evaluation, evaluate
 from condvln.evaluation.plots import axis_figure, save_figures
 from condvln.evaluation.render import as_csv, as_document, as_latex, as_markdown, as_rich, written
-from condvln.evaluation.tables import MAIN_COLUMNS, Cell, Column, Table, all_tables, axis_table, main_table, twin_tables
+from condvln.evaluation.tables import (
+    MAIN_COLUMNS,
+    Cell,
+    Column,
+    Table,
+    all_tables,
+    axis_table,
+    main_table,
+    twin_tables,
+)
 from condvln.evaluation.task import Task
 from jobs.report import PIPE_WIDTH
 from tests.condvln.evaluation.conftest import OpenPlain

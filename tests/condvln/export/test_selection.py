@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from condvln.export import selection
-from condvln.export.pool import INSTRUCTION_COLUMNS, POOL_COLUMNS, Pool, PoolBuilder
+from condvln.export.pool import INSTRUCTION_COLUMNS, POOL_COLUMNS, ExportPool, PoolBuilder
 from condvln.export.selection import OUT, Selection, select
 from condvln.export.splits import SPLITS
 from condvln.export.tables import MemoryTables
@@ -22,7 +22,7 @@ SCENES = {
 }
 
 
-def pool_of(tables: MemoryTables) -> Pool:
+def pool_of(tables: MemoryTables) -> ExportPool:
     builder = PoolBuilder()
     for source in tables.sources:
         builder.add_instructions(source, tables.batches("instructions", source, INSTRUCTION_COLUMNS))
@@ -32,7 +32,7 @@ def pool_of(tables: MemoryTables) -> Pool:
 
 
 @pytest.fixture(scope="module")
-def pool() -> Pool:
+def pool() -> ExportPool:
     return pool_of(made_snapshot(SCENES, per_category=40))
 
 
@@ -41,11 +41,11 @@ CONFIGS = [SplitsConfig(), SplitsConfig(per_cell=10, val_seen_share=0.25), Split
 
 
 @pytest.fixture(scope="module", params=CONFIGS, ids=["all", "ten a cell", "more than there is"])
-def chosen(request: pytest.FixtureRequest, pool: Pool) -> Chosen:
+def chosen(request: pytest.FixtureRequest, pool: ExportPool) -> Chosen:
     return request.param, select(pool, request.param)
 
 
-def test_splits_share_no_scene_program_or_group(pool: Pool, chosen: Chosen) -> None:
+def test_splits_share_no_scene_program_or_group(pool: ExportPool, chosen: Chosen) -> None:
     split = chosen[1].split
     scenes, programs, units = defaultdict(set), defaultdict(set), defaultdict(set)
     for row in np.flatnonzero(split != OUT):
@@ -59,7 +59,7 @@ def test_splits_share_no_scene_program_or_group(pool: Pool, chosen: Chosen) -> N
 
 
 def test_gold_leaves_are_uniform_in_every_split_source_and_category(
-    pool: Pool, chosen: tuple[SplitsConfig, Selection]
+    pool: ExportPool, chosen: tuple[SplitsConfig, Selection]
 ) -> None:
     counts: dict[tuple[int, int, int], Counter[int]] = defaultdict(Counter)
     for row in np.flatnonzero(chosen[1].split != OUT):
@@ -71,7 +71,7 @@ def test_gold_leaves_are_uniform_in_every_split_source_and_category(
         assert len(set(leaves.values())) == 1
 
 
-def test_counts_meet_the_configuration_or_the_shortfall_is_listed(pool: Pool, chosen: Chosen) -> None:
+def test_counts_meet_the_configuration_or_the_shortfall_is_listed(pool: ExportPool, chosen: Chosen) -> None:
     config, result = chosen
     got = Counter(
         (SPLITS[result.split[row]], pool.sources[pool.source[row]], CATEGORIES[pool.category[row]], pool.leaf[row])
@@ -105,7 +105,7 @@ def test_counts_meet_the_configuration_or_the_shortfall_is_listed(pool: Pool, ch
 
 def test_truths_are_evened_where_the_pool_gives_a_choice(monkeypatch: pytest.MonkeyPatch) -> None:
     pool = pool_of(made_snapshot({"replicacad": ["v3_sc0_staging_00"]}, per_category=400))
-    pool = Pool(**{**pool.__dict__, "grouped": np.zeros(len(pool), dtype=bool)})
+    pool = ExportPool(**{**pool.__dict__, "grouped": np.zeros(len(pool), dtype=bool)})
 
     def imbalance() -> float:
         return select(pool, SplitsConfig(per_cell=20, val_seen_share=0)).truth_imbalance["replicacad"]
@@ -115,8 +115,8 @@ def test_truths_are_evened_where_the_pool_gives_a_choice(monkeypatch: pytest.Mon
     assert looking < imbalance() / 3
 
 
-def test_axes_are_as_even_as_the_pool_allows(pool: Pool) -> None:
-    singles = Pool(**{**pool.__dict__, "grouped": np.zeros(len(pool), dtype=bool)})
+def test_axes_are_as_even_as_the_pool_allows(pool: ExportPool) -> None:
+    singles = ExportPool(**{**pool.__dict__, "grouped": np.zeros(len(pool), dtype=bool)})
     split = select(singles, SplitsConfig(per_cell=20)).split
     group = {scene: {int(c) for c in split[pool.scene == scene] if c != OUT} for scene in np.unique(pool.scene)}
     uneven = 0
@@ -133,7 +133,7 @@ def test_axes_are_as_even_as_the_pool_allows(pool: Pool) -> None:
     assert uneven == 0
 
 
-def test_the_answer_is_a_function_of_pool_and_seed(pool: Pool) -> None:
+def test_the_answer_is_a_function_of_pool_and_seed(pool: ExportPool) -> None:
     first = select(pool, SplitsConfig(per_cell=8))
     np.testing.assert_array_equal(first.split, select(pool, SplitsConfig(per_cell=8)).split)
     assert (first.split != select(pool, SplitsConfig(per_cell=8, seed=1)).split).any()
@@ -147,14 +147,14 @@ def test_a_split_without_scenes_lists_what_it_lacks() -> None:
     assert not [cell for cell in select(pool, SplitsConfig()).cells if cell.split == "test"]
 
 
-def test_sources_share_a_cell_evenly(pool: Pool) -> None:
+def test_sources_share_a_cell_evenly(pool: ExportPool) -> None:
     selected = select(pool, SplitsConfig(per_cell=4))
     for cell in selected.cells:
         if cell.split == "train" and cell.available >= 20:
             assert cell.selected == 2
 
 
-def test_counterfactual_groups_come_first_and_whole_or_not_at_all(pool: Pool, chosen: Chosen) -> None:
+def test_counterfactual_groups_come_first_and_whole_or_not_at_all(pool: ExportPool, chosen: Chosen) -> None:
     split = chosen[1].split
     groups = [split[pool.unit == unit] for unit in np.unique(pool.unit[pool.grouped])]
     whole = sum((members != OUT).all() for members in groups)
@@ -164,12 +164,12 @@ def test_counterfactual_groups_come_first_and_whole_or_not_at_all(pool: Pool, ch
         assert whole > 0.8 * len(groups)
 
 
-def test_of_a_group_that_lost_a_member_nothing_is_taken(pool: Pool) -> None:
+def test_of_a_group_that_lost_a_member_nothing_is_taken(pool: ExportPool) -> None:
     unfit = pool.unfit.copy()
     lost = np.flatnonzero(pool.grouped)[::3]
     unfit[lost] = pool.reasons.index("over") if "over" in pool.reasons else 1
     reasons = (*pool.reasons, "over")
-    selected = select(Pool(**{**pool.__dict__, "unfit": unfit, "reasons": reasons}), SplitsConfig())
+    selected = select(ExportPool(**{**pool.__dict__, "unfit": unfit, "reasons": reasons}), SplitsConfig())
     assert (selected.split[np.isin(pool.unit, pool.unit[lost])] == OUT).all()
     assert selected.left_out["its counterfactual group is not whole"] > 0
     assert (selected.split != OUT).sum() + sum(selected.left_out.values()) == len(pool)
@@ -179,7 +179,7 @@ def test_groups_that_lean_on_one_leaf_do_not_spoil_the_balance() -> None:
     pool = pool_of(made_snapshot({"replicacad": ["v3_sc0_staging_00"]}, per_category=80))
     leaf = pool.leaf.copy()
     leaf[pool.grouped] = 0
-    selected = select(Pool(**{**pool.__dict__, "leaf": leaf}), SplitsConfig(val_seen_share=0))
+    selected = select(ExportPool(**{**pool.__dict__, "leaf": leaf}), SplitsConfig(val_seen_share=0))
     for category in np.unique(pool.category):
         mine = (pool.category == category) & (selected.split != OUT)
         counts = np.bincount(leaf[mine])
@@ -195,7 +195,7 @@ def test_a_leaf_that_is_never_gold_leaves_its_category_out() -> None:
     broken = pool.leaf.copy()
     simple = pool.category == 0
     broken[simple] = 1
-    selected = select(Pool(**{**pool.__dict__, "leaf": broken}), SplitsConfig())
+    selected = select(ExportPool(**{**pool.__dict__, "leaf": broken}), SplitsConfig())
     assert (selected.split[simple] == OUT).all()
     cells = [cell for cell in selected.cells if cell.category == "simple"]
     assert {cell.selected for cell in cells} == {0}

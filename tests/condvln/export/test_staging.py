@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from condvln.export import staging
-from condvln.formats import streams
 from condvln.export.contents import INDEX
 from condvln.export.staging import check_place, recover, staged
+from condvln.formats import streams
 from schemas.errors import StoreError
 
 DRIVER = Path(__file__).with_name("killed_exports.py")

@@ -8,8 +8,8 @@ import numpy as np
 
 from condvln.instructions import LabelPriors
 from condvln.instructions.counterfactuals import counterfactual_group, group_id, swapped
-from condvln.instructions.draws import Draws
 from condvln.labels import vocabulary
+from condvln.seeding import Draws
 from schemas.config import InstructionCell, Thresholds
 from tests.condvln.instructions.made_sampler import made_sampler
 
@@ -20,7 +20,7 @@ def test_groups(sampled, prove) -> None:
         draws = Draws(np.random.default_rng(0))
         for program in programs[::5]:
             tried += 1
-            group = counterfactual_group(program, sampler.asker, draws, vocabulary)
+            group = counterfactual_group(program, sampler.condition_sampler, draws, vocabulary)
             if group is None:
                 continue
             made += 1

@@ -12,8 +12,7 @@ from pydantic import ValidationError
 from scipy.stats import chisquare
 
 from condvln.instructions import LabelPriors, ProgramSampler
-from condvln.instructions.composition import composition
-from condvln.instructions.ids import instruction_id
+from condvln.instructions.programs import composition, instruction_id
 from condvln.instructions.rejection import REASONS
 from condvln.instructions.rendering import names_compass, render, with_preamble, word_count
 from condvln.instructions.stops import Stops

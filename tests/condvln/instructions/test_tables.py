@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from condvln.instructions import instruction_id, instruction_table, program_key, programs_from_table
-from condvln.instructions.composition import composition
+from condvln.instructions.programs import composition
 from schemas.tables import INSTRUCTIONS
 
 

@@ -20,8 +20,8 @@ from condvln.instructions import (
 )
 from condvln.instructions.language import LANGUAGES, language
 from condvln.instructions.parsing import parser, reading_from_tree
-from condvln.instructions.reading import Phrase, Place
 from condvln.instructions.rendering import HEADINGS
+from condvln.instructions.text_reading import Phrase, Place
 from condvln.scene import Scene
 from schemas.errors import FormatError
 from schemas.program import SHAPES, Condition, Leaf, ObjectRef, Program, Qualifier, RoomRef

@@ -250,7 +250,7 @@ SPLIT_START = 49
 
 
 def reach_every_room(real: ProcthorSource, real_data: Path, numbers: range) -> int:
-    """Walks some houses; gives the number of their rooms.
+    """Geodesics some houses; gives the number of their rooms.
 
     Rooms that the generator itself calls not navigable need not be reached; none of the sixty houses has one.
     """

@@ -15,7 +15,7 @@ from condvln.scene import Scene
 from condvln.scene.geometry import SceneGeometry
 from condvln.sources.registry import open_source
 from condvln.verify.files import ExportFiles, Row, SceneRun
-from condvln.verify.rules import Rules
+from condvln.verify.rules import VerifierRules
 from jobs.generate import run_generate
 from schemas.config import Config, InstructionsConfig, SamplingConfig, SourceConfig
 from schemas.program import CATEGORIES
@@ -35,8 +35,8 @@ class MadeExport:
     runs: tuple[SceneRun, ...]
 
     @property
-    def rules(self) -> Rules:
-        return Rules.of(self.config)
+    def rules(self) -> VerifierRules:
+        return VerifierRules.of(self.config)
 
     @property
     def rows(self) -> list[Row]:

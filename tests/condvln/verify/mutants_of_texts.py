@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from mutation import Files, World, mutator, pick
 
-from condvln.verify.reading import Unreadable, read
+from condvln.verify.text_reader import Unreadable, read
 from condvln.verify.words import words
 from schemas.program import Program
 

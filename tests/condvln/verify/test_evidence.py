@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from condvln.verify.certificate import Certificate
-from condvln.verify.program import check_program
+from condvln.verify.program_check import check_program
 from schemas.evaluation import ManifestEpisode
 
 LEVELS = ("O0", "O1", "O2")

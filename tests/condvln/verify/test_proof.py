@@ -18,8 +18,8 @@ from condvln.export.contents import CERTIFICATES, SUMMARY
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import OrientedBox, Scene, SceneObject
 from condvln.verify.certificate import FACTS, Certificate
+from condvln.verify.footprints import Ground, Obstacles
 from condvln.verify.proof import find_navmesh, prove_scene
-from condvln.verify.standing import Ground, Obstacles
 from condvln.verify.surfaces import Shapes
 from jobs.verify import verify_export
 from schemas.errors import MissingFileError, PathEscapeError

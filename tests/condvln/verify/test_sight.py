@@ -15,10 +15,10 @@ from condvln.episodes.goals import blocked_footprints, wide_islands
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Room, Scene
 from condvln.scene.geometry import STRUCTURE, SceneGeometry
+from condvln.verify.footprints import Obstacles
 from condvln.verify.ground_points import ground_points
 from condvln.verify.proof import find_navmesh
 from condvln.verify.sight import ODDS, OWN_POINTS, Sight, _Points, evenly, much
-from condvln.verify.standing import Obstacles
 from schemas.config import EpisodeConfig, PlacesConfig
 from tests.condvln.episodes.floors import box, box_triangles, surfaces_of
 

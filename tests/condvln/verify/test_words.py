@@ -10,7 +10,7 @@ from condvln.labels import vocabulary
 from condvln.labels.lexicon import SOURCE_OF_FAMILY
 from condvln.sources.registry import FAMILIES, open_source
 from condvln.verify import words as module
-from condvln.verify.referents import Referents
+from condvln.verify.referents import SceneReferents
 from condvln.verify.surfaces import Shapes
 from condvln.verify.words import folded, words
 from schemas.config import Thresholds
@@ -66,7 +66,7 @@ def test_real_scenes_are_labelled_alike(real_data: Path, family: str) -> None:
         pytest.skip(f"no scenes of {family} here: {error}")
     for handle in handles:
         scene = source.read(handle.scene_id)
-        views = Referents(scene, Thresholds(), Shapes(scene.root)).rooms
+        views = SceneReferents(scene, Thresholds(), Shapes(scene.root)).rooms
         for room in scene.rooms:
             assert views[room.room_id].label == room.label
         seen = {thing.object_id: thing.label for view in views.values() for thing in view.things}

@@ -8,10 +8,10 @@ from condvln.verify.certificate import Certificate
 from condvln.verify.heading import COMPASS, heading_of, yaw_of
 from condvln.verify.phrases import Moves, Named, Phrase
 from condvln.verify.predicates import DIRECTIONS
-from condvln.verify.program import leaf_of
-from condvln.verify.reading import Reading, Unreadable, read
-from condvln.verify.referents import Answer, Problem, Referent, Referents
-from condvln.verify.rules import Rules
+from condvln.verify.program_check import leaf_of
+from condvln.verify.referents import Answer, Problem, Referent, SceneReferents
+from condvln.verify.rules import VerifierRules
+from condvln.verify.text_reader import TextReading, Unreadable, read
 from schemas.config.constants import HEADING_TOLERANCE
 from schemas.evaluation import ManifestEpisode
 from schemas.program import Condition, ObjectRef, Program
@@ -19,7 +19,9 @@ from schemas.program import Condition, ObjectRef, Program
 __all__ = ["check_meaning"]
 
 
-def check_meaning(row: ManifestEpisode, referents: Referents, rules: Rules, certificate: Certificate) -> None:
+def check_meaning(
+    row: ManifestEpisode, referents: SceneReferents, rules: VerifierRules, certificate: Certificate
+) -> None:
     """Everything about an episode that its text and the scene decide."""
     certificate.same("words", row.words, len(row.instruction_text.split()))
     _check_rooms(row.program, referents, certificate)
@@ -43,7 +45,7 @@ def check_meaning(row: ManifestEpisode, referents: Referents, rules: Rules, cert
         certificate.same("gold_leaf", row.gold_leaf, leaves.index(reading.moves[case]))
 
 
-def _check_rooms(program: Program, referents: Referents, certificate: Certificate) -> None:
+def _check_rooms(program: Program, referents: SceneReferents, certificate: Certificate) -> None:
     rooms = {(condition.room.room_id, condition.room.label) for condition in program.conditions}
     rooms |= {(move.room.room_id, move.room.label) for leaf in program.leaves for move in leaf.moves}
     for room_id, label in sorted(rooms):
@@ -51,7 +53,7 @@ def _check_rooms(program: Program, referents: Referents, certificate: Certificat
         certificate.same("room_named", label, None if view is None else view.label, room_id)
 
 
-def _check_heading(row: ManifestEpisode, reading: Reading, rules: Rules, certificate: Certificate) -> None:
+def _check_heading(row: ManifestEpisode, reading: TextReading, rules: VerifierRules, certificate: Certificate) -> None:
     phrases = [*reading.conditions, *(stop for moves in reading.moves for stop in moves)]
     directed = any(phrase.qualifier is not None and phrase.qualifier[0] in DIRECTIONS for phrase in phrases)
     if directed and rules.text.preamble:
@@ -63,7 +65,7 @@ def _check_heading(row: ManifestEpisode, reading: Reading, rules: Rules, certifi
 
 
 def _check_conditions(
-    program: Program, reading: Reading, single_room: bool, certificate: Certificate
+    program: Program, reading: TextReading, single_room: bool, certificate: Certificate
 ) -> list[int] | None:
     """For each condition of the program its place in the text; None where they are not the same conditions."""
     claimed = [_phrase(condition, single_room) for condition in program.conditions]
@@ -75,7 +77,7 @@ def _check_conditions(
 
 
 def _check_branches(
-    program: Program, reading: Reading, order: Sequence[int], single_room: bool, certificate: Certificate
+    program: Program, reading: TextReading, order: Sequence[int], single_room: bool, certificate: Certificate
 ) -> list[Moves] | None:
     """The text's words for each leaf of the program; None where it sends the agent elsewhere."""
     claimed = [tuple(_phrase(move, single_room) for move in leaf.moves) for leaf in program.leaves]
@@ -94,7 +96,7 @@ def _check_branches(
 
 
 def _check_claims(
-    program: Program, reading: Reading, order: Sequence[int], referents: Referents, certificate: Certificate
+    program: Program, reading: TextReading, order: Sequence[int], referents: SceneReferents, certificate: Certificate
 ) -> list[bool] | None:
     """Truths of the program's conditions as the scene has them; None where one can't be decided."""
     truths: list[bool] = []
@@ -121,7 +123,9 @@ def _check_claims(
     return truths if len(truths) == len(program.conditions) else None
 
 
-def _check_stops(program: Program, leaves: Sequence[Moves], referents: Referents, certificate: Certificate) -> None:
+def _check_stops(
+    program: Program, leaves: Sequence[Moves], referents: SceneReferents, certificate: Certificate
+) -> None:
     """Every stop means one thing, the program's."""
     for k, (leaf, moves) in enumerate(zip(program.leaves, leaves, strict=True)):
         for j, (move, stop) in enumerate(zip(leaf.moves, moves, strict=True)):

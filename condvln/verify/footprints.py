@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Room, Scene, SceneObject
-from condvln.verify.walks import Point
+from condvln.verify.geodesics import Point
 from schemas.config.constants import FLOOR_STANDING, HANG, SINK, SNAP_TOLERANCE, UPRIGHT_COSINE
 
 __all__ = ["Ground", "Obstacles", "Reach"]

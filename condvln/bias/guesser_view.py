@@ -10,7 +10,7 @@ from condvln.scene.layouts import layout_of
 from schemas.errors import FormatError
 from schemas.program import SHAPES, Category
 
-__all__ = ["Asked", "Glimpse", "GlimpsedLeaf"]
+__all__ = ["Asked", "GuesserView", "LeafView"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class Asked:
 
 
 @dataclass(frozen=True, slots=True)
-class GlimpsedLeaf:
+class LeafView:
     """A leaf by its words and lengths.
 
     labels : of its stops in their order, the goal last; room : type of the goal's room
@@ -43,7 +43,7 @@ class GlimpsedLeaf:
 
 
 @dataclass(frozen=True, slots=True)
-class Glimpse:
+class GuesserView:
     """An episode without its scene; ``scene`` is but the name that episodes of one scene share.
 
     layout : name of what its scene is a staging of, which words may well tell; empty where it is none
@@ -57,11 +57,11 @@ class Glimpse:
     group: str | None
     text: str
     asked: tuple[Asked, ...]
-    leaves: tuple[GlimpsedLeaf, ...]
+    leaves: tuple[LeafView, ...]
     gold: int
 
     @classmethod
-    def of(cls, row: Mapping[str, Any]) -> Glimpse:
+    def of(cls, row: Mapping[str, Any]) -> GuesserView:
         """From a row of a manifest.
 
         Raises
@@ -70,7 +70,7 @@ class Glimpse:
         """
         try:
             program = row["program"]
-            glimpse = cls(
+            view = cls(
                 episode_id=row["episode_id"],
                 source=row["source"],
                 scene=f"{row['source']}/{row['scene_id']}",
@@ -82,12 +82,12 @@ class Glimpse:
                 leaves=tuple([_leaf(*pair) for pair in zip(program["leaves"], row["leaves"], strict=True)]),
                 gold=int(row["gold_leaf"]),
             )
-            shape = SHAPES[glimpse.category]
-            if len(glimpse.leaves) != shape.leaves or len(glimpse.asked) != len(shape.branches):
-                raise ValueError(f"not the tree of {glimpse.category}")
-            if not 0 <= glimpse.gold < shape.leaves:
-                raise ValueError(f"gold leaf {glimpse.gold} of {shape.leaves}")
-            return glimpse
+            shape = SHAPES[view.category]
+            if len(view.leaves) != shape.leaves or len(view.asked) != len(shape.branches):
+                raise ValueError(f"not the tree of {view.category}")
+            if not 0 <= view.gold < shape.leaves:
+                raise ValueError(f"gold leaf {view.gold} of {shape.leaves}")
+            return view
         except (KeyError, TypeError, ValueError, IndexError) as error:
             raise FormatError(
                 f"no manifest row of an episode ({type(error).__name__}: {error})", remedy="Export again"
@@ -106,9 +106,9 @@ def _asked(condition: Mapping[str, Any]) -> Asked:
     )
 
 
-def _leaf(words: Mapping[str, Any], placed: Mapping[str, Any]) -> GlimpsedLeaf:
+def _leaf(words: Mapping[str, Any], placed: Mapping[str, Any]) -> LeafView:
     moves = words["moves"]
-    return GlimpsedLeaf(
+    return LeafView(
         labels=tuple([move["label"] for move in moves]),
         room=moves[-1]["room"]["label"],
         distance=float(placed["geodesic_distance"]),

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from condvln.episodes.observability import common_prefix
-from condvln.verify.prospect import shared_length, stands
+from condvln.verify.lookouts import shared_length, stands
 from schemas.config.constants import EYE_SPACING, PREFIX_SAMPLES
 
 

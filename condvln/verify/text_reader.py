@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 from condvln.verify.phrasebook import phrasebook
 from condvln.verify.phrases import Moves, Named, Phrase, PhraseReader
 
-__all__ = ["MAX_CONDITIONS", "Reading", "Unreadable", "read"]
+__all__ = ["MAX_CONDITIONS", "TextReading", "Unreadable", "read"]
 
 MAX_CONDITIONS: Final = 3
 """Most conditions of any category."""
@@ -33,7 +33,7 @@ class Unreadable(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class TextReading:
     """conditions in the order of their first mention; moves[c] for the case c whose bit k is the truth of k."""
 
     conditions: tuple[Phrase, ...]
@@ -70,7 +70,7 @@ class _State(NamedTuple):
     early: bool
 
 
-def read(text: str, code: str = "en") -> Reading:
+def read(text: str, code: str = "en") -> TextReading:
     """The one reading of `text`.
 
     Raises
@@ -88,7 +88,7 @@ def read(text: str, code: str = "en") -> Reading:
     if all(early for _, early in found):
         raise Unreadable("an answer does not belong to the question before it")
     conditions, moves, heading = found[0][0]
-    return Reading(conditions, moves, heading)
+    return TextReading(conditions, moves, heading)
 
 
 _Function = tuple[tuple[Phrase, ...], tuple[Moves, ...], str | None]

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from condvln.instructions import parse, reading_of, render
 from condvln.verify.phrasebook import phrasebook
 from condvln.verify.phrases import Named, Phrase
-from condvln.verify.reading import Reading, Unreadable, read
+from condvln.verify.text_reader import TextReading, Unreadable, read
 from condvln.verify.words import words
 from schemas.program import (
     CATEGORIES,
@@ -30,7 +30,7 @@ SOFA = Phrase("sofa", None, KITCHEN)
 DESK = Phrase("desk", ("north of", "sink"), BEDROOM)
 
 
-def goes(reading: Reading) -> dict[tuple[bool, ...], list[str]]:
+def goes(reading: TextReading) -> dict[tuple[bool, ...], list[str]]:
     """Labels of the stops by the truths of the conditions."""
     return {
         tuple(bool(case >> k & 1) for k in range(len(reading.conditions))): [stop.label for stop in moves]
@@ -43,7 +43,7 @@ def test_a_simple_text() -> None:
         "You're facing north-east. If there's a lamp near the bed, go to the sofa in the kitchen, and stop at the desk "
         "north of the sink in the bedroom with the piano. If not, walk to the sofa in the kitchen."
     )
-    assert reading == Reading((LAMP,), ((SOFA,), (SOFA, DESK)), "north-east")
+    assert reading == TextReading((LAMP,), ((SOFA,), (SOFA, DESK)), "north-east")
 
 
 def test_there_is_the_room_named_last() -> None:

@@ -13,15 +13,15 @@ from itertools import pairwise
 
 from condvln.instructions.conditions import ConditionPool, Question
 from condvln.instructions.degeneracy import Claim, Presupposed, clash
-from condvln.instructions.draws import Draws
 from condvln.instructions.predicates import PREDICATE_GROUPS
 from condvln.instructions.referents import Referents
 from condvln.instructions.rejection import GivenUp
 from condvln.labels import Vocabulary
+from condvln.seeding import Draws
 from schemas.config import SamplingConfig
 from schemas.program import Condition, ObjectRef, Predicate, Program, Qualifier, RoomRef
 
-__all__ = ["Asker"]
+__all__ = ["ConditionSampler"]
 
 Statements = tuple[Callable[[bool, int], Question], Mapping[bool, Sequence[float]]]
 """The statement of a truth at a place, and weights of the places, summed up, by truth."""
@@ -34,7 +34,7 @@ class _Room:
     groups: tuple[tuple[tuple[Predicate, ...], float], ...]
 
 
-class Asker:
+class ConditionSampler:
     """Draws conditions.
 
     Parameters

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from condvln.evaluation.nearness import Nearness
+from condvln.evaluation.goal_distances import Nearness
 from condvln.evaluation.predictions import Prediction
-from condvln.evaluation.score import Rules, score
+from condvln.evaluation.score import ScoreRules, score
 from condvln.navigation.pathfinder import Pathfinder
 from tests.condvln.evaluation.conftest import task_with
 
@@ -53,7 +53,8 @@ def compare(pathfinder: Pathfinder, seed: int, walks: int) -> int:
             task = task_with(leaves, start=path[0], reference=path, tau=tau)
             prediction = Prediction("e", path, True, True)
             pruned, full = (
-                asdict(score(task, prediction, Nearness(pathfinder, prune=prune), Rules())) for prune in (True, False)
+                asdict(score(task, prediction, Nearness(pathfinder, prune=prune), ScoreRules()))
+                for prune in (True, False)
             )
             np.testing.assert_equal(pruned, full, err_msg=f"{how} {number} {tau}")
             asked += 1

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from condvln.navigation.pathfinder import Pathfinder
 
-__all__ = ["Point", "Walks"]
+__all__ = ["Geodesics", "Point"]
 
 F64 = NDArray[np.float64]
 Point = tuple[float, float, float]
 
 
-class Walks:
+class Geodesics:
     """Points, distances and ways of one scene.
 
     First everything is noted, then `ask` is called once, then the answers are there.
