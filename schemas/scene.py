@@ -59,6 +59,9 @@ class ObjectRecord(Document):
     geometry: Geometry = "none"
     mesh: tuple[MeshPart, ...] = ()
     static: bool = True
+    parent: str | None = Field(None, description="id of the object that contains it")
+    support: str | None = Field(None, description="id of the object that it rests on")
+    hidden: bool = Field(False, description="a container around it is shut")
 
 
 class RoomRecord(Document):

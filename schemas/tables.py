@@ -137,6 +137,9 @@ OBJECTS: Final = pa.schema(
         ),
         _required("mesh", pa.list_(MESH_PART), "mesh files of the object; empty where there are none"),
         _required("static", _B, "the object can't be moved"),
+        _field("parent", _S, "id of the object that contains this one; null where it is in none"),
+        _field("support", _S, "id of the object that this one rests on; null for the floor, a wall or unknown"),
+        _required("hidden", _B, "a container around the object can be shut and is open less than half"),
     ]
 )
 

@@ -73,6 +73,9 @@ class SceneObject:
     """One object. What is not known of its extent is None and stays so.
 
     center (3,); aabb (2, 3) as [min, max]; size (3,) full extents; radius of a bounding sphere; all in metres.
+    parent : id of the object that contains this one
+    support : id of the object that this one rests on
+    hidden : a container around the object is shut, so nobody in the room can see it
     """
 
     object_id: str
@@ -86,6 +89,9 @@ class SceneObject:
     radius: float | None = None
     mesh: tuple[MeshPart, ...] = ()
     static: bool = True
+    parent: str | None = None
+    support: str | None = None
+    hidden: bool = False
 
     @property
     def box(self) -> F64 | None:

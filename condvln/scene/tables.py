@@ -162,6 +162,9 @@ def _object_row(scene_id: str, item: SceneObject) -> Row:
         "geometry": item.geometry,
         "mesh": [_part_row(p) for p in item.mesh],
         "static": item.static,
+        "parent": item.parent,
+        "support": item.support,
+        "hidden": item.hidden,
     }
 
 
@@ -183,6 +186,9 @@ def _object(row: Row) -> SceneObject:
         radius=row["radius"],
         mesh=tuple(_part(p) for p in row["mesh"]),
         static=row["static"],
+        parent=row["parent"],
+        support=row["support"],
+        hidden=row["hidden"],
     )
 
 

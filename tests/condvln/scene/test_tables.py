@@ -74,6 +74,9 @@ def scenes(draw: st.DrawFn) -> Scene:
             radius=draw(st.none() | sizes),
             mesh=tuple(draw(st.lists(parts, max_size=2))),
             static=draw(st.booleans()),
+            parent=draw(st.none() | texts),
+            support=draw(st.none() | texts),
+            hidden=draw(st.booleans()),
         )
         for name in sorted(draw(st.lists(texts, max_size=4, unique=True)))
     )
