@@ -38,5 +38,5 @@ def test_versions_are_raised_when_rows_change(made_run: tuple[Config, Report]) -
     if golden["made_on"] != MACHINE:
         pytest.skip(f"the golden hashes were made on {golden['made_on']}, this is {MACHINE}")
     drift = compare(golden["units"], found)
-    assert not drift.unbumped, "rows changed under an equal key: raise the stage's version in jobs/stages.py"
+    assert not drift.unbumped, "rows changed under an equal key: raise the stage's version in jobs/stages/"
     assert not drift.outdated, "keys changed: write the golden file anew with CONDVLN_UPDATE_GOLDEN=1"

@@ -1,0 +1,115 @@
+"""Placed episodes of a scene: where its programs start, and what is seen on the way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from condvln.episodes.candidates import Candidate, candidates_from_table
+from condvln.episodes.observability import Observer
+from condvln.episodes.placing import Placer
+from condvln.episodes.pool import EpisodePool, fill_pool
+from condvln.episodes.table import (
+    PLACEMENTS,
+    funnel_table,
+    goals_from_table,
+    placements_table,
+    rejections_table,
+)
+from condvln.episodes.unplaced import unplaced_programs, unplaced_table
+from condvln.instructions import (
+    names_compass,
+)
+from condvln.scene import Scene
+from factory.stage import Stage, StageOutput
+from factory.unit import Unit
+from jobs.stages.inputs import Tables, dump, pathfinder_of, scene_of, view_of
+from schemas.canonical import JSON
+from schemas.config import (
+    EpisodeConfig,
+    InstructionsConfig,
+    PlacesConfig,
+)
+
+__all__ = ["EpisodeStage"]
+
+
+@dataclass
+class EpisodeStage(Stage):
+    """Candidate programs + navmesh + surfaces → placed episodes and what is seen on them, without their words."""
+
+    places: PlacesConfig
+    instructions: InstructionsConfig
+    rules: EpisodeConfig
+    max_climb: float
+    preamble: bool
+    seed: int
+    name: str = "episodes"
+    version: int = 7
+    tables: tuple[str, ...] = ("placements", "unplaced", "rejections", "funnel")
+    reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "stops", "candidates")
+    reads_inputs: bool = True
+
+    def parameters(self, unit: Unit) -> JSON:
+        return {
+            "places": dump(self.places),
+            "instructions": dump(self.instructions),
+            "episodes": dump(self.rules),
+            "agent": {"max_climb": self.max_climb},
+            "text": {"preamble": self.preamble},
+            "seed": self.seed,
+        }
+
+    def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
+        scene = scene_of(unit, upstream)
+        wanted, groups = self.instructions.wanted, self.instructions.counterfactual_groups
+        candidates = candidates_from_table(upstream["candidates"], wanted)
+        if scene.navmesh is None:
+            return self._without_navmesh(scene, candidates)
+        placer = Placer(
+            scene,
+            pathfinder_of(scene, upstream),
+            goals_from_table(upstream["stops"]),
+            self.places,
+            self.rules,
+            self.seed,
+            max_climb=self.max_climb,
+        )
+        observer = Observer(scene, view_of(unit, scene), placer.pathfinder, self.places, self.rules, placer.obstacles)
+        pool = fill_pool(
+            candidates,
+            placer,
+            wanted,
+            self.instructions.label_cap,
+            lambda program: self.preamble and names_compass(program),
+            observer,
+            groups,
+        )
+        compositions = dict(
+            zip(*(upstream["candidates"][c].to_pylist() for c in ("instruction_id", "composition")), strict=True)
+        )
+        return StageOutput(
+            tables={
+                "placements": placements_table(scene.scene_id, pool, compositions, scene.navmesh.sha256),
+                "unplaced": unplaced_table(()),
+                "rejections": rejections_table(scene.scene_id, self.name, pool.rejections, pool.examples),
+                "funnel": funnel_table(scene.scene_id, wanted, pool, groups),
+            },
+            measures={"episodes": float(len(pool.episodes)), "candidates": float(len(candidates))},
+        )
+
+    def _without_navmesh(self, scene: Scene, candidates: list[Candidate]) -> StageOutput:
+        """Instructions as many as wanted; every candidate counts as one that could not be placed."""
+        pool = EpisodePool()
+        wanted, groups = self.instructions.wanted, self.instructions.counterfactual_groups
+        for candidate in candidates:
+            pool.candidates[candidate.cell] += 1
+            pool.reject(candidate, "no_navmesh")
+        return StageOutput(
+            tables={
+                "placements": PLACEMENTS.empty_table(),
+                "unplaced": unplaced_table(unplaced_programs(candidates)),
+                "rejections": rejections_table(scene.scene_id, self.name, pool.rejections, pool.examples),
+                "funnel": funnel_table(scene.scene_id, wanted, pool, groups),
+            },
+            measures={"episodes": 0.0, "candidates": float(len(candidates))},
+        )

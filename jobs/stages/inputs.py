@@ -1,0 +1,70 @@
+"""What the stages of a scene read: its source, its scene, its navmesh and its surfaces."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Final
+
+import pyarrow as pa
+
+from condvln.episodes.view import SceneView
+from condvln.navigation.navmesh_file import parse_navmesh
+from condvln.navigation.pathfinder import Pathfinder
+from condvln.scene import Scene
+from condvln.scene.tables import scene_from_tables
+from condvln.sources.registry import open_source
+from condvln.sources.source import Source
+from factory.unit import Unit
+from schemas.canonical import JSON
+from schemas.config import (
+    Section,
+)
+
+__all__ = ["NAVMESHES", "Tables", "dump", "navmeshes_table", "pathfinder_of", "scene_of", "source_of", "view_of"]
+
+
+Tables = Mapping[str, pa.Table]
+
+NAVMESHES: Final = pa.schema([("scene_id", pa.string()), ("data", pa.large_binary())])
+"""Built navmeshes, kept in the unit for later stages and for the export; not a published table."""
+
+
+def navmeshes_table(scene_id: str, data: bytes | None) -> pa.Table:
+    rows = [] if data is None else [{"scene_id": scene_id, "data": data}]
+    return pa.Table.from_pylist(rows, schema=NAVMESHES)
+
+
+@lru_cache(maxsize=8)
+def _source(family: str, root: str, regions: str | None, houses: str | None, navmesh: str | None) -> Source:
+    """One reader a process and dataset: its shared files are read once."""
+    side, house_folder = (None if path is None else Path(path) for path in (regions, houses))
+    return open_source(family, Path(root), navmesh=navmesh, regions=side, houses=house_folder)
+
+
+def source_of(unit: Unit) -> Source:
+    keys = ("regions", "houses", "navmesh")
+    regions, houses, navmesh = (None if value is None else str(value) for value in map(unit.payload.get, keys))
+    return _source(str(unit.payload["family"]), str(unit.payload["root"]), regions, houses, navmesh)
+
+
+def scene_of(unit: Unit, tables: Tables) -> Scene:
+    return scene_from_tables(tables, Path(str(unit.payload["root"])), family=str(unit.payload["family"]))
+
+
+def pathfinder_of(scene: Scene, tables: Tables) -> Pathfinder:
+    """Over the navmesh that the first stage chose or built."""
+    assert scene.navmesh is not None
+    if scene.navmesh.built:
+        return Pathfinder(parse_navmesh(tables["navmeshes"]["data"][0].as_py(), scene.navmesh.path))
+    return Pathfinder.load(scene.root / scene.navmesh.path)
+
+
+def view_of(unit: Unit, scene: Scene) -> SceneView:
+    return SceneView(scene, source_of(unit).geometry(scene))
+
+
+def dump(section: Section) -> JSON:
+    document: JSON = section.model_dump(mode="json")
+    return document

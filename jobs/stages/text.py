@@ -1,0 +1,71 @@
+"""The words of a scene's episodes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from condvln.episodes.table import (
+    with_text,
+)
+from condvln.instructions import (
+    instruction_table,
+    names_compass,
+    programs_from_table,
+    render,
+    with_preamble,
+)
+from factory.stage import Stage, StageOutput
+from factory.unit import Unit
+from jobs.stages.inputs import Tables, dump
+from schemas.canonical import JSON
+from schemas.config import (
+    TextConfig,
+)
+
+__all__ = ["TextStage"]
+
+
+@dataclass
+class TextStage(Stage):
+    """Placed programs → their words: instructions and episodes as they are published."""
+
+    text: TextConfig
+    max_steps: int
+    seed: int
+    name: str = "text"
+    version: int = 4
+    tables: tuple[str, ...] = ("instructions", "episodes")
+    reads: tuple[str, ...] | None = ("candidates", "placements", "unplaced", "rooms")
+
+    def parameters(self, unit: Unit) -> JSON:
+        return {
+            "text": dump(self.text),
+            "episodes": {"max_steps": self.max_steps},
+            "seed": self.seed,
+        }
+
+    def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
+        placements = upstream["placements"]
+        candidates = upstream["candidates"]
+        wanted = [*placements["instruction_id"].chunks, *upstream["unplaced"]["instruction_id"].chunks]
+        names = pa.chunked_array(wanted, pa.string())
+        kept = candidates.filter(pc.is_in(candidates["instruction_id"], value_set=names))
+        programs = dict(programs_from_table(kept))
+        bodies = {k: render(program, self.seed, k) for k, program in programs.items()}
+        groups = dict(zip(*(placements[c].to_pylist() for c in ("instruction_id", "group_id")), strict=True))
+        texts = {}
+        for row in placements.select(["episode_id", "instruction_id", "start_heading_degrees"]).to_pylist():
+            name = row["instruction_id"]
+            named = self.text.preamble and names_compass(programs[name])
+            texts[row["episode_id"]] = (
+                with_preamble(bodies[name], row["start_heading_degrees"], self.seed, name) if named else bodies[name]
+            )
+        return StageOutput(
+            tables={
+                "instructions": instruction_table(str(unit.payload["scene_id"]), programs.items(), bodies, groups),
+                "episodes": with_text(placements, texts, self.max_steps, self.text.steps_per_word),
+            }
+        )
