@@ -15,13 +15,13 @@ import pyarrow.compute as pc
 from condvln.episodes.picture import draw_episode
 from condvln.export.axes import observability_class
 from condvln.instructions.tables import programs_from_table
+from condvln.instructions.tree import program_tree
 from condvln.navigation.navmesh_file import NavMeshFile, parse_navmesh, read_navmesh
 from condvln.scene import Scene
 from condvln.scene.tables import scene_from_tables
 from factory.snapshot import Snapshot
 from jobs.built_navmeshes import built_navmeshes
 from jobs.report import Report
-from jobs.tree import program_tree
 from jobs.workspace import published
 from schemas.config import Config
 from schemas.errors import UsageError

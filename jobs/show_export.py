@@ -13,13 +13,13 @@ from typing import Any
 from condvln.episodes.picture import draw_episode
 from condvln.episodes.placing import heading_degrees
 from condvln.evaluation.walker import heading_of
+from condvln.instructions.tree import program_tree
 from condvln.manifest import ManifestLine, manifest_lines, manifest_paths
 from condvln.navigation.navmesh_file import read_navmesh
 from condvln.navigation.navmesh_folder import NavmeshFolder
 from condvln.scene import Scene
 from jobs.report import Report
 from jobs.show import episode_lines, spread
-from jobs.tree import program_tree
 from schemas.errors import FormatError, UsageError
 
 __all__ = ["show_export"]

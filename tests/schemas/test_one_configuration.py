@@ -19,11 +19,11 @@ TECHNICAL = {
     "relations/metrics.py": {"MILLIMETRES_PER_METRE"},
     "relations/compass.py": {"SECTOR_DEGREES", "COINCIDENT"},
     "verify/surfaces.py": {"KEPT_TRIANGLES", "ORTHOGONAL"},
-    "verify/outlook.py": {"EVEN"},
-    "verify/record.py": {"HEADING"},
+    "verify/lookouts.py": {"EVEN"},
+    "verify/episode_record.py": {"HEADING"},
     "verify/heading.py": {"UNIT"},
-    "verify/truth.py": {"ROUNDED", "SLACK"},
-    "verify/standing.py": {"TOUCHING"},
+    "verify/ground_truth.py": {"ROUNDED", "SLACK"},
+    "verify/footprints.py": {"TOUCHING"},
     "verify/placement.py": {"MILLIMETRE", "ROUNDING"},
     "episodes/placing.py": {"COMPASS_STEP"},
     # The verifier's own measurement: how many samples, how sure, how many at once.
@@ -31,17 +31,16 @@ TECHNICAL = {
     "verify/files.py": {"_BLOCK"},
     "verify/completeness.py": {"_BLOCK"},
     "verify/predicates.py": {"TRUE", "FALSE", "UNDECIDED"},
-    "verify/reading.py": {"MAX_CONDITIONS", "_CASES", "_ALWAYS"},
+    "verify/text_reader.py": {"MAX_CONDITIONS", "_CASES", "_ALWAYS"},
     # Order of work and memory; the result is the same whatever they are.
-    "instructions/draws.py": {"BLOCK"},
     "instructions/priors.py": {"MERGE_ROWS"},
     "instructions/stops.py": {"REJECTIONS"},
     "episodes/view.py": {"FIRST_LOOKS"},
     # Formats of ids.
-    "instructions/ids.py": {"ID_LENGTH"},
+    "instructions/programs.py": {"ID_LENGTH"},
     "episodes/table.py": {"ID_DIGITS"},
     # How hard a search tries; what it finds is checked by rules that are keys.
-    "instructions/sampling.py": {"WISHES_PER_CANDIDATE", "VAIN_WISHES"},
+    "instructions/sampling.py": {"TRIES_PER_CANDIDATE", "VAIN_TRIES"},
     "instructions/referents.py": {"ALTERNATIVES", "ROOM_NAMES"},
     "instructions/conditions.py": {"BALANCING_ROUNDS", "LEAST_WEIGHT", "PSEUDOCOUNT"},
     # Voices of the text: shares of wordings that mean the same.
