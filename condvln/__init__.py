@@ -1,1 +1,132 @@
-"""The science: pure functions from a scene to verified episodes, and the metrics."""
+"""CondVLN in Python: from a scene's files to conditional instructions, episodes, and the score of an agent.
+
+``import condvln as cv`` costs next to nothing: each name is loaded when it is first used. ``docs/tutorial.md`` goes
+through all of them.
+
+========================  ==============================================================================================
+Scenes                    ``make_samples`` ``open_source`` ``open_world`` ``World`` ``Scene``
+Relations                 ``World.relation_graph`` ``relate_scene`` ``Thresholds``
+Instructions              ``Program`` ``parse`` ``render`` ``program_tree`` ``label_priors`` ``InstructionsConfig``
+Navigation                ``Pathfinder`` ``NavMeshSettings`` ``Follower`` ``AgentConfig``
+Episodes                  ``World.episodes`` ``ManifestEpisode`` ``open_export`` ``Export`` ``read_manifest``
+Agents and scores         ``task_of`` ``walk`` ``Observation`` ``Policy`` ``Prediction`` ``score`` ``evaluate``
+Checks                    ``judge_export`` (bias gate) ``prove_export`` (independent proof)
+========================  ==============================================================================================
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from condvln.bias import judge_export
+    from condvln.evaluation.agents import AGENTS, agent_named
+    from condvln.evaluation.evaluate import Evaluation, evaluate
+    from condvln.evaluation.export_folder import Export, open_export
+    from condvln.evaluation.predictions import Prediction, read_predictions, write_predictions
+    from condvln.evaluation.score import Score, ScoreRules, score
+    from condvln.evaluation.task import Task, task_of
+    from condvln.evaluation.walker import Observation, Policy, walk
+    from condvln.instructions import LabelPriors, parse, render
+    from condvln.instructions.tree import program_tree
+    from condvln.labels import vocabulary
+    from condvln.manifest import read_manifest
+    from condvln.navigation import Follower, NavMeshSettings, Pathfinder, build_navmesh, read_navmesh
+    from condvln.relations import relate_scene
+    from condvln.samples import make_samples
+    from condvln.scene import Room, Scene, SceneObject
+    from condvln.sources.registry import open_source
+    from condvln.verify import prove_export
+    from condvln.world import World, label_priors, open_world
+    from schemas.config import AgentConfig, Config, InstructionsConfig, SamplingConfig, Thresholds
+    from schemas.errors import CondVLNError
+    from schemas.evaluation import ManifestEpisode
+    from schemas.program import Program
+
+__all__ = [
+    "AGENTS",
+    "AgentConfig",
+    "CondVLNError",
+    "Config",
+    "Evaluation",
+    "Export",
+    "Follower",
+    "InstructionsConfig",
+    "LabelPriors",
+    "ManifestEpisode",
+    "NavMeshSettings",
+    "Observation",
+    "Pathfinder",
+    "Policy",
+    "Prediction",
+    "Program",
+    "Room",
+    "SamplingConfig",
+    "Scene",
+    "SceneObject",
+    "Score",
+    "ScoreRules",
+    "Task",
+    "Thresholds",
+    "World",
+    "agent_named",
+    "build_navmesh",
+    "evaluate",
+    "judge_export",
+    "label_priors",
+    "make_samples",
+    "open_export",
+    "open_source",
+    "open_world",
+    "parse",
+    "program_tree",
+    "prove_export",
+    "read_manifest",
+    "read_navmesh",
+    "read_predictions",
+    "relate_scene",
+    "render",
+    "score",
+    "task_of",
+    "vocabulary",
+    "walk",
+    "write_predictions",
+]
+
+_MODULES = {
+    "condvln.bias": ("judge_export",),
+    "condvln.evaluation.agents": ("AGENTS", "agent_named"),
+    "condvln.evaluation.evaluate": ("Evaluation", "evaluate"),
+    "condvln.evaluation.export_folder": ("Export", "open_export"),
+    "condvln.evaluation.predictions": ("Prediction", "read_predictions", "write_predictions"),
+    "condvln.evaluation.score": ("Score", "ScoreRules", "score"),
+    "condvln.evaluation.task": ("Task", "task_of"),
+    "condvln.evaluation.walker": ("Observation", "Policy", "walk"),
+    "condvln.instructions": ("LabelPriors", "parse", "render"),
+    "condvln.instructions.tree": ("program_tree",),
+    "condvln.labels": ("vocabulary",),
+    "condvln.manifest": ("read_manifest",),
+    "condvln.navigation": ("Follower", "NavMeshSettings", "Pathfinder", "build_navmesh", "read_navmesh"),
+    "condvln.relations": ("relate_scene",),
+    "condvln.samples": ("make_samples",),
+    "condvln.scene": ("Room", "Scene", "SceneObject"),
+    "condvln.sources.registry": ("open_source",),
+    "condvln.verify": ("prove_export",),
+    "condvln.world": ("World", "label_priors", "open_world"),
+    "schemas.config": ("AgentConfig", "Config", "InstructionsConfig", "SamplingConfig", "Thresholds"),
+    "schemas.errors": ("CondVLNError",),
+    "schemas.evaluation": ("ManifestEpisode",),
+    "schemas.program": ("Program",),
+}
+_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
+
+
+def __getattr__(name: str) -> object:
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_MODULE_OF[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

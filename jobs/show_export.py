@@ -11,10 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from condvln.episodes.picture import draw_episode
-from condvln.episodes.placing import heading_degrees
-from condvln.evaluation.walker import heading_of
 from condvln.instructions.tree import program_tree
-from condvln.manifest import ManifestLine, manifest_lines, manifest_paths
+from condvln.manifest import ManifestLine, manifest_lines, manifest_paths, published_row
 from condvln.navigation.navmesh_file import read_navmesh
 from condvln.navigation.navmesh_folder import NavmeshFolder
 from condvln.scene import Scene
@@ -59,7 +57,7 @@ def show_export(
         tree = program_tree(row.program)
         document = row.model_dump(mode="json")
         report.document["episodes"].append({**document, "tree": tree})
-        shown = _as_published(document)
+        shown = published_row(row)
         report.extend(episode_lines(shown, tree))
         if picture is not None:
             navmesh = NavmeshFolder((export, *roots)).path(row.navmesh, row.navmesh_sha256, f"episode {row.episode_id}")
@@ -103,22 +101,3 @@ def _lines(export: Path) -> Iterator[ManifestLine]:
         )
     for path in paths:
         yield from manifest_lines(path)
-
-
-def _as_published(row: Row) -> Row:
-    """The row as the episodes table has it: points by their axes, the heading of the start."""
-    leaves = [
-        {
-            **leaf,
-            "goals": [_point(p) for p in leaf["goals"]],
-            "reference_path": [_point(p) for p in leaf["reference_path"]],
-            "subgoals": [{**stop, "position": _point(stop["position"])} for stop in leaf["subgoals"]],
-        }
-        for leaf in row["leaves"]
-    ]
-    heading = heading_degrees(heading_of(row["start_rotation"]))
-    return {**row, "leaves": leaves, "start_position": _point(row["start_position"]), "start_heading_degrees": heading}
-
-
-def _point(position: Sequence[float]) -> dict[str, float]:
-    return dict(zip("xyz", position, strict=True))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import heapq
+import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -38,14 +39,14 @@ UNIFORM_FROM: Final = 200
 """Episodes from which the gold leaves of a source and category must be even."""
 
 
-def judge_export(folder: Path) -> BiasReport:
+def judge_export(folder: str | os.PathLike[str]) -> BiasReport:
     """Judge the splits of an export folder together.
 
     Raises
     ------
     InputError : there is no manifest, or it can't be read
     """
-    return judge(_manifest_rows(folder))
+    return judge(_manifest_rows(Path(folder)))
 
 
 def judge(rows: Iterable[Mapping[str, Any]]) -> BiasReport:

@@ -65,6 +65,16 @@ class Evaluation:
     def __len__(self) -> int:
         return len(self.episode_ids)
 
+    def __repr__(self) -> str:
+        means = ", ".join(f"{name} {self.means[name]:.3f}" for name in ("success", "spl", "bsa_all", "leaf_correct"))
+        return f"Evaluation({self.agent}: {len(self)} episodes, {means})"
+
+    @property
+    def means(self) -> dict[str, float]:
+        """Mean of each measure over the episodes for which it is defined; NaN where there are none."""
+        defined = {name: values[~np.isnan(values)] for name, values in self.scores.items()}
+        return {name: float(values.mean()) if len(values) else float("nan") for name, values in defined.items()}
+
     def rows(self) -> list[dict[str, Any]]:
         """One dictionary an episode: id, axes, scores; undefined measures are None."""
         columns: dict[str, list[Any]] = {"episode_id": list(self.episode_ids)}

@@ -13,6 +13,7 @@ VLN-CE's first pose is the start and each later one the state after an action, s
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -113,7 +114,7 @@ def _kind_of_array(path: Path, inside: bytes) -> PredictionFormat:
 
 
 def read_predictions(
-    path: Path, kind: PredictionFormat | None = None, *, assume_stop: bool = False
+    path: str | os.PathLike[str], kind: PredictionFormat | None = None, *, assume_stop: bool = False
 ) -> Iterator[Prediction]:
     """Predictions in continuous space, in the order of the file.
 
@@ -126,6 +127,7 @@ def read_predictions(
     FormatError : malformed, a position beyond `MAX_COORDINATE`, or one id twice; the message names the episode and the
         step
     """
+    path = Path(path)
     kind = kind or detect_format(path)
     if kind == "r2r":
         raise FormatError(
@@ -163,14 +165,14 @@ def read_graph_predictions(path: Path) -> Iterator[GraphPrediction]:
         yield GraphPrediction(name, tuple(viewpoints))
 
 
-def write_predictions(path: Path, predictions: Iterable[Prediction]) -> int:
+def write_predictions(path: str | os.PathLike[str], predictions: Iterable[Prediction]) -> int:
     """Write VLN-CE's format, one episode in memory at a time; returns how many.
 
     Raises
     ------
     StoreError : the disk refused; nothing half-written is left
     """
-    with atomic_stream(path) as stream:
+    with atomic_stream(Path(path)) as stream:
         stream.write(b"{")
         entries = JsonArrayStream(stream)
         for prediction in predictions:

@@ -14,6 +14,7 @@ from condvln.evaluation.measures import FIDELITY_DISTANCE, cls, ndtw, path_lengt
 from condvln.evaluation.predictions import Prediction
 from condvln.evaluation.subgoals import DistanceMode, reached_in_order, reached_in_order_euclidean
 from condvln.evaluation.task import Task
+from condvln.navigation.protocol import PathfinderProtocol
 from schemas.errors import FormatError
 
 __all__ = ["START_TOLERANCE", "Score", "ScoreRules", "score"]
@@ -91,13 +92,27 @@ class _Walk:
     collisions: float
 
 
-def score(task: Task, prediction: Prediction | None, nearness: Nearness, rules: ScoreRules, where: str = "") -> Score:
+def score(
+    task: Task,
+    prediction: Prediction | None,
+    distances: Nearness | PathfinderProtocol,
+    rules: ScoreRules | None = None,
+    where: str = "",
+) -> Score:
     """Measures of what ``prediction`` did in ``task``; a missing prediction and an empty path are failures.
+
+    Parameters
+    ----------
+    distances : the pathfinder of the task's scene, or what was made of it for many calls
+    rules : VLN-CE's where None
+    where : names the file of the prediction, for messages
 
     Raises
     ------
-    FormatError : the path begins elsewhere than the episode; ``where`` names the file
+    FormatError : the path begins elsewhere than the episode
     """
+    nearness = distances if isinstance(distances, Nearness) else Nearness(distances)
+    rules = rules or ScoreRules()
     if prediction is None or len(prediction.positions) == 0:
         return _failure(task, nearness)
     _check_start(task, prediction, where)

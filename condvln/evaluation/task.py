@@ -63,6 +63,9 @@ class Task:
     navmesh: str
     navmesh_sha256: str
 
+    def __repr__(self) -> str:
+        return f"Task({self.episode_id}, {self.axes['scene']}: {self.text!r})"
+
     @property
     def gold(self) -> LeafTask:
         """The leaf to reach."""

@@ -6,7 +6,16 @@ from condvln.manifest.manifest import (
     manifest_path,
     manifest_paths,
     manifest_row,
+    published_row,
     read_manifest,
 )
 
-__all__ = ["ManifestLine", "manifest_lines", "manifest_path", "manifest_paths", "manifest_row", "read_manifest"]
+__all__ = [
+    "ManifestLine",
+    "manifest_lines",
+    "manifest_path",
+    "manifest_paths",
+    "manifest_row",
+    "published_row",
+    "read_manifest",
+]

@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import math
+import os
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
+from condvln.episodes.placing import heading_degrees
 from condvln.formats.json_entries import json_lines, parsed
 from schemas.errors import FormatError
 from schemas.evaluation import ManifestEpisode
 from schemas.version import SCHEMA_VERSION
 
-__all__ = ["ManifestLine", "manifest_lines", "manifest_path", "manifest_paths", "manifest_row", "read_manifest"]
+__all__ = [
+    "ManifestLine",
+    "manifest_lines",
+    "manifest_path",
+    "manifest_paths",
+    "manifest_row",
+    "published_row",
+    "read_manifest",
+]
 
 FOLDER = "manifest"
 _REMEDY = "Export the split again"
@@ -83,14 +94,14 @@ def manifest_lines(path: Path) -> Iterator[ManifestLine]:
         yield ManifestLine(path, number, text)
 
 
-def read_manifest(path: Path) -> Iterator[ManifestEpisode]:
+def read_manifest(path: str | os.PathLike[str]) -> Iterator[ManifestEpisode]:
     """The rows of a manifest in their order, validated.
 
     Raises
     ------
     MissingFileError, FormatError : as :func:`manifest_lines` and :meth:`ManifestLine.row`; an episode id occurs twice
     """
-    seen: set[str] = set()
+    path, seen = Path(path), set[str]()
     for line in manifest_lines(path):
         row = line.row()
         if row.episode_id in seen:
@@ -141,3 +152,24 @@ def manifest_row(
         "navmesh_sha256": episode["navmesh_sha256"],
         "snapshot": snapshot,
     }
+
+
+def published_row(episode: ManifestEpisode) -> dict[str, Any]:
+    """A manifest row as the episodes table has it: points by their axes, and the heading of the start, degrees."""
+    row = episode.model_dump(mode="json")
+    leaves = [
+        {
+            **leaf,
+            "goals": [_point(p) for p in leaf["goals"]],
+            "reference_path": [_point(p) for p in leaf["reference_path"]],
+            "subgoals": [{**stop, "position": _point(stop["position"])} for stop in leaf["subgoals"]],
+        }
+        for leaf in row["leaves"]
+    ]
+    yaw = 2.0 * math.atan2(row["start_rotation"][1], row["start_rotation"][3]) % (2.0 * math.pi)
+    start = _point(row["start_position"])
+    return {**row, "leaves": leaves, "start_position": start, "start_heading_degrees": heading_degrees(yaw)}
+
+
+def _point(position: Sequence[float]) -> dict[str, float]:
+    return dict(zip("xyz", position, strict=True))

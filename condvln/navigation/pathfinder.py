@@ -54,11 +54,12 @@ class Pathfinder:
 
     Names and semantics are habitat-sim 0.3.4's. Points are (3,) and batches (n, 3), metres, Habitat frame, rounded to
     float32 on entry. A point that can't be projected snaps to NaN; one that can't be reached is infinitely far.
-    Instances are immutable and may be shared by threads.
+    Instances may be shared by threads; all that changes is the sequence of ``get_random_navigable_point``.
     """
 
     def __init__(self, navmesh: NavMeshFile) -> None:
         self.navmesh = navmesh
+        self._random = np.random.default_rng(0)
         tile = navmesh.tile
         # Islands come before polygons without area are taken off the mesh, as in Habitat.
         self._island_of_poly, self._island_radii = find_islands(
@@ -256,9 +257,27 @@ class Pathfinder:
     def _sampler(self) -> Sampler:
         return Sampler(self.query_mesh)
 
-    def get_random_navigable_point(self, rng: RandomSource, island: int | None = None) -> Floats:
-        """A point (3,) uniform over the floor, or over one island of it. ``rng`` is a generator or a seed."""
-        point: Floats = self.get_random_navigable_points(1, rng, island)[0]
+    def seed(self, seed: int) -> None:
+        """Start the sequence of :meth:`get_random_navigable_point` again; a new pathfinder has seed 0."""
+        self._random = np.random.default_rng(seed)
+
+    def get_random_navigable_point(self, max_tries: int = 10, island_index: int = -1) -> Floats:
+        """The next point (3,) of this pathfinder's own sequence, uniform over the floor or over one island of it.
+
+        The distribution is habitat-sim's, the sequence is not: Habitat draws from the C library's generator. Code whose
+        result must not depend on the calls before it uses :meth:`get_random_navigable_points` with a generator.
+
+        Parameters
+        ----------
+        max_tries : taken for habitat-sim's sake; one try is enough here
+        island_index : -1 for any island
+
+        Raises
+        ------
+        InputError : there is no floor
+        """
+        island = None if island_index < 0 else island_index
+        point: Floats = self.get_random_navigable_points(1, self._random, island)[0]
         return point
 
     def get_random_navigable_points(self, count: int, rng: RandomSource, island: int | None = None) -> Floats:
@@ -316,7 +335,7 @@ def _warm_up() -> None:
     pathfinder.distance_table([start], [end])
     pathfinder.find_multi_goal_path(start, [end])
     pathfinder.is_navigable(start)
-    pathfinder.get_random_navigable_point(0)
+    pathfinder.get_random_navigable_point()
     pathfinder.try_step(start, end)
     pathfinder.distance_to_closest_obstacle(start)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -76,7 +77,9 @@ def make_layouts(scenes: int, seed: int) -> dict[str, Layout]:
     }
 
 
-def make_samples(folder: Path, family: str = "replicacad", scenes: int = 12, seed: int = 0) -> SampleReport:
+def make_samples(
+    folder: str | os.PathLike[str], family: str = "replicacad", scenes: int = 12, seed: int = 0
+) -> SampleReport:
     """Write `scenes` made apartments to `folder` in the native format of `family`, or in one of the other forms.
 
     The bytes depend on (family, scenes, seed) alone. A folder that holds the same files already is left as it is.
@@ -91,7 +94,7 @@ def make_samples(folder: Path, family: str = "replicacad", scenes: int = 12, see
     if scenes < 1:
         raise UsageError(f"{scenes} scenes were asked for", place="scenes", remedy="Ask for at least one.")
     layouts = make_layouts(scenes, seed)
-    return _write(folder, family, layouts, FORMS[family](layouts))
+    return _write(Path(folder), family, layouts, FORMS[family](layouts))
 
 
 def write_replicacad(folder: Path, layouts: Mapping[str, Layout], navmesh: NavmeshEngine = "polygons") -> SampleReport:

@@ -203,6 +203,9 @@ class Scene:
     stage: tuple[MeshPart, ...] = ()
     warnings: tuple[SceneWarning, ...] = ()
 
+    def __repr__(self) -> str:
+        return f"Scene({self.family}/{self.scene_id}: {len(self.rooms)} rooms, {len(self.objects)} objects)"
+
     @cached_property
     def room_of(self) -> dict[str, Room]:
         """Rooms by id."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
@@ -33,13 +34,13 @@ FAMILIES: Final[dict[str, type[SceneSource]]] = {
 
 def open_source(
     family: str,
-    root: Path,
+    root: str | os.PathLike[str],
     *,
     scenes: Sequence[str] = ("*",),
     exclude: Sequence[str] = (),
     navmesh: str | None = None,
-    regions: Path | None = None,
-    houses: Path | None = None,
+    regions: str | os.PathLike[str] | None = None,
+    houses: str | os.PathLike[str] | None = None,
     hash_file: HashFile = hash_file,
 ) -> Source:
     """The dataset of a family under `root`.
@@ -58,6 +59,7 @@ def open_source(
     """
     if family not in FAMILIES:
         raise ConfigError(f"unknown source family {family!r}", remedy=f"Known are {', '.join(sorted(FAMILIES))}")
+    root = Path(root)
     if not root.is_dir():
         raise ConfigError(
             f"the {family} dataset folder is not there",
@@ -65,7 +67,7 @@ def open_source(
             remedy="Download the dataset, or set the source's 'root' to the folder it stands in",
         )
     choice = SceneChoice(tuple(scenes), tuple(exclude))
-    options = SourceOptions(choice, navmesh, regions, hash_file)
+    options = SourceOptions(choice, navmesh, None if regions is None else Path(regions), hash_file)
     if houses is None:
         return FAMILIES[family](root, options)
     if family != ProcthorHabitatSource.family:
@@ -73,6 +75,7 @@ def open_source(
             f"the source of family {family!r} names houses, which only ProcTHOR has",
             remedy="Remove the source's 'houses', or set its 'family' to procthor",
         )
+    houses = Path(houses)
     if not houses.is_dir():
         raise ConfigError("the folder of houses is not there", where=houses, remedy="Mend the source's 'houses'")
     return ProcthorHabitatSource(root, options, houses)

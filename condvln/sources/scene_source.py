@@ -60,6 +60,13 @@ class SceneSource(ABC):
                 remedy="Correct the source's 'regions'",
             )
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({str(self.root)!r})"
+
+    def scene_ids(self) -> list[str]:
+        """Ids of the scenes that can be listed, sorted."""
+        return [handle.scene_id for handle in self.handles() if handle.fault is None]
+
     @abstractmethod
     def listing(self) -> Iterator[tuple[str, Note]]:
         """Every scene of the dataset by id, with a function that notes its inputs; called before the next is asked."""

@@ -97,6 +97,10 @@ class Source(Protocol):
         """The scenes asked for, sorted by id. Reads no geometry; a scene that can't be listed has a fault."""
         ...
 
+    def scene_ids(self) -> list[str]:
+        """Ids of the scenes that can be listed, sorted."""
+        ...
+
     def passed_over(self) -> list[tuple[str, str]]:
         """Paths that the last `handles` left out without losing a scene, and why; sorted."""
         ...

@@ -40,7 +40,8 @@ class StandIn:
         return self.ours.snap_point(point, None if island_index < 0 else island_index)
 
     def get_random_navigable_point(self, max_tries: int = 10, island_index: int = -1) -> np.ndarray:
-        return self.ours.get_random_navigable_point(self.seeds[-1], None if island_index < 0 else island_index)
+        island = None if island_index < 0 else island_index
+        return self.ours.get_random_navigable_points(1, self.seeds[-1], island)[0]
 
     def seed(self, seed: int) -> None:
         self.seeds.append(seed)

@@ -1,0 +1,250 @@
+"""One scene in memory: what is in it, where an agent can walk, and the episodes that a run would make of it.
+
+The steps are those of a run (``condvln generate``) without a store: relations, candidate programs, placing, text.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import networkx as nx
+
+from condvln.episodes.candidates import Candidate, draw_candidates
+from condvln.episodes.goals import blocked_footprints, scene_goals
+from condvln.episodes.observability import Observer
+from condvln.episodes.picture import draw_episode
+from condvln.episodes.placing import Placer, reachable_stops
+from condvln.episodes.pool import EpisodePool, fill_pool
+from condvln.episodes.routes import GoalField
+from condvln.episodes.table import placements_table, with_text
+from condvln.episodes.view import SceneView
+from condvln.export.rows import rows_of
+from condvln.instructions import (
+    LabelPriors,
+    ProgramSampler,
+    apart_by_centres,
+    instruction_table,
+    names_compass,
+    render,
+    with_preamble,
+)
+from condvln.instructions.programs import composition
+from condvln.instructions.referents import Referents
+from condvln.instructions.tree import program_tree
+from condvln.labels import vocabulary
+from condvln.manifest import manifest_row, published_row
+from condvln.navigation.navmesh_file import parse_navmesh
+from condvln.navigation.pathfinder import Pathfinder
+from condvln.navigation.scene_navmesh import with_built_navmesh, with_shipped_navmesh
+from condvln.relations import RoomRelations, TextFacts, relate_scene, text_facts, to_networkx
+from condvln.scene import Scene
+from condvln.scene.geometry import SceneGeometry
+from condvln.scene.meshes import MeshLibrary
+from condvln.sources.source import Source
+from schemas.config import (
+    AgentConfig,
+    EpisodeConfig,
+    GoalsConfig,
+    InstructionsConfig,
+    PlacesConfig,
+    SamplingConfig,
+    TextConfig,
+    Thresholds,
+)
+from schemas.errors import InputError
+from schemas.evaluation import ManifestEpisode
+
+__all__ = ["World", "label_priors", "open_world"]
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """A scene with the navmesh that was chosen or built for an agent; see :func:`open_world`.
+
+    Attributes
+    ----------
+    scene : rooms and objects, Habitat frame, metres
+    geometry : the scene's surfaces; None where its dataset has none
+    agent : whom the navmesh fits
+    navmesh_data : bytes of the navmesh where it was built; None where the dataset ships it
+    """
+
+    scene: Scene
+    geometry: SceneGeometry | None
+    agent: AgentConfig
+    navmesh_data: bytes | None = None
+
+    def __repr__(self) -> str:
+        scene = self.scene
+        navmesh = "no navmesh" if scene.navmesh is None else scene.navmesh.path
+        return (
+            f"World({scene.family}/{scene.scene_id}: {len(scene.rooms)} rooms, {len(scene.objects)} objects, {navmesh})"
+        )
+
+    @cached_property
+    def pathfinder(self) -> Pathfinder:
+        """Paths, snapping and steps with Habitat's names and numbers.
+
+        Raises
+        ------
+        InputError : the scene has no navmesh, and nothing to build one from
+        """
+        navmesh = self.scene.navmesh
+        if navmesh is None:
+            raise InputError(
+                "the scene has no navmesh, and neither mesh nor walls to build one from",
+                where=f"{self.scene.family}/{self.scene.scene_id}",
+                remedy="Put the dataset's navmesh or mesh beside the scene",
+            )
+        if self.navmesh_data is not None:
+            return Pathfinder(parse_navmesh(self.navmesh_data, navmesh.path))
+        return Pathfinder.load(self.scene.root / navmesh.path)
+
+    @cached_property
+    def view(self) -> SceneView:
+        """What can be seen from where."""
+        return SceneView(self.scene, self.geometry)
+
+    def relations(self, thresholds: Thresholds | None = None) -> dict[str, RoomRelations]:
+        """Distances, directions and predicates of all ordered pairs of objects, by room."""
+        return relate_scene(self.scene, thresholds or Thresholds(), MeshLibrary(self.scene.root).world_mesh)
+
+    def relation_graph(self, thresholds: Thresholds | None = None) -> nx.MultiDiGraph[str]:
+        """The relation graph: nodes are rooms and objects, edges are predicates; see `to_networkx`."""
+        thresholds = thresholds or Thresholds()
+        return to_networkx(self.scene, self.relations(thresholds), thresholds)
+
+    def referents(
+        self, thresholds: Thresholds | None = None, sampling: SamplingConfig | None = None
+    ) -> dict[str, Referents]:
+        """What text may call each object, by room: by its label where that is unique, else with a qualifier."""
+        anchor_size = (sampling or SamplingConfig()).anchor_size
+        facts = self._facts(thresholds or Thresholds())
+        return {
+            room.room_id: Referents.of(
+                room, self.scene.arrays(room.room_id), facts[room.room_id], vocabulary, anchor_size
+            )
+            for room in self.scene.rooms
+        }
+
+    def episodes(
+        self,
+        *,
+        instructions: InstructionsConfig | None = None,
+        priors: LabelPriors | None = None,
+        thresholds: Thresholds | None = None,
+        sampling: SamplingConfig | None = None,
+        places: PlacesConfig | None = None,
+        goals: GoalsConfig | None = None,
+        episodes: EpisodeConfig | None = None,
+        text: TextConfig | None = None,
+        seed: int = 0,
+    ) -> list[ManifestEpisode]:
+        """The episodes that a run makes of this scene, in the order in which they were placed.
+
+        Parameters
+        ----------
+        instructions : how many of which category
+        priors : which labels are usual in which rooms, see :func:`label_priors`; where None, those of this scene alone,
+            which knows little: a run pools all scenes of all sources
+
+        Raises
+        ------
+        InputError : the scene has no navmesh
+        """
+        instructions, sampling = instructions or InstructionsConfig(), sampling or SamplingConfig()
+        places, goals, episodes = places or PlacesConfig(), goals or GoalsConfig(), episodes or EpisodeConfig()
+        text, thresholds = text or TextConfig(), thresholds or Thresholds()
+        scene, pathfinder = self.scene, self.pathfinder
+        priors = priors or label_priors([scene], thresholds=thresholds, sampling=sampling)
+        obstacles = blocked_footprints(scene, pathfinder, self.agent.max_climb)
+        goal_points = scene_goals(scene, pathfinder, places, goals, obstacles, self.view)
+        separation = places.leaf_separation(scene.single_room)
+        stops = apart_by_centres(scene, places)
+        if goal_points:
+            stops = reachable_stops(pathfinder, GoalField(pathfinder, goal_points), separation)
+        sampler = ProgramSampler(
+            scene,
+            self._facts(thresholds),
+            priors.bits(scene, sampling.plausible_share),
+            instructions,
+            sampling,
+            seed,
+            stops=stops,
+            preamble=text.preamble,
+        )
+        candidates = draw_candidates(sampler)
+        placer = Placer(scene, pathfinder, goal_points, places, episodes, seed, max_climb=self.agent.max_climb)
+        pool = fill_pool(
+            candidates,
+            placer,
+            instructions.wanted,
+            instructions.label_cap,
+            lambda program: text.preamble and names_compass(program),
+            Observer(scene, self.view, pathfinder, places, episodes, placer.obstacles),
+            instructions.counterfactual_groups,
+        )
+        return self._published(pool, candidates, episodes, text, seed)
+
+    def draw(self, episode: ManifestEpisode, path: str | os.PathLike[str]) -> Path:
+        """A top-down picture of an episode as a PNG file: floor, furniture, start, the path to every leaf."""
+        tile = self.pathfinder.navmesh.tile
+        floor = [tile.verts[polygon["verts"][: polygon["vert_count"]]] for polygon in tile.polys]
+        draw_episode(Path(path), self.scene, floor, published_row(episode), program_tree(episode.program))
+        return Path(path)
+
+    def _facts(self, thresholds: Thresholds) -> Mapping[str, TextFacts]:
+        return {room_id: text_facts(found, thresholds) for room_id, found in self.relations(thresholds).items()}
+
+    def _published(
+        self, pool: EpisodePool, candidates: Sequence[Candidate], rules: EpisodeConfig, text: TextConfig, seed: int
+    ) -> list[ManifestEpisode]:
+        scene = self.scene
+        assert scene.navmesh is not None
+        programs = {candidate.instruction_id: candidate.program for candidate in candidates}
+        compositions = {name: composition(program) for name, program in programs.items()}
+        placements = placements_table(scene.scene_id, pool, compositions, scene.navmesh.sha256)
+        texts = {}
+        for row in placements.to_pylist():
+            name = row["instruction_id"]
+            said = render(programs[name], seed, name)
+            if text.preamble and names_compass(programs[name]):
+                said = with_preamble(said, row["start_heading_degrees"], seed, name)
+            texts[row["episode_id"]] = said
+        placed = {episode.instruction_id: programs[episode.instruction_id] for episode in pool.episodes}
+        instruction_of = {
+            row["instruction_id"]: row for row in rows_of(instruction_table(scene.scene_id, placed.items()))
+        }
+        names = {"source": scene.family, "split": "train", "navmesh": scene.navmesh.path, "snapshot": ""}
+        return [
+            ManifestEpisode.model_validate(manifest_row(row, instruction_of[row["instruction_id"]], **names))
+            for row in rows_of(with_text(placements, texts, rules.max_steps, text.steps_per_word))
+        ]
+
+
+def open_world(source: Source, scene_id: str, agent: AgentConfig | None = None) -> World:
+    """A scene of a source with its navmesh: the one that fits the agent, else another one, else one that is built now.
+
+    Raises
+    ------
+    InputError : the scene can't be read
+    """
+    agent = agent or AgentConfig()
+    scene = with_shipped_navmesh(source.read(scene_id), agent)
+    geometry = source.geometry(scene)
+    data: bytes | None = None
+    if scene.navmesh is None and geometry is not None:
+        scene, data = with_built_navmesh(scene, geometry, agent)
+    return World(scene, geometry, agent, data)
+
+
+def label_priors(
+    scenes: Iterable[Scene], *, thresholds: Thresholds | None = None, sampling: SamplingConfig | None = None
+) -> LabelPriors:
+    """Which labels are usual in which type of room, and how often statements about such rooms are true, over scenes."""
+    thresholds, anchor_size = thresholds or Thresholds(), (sampling or SamplingConfig()).anchor_size
+    return LabelPriors.merged(LabelPriors.of_scene(scene, thresholds, anchor_size) for scene in scenes)
