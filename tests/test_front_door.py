@@ -1,0 +1,129 @@
+"""``import condvln as cv``: what it offers, what it costs, and that the tutorial and the examples run as they are."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+from rich.console import Console
+
+import condvln
+from condvln.instructions import LabelPriors
+from condvln.samples import make_samples
+from condvln.sources.registry import open_source
+from condvln.world import open_world
+from jobs.generate import run_generate
+from jobs.workspace import published
+from schemas.config import Config, InstructionsConfig, SourceConfig, TextConfig
+
+LOADED_LATER = ("ray", "numba", "pyarrow", "trimesh", "scipy", "pydantic", "networkx", "matplotlib")
+
+
+def blocks(text: str) -> list[str]:
+    return re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+
+
+def example(repository: Path, name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, repository / "examples" / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # Ray pickles functions by their module
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_importing_loads_nothing_heavy() -> None:
+    code = f"import sys, condvln; print([m for m in {LOADED_LATER!r} if m in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
+
+
+def test_every_name_is_there_and_sorted() -> None:
+    assert condvln.__all__ == sorted(condvln.__all__)
+    assert {name for names in condvln._MODULES.values() for name in names} == set(condvln.__all__)
+    for name in condvln.__all__:
+        assert getattr(condvln, name) is not None
+    assert set(condvln.__all__) <= set(dir(condvln))
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = condvln.nothing
+    documented = set(re.findall(r"``([A-Za-z_]+)``", condvln.__doc__ or ""))
+    assert documented <= set(condvln.__all__), "the table names nothing that is not there"
+
+
+def test_the_tutorial_runs(repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code = "".join(blocks((repository / "docs" / "tutorial.md").read_text(encoding="utf-8")))
+    assert len([line for line in code.splitlines() if line.strip()]) <= 60
+    monkeypatch.chdir(tmp_path)
+    session: dict[str, object] = {}
+    exec(compile(code, "tutorial", "exec"), session)
+    assert session["score"].success == 1.0  # type: ignore[attr-defined]
+    assert (tmp_path / "episode.png").stat().st_size > 10_000
+    assert session["near"]
+
+
+def test_the_notebook_is_the_tutorial(repository: Path) -> None:
+    maker = example(repository, "make_notebook")
+    tutorial = (repository / "docs" / "tutorial.md").read_text(encoding="utf-8")
+    text = (repository / "examples" / "tutorial.ipynb").read_text(encoding="utf-8")
+    assert text == maker.notebook(tutorial), "run python examples/make_notebook.py"
+    cells = ["".join(c["source"]) + "\n" for c in json.loads(text)["cells"] if c["cell_type"] == "code"]
+    assert cells == blocks(tutorial)
+
+
+def test_a_world_s_episodes_are_those_of_a_run(tmp_path: Path) -> None:
+    make_samples(tmp_path / "scenes", family="procthor", scenes=3, seed=4)
+    wanted = InstructionsConfig(per_category={"simple": 4, "nested": 2, "chain": 2}, counterfactual_groups=1)
+    source = SourceConfig(family="procthor", root=tmp_path / "scenes")
+    config = Config(name="made", store=tmp_path / "store", sources=(source,), instructions=wanted, seed=5)
+    assert run_generate(config, inline=True, console=Console(quiet=True)).exit_code == 0
+    columns = ("scene_id", "episode_id", "instruction_text", "max_steps")
+    snapshot = published(config)
+    rows = snapshot.table("episodes", list(columns)).to_pylist()
+    opened = open_source("procthor", str(tmp_path / "scenes"))
+    priors = LabelPriors.merged(
+        LabelPriors.of_scene(opened.read(name), config.thresholds, config.sampling.anchor_size)
+        for name in opened.scene_ids()
+    )
+    made = [
+        (name, episode.episode_id, episode.instruction_text, episode.max_steps)
+        for name in opened.scene_ids()
+        for episode in open_world(opened, name).episodes(
+            instructions=wanted, priors=priors, text=TextConfig(), seed=config.seed
+        )
+    ]
+    assert len(made) > 10
+    assert sorted(made) == sorted(tuple(row[name] for name in columns) for row in rows)
+
+
+def test_an_own_agent_is_walked_and_scored(
+    repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    make_samples(tmp_path / "scenes", family="ithor", scenes=2, seed=1)
+    source = SourceConfig(family="ithor", root=tmp_path / "scenes")
+    wanted = InstructionsConfig(per_category={"simple": 3})
+    config = Config(
+        name="m", store=tmp_path / "store", export=tmp_path / "export", sources=(source,), instructions=wanted
+    )
+    assert run_generate(config, inline=True, console=Console(quiet=True)).exit_code == 0
+    export = condvln.open_export(tmp_path / "export", [tmp_path / "scenes"])
+    split = max(export.splits, key=lambda name: export.splits[name])
+    assert f"{split} {export.splits[split]}" in repr(export)
+    monkeypatch.chdir(tmp_path)
+    example(repository, "own_agent").main(str(tmp_path / "export"), split, str(tmp_path / "scenes"))
+    assert "success" in capsys.readouterr().out
+    read = list(condvln.read_predictions(str(tmp_path / "wanderer.json")))
+    assert {p.episode_id for p in read} == {e.episode_id for e in export.episodes(split)}
+
+
+@pytest.mark.ray
+@pytest.mark.soak
+def test_the_ray_example_counts_predicates(repository: Path, tmp_path: Path) -> None:
+    make_samples(tmp_path, family="replicacad", scenes=2, seed=1)
+    found = example(repository, "ray_job").main("replicacad", str(tmp_path))
+    assert found["near"] > 0
