@@ -2,22 +2,29 @@
 
 ``labels.csv`` and ``rooms.csv`` hold one row per canonical label; ``raw_labels.csv`` and ``raw_rooms.csv`` map each
 source's own label to it, with the list that the raw label comes from. A raw label with an empty canonical label was
-looked at and deliberately left unmapped (a part of a thing, or too vague to name one).
+looked at and deliberately left unmapped: ``may_be`` then says which labels the thing might bear. ``*`` is any label;
+an empty cell is none, for a thing that the vocabulary has no word for (a hammer) or a part of one (a door handle). A
+raw label that is in no list might bear any label. Catch-all labels have ``may_be`` in ``labels.csv``.
+
+``least`` and ``most`` bound the longest side of what bears a label, in metres, generously: they only decide what a
+nameless thing of known size can't be.
 """
 
 from __future__ import annotations
 
 import csv
+import math
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib.resources import files
-from typing import Final, Literal, cast
+from typing import Final, Literal, TypeVar, cast
 
 __all__ = ["LabelEntry", "RoomEntry", "Vocabulary", "normalise"]
 
 Kind = Literal["object", "structure", "catch_all"]
+T = TypeVar("T")
 
 SOURCE_OF_FAMILY: Final[Mapping[str, str]] = {
     "replicacad": "replicacad",
@@ -29,6 +36,12 @@ SOURCE_OF_FAMILY: Final[Mapping[str, str]] = {
     "gibson": "gibson",
 }
 """Which list of raw labels a family uses. A family that is not here is read by the canonical words alone."""
+
+ANYTHING: Final = "*"
+"""In a cell ``may_be``: any label."""
+
+OBJAVERSE: Final = "obja "
+"""What AI2-THOR's types of Objaverse assets begin with, in normal form (``ObjaTrashCan``)."""
 
 _CAMEL: Final = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 _NUMBER: Final = re.compile(r" \d+$")
@@ -45,6 +58,8 @@ class LabelEntry:
 
     synonyms : other words for the same thing, canonical labels among them where two sources draw the line differently
     hypernyms : all broader labels, transitively; ``headboard`` has ``bed``, since a speaker may say so
+    may_be : of a catch-all label, the labels that a thing called so might bear; ``*`` for any
+    least, most : bounds of the longest side, metres
     """
 
     label: str
@@ -55,6 +70,9 @@ class LabelEntry:
     in_text: bool
     synonyms: frozenset[str]
     hypernyms: frozenset[str]
+    may_be: frozenset[str] = frozenset()
+    least: float = 0.0
+    most: float = math.inf
 
     @property
     def words(self) -> frozenset[str]:
@@ -76,7 +94,16 @@ class RoomEntry:
 class Vocabulary:
     """Canonical labels of objects and rooms, and the way from each source's raw labels to them."""
 
-    __slots__ = ("_entries", "_label_of_word", "_overlapping", "_overlapping_rooms", "_raw", "_raw_rooms", "_rooms")
+    __slots__ = (
+        "_entries",
+        "_label_of_word",
+        "_may_be",
+        "_overlapping",
+        "_overlapping_rooms",
+        "_raw",
+        "_raw_rooms",
+        "_rooms",
+    )
 
     def __init__(
         self,
@@ -84,11 +111,13 @@ class Vocabulary:
         rooms: Iterable[RoomEntry],
         raw_labels: Mapping[tuple[str, str], str],
         raw_rooms: Mapping[tuple[str, str], str],
+        may_be: Mapping[tuple[str, str], frozenset[str]] | None = None,
     ) -> None:
         self._entries = {e.label: e for e in entries}
         self._rooms = {r.label: r for r in rooms}
         self._raw = _with_normalised_keys(raw_labels)
         self._raw_rooms = _with_normalised_keys(raw_rooms)
+        self._may_be = _with_normalised_keys(may_be or {})
         # A word that is one label's own means that label; a synonym that several labels share means none of them.
         named: defaultdict[str, set[str]] = defaultdict(set)
         for entry in self._entries.values():
@@ -129,8 +158,35 @@ class Vocabulary:
             label = self._raw.get((source, key))
             if label is not None:
                 return label or None
+        if source == "ai2thor":
+            text = text.removeprefix(OBJAVERSE)
         # Users' own labels, and copies numbered by their author ("table 2").
         return self._label_of_word.get(text) or self._label_of_word.get(_NUMBER.sub("", text))
+
+    def is_vague(self, label: str, family: str) -> bool:
+        """Whether a thing labelled so (see `canonical`) might be anything at all: ``unknown``, a type of no list."""
+        return ANYTHING in self._written_may_be(label, family)
+
+    def may_be(self, label: str, family: str, longest: float | None = None) -> frozenset[str]:
+        """Labels that a thing might bear without being called so; empty where its own label says what it is.
+
+        Parameters
+        ----------
+        label : what `canonical` made of its raw label
+        longest : its longest side in metres, where that is known: what is never so large or so small is left out
+        """
+        written = self._written_may_be(label, family)
+        if ANYTHING in written:
+            written = frozenset(e.label for e in self._entries.values() if e.kind == "object")
+        if longest is None:
+            return written
+        return frozenset(one for one in written if self._entries[one].least <= longest <= self._entries[one].most)
+
+    def _written_may_be(self, label: str, family: str) -> frozenset[str]:
+        entry = self._entries.get(label)
+        if entry is not None:
+            return entry.may_be
+        return self._may_be.get((SOURCE_OF_FAMILY.get(family, ""), label), frozenset((ANYTHING,)))
 
     def entry(self, label: str) -> LabelEntry:
         """The entry of a canonical label.
@@ -201,6 +257,9 @@ class Vocabulary:
                 in_text=row["in_text"] == "yes",
                 synonyms=_several(row["synonyms"]),
                 hypernyms=_ancestors(row["label"], parents),
+                may_be=_several(row["may_be"]),
+                least=float(row["least"] or 0.0),
+                most=float(row["most"] or math.inf),
             )
             for row in _rows("labels.csv")
         ]
@@ -214,9 +273,11 @@ class Vocabulary:
             )
             for row in _rows("rooms.csv")
         ]
-        raw = {(row["source"], row["raw_label"]): row["label"] for row in _rows("raw_labels.csv")}
+        listed = _rows("raw_labels.csv")
+        raw = {(row["source"], row["raw_label"]): row["label"] for row in listed}
+        may_be = {(row["source"], row["raw_label"]): _several(row["may_be"]) for row in listed if not row["label"]}
         raw_rooms = {(row["source"], row["raw_label"]): row["label"] for row in _rows("raw_rooms.csv")}
-        return cls(entries, rooms, raw, raw_rooms)
+        return cls(entries, rooms, raw, raw_rooms, may_be)
 
 
 def _rows(name: str) -> list[dict[str, str]]:
@@ -228,9 +289,9 @@ def _several(cell: str) -> frozenset[str]:
     return frozenset(filter(None, cell.split(";")))
 
 
-def _with_normalised_keys(raw: Mapping[tuple[str, str], str]) -> dict[tuple[str, str], str]:
+def _with_normalised_keys(raw: Mapping[tuple[str, str], T]) -> dict[tuple[str, str], T]:
     """`raw` plus each key in normal form, where that does not hide a label listed as such."""
-    keys: dict[tuple[str, str], str] = {}
+    keys: dict[tuple[str, str], T] = {}
     for (source, text), label in raw.items():
         if len(text) > 1:  # a one-letter label means what its case says
             keys.setdefault((source, normalise(text)), label)

@@ -246,3 +246,45 @@ def test_matterport_categories_are_mapped_by_weight(real_data: Path) -> None:
     seen_through = {raw for raw in frequent if re.search(r"other ?room|behind|outside", raw)}
     assert frequent - seen_through == {"pedestal", "handle", "screen"}
     assert all(vocabulary.is_mapped(row["mpcat40"], "mp3d") for row in table("mpcat40.tsv"))
+
+
+def test_what_a_nameless_thing_may_be_is_a_label_or_anything() -> None:
+    """A mapped raw label leaves nothing open; a catch-all says what it leaves open; a plain object can't."""
+    for row in rows("raw_labels.csv"):
+        cell = {*filter(None, row["may_be"].split(";"))}
+        assert cell <= {*vocabulary.labels, "*"}, row["raw_label"]
+        assert not (row["label"] and cell), f"{row['raw_label']} is mapped and yet may be another thing"
+    for entry in ENTRIES:
+        assert entry.may_be <= {*vocabulary.labels, "*"}, entry.label
+        assert entry.kind == "catch_all" or not entry.may_be, entry.label
+        assert 0.0 <= entry.least < entry.most, entry.label
+
+
+@pytest.mark.parametrize(
+    ("raw", "label"),
+    [("ObjaTrashCan", "trash can"), ("ObjaGarbageCan", "trash can"), ("ObjaCouch", "sofa"), ("ObjaTvStand", "television stand"),
+     ("ObjaCellularTelephone", "cell phone"), ("ObjaCupboard", "cabinet"), ("ObjaMicrowaveOven", "microwave")],
+)  # fmt: skip
+def test_objaverse_types_go_by_the_thing_that_they_name(raw: str, label: str) -> None:
+    assert vocabulary.canonical(raw, "procthor") == label
+    assert not vocabulary.may_be(label, "procthor")
+
+
+def test_an_objaverse_type_of_no_list_goes_by_its_words_or_may_be_anything() -> None:
+    assert ("ai2thor", "ObjaSideTable") not in {(row["source"], row["raw_label"]) for row in rows("raw_labels.csv")}
+    assert vocabulary.canonical("ObjaSideTable", "procthor") == "side table"
+    label = vocabulary.canonical("ObjaZyx", "procthor")
+    assert vocabulary.is_vague(label, "procthor")
+    named = {one for one in vocabulary.labels if vocabulary.fit_for_text(one)}
+    assert named <= vocabulary.may_be(label, "procthor")
+
+
+def test_a_nameless_thing_is_nothing_that_is_never_of_its_size() -> None:
+    assert "podium" in vocabulary.may_be("unknown", "mp3d", 1.2)
+    assert "podium" not in vocabulary.may_be("unknown", "mp3d", 0.2)
+    assert "cup" not in vocabulary.may_be("unknown", "mp3d", 2.0)
+    assert "vase" in vocabulary.may_be("decoration", "ithor", 1.45)
+    assert not vocabulary.is_vague("decoration", "ithor")
+    assert not vocabulary.may_be("unknown", "mp3d", 14.0), "what is left of a room's surface is no object"
+    assert vocabulary.may_be("hammer", "procthor"), "an unlisted word may be another word for anything"
+    assert not vocabulary.may_be(vocabulary.canonical("ObjaHammer", "procthor"), "procthor")
