@@ -80,7 +80,7 @@ def makes_stale(path: str) -> tuple[str, ...]:
 def _read(config: Config) -> dict[str, JSON]:
     """What each stage and aggregate reads of the configuration, as the documents that it is keyed on."""
     pipeline = build_pipeline(config)
-    unit = Unit("replicacad/x", "replicacad", payload={"scene_id": "x", "navmesh": "navmeshes"})
+    unit = Unit("replicacad/x", "replicacad", payload={"scene_id": "x", "navmesh": "navmeshes", "absence": "never"})
     read: dict[str, JSON] = {stage.name: stage.parameters(unit) for stage in pipeline.stages}
     return read | {aggregate.name: aggregate.parameters() for aggregate in pipeline.aggregates}
 

@@ -70,6 +70,7 @@ def open_configured(config: Config, source: SourceConfig, hash_file: HashFile) -
         houses=source.houses,
         navmesh=source.navmesh,
         hash_file=hash_file,
+        absence=source.absence,
     )
 
 
@@ -87,6 +88,7 @@ def list_units(config: Config, hash_file: HashFile) -> list[Unit]:
                 "regions": None if source.regions is None else str(source.regions),
                 "houses": None if source.houses is None else str(source.houses),
                 "navmesh": source.navmesh,
+                "absence": source.absence,
             }
             units.append(
                 Unit(

@@ -78,6 +78,7 @@ class RoomRecord(Document):
         description="who drew it; 'scene' = the whole scene as one room"
     )
     complete: bool = Field(description="annotated completely enough for claims of absence")
+    asked: bool = Field(True, description="conditions may be asked of it; positive ones only where not complete")
 
 
 class NavmeshChoice(Document):

@@ -104,7 +104,10 @@ ROOMS: Final = pa.schema(
             "corners of the outline, implicitly closed, metres; null where only a box or nothing is known",
         ),
         _required("annotation", _S, "who drew the room: `dataset`, `user`, or `scene` (the whole scene is one room)"),
-        _required("complete", _B, "annotated completely enough for claims of absence"),
+        _required(
+            "complete", _B, "annotated completely enough to say what is absent, but for what a nameless thing may be"
+        ),
+        _required("asked", _B, "conditions may be asked of it; positive ones only where it is not complete"),
         _required("n_objects", _I, "number of objects in the room"),
     ]
 )

@@ -1,9 +1,10 @@
 """What can be asked of a room: statements known true and statements known false, each with a margin.
 
 Presence: "there is a lamp in the bedroom". Relation: "there is a lamp near the bed", its false twins asking for the
-same lamps near something else, or for something else that is there but not near the bed. Both kinds claim absence when
-false, so rooms whose annotation is not complete are asked nothing: a truth only ever claimed there would give itself
-away.
+same lamps near something else, or for something else that is there but not near the bed. Presence claims absence when
+false, and so does a relation of an indefinite thing ("a lamp near the bed"). A relation of a definite one ("the lamp is
+near the bed") claims none: the lamp is seen, and is elsewhere. So a room whose annotation is not complete is asked of
+definite things only, with either truth; a truth only ever claimed there would give itself away.
 """
 
 from __future__ import annotations
@@ -106,16 +107,16 @@ class ConditionPool:
         bits : which labels are plausible in this type of room, and how often its statements are true
         elsewhere : labels that may be claimed absent: those of the scene's other rooms, or of other scenes
         """
-        if not referents.room.complete:
+        if not referents.room.asked:
             return cls(None, {})
-        return cls(_presence(referents, bits, elsewhere, vocabulary), _relations(referents, bits, vocabulary))
+        presence = _presence(referents, bits, elsewhere, vocabulary) if referents.room.complete else None
+        return cls(presence, _relations(referents, bits, vocabulary))
 
 
 def _presence(
     referents: Referents, bits: PriorBits, elsewhere: Iterable[str], vocabulary: Vocabulary
 ) -> PresencePool | None:
     room_type, labels = referents.room.label, referents.arrays.labels
-    here = set(labels)
     varies = bits.varies.get(room_type, frozenset())
     plausible = bits.plausible.get(room_type, frozenset())
     members: dict[str, list[str]] = {}
@@ -126,7 +127,7 @@ def _presence(
     false = [
         Question(label, False, ())
         for label in sorted(set(elsewhere) & plausible)
-        if vocabulary.fit_for_text(label) and not here & vocabulary.overlapping(label)
+        if vocabulary.fit_for_text(label) and referents.lacks(label, vocabulary)
     ]
     questions, sums, evidence = {}, {}, bits.evidence(room_type)
     for truth, found in ((True, true), (False, false)):

@@ -268,6 +268,7 @@ def _boxes(rooms: pa.Table, objects: pa.Table) -> Iterator[tuple[str, list[tuple
             polygon=None,
             annotation=row["annotation"],
             complete=row["complete"],
+            asked=row["asked"],
         )
         arrays = RoomArrays.of(room.room_id, held.get((row["scene_id"], row["room_id"]), []))
         scenes.setdefault(row["scene_id"], []).append((room, arrays))

@@ -2,7 +2,8 @@
 
 A qualifier is *necessary* (without it the phrase fits a rival too) and *sufficient* (every rival fails the predicate
 at the loose threshold, so that none lies in the dead zone). A rival is an object of the room whose label a speaker
-might use for this one as well: same label, synonym, hypernym or hyponym.
+might use for this one as well: same label, synonym, hypernym or hyponym, or a thing of no label that may bear it. What
+may be anything at all ("unknown") is nobody's rival: it only keeps the room from being said to lack something.
 """
 
 from __future__ import annotations
@@ -60,6 +61,8 @@ class Referents:
 
     rival (n, n) : j could be meant by i's label; nameable (n,) : the label is fit for text; unique (n,) : nameable
     without rivals; small (n,) : shorter than the anchor size
+    may_be (n,) : labels that a thing may bear without being called so, of those that may be some things only
+    blocked : labels that can't be said to be absent, since something nameless may bear them
     """
 
     room: Room
@@ -69,6 +72,23 @@ class Referents:
     nameable: Bools
     unique: Bools
     small: Bools
+    may_be: tuple[frozenset[str], ...]
+    blocked: frozenset[str]
+
+    def lacks(self, label: str, vocabulary: Vocabulary) -> bool:
+        """Whether it can be said that nothing in the room goes by a word for `label`."""
+        meant = vocabulary.overlapping(label)
+        return self.room.complete and not meant & self.blocked and meant.isdisjoint(self.arrays.labels)
+
+    def decides(self, label: str, vocabulary: Vocabulary) -> bool:
+        """Whether "a `label` near …" can be said to be false.
+
+        It is where the one thing that the label fits stands elsewhere, which claims no absence; else only where
+        nothing unseen may bear the label.
+        """
+        if label in self.unique_labels:
+            return True
+        return self.room.complete and not vocabulary.overlapping(label) & self.blocked
 
     @cached_property
     def qualifications(self) -> tuple[tuple[Qualification, ...], ...]:
@@ -86,10 +106,22 @@ class Referents:
         return np.asarray(self.unique | np.array([bool(q) for q in self.qualifications], dtype=bool))
 
     @classmethod
-    def of(cls, room: Room, arrays: RoomArrays, facts: Facts, vocabulary: Vocabulary, anchor_size: float) -> Referents:
-        """Names of all objects of a room."""
+    def of(
+        cls,
+        room: Room,
+        arrays: RoomArrays,
+        facts: Facts,
+        vocabulary: Vocabulary,
+        anchor_size: float,
+        family: str | None = None,
+    ) -> Referents:
+        """Names of all objects of a room.
+
+        family : whose labels they are; None where each is what its label says and nothing else
+        """
         nameable = np.array([vocabulary.fit_for_text(label) for label in arrays.labels], dtype=bool)
-        rival = overlap_matrix(arrays.labels, vocabulary)
+        may_be, blocked = _nameless(arrays, vocabulary, family)
+        rival = meant_by(arrays.labels, arrays.labels, may_be, vocabulary)
         np.fill_diagonal(rival, False)
         unique = nameable & ~rival.any(axis=1)
         small = np.asarray(_longest_side(arrays) < anchor_size)
@@ -101,17 +133,46 @@ class Referents:
             nameable=nameable,
             unique=unique,
             small=small,
+            may_be=may_be,
+            blocked=blocked,
         )
 
 
-def overlap_matrix(labels: Sequence[str], vocabulary: Vocabulary) -> Bools:
-    """(n, n): a word for label i might mean label j. True on the diagonal."""
-    distinct = sorted(set(labels))
-    of = np.array([distinct.index(label) for label in labels], dtype=np.int64)
-    table = np.array([[b in vocabulary.overlapping(a) for b in distinct] for a in distinct], dtype=bool)
-    if not len(of):
-        return np.zeros((0, 0), dtype=bool)
-    return np.asarray((table | table.T)[np.ix_(of, of)])
+def meant_by(
+    words: Sequence[str], labels: Sequence[str], may_be: Sequence[frozenset[str]], vocabulary: Vocabulary
+) -> Bools:
+    """(w, n): a word for label i might mean thing j, by its label or by what it may be.
+
+    Parameters
+    ----------
+    labels, may_be : of the things, (n,) each
+    """
+    meant = {word: vocabulary.overlapping(word) for word in words}
+    found = [
+        [not meant[word].isdisjoint((label, *open_)) for label, open_ in zip(labels, may_be, strict=True)]
+        for word in meant
+    ]
+    rows = {word: row for row, word in enumerate(meant)}
+    table = np.array(found, dtype=bool).reshape(len(meant), len(labels))
+    return np.asarray(table[[rows[word] for word in words]])
+
+
+def _nameless(
+    arrays: RoomArrays, vocabulary: Vocabulary, family: str | None
+) -> tuple[tuple[frozenset[str], ...], frozenset[str]]:
+    """What each thing may be besides what it is called, where that is something definite; and all that any may be."""
+    if family is None:
+        return (frozenset(),) * len(arrays), frozenset()
+    longest = np.max(arrays.aabb_max - arrays.aabb_min, axis=1, initial=-np.inf).tolist()
+    open_ = [
+        vocabulary.may_be(label, family, side if side == side else None)
+        for label, side in zip(arrays.labels, longest, strict=True)
+    ]
+    definite = tuple(
+        frozenset() if vocabulary.is_vague(label, family) else labels
+        for label, labels in zip(arrays.labels, open_, strict=True)
+    )
+    return definite, frozenset().union(*open_)
 
 
 def _longest_side(arrays: RoomArrays) -> NDArray[np.float64]:
@@ -155,8 +216,8 @@ def room_refs(referents: Sequence[Referents], vocabulary: Vocabulary) -> dict[st
     """Names of the rooms that text can tell apart, with all their alternatives, by room id.
 
     A room's label alone serves where no other room could be meant by it; else an object that is unique in the room
-    and that none of those others has under any word ("the bedroom with the piano"). Absence in the others is
-    claimed, so they must be annotated completely. The one room of a single-room scene needs no name of its own.
+    and that each of those others is known to lack under any word ("the bedroom with the piano"). The one room of a
+    single-room scene needs no name of its own.
     """
     if len(referents) == 1:
         room = referents[0].room
@@ -165,22 +226,20 @@ def room_refs(referents: Sequence[Referents], vocabulary: Vocabulary) -> dict[st
     for one in referents:
         if not vocabulary.room(one.room.label).fit_for_text:
             continue
-        meant = vocabulary.overlapping_rooms(one.room.label)
-        others = [r for r in referents if r is not one and r.room.label in meant]
-        if not others:
+        others = [r for r in referents if r is not one and vocabulary.might_mean_room(one.room.label, r.room.label)]
+        if not others and not vocabulary.room(one.room.label).general:
             names[one.room.room_id] = (RoomRef(room_id=one.room.room_id, label=one.room.label),)
-        elif all(other.room.complete for other in others):
+        else:
             names[one.room.room_id] = _anchored(one, others, vocabulary)
     return {room_id: refs for room_id, refs in names.items() if refs}
 
 
 def _anchored(one: Referents, others: Sequence[Referents], vocabulary: Vocabulary) -> tuple[RoomRef, ...]:
-    elsewhere = {label for other in others for label in other.arrays.labels}
     size = _longest_side(one.arrays)
     anchors = [
         i
         for i in np.flatnonzero(one.unique)
-        if not elsewhere & vocabulary.overlapping(one.arrays.labels[i]) and not one.small[i]
+        if not one.small[i] and all(other.lacks(one.arrays.labels[i], vocabulary) for other in others)
     ]
     # The largest first: what tells a room apart should be seen from its door.
     anchors.sort(key=lambda i: (-size[i], one.arrays.object_ids[i]))

@@ -83,7 +83,7 @@ class ProgramSampler:
         self.rejections: Counter[tuple[InstructionCell | None, str]] = Counter()
         self.referents = {
             room.room_id: Referents.of(
-                room, scene.arrays(room.room_id), facts[room.room_id], words, sampling.anchor_size
+                room, scene.arrays(room.room_id), facts[room.room_id], words, sampling.anchor_size, scene.family
             )
             for room in sorted(scene.rooms, key=lambda r: r.room_id)
             if room.room_id in facts

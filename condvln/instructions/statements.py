@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from condvln.instructions.predicates import PREDICATES
-from condvln.instructions.referents import Referents, overlap_matrix
+from condvln.instructions.referents import Referents, meant_by
 from condvln.labels import Vocabulary
 from schemas.program import Predicate
 
@@ -45,9 +45,11 @@ def statement_truths(referents: Referents, vocabulary: Vocabulary) -> Iterator[S
     if not labels or not len(anchors):
         return
     exact = np.array([[x == label for x in own] for label in labels], dtype=bool)
-    overlap = overlap_matrix([*labels, *own], vocabulary)[: len(labels), len(labels) :]
-    # "a bed near the bed" says nothing; neither does any word for it.
-    sayable = ~overlap[:, anchors]
+    overlap = meant_by(labels, own, referents.may_be, vocabulary)
+    # "a bed near the bed" says nothing; neither does any word for it. A label that something unseen may bear is asked
+    # with neither truth.
+    decided = np.array([referents.decides(label, vocabulary) for label in labels], dtype=bool)
+    sayable = ~overlap[:, anchors] & decided[:, None]
     for predicate in PREDICATES:
         status = referents.facts.status[predicate][:, anchors]
         held = np.asarray(status == 1)

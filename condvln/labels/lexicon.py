@@ -82,13 +82,17 @@ class LabelEntry:
 
 @dataclass(frozen=True, slots=True)
 class RoomEntry:
-    """One canonical room type; `synonyms` are words and labels a speaker might use for it as well."""
+    """One canonical room type; `synonyms` are words and labels a speaker might use for it as well.
+
+    general : its noun ("room") fits rooms of every type
+    """
 
     label: str
     noun: str
     article: Literal["a", "an"]
     fit_for_text: bool
     synonyms: frozenset[str]
+    general: bool = False
 
 
 class Vocabulary:
@@ -238,6 +242,13 @@ class Vocabulary:
         """Room types that a speaker might mean by a word for `label`, itself included. Symmetric."""
         return self._overlapping_rooms.get(label, frozenset({label}))
 
+    def might_mean_room(self, label: str, other: str) -> bool:
+        """Whether a word for the room type `label` might mean a room of type `other`, which may be of no list.
+
+        "The room" might be any room; "the kitchen" is not a room whose type nobody knew.
+        """
+        return other in self.overlapping_rooms(label) or self.room(label).general
+
     def raw_labels(self, family: str) -> Mapping[str, str]:
         """Every raw label listed for `family`'s source with its canonical label ('' = listed as unmapped)."""
         source = SOURCE_OF_FAMILY.get(family, "")
@@ -270,6 +281,7 @@ class Vocabulary:
                 article=cast(Literal["a", "an"], row["article"]),
                 fit_for_text=row["in_text"] == "yes",
                 synonyms=_several(row["synonyms"]),
+                general=row["general"] == "yes",
             )
             for row in _rows("rooms.csv")
         ]

@@ -118,7 +118,9 @@ class SceneObject:
 class Room:
     """One room, or the whole scene where the source knows none (`annotation` is then ``scene``).
 
-    polygon (n, 2) of (x, z) corners, implicitly closed; `complete` allows claims of absence.
+    polygon (n, 2) of (x, z) corners, implicitly closed
+    complete : allows claims of absence, but of what a nameless or hidden thing in it may be
+    asked : conditions may be asked of it; where it is not complete, positive ones only
     """
 
     room_id: str
@@ -130,6 +132,7 @@ class Room:
     polygon: F64 | None
     annotation: Literal["dataset", "user", "scene"]
     complete: bool
+    asked: bool = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -120,6 +120,7 @@ def _room_row(scene: Scene, room: Room) -> Row:
         "polygon": None if room.polygon is None else [{"x": float(x), "z": float(z)} for x, z in room.polygon],
         "annotation": room.annotation,
         "complete": room.complete,
+        "asked": room.asked,
         "n_objects": sum(o.room_id == room.room_id for o in scene.objects),
     }
 
@@ -136,6 +137,7 @@ def _room(row: Row) -> Room:
         polygon=None if polygon is None else np.array([[c["x"], c["z"]] for c in polygon]).reshape(-1, 2),
         annotation=row["annotation"],
         complete=row["complete"],
+        asked=row["asked"],
     )
 
 

@@ -44,7 +44,7 @@ class GibsonSource(SceneSource):
 
     Ids: ``verified/<name>`` and ``automated/<name>`` by the name of the subfolder, ``<name>`` elsewhere. Where a
     building is there as ``.scn`` and as ``.npz``, the ``.scn`` is read. The annotation of automated graphs was checked
-    by nobody: their rooms are not complete.
+    by nobody: their rooms are not complete, and asked only where the source's ``absence`` is ``never``.
     """
 
     family: ClassVar[str] = "gibson"
@@ -65,7 +65,7 @@ class GibsonSource(SceneSource):
         for scene_id, path in self._buildings().items():
             yield scene_id, partial(self._note, scene_id, path)
 
-    def read(self, scene_id: str) -> Scene:
+    def scene(self, scene_id: str) -> Scene:
         """One building; see `Source.read`."""
         path = self._buildings().get(scene_id)
         if path is None:
@@ -175,6 +175,7 @@ def _rooms(document: JsonNode, family: str, complete: bool) -> dict[int, Room]:
             polygon=np.array([[x0, z0], [x0, z1], [x1, z1], [x1, z0]]),
             annotation="dataset",
             complete=complete,
+            asked=complete,
         )
     return rooms
 
@@ -233,4 +234,5 @@ def _whole(items: list[SceneObject], family: str, complete: bool) -> Room:
         polygon=None,
         annotation="scene",
         complete=complete,
+        asked=complete,
     )

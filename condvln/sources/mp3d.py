@@ -59,7 +59,7 @@ class Mp3dSource(SceneSource):
         for scene_id, path in self._scans().items():
             yield scene_id, partial(self._note, scene_id, path)
 
-    def read(self, scene_id: str) -> Scene:
+    def scene(self, scene_id: str) -> Scene:
         """One scan; see `Source.read`."""
         house, path = self._house(scene_id)
         ledger = InputLedger()

@@ -110,7 +110,7 @@ class ProcthorSource(SceneSource):
         if not houses:
             self.pass_over(path, f"none of its {len(earlier)} lines is a house" if earlier else "the file has no lines")
 
-    def read(self, scene_id: str) -> Scene:
+    def scene(self, scene_id: str) -> Scene:
         """One house; see `Source.read`."""
         house, ledger = self.house(scene_id), InputLedger()
         database = self._assets()

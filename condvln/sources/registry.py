@@ -15,7 +15,7 @@ from condvln.sources.procthor_habitat import ProcthorHabitatSource
 from condvln.sources.replicacad import ReplicaCadSource
 from condvln.sources.robothor import RobothorSource
 from condvln.sources.scene_choice import SceneChoice
-from condvln.sources.scene_source import SceneSource, SourceOptions
+from condvln.sources.scene_source import Absence, SceneSource, SourceOptions
 from condvln.sources.source import HashFile, Source, hash_file
 from schemas.errors import ConfigError
 
@@ -42,6 +42,7 @@ def open_source(
     regions: str | os.PathLike[str] | None = None,
     houses: str | os.PathLike[str] | None = None,
     hash_file: HashFile = hash_file,
+    absence: Absence = "complete",
 ) -> Source:
     """The dataset of a family under `root`.
 
@@ -52,6 +53,7 @@ def open_source(
     regions : side file or folder of user-drawn room zones
     houses : folder of ProcTHOR's house JSON, where `root` is Habitat's scene dataset of them (ai2thor-hab)
     hash_file : size and SHA-256 of a file
+    absence : ``never`` asks incompletely annotated rooms too, and lets no room be said to lack anything
 
     Raises
     ------
@@ -67,7 +69,7 @@ def open_source(
             remedy="Download the dataset, or set the source's 'root' to the folder it stands in",
         )
     choice = SceneChoice(tuple(scenes), tuple(exclude))
-    options = SourceOptions(choice, navmesh, None if regions is None else Path(regions), hash_file)
+    options = SourceOptions(choice, navmesh, None if regions is None else Path(regions), hash_file, absence)
     if houses is None:
         return FAMILIES[family](root, options)
     if family != ProcthorHabitatSource.family:

@@ -71,7 +71,7 @@ class ReplicaCadSource(SceneSource):
         for scene_id, path in dataset.scenes().items():
             yield scene_id, partial(self._assemble, dataset, scene_id, path)
 
-    def read(self, scene_id: str) -> Scene:
+    def scene(self, scene_id: str) -> Scene:
         """One scene; see `Source.read`. Shared files are read anew, so that a mended one is seen."""
         dataset = SceneDataset(self.files)
         path = dataset.scenes().get(scene_id)

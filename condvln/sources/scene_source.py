@@ -6,9 +6,9 @@ import math
 import posixpath
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar, Final
+from typing import ClassVar, Final, Literal
 
 from condvln.formats.dataset_root import DatasetRoot
 from condvln.scene import Scene
@@ -19,7 +19,10 @@ from condvln.sources.scene_choice import SceneChoice
 from condvln.sources.source import HashFile, SceneCounts, SceneHandle, SceneInput
 from schemas.errors import ConfigError, InputError, MissingFileError
 
-__all__ = ["Note", "SceneSource", "SourceOptions"]
+__all__ = ["Absence", "Note", "SceneSource", "SourceOptions"]
+
+Absence = Literal["complete", "never"]
+"""Where instructions may say that something is not there: see `schemas.config.SourceConfig`."""
 
 Note = Callable[[InputLedger], object]
 """Notes all inputs of one scene; raises InputError where that already fails."""
@@ -36,6 +39,7 @@ class SourceOptions:
     navmesh: str | None
     regions: Path | None
     hash_file: HashFile
+    absence: Absence = "complete"
 
 
 class SceneSource(ABC):
@@ -72,8 +76,15 @@ class SceneSource(ABC):
         """Every scene of the dataset by id, with a function that notes its inputs; called before the next is asked."""
 
     @abstractmethod
+    def scene(self, scene_id: str) -> Scene:
+        """One scene as its files have it; see `Source.read`."""
+
     def read(self, scene_id: str) -> Scene:
-        """One scene; see `Source.read`."""
+        """One scene; see `Source.read`. With ``absence: never`` every room is asked, and none is complete."""
+        scene = self.scene(scene_id)
+        if self.options.absence == "complete":
+            return scene
+        return replace(scene, rooms=tuple(replace(room, complete=False, asked=True) for room in scene.rooms))
 
     def geometry(self, scene: Scene) -> SceneGeometry | None:
         """Surfaces of a scene; see `Source.geometry`. A family whose files hold none keeps this answer."""

@@ -60,7 +60,7 @@ class ThorSceneSource(SceneSource):
         for scene_id, path in self._scenes().items():
             yield scene_id, partial(self._note, scene_id, path)
 
-    def read(self, scene_id: str) -> Scene:
+    def scene(self, scene_id: str) -> Scene:
         """One scene; see `Source.read`."""
         ledger = InputLedger()
         document = self._document(scene_id)

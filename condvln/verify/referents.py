@@ -58,6 +58,13 @@ class RoomView:
         self.things = tuple(Thing.of(item, meaning.label(item.raw_label, family, _model(item))) for item in ordered)
         self._meaning = meaning
         self._meant: dict[str, tuple[Thing, ...]] = {}
+        self._open: dict[str, frozenset[str]] = {}
+        doubtful: set[str] = set()
+        for thing in self.things:
+            labels, anything = meaning.may_be(thing.label, family, _side(thing))
+            doubtful |= labels
+            self._open[thing.object_id] = frozenset() if anything else labels
+        self.doubtful = frozenset(doubtful)
 
     @cached_property
     def labels(self) -> frozenset[str]:
@@ -68,8 +75,14 @@ class RoomView:
         """All things that a word for `label` might mean here."""
         if label not in self._meant:
             own = self._meaning.meant_by(label)
-            self._meant[label] = tuple(thing for thing in self.things if thing.label in own)
+            self._meant[label] = tuple(
+                thing for thing in self.things if thing.label in own or own & self._open[thing.object_id]
+            )
         return self._meant[label]
+
+    def knows_absence(self, label: str) -> bool:
+        """Whether nothing that nobody named could be called `label`, and the annotation is complete."""
+        return self.room.complete and not self._meaning.meant_by(label) & self.doubtful
 
     def only(self, label: str) -> Thing | None:
         """The thing called so that is alone in it: no other could be meant."""
@@ -134,9 +147,11 @@ class SceneReferents:
             if self.single_room:
                 return next(iter(self.rooms.values())), None
             return Problem("room_unique", "a room's name", f"none, in a scene of {len(self.rooms)} rooms")
-        candidates = [view for view in self.rooms.values() if view.label in self.meaning.rooms_meant_by(named.label)]
+        meant = self.meaning.rooms_meant_by(named.label)
+        general = self.meaning.any_room(named.label)
+        candidates = [view for view in self.rooms.values() if general or view.label in meant]
         if named.anchor is None:
-            if len(candidates) == 1 and candidates[0].label == named.label:
+            if not general and len(candidates) == 1 and candidates[0].label == named.label:
                 return candidates[0], None
             return Problem("room_unique", f"one {named.label}", [view.room.room_id for view in candidates])
         if len(candidates) < 2:
@@ -146,7 +161,8 @@ class SceneReferents:
         if anchor is None or having[0].label != named.label:
             found = {view.room.room_id: len(view.meant(named.anchor)) for view in having}
             return Problem("room_unique", f"one {named.label} with one {named.anchor}", found)
-        unsure = [view.room.room_id for view in candidates if view is not having[0] and not view.room.complete]
+        others = [view for view in candidates if view is not having[0]]
+        unsure = [view.room.room_id for view in others if not view.knows_absence(named.anchor)]
         if unsure:
             return Problem("absence_known", f"rooms known to have no {named.anchor}", unsure)
         return having[0], anchor.object_id
@@ -212,12 +228,13 @@ class SceneReferents:
             found = {thing.object_id: dict(how.numbers) for thing, how in related}
         if not sure and possible:
             return Problem("condition_decided", f"surely a {phrase.label} or surely none", found)
-        if not sure and not view.room.complete:
-            return Problem("absence_known", "a room annotated completely", view.room.room_id)
+        # That the one thing of a label is elsewhere is seen; that there is no such thing must be known.
+        definite = phrase.qualifier is not None and view.only(phrase.label) is not None
+        if not sure and not definite and not view.knows_absence(phrase.label):
+            return Problem("absence_known", f"a room known to have no other {phrase.label}", view.room.room_id)
         if not sure and anchor is None and not self._elsewhere(phrase.label, view):
             return Problem("absent_is_elsewhere", f"a {phrase.label} in another room", "none in the scene")
         witnesses = frozenset(thing.object_id for thing in sure)
-        definite = phrase.qualifier is not None and view.only(phrase.label) is not None
         return Answer(bool(sure), definite, witnesses, view.room.room_id, anchor, room_anchor, numbers)
 
     def _elsewhere(self, label: str, view: RoomView) -> bool:
@@ -230,6 +247,14 @@ def _deciding(related: list[tuple[Thing, Judgement]], sure: list[Thing]) -> Mapp
         if not sure or thing is sure[0]:
             return how.numbers
     return {}
+
+
+def _side(thing: Thing) -> float | None:
+    """Longest side in metres; None where its extent is not known."""
+    if thing.box is None:
+        return None
+    low, high = thing.box
+    return max(b - a for a, b in zip(low, high, strict=True)) / 1000.0
 
 
 def _model(item: SceneObject) -> str:

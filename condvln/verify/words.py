@@ -32,6 +32,12 @@ SOURCE_OF_FAMILY: Final = {
 }
 """The list of raw labels that a family's scenes use."""
 
+ANY: Final = "*"
+"""What a thing may be that may be anything."""
+
+_OBJAVERSE: Final = "obja "
+"""Before the words of AI2-THOR's types of Objaverse assets."""
+
 _BORDERS: Final = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])|[_#\s]+")
 _COPY_NUMBER: Final = re.compile(r"\s\d+$")
 
@@ -57,6 +63,7 @@ class Words:
     confusable_rooms : the same of room types
     nouns, rooms : (noun, its article) of the labels and room types that text may name
     structure : labels of walls, floors and the like
+    objects : all other labels but the catch-alls, each with the bounds of its longest side in metres
     """
 
     confusable: Mapping[str, frozenset[str]]
@@ -64,6 +71,10 @@ class Words:
     nouns: Mapping[str, tuple[str, str]]
     rooms: Mapping[str, tuple[str, str]]
     structure: frozenset[str]
+    objects: Mapping[str, tuple[float, float]]
+    _general_rooms: frozenset[str]
+    _vague: Mapping[str, frozenset[str]]
+    _unnamed: Mapping[tuple[str, str], frozenset[str]]
     _labels: Mapping[tuple[str, str], str]
     _room_types: Mapping[tuple[str, str], str]
     _by_word: Mapping[str, str]
@@ -77,6 +88,24 @@ class Words:
         """Room types that a word for `label` might mean."""
         return self.confusable_rooms.get(label, frozenset((label,)))
 
+    def any_room(self, label: str) -> bool:
+        """Whether the noun of a room type ("room") might mean a room of any type."""
+        return label in self._general_rooms
+
+    def may_be(self, label: str, family: str, side: float | None) -> tuple[frozenset[str], bool]:
+        """What a thing labelled so may be besides, and whether it may be anything that its size allows.
+
+        side : its longest side in metres
+        """
+        if label in self.confusable:
+            written = self._vague.get(label, frozenset())
+        else:
+            written = self._unnamed.get((SOURCE_OF_FAMILY.get(family, ""), label), frozenset((ANY,)))
+        found = frozenset(self.objects) if ANY in written else written
+        if side is not None:
+            found = frozenset(one for one in found if self.objects[one][0] <= side <= self.objects[one][1])
+        return found, ANY in written
+
     def label(self, raw: str, family: str, model: str = "") -> str:
         """Canonical label of a source's own label; the words of `raw` where the tables know none.
 
@@ -85,10 +114,13 @@ class Words:
         """
         if (SOURCE_OF_FAMILY.get(family, ""), model) in self._labels:
             raw = model
-        return _listed(self._labels, raw, family) or self._said(raw)
+        return _listed(self._labels, raw, family) or self._said(raw, family)
 
-    def _said(self, raw: str) -> str:
+    def _said(self, raw: str, family: str) -> str:
         text = folded(raw)
+        if SOURCE_OF_FAMILY.get(family) == "ai2thor" and text.startswith(_OBJAVERSE):
+            named = text[len(_OBJAVERSE) :]
+            return self._by_word.get(named) or self._by_word.get(_COPY_NUMBER.sub("", named)) or text
         return self._by_word.get(text) or self._by_word.get(_COPY_NUMBER.sub("", text)) or text
 
     def room_type(self, raw: str, family: str) -> str:
@@ -115,6 +147,18 @@ def words() -> Words:
         nouns={x: (row["noun"], row["article"]) for x, row in labels.items() if row["in_text"] == "yes"},
         rooms={x: (row["noun"], row["article"]) for x, row in rooms.items() if row["in_text"] == "yes"},
         structure=frozenset(label for label, row in labels.items() if row["kind"] == "structure"),
+        objects={
+            label: (float(row["least"] or 0), float(row["most"] or "inf"))
+            for label, row in labels.items()
+            if row["kind"] == "object"
+        },
+        _general_rooms=frozenset(label for label, row in rooms.items() if row["general"] == "yes"),
+        _vague={label: _cell(row["may_be"]) for label, row in labels.items() if row["may_be"]},
+        _unnamed={
+            (row["source"], folded(row["raw_label"])): _cell(row["may_be"])
+            for row in _rows("raw_labels.csv")
+            if not row["label"]
+        },
         _labels=_raw_table("raw_labels.csv"),
         _room_types=_raw_table("raw_rooms.csv"),
         _by_word=_unambiguous(said),
@@ -124,6 +168,10 @@ def words() -> Words:
 
 def _rows(name: str) -> Iterator[dict[str, str]]:
     return csv.DictReader(package_data("labels", name).read_text(encoding="utf-8").splitlines())
+
+
+def _cell(text: str) -> frozenset[str]:
+    return frozenset(filter(None, text.split(";")))
 
 
 def _raw_table(name: str) -> dict[tuple[str, str], str]:

@@ -15,6 +15,7 @@ from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Scene
 from condvln.scene.tables import scene_from_tables
 from condvln.sources.registry import open_source
+from condvln.sources.scene_source import Absence
 from condvln.sources.source import Source
 from factory.unit import Unit
 from schemas.canonical import JSON
@@ -37,16 +38,19 @@ def navmeshes_table(scene_id: str, data: bytes | None) -> pa.Table:
 
 
 @lru_cache(maxsize=8)
-def _source(family: str, root: str, regions: str | None, houses: str | None, navmesh: str | None) -> Source:
+def _source(
+    family: str, root: str, regions: str | None, houses: str | None, navmesh: str | None, absence: Absence
+) -> Source:
     """One reader a process and dataset: its shared files are read once."""
     side, house_folder = (None if path is None else Path(path) for path in (regions, houses))
-    return open_source(family, Path(root), navmesh=navmesh, regions=side, houses=house_folder)
+    return open_source(family, Path(root), navmesh=navmesh, regions=side, houses=house_folder, absence=absence)
 
 
 def source_of(unit: Unit) -> Source:
     keys = ("regions", "houses", "navmesh")
     regions, houses, navmesh = (None if value is None else str(value) for value in map(unit.payload.get, keys))
-    return _source(str(unit.payload["family"]), str(unit.payload["root"]), regions, houses, navmesh)
+    absence: Absence = "never" if unit.payload.get("absence") == "never" else "complete"
+    return _source(str(unit.payload["family"]), str(unit.payload["root"]), regions, houses, navmesh, absence)
 
 
 def scene_of(unit: Unit, tables: Tables) -> Scene:

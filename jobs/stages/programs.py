@@ -73,7 +73,7 @@ class ProgramStage(Stage):
     preamble: bool
     seed: int
     name: str = "programs"
-    version: int = 6
+    version: int = 7
     tables: tuple[str, ...] = ("stops", "candidates", "rejections")
     reads_inputs: bool = True
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "relations")

@@ -33,16 +33,17 @@ class SceneStage(Stage):
     agent: AgentConfig
     limits: LimitsConfig
     name: str = "scene"
-    version: int = 4
+    version: int = 5
     tables: tuple[str, ...] = ("scenes", "rooms", "objects", "navmeshes")
     reads_inputs: bool = True
 
     def parameters(self, unit: Unit) -> JSON:
         # Which of a dataset's navmeshes is preferred decides even where all of them are inputs.
-        preferred: dict[str, JSON] = (
-            {"sources": {"navmesh": navmesh}} if (navmesh := unit.payload.get("navmesh")) else {}
-        )
-        return {"agent": dump(self.agent), "limits": dump(self.limits)} | preferred
+        keys: dict[str, JSON] = {"navmesh": navmesh} if (navmesh := unit.payload.get("navmesh")) else {}
+        if unit.payload.get("absence") == "never":
+            keys["absence"] = "never"
+        sources: dict[str, JSON] = {"sources": keys} if keys else {}
+        return {"agent": dump(self.agent), "limits": dump(self.limits)} | sources
 
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
         source = source_of(unit)

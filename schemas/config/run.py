@@ -68,6 +68,12 @@ class SourceConfig(Section):
         None, min_length=1, description="folder of navmeshes in root that is looked into before any other"
     )
     regions: Path | None = Field(None, description="side file or folder of user-drawn room zones")
+    absence: Literal["complete", "never"] = Field(
+        "complete",
+        description="complete: rooms annotated completely may be said to lack things, others are asked nothing; "
+        "never: all rooms are asked, but only whether a thing that is there is in a relation, so that no text claims "
+        "that something is absent (for annotations of detectors, such as Gibson's automated graphs)",
+    )
     houses: Path | None = Field(
         None, description="procthor only: folder of the house JSON, where root is Habitat's scene dataset of them"
     )

@@ -31,6 +31,7 @@ CHANGED: dict[str, Any] = {
     "sources.0.scenes": ["*0"],
     "sources.0.exclude": ["*0"],
     "sources.0.navmesh": "mine",
+    "sources.0.absence": "never",
     "agent.radius": 0.2,
     "agent.height": 1.0,
     "agent.max_climb": 0.4,

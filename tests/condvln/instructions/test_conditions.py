@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +16,8 @@ from condvln.instructions.conditions import ConditionPool, Question, balanced_we
 from condvln.instructions.priors import PriorBits
 from condvln.instructions.referents import Referents
 from condvln.labels import vocabulary
+from condvln.relations import relate_room, text_facts
+from condvln.scene import RoomArrays
 from schemas.config import Thresholds
 from schemas.config.constants import EVIDENCE, STAGINGS
 
@@ -70,12 +74,56 @@ def test_statements_hold(make_scene, facts_maker, seed: int, rich: bool) -> None
     assert {(True, False), (False, False)} <= kinds
 
 
-def test_nothing_is_asked_of_a_room_annotated_in_part(make_scene, facts_maker) -> None:
+def test_nothing_is_asked_of_a_room_that_must_not_be_asked(make_scene, facts_maker) -> None:
     scene = make_scene(0, complete=False)
     facts = facts_maker(scene)
     for room in scene.rooms:
-        referents = Referents.of(room, scene.arrays(room.room_id), facts[room.room_id], vocabulary, 0.3)
+        closed = replace(room, asked=False)
+        referents = Referents.of(closed, scene.arrays(room.room_id), facts[room.room_id], vocabulary, 0.3)
         assert questions_of(ConditionPool.of(referents, NO_BITS, {"sofa"}, vocabulary)) == []
+
+
+def test_a_room_annotated_in_part_is_asked_of_definite_things_only(make_scene, facts_maker) -> None:
+    """Either truth is about a thing that is there, so that no answer claims that something is absent."""
+    truths = set()
+    for seed in range(6):
+        scene = make_scene(seed, complete=False)
+        facts = facts_maker(scene)
+        for room in scene.rooms:
+            referents = Referents.of(room, scene.arrays(room.room_id), facts[room.room_id], vocabulary, 0.3)
+            for question in questions_of(ConditionPool.of(referents, NO_BITS, {"sofa"}, vocabulary)):
+                assert question.predicate is not None
+                assert question.label in referents.unique_labels
+                assert holds(question, referents) is question.truth
+                truths.add(question.truth)
+    assert truths == {True, False}
+
+
+def test_what_a_nameless_thing_may_be_is_never_said_to_be_absent(make_scene, facts_maker) -> None:
+    """A container may be a box: no "there is no box", no "a box near the bed", and "the box" is not the only one."""
+    asked: Counter[str] = Counter()
+    for seed in range(8):
+        scene = make_scene(seed, objects=14)
+        for nameless in (None, "container", "unknown"):
+            for room in scene.rooms:
+                held = [o for o in scene.objects if o.room_id == room.room_id]
+                away = held[0].center + np.array([40.0, 0.0, 40.0])
+                far = replace(held[0], object_id="zz", label=nameless or "", center=away, aabb=None)
+                arrays = RoomArrays.of(room.room_id, held if nameless is None else [*held, far])
+                facts = text_facts(relate_room(arrays, Thresholds()), Thresholds())
+                referents = Referents.of(room, arrays, facts, vocabulary, 0.3, "mp3d")
+                pool = ConditionPool.of(referents, NO_BITS, vocabulary.labels, vocabulary)
+                may_be = frozenset() if nameless is None else vocabulary.may_be(nameless, "mp3d")
+                assert referents.blocked == may_be
+                for question in questions_of(pool):
+                    open_ = bool(vocabulary.overlapping(question.label) & may_be)
+                    asked[nameless or "", open_] += 1
+                    definite = question.predicate is not None and question.label in referents.unique_labels
+                    assert not open_ or definite
+                if nameless == "container":
+                    assert not referents.unique_labels & may_be
+    assert asked["", False] > asked["container", False] + asked["container", True] > 0
+    assert asked["unknown", True]
 
 
 @given(st.integers(0, 400), st.integers(0, 400), st.sampled_from([STAGINGS, EVIDENCE]))

@@ -173,7 +173,9 @@ def test_rooms_of_one_type_go_by_what_only_one_of_them_has() -> None:
         [("bedroom", ["piano", "piano"], True), ("bedroom", ["bed", "bed"], True)],
         # the other bedroom may hold a piano that nobody annotated
         [("bedroom", ["piano"], False), ("bedroom", ["desk"], False)],
-        [("other room", ["piano"], True), ("unlabelled room", ["desk"], True)],
+        [("unlabelled room", ["piano"], True), ("unlabelled room", ["desk"], True)],
+        # "the room" might be any of them
+        [("other room", ["bed"], True), ("unlabelled room", ["bed"], True)],
     ],
 )
 def test_rooms_that_cannot_be_told_apart_are_not_named(rooms: list[tuple[str, list[str], bool]]) -> None:
@@ -185,6 +187,18 @@ def test_room_types_that_share_a_word_count_as_one() -> None:
     refs = named(("hallway", ["mirror", "bench"], True), ("entryway", ["mirror", "coat rack"], True))
     assert refs["r0"][0].anchor_label == "bench"
     assert refs["r1"][0].anchor_label == "coat rack"
+
+
+def test_a_room_of_no_type_goes_by_what_no_other_room_of_any_type_has() -> None:
+    refs = named(("other room", ["piano", "sink"], True), ("kitchen", ["sink"], True), ("porch", ["bench"], True))
+    assert {r.anchor_label for r in refs["r0"]} == {"piano"}
+    assert refs["r1"] == (RoomRef(room_id="r1", label="kitchen"),), "a kitchen would not be called a room of no type"
+
+
+def test_what_a_nameless_thing_may_be_names_no_other_room() -> None:
+    made = [made_room("r0", "bedroom", ["piano", "vase"]), made_room("r1", "bedroom", ["decoration", "bed"])]
+    referents = [Referents.of(room, a, no_facts(len(a)), vocabulary, 0.3, "mp3d") for room, a in made]
+    assert {r.anchor_label for r in room_refs(referents, vocabulary)["r0"]} == {"piano"}, "a decoration may be a vase"
 
 
 def test_a_single_room_needs_no_name() -> None:

@@ -25,6 +25,22 @@ def test_what_may_be_meant_is_the_same() -> None:
     assert words().meant_by("blorb") == words().rooms_meant_by("blorb") == {"blorb"}
 
 
+def test_the_rooms_that_a_general_word_may_mean_are_the_same() -> None:
+    for label in vocabulary.room_labels:
+        for other in [*vocabulary.room_labels, "blorb"]:
+            meant = words().any_room(label) or other in words().rooms_meant_by(label)
+            assert meant == vocabulary.might_mean_room(label, other)
+
+
+@pytest.mark.parametrize("family", sorted(SOURCE_OF_FAMILY))
+def test_what_a_nameless_thing_may_be_is_the_same(family: str) -> None:
+    raws = [*vocabulary.raw_labels(family), "ObjaZyx", "ObjaSideTable", "blorb", "unknown", "RoomDecor"]
+    for label in {vocabulary.canonical(raw, family) for raw in raws} | {*vocabulary.labels}:
+        for side in (None, 0.1, 0.9, 2.0, 14.0):
+            found = words().may_be(label, family, side)
+            assert found == (vocabulary.may_be(label, family, side), vocabulary.is_vague(label, family)), (label, side)
+
+
 def test_what_text_may_name_is_the_same() -> None:
     assert {*words().nouns} == {x for x in vocabulary.labels if vocabulary.fit_for_text(x)}
     assert {*words().rooms} == {x for x in vocabulary.room_labels if vocabulary.room(x).fit_for_text}
@@ -35,7 +51,17 @@ def test_what_text_may_name_is_the_same() -> None:
 @pytest.mark.parametrize("family", sorted(SOURCE_OF_FAMILY))
 def test_raw_labels_are_read_alike(family: str) -> None:
     assert module.SOURCE_OF_FAMILY == SOURCE_OF_FAMILY
-    for raw in [*vocabulary.raw_labels(family), "ArmChair", "arm_chair 2", "Blorb", "table 7", "bath tub", ""]:
+    for raw in [
+        *vocabulary.raw_labels(family),
+        "ArmChair",
+        "ObjaSideTable",
+        "ObjaZyx",
+        "arm_chair 2",
+        "Blorb",
+        "table 7",
+        "bath tub",
+        "",
+    ]:
         for spelled in (raw, raw.upper(), raw.replace(" ", "_"), f"{raw} 3"):
             assert words().label(spelled, family) == vocabulary.canonical(spelled, family)
 
@@ -47,7 +73,7 @@ def test_raw_rooms_are_read_alike(raw: str, family: str) -> None:
 
 
 def test_a_listed_model_goes_before_a_wrong_label() -> None:
-    assert words().label("chopping_board", "replicacad", "frl_apartment_clothes_hanger_02") == "clothes hanger"
+    assert words().label("chopping_board", "replicacad", "frl_apartment_clothes_hanger_02") == "clothes rack"
     assert words().label("chopping_board", "replicacad", "some_model") == "cutting board"
 
 
