@@ -16,7 +16,7 @@ from condvln.export.staging import staged
 from condvln.export.tables import FolderTables
 from condvln.export.viewpoints import FOLDER, ViewpointReport, write_viewpoints
 from condvln.formats.streams import atomic_stream
-from factory.snapshot import Snapshot, read_manifest, read_ref
+from factory.snapshot import Snapshot, read_manifest, read_ref, ref_path
 from jobs.bias import add_bias, priors_behind
 from jobs.built_navmeshes import built_navmeshes
 from jobs.export_lock import alone_in_export
@@ -153,6 +153,7 @@ class _Guard:
     def __init__(self, config: Config, snapshot: Snapshot, allow_shrink: bool, renewed: bool) -> None:
         self._config = config
         self._origin = Origin.of(config, snapshot)
+        self._ref = f"{snapshot.store.url}/{ref_path(config.name)}"
         self._allow = allow_shrink
         self._renewed = renewed
         self.said: list[str] = []
@@ -162,7 +163,13 @@ class _Guard:
         assert self._config.export is not None
         try:
             self.said = refuse_losses(
-                self._config.export, self._origin, episodes, left_out, renewed=self._renewed, listed=self._listed
+                self._config.export,
+                self._ref,
+                self._origin,
+                episodes,
+                left_out,
+                renewed=self._renewed,
+                listed=self._listed,
             )
         except SmallerExportError as error:
             if not self._allow:
@@ -174,12 +181,12 @@ class _Guard:
         with atomic_stream(new / ORIGIN) as stream:
             stream.write(self._origin.as_bytes())
 
-    def _listed(self) -> set[str]:
-        """Scenes in the sources now; none where they can't be listed here, as on a machine without them."""
+    def _listed(self) -> set[str] | None:
+        """Scenes in the sources now; None where they can't be listed here, as on a machine without them."""
         try:
             return {unit.unit_id for unit in listed_units(self._config)}
         except (CondVLNError, OSError):
-            return set()
+            return None
 
 
 def _viewpoints_alone(config: Config, snapshot: Snapshot, guard: _Guard) -> Report:

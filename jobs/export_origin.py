@@ -139,14 +139,15 @@ class Shrinkage:
 
 
 def compare(
-    former: Origin | None, now: Origin, *, renewed: bool = False, listed: Callable[[], set[str]] | None = None
+    former: Origin | None, now: Origin, *, renewed: bool = False, listed: Callable[[], set[str] | None] | None = None
 ) -> Shrinkage:
     """What changed between the origins of two exports.
 
     Parameters
     ----------
     renewed : the priors were renewed on purpose
-    listed : gives the scenes that the sources hold now; asked only where some are gone from the snapshot
+    listed : gives the scenes that the sources hold now, None where they can't be listed; asked only where some are gone
+        from the snapshot
     """
     found = Shrinkage()
     if former is None:
@@ -201,13 +202,17 @@ def _kind(before: SceneOrigin, here: SceneOrigin, explained: bool) -> str:
 
 
 def _gone(
-    former: Origin, now: Origin, found: Shrinkage, changed: list[str], listed: Callable[[], set[str]] | None
+    former: Origin, now: Origin, found: Shrinkage, changed: list[str], listed: Callable[[], set[str] | None] | None
 ) -> None:
     """Scenes that the snapshot no longer has: removed from the source, or lost, or their source is not there."""
     gone = {name for name, scene in former.scenes.items() if scene.episodes and name not in now.scenes}
     if not gone:
         return
-    still = gone & listed() if listed is not None else set()
+    there = listed() if listed is not None else set()
+    if there is None:
+        found.doubts.append(f"the sources can't be listed here, so it is not known whether they hold {_scenes(gone)}")
+        return
+    still = gone & there
     if still:
         found.losses.append(f"in their source and not in the snapshot: {_scenes(still)}")
     left = {_family(name) for name in now.scenes}
@@ -240,12 +245,13 @@ def _scenes(names: set[str] | list[str]) -> str:
 
 
 def refuse_losses(
-    folder: Path, now: Origin, episodes: Mapping[str, int], left_out: Mapping[str, int], **known: Any
+    folder: Path, ref: str, now: Origin, episodes: Mapping[str, int], left_out: Mapping[str, int], **known: Any
 ) -> list[str]:
     """Refuse an export that holds less than the one in ``folder`` without a reason; the reasons otherwise, in words.
 
     Parameters
     ----------
+    ref : file of the store that names the snapshot, for the message
     episodes : of the new export, by split
     left_out : of the new export, by reason
     known : ``renewed`` and ``listed`` of :func:`compare`
@@ -273,7 +279,7 @@ def refuse_losses(
     if found.losses or found.doubts:
         why = "; ".join([*found.losses, *found.doubts])
         raise SmallerExportError(
-            f"the new export would hold less than the one in place, {size}: {why}",
+            f"an export of the snapshot that {ref} names would hold less than the one in place, {size}: {why}",
             where=folder,
             remedy="The export in place is kept. Run condvln rebuild CONFIG --verify to make again what was lost; or, "
             "where the smaller export is wanted, condvln export CONFIG --allow-shrink.",

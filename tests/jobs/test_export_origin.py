@@ -21,6 +21,8 @@ from jobs.report import Report
 from schemas.config import Config, InstructionsConfig, SplitsConfig
 from schemas.errors import SmallerExportError
 
+REF = "/store/refs/made.json"
+
 
 def scene(**changes: Any) -> SceneOrigin:
     return SceneOrigin(status="ok", data="d1", key="k1", episodes=10).model_copy(update=changes)
@@ -76,7 +78,7 @@ ONLY_A = {"replicacad/a": scene()}
 )
 def test_reasons_that_are_accepted_and_said(tmp_path: Path, now: Origin, known: dict[str, Any], said: str) -> None:
     folder = placed(tmp_path, origin(), {"train": 12, "test": 8})
-    (line,) = refuse_losses(folder, now, {"train": 5, "test": 8}, {}, **known)
+    (line,) = refuse_losses(folder, REF, now, {"train": 5, "test": 8}, {}, **known)
     assert line.startswith("the export is smaller than the one before, 20 → 13 episodes (train 12 → 5): ")
     assert re.search(said, line), line
 
@@ -112,14 +114,20 @@ def test_reasons_that_are_accepted_and_said(tmp_path: Path, now: Origin, known: 
             {"listed": lambda: {"replicacad/a", "replicacad/b"}},
             r"in their source and not in the snapshot: 1 scene \(replicacad/b\)",
         ),
+        (
+            origin(scenes=ONLY_A),
+            {"listed": lambda: None},
+            r"can't be listed here, so it is not known whether they hold 1 scene \(replicacad/b\)",
+        ),
     ],
 )
 def test_what_is_refused(tmp_path: Path, now: Origin, known: dict[str, Any], said: str) -> None:
     folder = placed(tmp_path, origin(), {"train": 12, "test": 8})
     with pytest.raises(SmallerExportError, match=said) as caught:
-        refuse_losses(folder, now, {"train": 12, "test": 7}, {}, **known)
+        refuse_losses(folder, REF, now, {"train": 12, "test": 7}, {}, **known)
     assert "20 → 19 episodes (test 8 → 7)" in str(caught.value)
     assert "condvln export CONFIG --allow-shrink" in str(caught.value)
+    assert REF in str(caught.value)
     assert caught.value.exit_code == 3
 
 
@@ -127,16 +135,16 @@ def test_an_empty_export_and_a_lost_navmesh_are_never_accepted(tmp_path: Path) -
     folder = placed(tmp_path, origin(), {"train": 12, "test": 8})
     changed = origin(configuration={"seed": 1})
     with pytest.raises(SmallerExportError, match="it would be empty"):
-        refuse_losses(folder, changed, {"train": 0, "test": 0}, {})
+        refuse_losses(folder, REF, changed, {"train": 0, "test": 0}, {})
     with pytest.raises(SmallerExportError, match="2 episodes are left out: the navmesh built for its scene is missing"):
-        refuse_losses(folder, changed, {"train": 12, "test": 9}, {LOST_NAVMESH: 2})
+        refuse_losses(folder, REF, changed, {"train": 12, "test": 9}, {LOST_NAVMESH: 2})
 
 
 def test_a_larger_export_and_a_first_one_need_no_reason(tmp_path: Path) -> None:
-    assert refuse_losses(tmp_path / "none", origin(), {"train": 0}, {}) == []
+    assert refuse_losses(tmp_path / "none", REF, origin(), {"train": 0}, {}) == []
     folder = placed(tmp_path, origin(), {"train": 12, "test": 8})
-    assert refuse_losses(folder, origin(), {"train": 12, "test": 8}, {}) == []
-    assert refuse_losses(folder, origin(snapshot="s2"), {"train": 12, "test": 9}, {}) == []
+    assert refuse_losses(folder, REF, origin(), {"train": 12, "test": 8}, {}) == []
+    assert refuse_losses(folder, REF, origin(snapshot="s2"), {"train": 12, "test": 9}, {}) == []
 
 
 @pytest.mark.parametrize("state", ["missing", "cut", "changed"])
@@ -149,15 +157,15 @@ def test_without_a_record_of_the_former_one_nothing_smaller_is_accepted(tmp_path
     else:
         path.write_bytes(data[:-30] if state == "cut" else data.replace(b'"k1"', b'"k2"'))
     with pytest.raises(SmallerExportError, match=r"no readable origin\.json"):
-        refuse_losses(folder, origin(configuration={}), {"train": 5}, {})
-    assert refuse_losses(folder, origin(), {"train": 12}, {}) == []
+        refuse_losses(folder, REF, origin(configuration={}), {"train": 5}, {})
+    assert refuse_losses(folder, REF, origin(), {"train": 12}, {}) == []
 
 
 def test_the_size_of_one_without_a_record_is_that_of_its_manifests(tmp_path: Path) -> None:
     (tmp_path / "manifest").mkdir()
     (tmp_path / "manifest" / "train.jsonl").write_text("{}\n{}\n")
     with pytest.raises(SmallerExportError, match="2 → 1 episodes"):
-        refuse_losses(tmp_path, origin(), {"train": 1}, {})
+        refuse_losses(tmp_path, REF, origin(), {"train": 1}, {})
 
 
 # -- the commands ------------------------------------------------------------------------------------------------------
@@ -189,7 +197,7 @@ def test_a_ref_put_back_to_less_is_refused_and_a_removed_scene_is_not(
         export_snapshot_of(config)
     assert files(out) == before
     report = run_export(config, allow_shrink=True)
-    assert any(line.startswith("allowed by --allow-shrink: the new export would hold less") for line in report.lines)
+    assert any(line.startswith("allowed by --allow-shrink: an export of the snapshot") for line in report.lines)
     assert sum(report.document["episodes"].values()) < sum(json.loads(before[INDEX])["episodes"].values())
     # back to all of it: the same bytes, but for the history
     ref.write_bytes(full)

@@ -60,8 +60,8 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Built]:
 
 
 def names_file_and_remedy(text: str) -> bool:
-    """Whether a message names a file below the store or the export, or the export that it keeps, and what to do."""
-    return re.search(r"/(store/\S*\w|export/\S*\w|export:)", text) is not None and "condvln" in text
+    """Whether a message names a file below the store or the export, and what to do."""
+    return re.search(r"/(store|export)/\S*\w", text) is not None and "condvln" in text
 
 
 def asked(verb: str, config: Config) -> tuple[Report | None, int, str]:
