@@ -13,13 +13,13 @@ from rich.console import Console
 
 from condvln.export.compose import compose_scene, is_composed
 from condvln.export.contents import INDEX
-from condvln.export.licences import SOURCES
 from condvln.export.vlnce import scene_file
 from condvln.formats.dataset_root import DatasetRoot
 from condvln.formats.streams import read_unpacked
 from condvln.navigation.navmesh_file import NavMeshFile
 from condvln.navigation.scene_navmesh import built_path, with_shipped_navmesh
 from condvln.scene import Scene
+from condvln.sources.family import FAMILIES
 from condvln.sources.source import Source, hash_file
 from jobs.compose import NAVMESH, refuse_export, shipped_navmesh, write_changed
 from jobs.pipeline import open_configured
@@ -86,7 +86,7 @@ def compose_all(config: Config, folder: Path, *, own_navmesh: bool = False, cons
 
 
 def _composed(family: str) -> bool:
-    return family in SOURCES and SOURCES[family].composed
+    return family in FAMILIES and FAMILIES[family].composed
 
 
 def _known(config: Config) -> dict[Name, Source | InputError]:
@@ -237,7 +237,7 @@ def _report(done: _Done, folder: Path, origin: str) -> Report:
     ]
     lines += [f"{scene}: {message.removeprefix(f'{scene}: ')}" for scene, message in done.failures.items()]
     lines += [
-        f"Scenes of {SOURCES[family].name if family in SOURCES else family} are one file each: put the dataset's own "
+        f"Scenes of {FAMILIES[family].name if family in FAMILIES else family} are one file each: put the dataset's own "
         f"at {folder / scene_file(family, '<scene>')}"
         for family in done.single_files
     ]

@@ -10,9 +10,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
+from condvln.sources.family import FAMILIES
 from condvln.sources.source import SceneCounts
 
-__all__ = ["COEFFICIENTS", "COMPILE_SECONDS", "FEATURES", "LIKE", "counts_of", "stage_costs"]
+__all__ = ["COEFFICIENTS", "COMPILE_SECONDS", "FEATURES", "counts_of", "stage_costs"]
 
 FEATURES: Final[Mapping[str, tuple[str, ...]]] = {
     "scene": ("scene", "objects", "mesh_mb"),
@@ -61,14 +62,8 @@ episodes of each category, 60 houses of ProcTHOR with 20 and 30 of them with 12.
 a scan) only the order of magnitude is known: there are no scans to measure on.
 """
 
-LIKE: Final[Mapping[str, str]] = {"robothor": "ithor", "mp3d": "gibson"}
-"""Families without scenes to measure on, and the family whose scenes are most like theirs."""
-
 COMPILE_SECONDS: Final = 105.0
 """CPU seconds that compiling all kernels takes once on the reference machine; after that they come from a cache."""
-
-_ALWAYS_PLACED: Final = ("procthor", "ithor", "robothor")
-"""Families of which every scene gets a navmesh, built from its walls or its reachable positions."""
 
 
 def counts_of(family: str, counts: SceneCounts, asked: int) -> dict[str, float]:
@@ -81,7 +76,7 @@ def counts_of(family: str, counts: SceneCounts, asked: int) -> dict[str, float]:
     placed_kiloobjects : thousand pairs of an episode and an object; 0 where no navmesh is shipped or can be built
     mesh_mb : megabytes of meshes that a navmesh must be built from; 0 where one is shipped
     """
-    navmesh = family in _ALWAYS_PLACED or counts.navmesh_bytes > 0 or counts.mesh_bytes > 0
+    navmesh = FAMILIES[family].always_placed or counts.navmesh_bytes > 0 or counts.mesh_bytes > 0
     placed = asked if navmesh else 0
     return {
         "scene": 1.0,
@@ -101,5 +96,5 @@ def stage_costs(family: str, counts: SceneCounts, asked: int) -> dict[str, float
     known = counts_of(family, counts, asked)
     return {
         stage: sum(c * known[name] for c, name in zip(coefficients, FEATURES[stage], strict=True))
-        for stage, coefficients in COEFFICIENTS[LIKE.get(family, family)].items()
+        for stage, coefficients in COEFFICIENTS[FAMILIES[family].costs_like or family].items()
     }

@@ -7,9 +7,9 @@ from typing import Final
 
 import yaml
 
-from condvln.export.licences import SOURCES, composed_sources
 from condvln.export.report import ExportReport
 from condvln.export.splits import SPLITS
+from condvln.sources.family import FAMILIES, composed_datasets
 
 __all__ = ["dataset_card"]
 
@@ -113,7 +113,7 @@ def _meshes(report: ExportReport) -> str:
         "Scene meshes are not included: get them from their sources and put them below `data/scene_datasets/`, each "
         "at the path that `scene_id` names."
     )
-    composed = composed_sources(scene for found in report.scenes.values() for scene in found)
+    composed = composed_datasets(scene for found in report.scenes.values() for scene in found)
     if composed:
         text += (
             f" Of {', '.join(composed)}, which come in parts, `condvln compose CONFIG --all data/scene_datasets` makes "
@@ -188,7 +188,7 @@ def _licences(report: ExportReport) -> str:
     used = sorted({scene.split("/", 1)[0] for found in report.scenes.values() for scene in found})
     lines = ["| source | terms | credit |", "|---|---|---|"]
     for family in used:
-        known = SOURCES.get(family)
+        known = FAMILIES.get(family)
         lines.append(_row([known.name, known.terms, known.credit]) if known else _row([family, "unknown", ""]))
     lines += [
         "",

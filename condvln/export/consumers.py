@@ -13,9 +13,9 @@ from typing import Any, Final
 
 import yaml
 
-from condvln.export.licences import composed_sources
 from condvln.export.report import ExportReport
 from condvln.export.splits import SPLITS
+from condvln.sources.family import composed_datasets
 
 __all__ = ["LINK", "consumer_files"]
 
@@ -53,7 +53,7 @@ def consumer_files(report: ExportReport) -> dict[str, str]:
     }
     if not any("oracle/" in name for name in report.files):
         del files["configs/vlnce/condvln_oracle_task.yaml"]
-    composed = composed_sources(scene for found in report.scenes.values() for scene in found)
+    composed = composed_datasets(scene for found in report.scenes.values() for scene in found)
     texts = {}
     for path, document in files.items():
         root = _VLN_ZERO.root if path.startswith("configs/vln_zero/") else ""

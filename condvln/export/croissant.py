@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from condvln.export.licences import SOURCES
 from condvln.export.report import ExportReport
 from condvln.export.splits import SPLITS
+from condvln.sources.family import FAMILIES
 
 __all__ = ["croissant"]
 
@@ -71,8 +71,8 @@ def croissant(report: ExportReport, name: str) -> dict[str, Any]:
     """The JSON-LD document of one export; every manifest with its size and hash."""
     manifests = [f"manifest/{split}.jsonl" for split in SPLITS if report.episodes.get(split)]
     families = sorted({scene.split("/", 1)[0] for found in report.scenes.values() for scene in found})
-    terms = [f"{SOURCES[family].name}: {SOURCES[family].terms}" for family in families if family in SOURCES]
-    credits = [SOURCES[family].credit for family in families if family in SOURCES]
+    terms = [f"{FAMILIES[family].name}: {FAMILIES[family].terms}" for family in families if family in FAMILIES]
+    credits = [FAMILIES[family].credit for family in families if family in FAMILIES]
     return {
         "@context": _CONTEXT,
         "@type": "sc:Dataset",

@@ -7,17 +7,13 @@ scenes go by the hash of their own id, so that a scene more moves no other.
 from __future__ import annotations
 
 import hashlib
-import posixpath
-import re
 from fnmatch import fnmatchcase
-from functools import cache
-from importlib import resources
 from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
-import orjson
 
+from condvln.sources.family import FAMILIES, SplitGroup
 from schemas.config import SplitsConfig
 from schemas.errors import ConfigError
 
@@ -26,19 +22,9 @@ __all__ = ["GROUPS", "SPLITS", "Group", "Split", "fractions", "hash_fraction", "
 Split = Literal["train", "val_seen", "val_unseen", "test"]
 SPLITS: Final[tuple[Split, ...]] = ("train", "val_seen", "val_unseen", "test")
 
-Group = Literal["train", "val_unseen", "test"]
-"""A set of scenes; the group train holds the splits train and val_seen."""
+Group = SplitGroup
 
 GROUPS: Final[tuple[Group, ...]] = ("train", "val_unseen", "test")
-_LISTED: Final = ("mp3d", "gibson")
-
-# Floor plans 1-30 of kitchens, 201-230, 301-330 and 401-430 of the other room types: within each, 1-20 train, 21-25
-# val, 26-30 test.
-_ITHOR: Final = re.compile(r"FloorPlan(\d{1,3})(?:_physics)?$")
-_ROBOTHOR: Final = re.compile(r"FloorPlan_(Train|Val|Test)", re.IGNORECASE)
-# The base layouts of ReplicaCAD: sc0 and sc1 came in 21 stagings each; the remaining layouts and the apartments are
-# for test.
-_REPLICACAD: Final = re.compile(r"v3_sc(\d+)_staging_\d+$|apt_\d+$")
 
 
 def scene_group(family: str, scene_id: str, config: SplitsConfig) -> Group:
@@ -51,7 +37,7 @@ def scene_group(family: str, scene_id: str, config: SplitsConfig) -> Group:
     configured = _configured(family, scene_id, config)
     if configured is not None:
         return configured
-    official = _official(family, scene_id)
+    official = FAMILIES[family].official_split(scene_id) if family in FAMILIES else None
     if official is not None:
         return official
     at = hash_fraction(config.seed, family, scene_id)
@@ -89,23 +75,3 @@ def _configured(family: str, scene_id: str, config: SplitsConfig) -> Group | Non
             remedy="Narrow one of the patterns: splits share no scene.",
         )
     return found[0] if found else None
-
-
-def _official(family: str, scene_id: str) -> Group | None:
-    if family in _LISTED:
-        # Gibson's buildings stand in folders by the kind of their annotation; the list knows buildings.
-        return _list_of(family).get(posixpath.basename(scene_id))
-    if family == "ithor" and (found := _ITHOR.match(scene_id)):
-        within = int(found[1]) % 100
-        return "train" if within <= 20 else "val_unseen" if within <= 25 else "test"
-    if family == "robothor" and (found := _ROBOTHOR.match(scene_id)):
-        return {"train": GROUPS[0], "val": GROUPS[1], "test": GROUPS[2]}[found[1].lower()]
-    if family == "replicacad" and (found := _REPLICACAD.match(scene_id)):
-        return {"0": GROUPS[0], "1": GROUPS[1]}.get(found[1] or "", "test")
-    return None
-
-
-@cache
-def _list_of(family: str) -> dict[str, Group]:
-    lists = orjson.loads((resources.files("condvln.export") / "official" / f"{family}.json").read_bytes())
-    return {scene: group for group in GROUPS for scene in lists[group].split()}

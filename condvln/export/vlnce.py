@@ -19,6 +19,7 @@ from condvln.export.densify import densify
 from condvln.export.rows import Row
 from condvln.export.tokens import Vocabulary
 from condvln.formats.streams import JsonArrayStream, atomic_stream
+from condvln.sources.family import FAMILIES
 from schemas.config.constants import PATH_SPACING
 from schemas.program import SHAPES
 
@@ -38,10 +39,10 @@ __all__ = [
 FORWARD: Final = 1
 """Index of the forward action in ground-truth actions: STOP 0, FORWARD 1, LEFT 2, RIGHT 3."""
 
-SCENE_PATTERNS: Final[Mapping[str, str]] = {"": "{family}/{scene}/{name}.glb", "gibson": "{family}/{name}/{name}.glb"}
-"""``scene_id`` by family, below the folder ``scene_datasets``; the entry without a name serves the families not
-listed. ``{name}`` is the scene's id without its folder: the verified and the automated annotation of one of Gibson's
-buildings are of one mesh."""
+SCENE_PATTERNS: Final[Mapping[str, str]] = {"": "{family}/{scene}/{name}.glb"} | {
+    name: family.scene_file for name, family in FAMILIES.items()
+}
+"""``scene_id`` by family, below the folder ``scene_datasets``; the entry without a name is for families not listed."""
 
 
 def scene_file(family: str, scene: str, patterns: Mapping[str, str] = SCENE_PATTERNS) -> str:

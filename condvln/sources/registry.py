@@ -19,9 +19,9 @@ from condvln.sources.scene_source import Absence, SceneSource, SourceOptions
 from condvln.sources.source import HashFile, Source, hash_file
 from schemas.errors import ConfigError
 
-__all__ = ["FAMILIES", "open_source"]
+__all__ = ["READERS", "open_source"]
 
-FAMILIES: Final[dict[str, type[SceneSource]]] = {
+READERS: Final[dict[str, type[SceneSource]]] = {
     "gibson": GibsonSource,
     "ithor": IthorSource,
     "mp3d": Mp3dSource,
@@ -59,8 +59,8 @@ def open_source(
     ------
     ConfigError : an unknown family, a folder that is not there or is not such a dataset, a pattern that fits no scene
     """
-    if family not in FAMILIES:
-        raise ConfigError(f"unknown source family {family!r}", remedy=f"Known are {', '.join(sorted(FAMILIES))}")
+    if family not in READERS:
+        raise ConfigError(f"unknown source family {family!r}", remedy=f"Known are {', '.join(sorted(READERS))}")
     root = Path(root)
     if not root.is_dir():
         raise ConfigError(
@@ -71,7 +71,7 @@ def open_source(
     choice = SceneChoice(tuple(scenes), tuple(exclude))
     options = SourceOptions(choice, navmesh, None if regions is None else Path(regions), hash_file, absence)
     if houses is None:
-        return FAMILIES[family](root, options)
+        return READERS[family](root, options)
     if family != ProcthorHabitatSource.family:
         raise ConfigError(
             f"the source of family {family!r} names houses, which only ProcTHOR has",

@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from condvln.sources.registry import FAMILIES, open_source
+from condvln.sources.family import FAMILIES
+from condvln.sources.registry import open_source
 from condvln.sources.source import SceneCounts
-from jobs.costs import COEFFICIENTS, FEATURES, LIKE, counts_of, stage_costs
+from jobs.costs import COEFFICIENTS, FEATURES, counts_of, stage_costs
 from jobs.pipeline import build_pipeline, list_units
 from jobs.workspace import file_hashes, hasher
 from schemas.config import Config, InstructionsConfig, SourceConfig
@@ -27,7 +28,7 @@ def config(family: str, root: Path, store: Path, per: int = 12) -> Config:
 
 def test_every_family_and_every_stage_has_coefficients(tmp_path: Path) -> None:
     stages = {stage.name for stage in build_pipeline(config("ithor", tmp_path, tmp_path)).stages}
-    assert {LIKE.get(family, family) for family in FAMILIES} == set(COEFFICIENTS)
+    assert {FAMILIES[family].costs_like or family for family in FAMILIES} == set(COEFFICIENTS)
     for table in COEFFICIENTS.values():
         assert set(table) == set(FEATURES) == stages
         for stage, coefficients in table.items():

@@ -8,8 +8,7 @@ import pytest
 
 from condvln.samples import FAMILIES, make_samples
 from condvln.sources.downloads import downloads, look_for
-from condvln.sources.registry import FAMILIES as READERS
-from condvln.sources.registry import open_source
+from condvln.sources.registry import READERS, open_source
 from jobs.survey import survey_source
 from schemas.config import AgentConfig
 

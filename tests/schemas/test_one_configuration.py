@@ -7,6 +7,14 @@ import ast
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
+from typing import get_args
+
+from condvln.samples import FAMILIES as WRITERS
+from condvln.sources.downloads import downloads
+from condvln.sources.family import FAMILIES
+from condvln.sources.registry import READERS
+from jobs.costs import COEFFICIENTS
+from schemas.config import Family
 
 PACKAGES = ("schemas", "condvln", "factory", "jobs")
 DECIDING = ("relations", "instructions", "episodes", "verify")
@@ -137,3 +145,10 @@ def test_no_two_classes_have_the_same_fields(repository: Path) -> None:
                 classes[frozenset(fields)].append(f"{path}: {node.name}")
     assert len(classes) > 100
     assert [set(names) for names in classes.values() if len(names) > 1 and set(names) not in WIRE] == []
+
+
+def test_every_list_of_families_is_the_same() -> None:
+    names = set(get_args(Family))
+    assert names == set(FAMILIES) == set(READERS) == set(WRITERS)
+    assert all(downloads(name) for name in names)
+    assert {FAMILIES[name].costs_like or name for name in names} == set(COEFFICIENTS)

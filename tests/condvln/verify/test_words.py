@@ -8,7 +8,7 @@ import pytest
 
 from condvln.labels import vocabulary
 from condvln.labels.lexicon import SOURCE_OF_FAMILY
-from condvln.sources.registry import FAMILIES, open_source
+from condvln.sources.registry import READERS, open_source
 from condvln.verify import words as module
 from condvln.verify.referents import SceneReferents
 from condvln.verify.surfaces import Shapes
@@ -82,7 +82,7 @@ def test_folding() -> None:
     assert folded("TVStand") == "tv stand"
 
 
-@pytest.mark.parametrize("family", sorted(FAMILIES))
+@pytest.mark.parametrize("family", sorted(READERS))
 def test_real_scenes_are_labelled_alike(real_data: Path, family: str) -> None:
     """The readers' labels and the verifier's, of every object and room of some real scenes."""
     try:

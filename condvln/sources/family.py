@@ -1,0 +1,154 @@
+"""What is known of each family of datasets beside how it is read: names, terms, official splits, paths of scenes.
+
+A new family is an entry here, a reader in ``registry``, its downloads in ``downloads.csv``, its raw labels in
+``condvln.labels``, and its name in ``schemas.config.Family``; ``CONTRIBUTING.md`` goes through them.
+"""
+
+from __future__ import annotations
+
+import posixpath
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cache, partial
+from importlib import resources
+from typing import Final, Literal
+
+import orjson
+
+__all__ = ["FAMILIES", "Family", "SplitGroup", "composed_datasets"]
+
+SplitGroup = Literal["train", "val_unseen", "test"]
+"""A set of scenes; the group train holds the splits train and val_seen."""
+
+_GROUPS: Final[tuple[SplitGroup, ...]] = ("train", "val_unseen", "test")
+
+
+def _unlisted(scene_id: str) -> SplitGroup | None:
+    return None
+
+
+@dataclass(frozen=True, slots=True)
+class Family:
+    """A family of datasets.
+
+    name : of the dataset, as its makers write it
+    terms, credit : what it allows, and whom to name
+    composed : its scenes come in parts, which the terms let a user put together on a disk of his own; a scan is one
+        file already, and its users agree to terms with its owner
+    official_split : group of a scene by its makers' own lists; None where they have none
+    scene_file : ``scene_id`` of a VLN-CE episode below the folder of scene datasets; ``{scene}`` is the scene's id,
+        ``{name}`` the id without its folder
+    always_placed : every scene gets a navmesh, built from its walls or its reachable positions
+    costs_like : the family whose measured costs estimates begin with
+    """
+
+    name: str
+    terms: str
+    credit: str
+    composed: bool = False
+    official_split: Callable[[str], SplitGroup | None] = _unlisted
+    scene_file: str = "{family}/{scene}/{name}.glb"
+    always_placed: bool = False
+    costs_like: str | None = None
+
+
+@cache
+def _list_of(family: str) -> dict[str, SplitGroup]:
+    lists = orjson.loads((resources.files("condvln.sources") / "official" / f"{family}.json").read_bytes())
+    return {scene: group for group in _GROUPS for scene in lists[group].split()}
+
+
+def _listed(family: str, scene_id: str) -> SplitGroup | None:
+    # Gibson's buildings are in folders by the kind of their annotation; the list has buildings.
+    return _list_of(family).get(posixpath.basename(scene_id))
+
+
+_ITHOR: Final = re.compile(r"FloorPlan(\d{1,3})(?:_physics)?$")
+
+
+def _ithor_split(scene_id: str) -> SplitGroup | None:
+    # Floor plans 1-30 of kitchens, 201-230, 301-330 and 401-430 of the other room types: within each, 1-20 train,
+    # 21-25 val, 26-30 test.
+    found = _ITHOR.match(scene_id)
+    if found is None:
+        return None
+    within = int(found[1]) % 100
+    return "train" if within <= 20 else "val_unseen" if within <= 25 else "test"
+
+
+_ROBOTHOR: Final = re.compile(r"FloorPlan_(Train|Val|Test)", re.IGNORECASE)
+
+
+def _robothor_split(scene_id: str) -> SplitGroup | None:
+    found = _ROBOTHOR.match(scene_id)
+    groups: dict[str, SplitGroup] = {"train": "train", "val": "val_unseen", "test": "test"}
+    return None if found is None else groups[found[1].lower()]
+
+
+_REPLICACAD: Final = re.compile(r"v3_sc(\d+)_staging_\d+$|apt_\d+$")
+
+
+def _replicacad_split(scene_id: str) -> SplitGroup | None:
+    # Base layouts: sc0 and sc1 came in 21 stagings each; the remaining layouts and the apartments are for test.
+    found = _REPLICACAD.match(scene_id)
+    groups: dict[str, SplitGroup] = {"0": "train", "1": "val_unseen"}
+    return None if found is None else groups.get(found[1] or "", "test")
+
+
+FAMILIES: Final[dict[str, Family]] = {
+    "gibson": Family(
+        "Gibson and 3D Scene Graph",
+        "Gibson database licence (non-commercial research) and 3DSceneGraph's terms",
+        "Xia et al., Gibson Env, CVPR 2018; Armeni et al., 3D Scene Graph, ICCV 2019",
+        official_split=partial(_listed, "gibson"),
+        # The verified and the automated annotation of a building are of one mesh.
+        scene_file="{family}/{name}/{name}.glb",
+    ),
+    "ithor": Family(
+        "AI2-THOR (iTHOR)",
+        "Apache-2.0",
+        "Kolve et al., AI2-THOR: An Interactive 3D Environment for Visual AI, 2017",
+        composed=True,
+        official_split=_ithor_split,
+        always_placed=True,
+    ),
+    "mp3d": Family(
+        "Matterport3D",
+        "Matterport3D terms of use (non-commercial academic use; each user agrees to them with Matterport)",
+        "Chang et al., Matterport3D: Learning from RGB-D Data in Indoor Environments, 3DV 2017",
+        official_split=partial(_listed, "mp3d"),
+        costs_like="gibson",
+    ),
+    "procthor": Family(
+        "ProcTHOR-10K",
+        "Apache-2.0 (asset database); the houses state none",
+        "Deitke et al., ProcTHOR: Large-Scale Embodied AI Using Procedural Generation, NeurIPS 2022",
+        composed=True,
+        always_placed=True,
+    ),
+    "replicacad": Family(
+        "ReplicaCAD",
+        "Creative Commons Attribution 4.0 (some object models non-commercial)",
+        "Szot et al., Habitat 2.0: Training Home Assistants to Rearrange their Habitat, NeurIPS 2021",
+        composed=True,
+        official_split=_replicacad_split,
+    ),
+    "robothor": Family(
+        "RoboTHOR",
+        "Apache-2.0",
+        "Deitke et al., RoboTHOR: An Open Simulation-to-Real Embodied AI Platform, CVPR 2020",
+        composed=True,
+        official_split=_robothor_split,
+        always_placed=True,
+        costs_like="ithor",
+    ),
+}
+"""By the name that configurations and tables use."""
+
+
+def composed_datasets(scenes: Iterable[str]) -> list[str]:
+    """Names of the datasets that some scenes (``<family>/<scene>``) are of and that ``condvln compose`` puts together,
+    sorted by family."""
+    families = sorted({scene.partition("/")[0] for scene in scenes})
+    return [FAMILIES[family].name for family in families if family in FAMILIES and FAMILIES[family].composed]
