@@ -59,6 +59,9 @@ class ObjectRecord(Document):
     geometry: Geometry = "none"
     mesh: tuple[MeshPart, ...] = ()
     static: bool = True
+    parts: tuple[OrientedBox, ...] = Field((), description="boxes that make it up, where one box is not its shape")
+    receptacles: tuple[str, ...] | None = Field(None, description="what it is in or on, as the source says")
+    openness: Finite | None = Field(None, description="share that it is open, as the source says")
     parent: str | None = Field(None, description="id of the object that contains it")
     support: str | None = Field(None, description="id of the object that it rests on")
     hidden: bool = Field(False, description="a container around it is shut")

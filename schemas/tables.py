@@ -55,6 +55,13 @@ MESH_PART: Final = pa.struct(
         _field("transform", pa.list_(_F), "row-major 4×4 matrix from the file's frame to the scene's"),
     ]
 )
+ORIENTED_BOX: Final = pa.struct(
+    [
+        _field("center", VEC3, "centre, metres"),
+        _field("half_extents", VEC3, "half the lengths along the box's own axes, metres"),
+        _field("rotation", QUATERNION, "quaternion [x, y, z, w] from the box's axes to the scene's"),
+    ]
+)
 _WARNING: Final = pa.struct(
     [
         _field("code", _S, "kind of the warning, for counting"),
@@ -124,13 +131,7 @@ OBJECTS: Final = pa.schema(
         _field("aabb_max", VEC3, "greatest corner of the axis-aligned box, metres; null where the extent is unknown"),
         _field(
             "obb",
-            pa.struct(
-                [
-                    _field("center", VEC3, "centre, metres"),
-                    _field("half_extents", VEC3, "half the lengths along the box's own axes, metres"),
-                    _field("rotation", QUATERNION, "quaternion [x, y, z, w] from the box's axes to the scene's"),
-                ]
-            ),
+            ORIENTED_BOX,
             "oriented box, where the source gives one or a mesh",
         ),
         _field("size", VEC3, "edge lengths of the axis-aligned box, metres"),
@@ -140,6 +141,13 @@ OBJECTS: Final = pa.schema(
         ),
         _required("mesh", pa.list_(MESH_PART), "mesh files of the object; empty where there are none"),
         _required("static", _B, "the object can't be moved"),
+        _required(
+            "parts", pa.list_(ORIENTED_BOX), "oriented boxes that make up the object, where one box is not its shape"
+        ),
+        _field("receptacles", pa.list_(_S), "objects that it is in or on, as the source says; null if unsaid"),
+        _field(
+            "openness", _F, "share that it is open, 0 to 1, as the source says; 1 if it can't be shut; null if unsaid"
+        ),
         _field("parent", _S, "id of the object that contains this one; null where it is in none"),
         _field("support", _S, "id of the object that this one rests on; null for the floor, a wall or unknown"),
         _required("hidden", _B, "a container around the object can be shut and is open less than half"),

@@ -199,7 +199,7 @@ def _of_rooms(
     layout: str, boxes: Sequence[tuple[Room, RoomArrays]], thresholds: Thresholds, anchor_size: float
 ) -> tuple[pa.Table, ...]:
     """Counts of each room of one scene."""
-    labels = [set(arrays.labels) for _, arrays in boxes]
+    labels = [_seen(arrays) for _, arrays in boxes]
     return tuple(
         _of_room(layout, room, arrays, set().union(*labels[:k], *labels[k + 1 :]), thresholds, anchor_size)
         for k, (room, arrays) in enumerate(boxes)
@@ -209,8 +209,8 @@ def _of_rooms(
 def _of_room(
     layout: str, room: Room, arrays: RoomArrays, elsewhere: set[str], thresholds: Thresholds, anchor_size: float
 ) -> pa.Table:
-    here = set(arrays.labels)
-    absent = {label for label in elsewhere if not here & vocabulary.overlapping(label)}
+    here, possible = _seen(arrays), set(arrays.labels)
+    absent = {label for label in elsewhere if not possible & vocabulary.overlapping(label)}
     parts = [_rows(["", *here], "", "", [1] * (1 + len(here)), 0), _rows(list(absent), "", "", 0, [1] * len(absent))]
     if room.complete and len(arrays):
         facts = text_facts(relate_room(arrays, thresholds), thresholds)
@@ -225,6 +225,11 @@ def _of_room(
     for at, value in enumerate((layout, room.label)):
         joined = joined.set_column(at, PRIORS.field(at), pa.repeat(value, joined.num_rows))
     return joined
+
+
+def _seen(arrays: RoomArrays) -> set[str]:
+    """Labels of the objects that are not hidden."""
+    return {label for label, hidden in zip(arrays.labels, arrays.hidden, strict=True) if not hidden}
 
 
 def _rows(labels: Any, predicate: str, anchors: Any, true: Any, false: Any) -> pa.Table:
@@ -243,7 +248,18 @@ def _rows(labels: Any, predicate: str, anchors: Any, true: Any, false: Any) -> p
 def _boxes(rooms: pa.Table, objects: pa.Table) -> Iterator[tuple[str, list[tuple[Room, RoomArrays]]]]:
     """(scene id, rooms and their objects as boxes), scene by scene, from their tables."""
     held: dict[tuple[str, str], list[SceneObject]] = {}
-    wanted = ["scene_id", "room_id", "object_id", "raw_label", "label", "center", "aabb_min", "aabb_max", "radius"]
+    wanted = [
+        "scene_id",
+        "room_id",
+        "object_id",
+        "raw_label",
+        "label",
+        "center",
+        "aabb_min",
+        "aabb_max",
+        "radius",
+        "hidden",
+    ]
     for row in objects.select(wanted).to_pylist():
         low, high = row["aabb_min"], row["aabb_max"]
         item = SceneObject(
@@ -254,6 +270,7 @@ def _boxes(rooms: pa.Table, objects: pa.Table) -> Iterator[tuple[str, list[tuple
             center=_point(row["center"]),
             aabb=None if low is None or high is None else np.array([_point(low), _point(high)]),
             radius=row["radius"],
+            hidden=row["hidden"],
         )
         held.setdefault((row["scene_id"], row["room_id"]), []).append(item)
     scenes: dict[str, list[tuple[Room, RoomArrays]]] = {}

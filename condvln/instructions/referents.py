@@ -4,6 +4,9 @@ A qualifier is *necessary* (without it the phrase fits a rival too) and *suffici
 at the loose threshold, so that none lies in the dead zone). A rival is an object of the room whose label a speaker
 might use for this one as well: same label, synonym, hypernym or hyponym, or a thing of no label that may bear it. What
 may be anything at all ("unknown") is nobody's rival: it only keeps the room from being said to lack something.
+
+What is hidden is unknown: text never names it, and it is not a rival of what is seen. It may still be there, so that
+nothing that a word for it might mean is said to be absent.
 """
 
 from __future__ import annotations
@@ -59,8 +62,9 @@ class Qualification:
 class Referents:
     """The names that one room's objects may go by.
 
-    rival (n, n) : j could be meant by i's label; nameable (n,) : the label is fit for text; unique (n,) : nameable
-    without rivals; small (n,) : shorter than the anchor size
+    rival (n, n) : j is in sight and could be meant by i's label; nameable (n,) : in sight, and the label is fit for
+    text; unique (n,) : nameable without rivals; anchor (n,) : unique and of known extent; small (n,) : shorter than the
+    anchor size
     may_be (n,) : labels that a thing may bear without being called so, of those that may be some things only
     blocked : labels that can't be said to be absent, since something nameless may bear them
     """
@@ -71,6 +75,7 @@ class Referents:
     rival: Bools
     nameable: Bools
     unique: Bools
+    anchor: Bools
     small: Bools
     may_be: tuple[frozenset[str], ...]
     blocked: frozenset[str]
@@ -93,7 +98,7 @@ class Referents:
     @cached_property
     def qualifications(self) -> tuple[tuple[Qualification, ...], ...]:
         """Per object the ways to make it unique, best first; none where it needs none or has none."""
-        return _qualifications(self.facts, self.rival, self.nameable, self.unique, self.small)
+        return _qualifications(self.facts, self.rival, self.nameable, self.unique, self.anchor, self.small)
 
     @cached_property
     def unique_labels(self) -> frozenset[str]:
@@ -119,9 +124,10 @@ class Referents:
 
         family : whose labels they are; None where each is what its label says and nothing else
         """
-        nameable = np.array([vocabulary.fit_for_text(label) for label in arrays.labels], dtype=bool)
+        seen = ~arrays.hidden
+        nameable = np.array([vocabulary.fit_for_text(label) for label in arrays.labels], dtype=bool) & seen
         may_be, blocked = _nameless(arrays, vocabulary, family)
-        rival = meant_by(arrays.labels, arrays.labels, may_be, vocabulary)
+        rival = meant_by(arrays.labels, arrays.labels, may_be, vocabulary) & seen & seen[:, None]
         np.fill_diagonal(rival, False)
         unique = nameable & ~rival.any(axis=1)
         small = np.asarray(_longest_side(arrays) < anchor_size)
@@ -132,6 +138,7 @@ class Referents:
             rival=rival,
             nameable=nameable,
             unique=unique,
+            anchor=unique & np.array([o.geometry != "none" for o in arrays.objects], dtype=bool),
             small=small,
             may_be=may_be,
             blocked=blocked,
@@ -183,10 +190,10 @@ def _longest_side(arrays: RoomArrays) -> NDArray[np.float64]:
 
 
 def _qualifications(
-    facts: Facts, rival: Bools, nameable: Bools, unique: Bools, small: Bools
+    facts: Facts, rival: Bools, nameable: Bools, unique: Bools, anchor: Bools, small: Bools
 ) -> tuple[tuple[Qualification, ...], ...]:
     n = len(nameable)
-    rows, anchors = np.flatnonzero(nameable & ~unique), np.flatnonzero(unique)
+    rows, anchors = np.flatnonzero(nameable & ~unique), np.flatnonzero(anchor)
     found: list[list[Qualification]] = [[] for _ in range(n)]
     if not len(rows) or not len(anchors):
         return tuple(() for _ in range(n))
@@ -199,15 +206,14 @@ def _qualifications(
             left = rivals @ (status != -1).astype(np.float32)
             margin = facts.margin[predicate]
             for r, a in zip(*np.nonzero((status[rows] == 1) & (left == 0)), strict=True):
-                anchor = int(anchors[a])
-                ways[r].append((bool(small[anchor]), -float(margin[rows[r], anchor]), anchor, predicate))
+                by = int(anchors[a])
+                ways[r].append((bool(small[by]), -float(margin[rows[r], by]), by, predicate))
         for r, options in enumerate(ways):
             kept = found[int(rows[r])]
             if (group == "height" and len(kept) >= ALTERNATIVES) or (group == "far" and kept):
                 continue
             kept.extend(
-                Qualification(predicate, anchor, -negated)
-                for _, negated, anchor, predicate in sorted(options)[:ALTERNATIVES]
+                Qualification(predicate, by, -negated) for _, negated, by, predicate in sorted(options)[:ALTERNATIVES]
             )
     return tuple(tuple(kept) for kept in found)
 
@@ -238,7 +244,7 @@ def _anchored(one: Referents, others: Sequence[Referents], vocabulary: Vocabular
     size = _longest_side(one.arrays)
     anchors = [
         i
-        for i in np.flatnonzero(one.unique)
+        for i in np.flatnonzero(one.anchor)
         if not one.small[i] and all(other.lacks(one.arrays.labels[i], vocabulary) for other in others)
     ]
     # The largest first: what tells a room apart should be seen from its door.

@@ -99,7 +99,7 @@ class ProgramSampler:
         if self.scene.single_room:
             elsewhere = set(bits.plausible.get(referents.room.label, ()))
         else:
-            elsewhere = {o.label for o in self.scene.objects if o.room_id != room_id}
+            elsewhere = {o.label for o in self.scene.objects if o.room_id != room_id and not o.hidden}
         return ConditionPool.of(referents, bits, elsewhere, self.words)
 
     @cached_property

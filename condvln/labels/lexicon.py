@@ -8,6 +8,9 @@ raw label that is in no list might bear any label. Catch-all labels have ``may_b
 
 ``least`` and ``most`` bound the longest side of what bears a label, in metres, generously: they only decide what a
 nameless thing of known size can't be.
+
+``containers.csv`` lists what holds things inside: ``shut`` where a door, a lid or a drawer may hide them, ``open`` where
+they stay in sight, empty where a broader label does but this one does not.
 """
 
 from __future__ import annotations
@@ -25,6 +28,7 @@ __all__ = ["LabelEntry", "RoomEntry", "Vocabulary", "normalise"]
 
 Kind = Literal["object", "structure", "catch_all"]
 T = TypeVar("T")
+ContainerKind = Literal["shut", "open"]
 
 SOURCE_OF_FAMILY: Final[Mapping[str, str]] = {
     "replicacad": "replicacad",
@@ -99,6 +103,7 @@ class Vocabulary:
     """Canonical labels of objects and rooms, and the way from each source's raw labels to them."""
 
     __slots__ = (
+        "_containers",
         "_entries",
         "_label_of_word",
         "_may_be",
@@ -116,9 +121,11 @@ class Vocabulary:
         raw_labels: Mapping[tuple[str, str], str],
         raw_rooms: Mapping[tuple[str, str], str],
         may_be: Mapping[tuple[str, str], frozenset[str]] | None = None,
+        containers: Mapping[str, ContainerKind | Literal[""]] | None = None,
     ) -> None:
         self._entries = {e.label: e for e in entries}
         self._rooms = {r.label: r for r in rooms}
+        self._containers = dict(containers or {})
         self._raw = _with_normalised_keys(raw_labels)
         self._raw_rooms = _with_normalised_keys(raw_rooms)
         self._may_be = _with_normalised_keys(may_be or {})
@@ -207,6 +214,20 @@ class Vocabulary:
         entry = self._entries.get(label)
         return entry is not None and entry.in_text
 
+    def is_structure(self, label: str) -> bool:
+        """Whether `label` is a part of the building: a wall, a floor and the like."""
+        entry = self._entries.get(label)
+        return entry is not None and entry.kind == "structure"
+
+    def container(self, label: str) -> ContainerKind | None:
+        """How a thing of this label holds others: ``shut`` where it can be closed, ``open``; None where it can't.
+
+        A label that is not listed is what the first of its hypernyms is, in alphabetical order.
+        """
+        entry = self._entries.get(label)
+        names = [label, *sorted(() if entry is None else entry.hypernyms)]
+        return next((self._containers[name] or None for name in names if name in self._containers), None)
+
     def overlapping(self, label: str) -> frozenset[str]:
         """Canonical labels that a speaker might mean by a word for `label`: itself, synonyms, hypernyms, hyponyms.
 
@@ -289,7 +310,8 @@ class Vocabulary:
         raw = {(row["source"], row["raw_label"]): row["label"] for row in listed}
         may_be = {(row["source"], row["raw_label"]): _several(row["may_be"]) for row in listed if not row["label"]}
         raw_rooms = {(row["source"], row["raw_label"]): row["label"] for row in _rows("raw_rooms.csv")}
-        return cls(entries, rooms, raw, raw_rooms, may_be)
+        containers = {row["label"]: cast(ContainerKind | Literal[""], row["kind"]) for row in _rows("containers.csv")}
+        return cls(entries, rooms, raw, raw_rooms, may_be, containers)
 
 
 def _rows(name: str) -> list[dict[str, str]]:

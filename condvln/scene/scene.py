@@ -73,9 +73,11 @@ class SceneObject:
     """One object. What is not known of its extent is None and stays so.
 
     center (3,); aabb (2, 3) as [min, max]; size (3,) full extents; radius of a bounding sphere; all in metres.
-    parent : id of the object that contains this one
-    support : id of the object that this one rests on
-    hidden : a container around the object is shut, so nobody in the room can see it
+    parts : oriented boxes that make up the object where one box is not its shape (a counter with a corner)
+    receptacles : ids of the objects that it is in or on, as its source says; None where the source says nothing of that
+    openness : share that it is open, 0 to 1, as its source says; 1 for a receptacle that can't be shut; None if unsaid
+    parent, support, hidden : what contains it, what it rests on, and whether a shut container is around it; filled by
+        `condvln.scene.containment.with_containment`
     """
 
     object_id: str
@@ -89,6 +91,9 @@ class SceneObject:
     radius: float | None = None
     mesh: tuple[MeshPart, ...] = ()
     static: bool = True
+    parts: tuple[OrientedBox, ...] = ()
+    receptacles: tuple[str, ...] | None = None
+    openness: float | None = None
     parent: str | None = None
     support: str | None = None
     hidden: bool = False
@@ -154,6 +159,7 @@ class RoomArrays:
     """The objects of one room as arrays, in order of object id.
 
     centers (n, 3); aabb_min, aabb_max (n, 3), from centre and size where not given; radius (n,). NaN where unknown.
+    hidden (n,) : inside something shut
     """
 
     room_id: str
@@ -163,6 +169,7 @@ class RoomArrays:
     aabb_min: F64
     aabb_max: F64
     radius: F64
+    hidden: NDArray[np.bool_]
     objects: tuple[SceneObject, ...] = field(repr=False)
 
     def __len__(self) -> int:
@@ -183,6 +190,7 @@ class RoomArrays:
             aabb_min=boxes[:, 0],
             aabb_max=boxes[:, 1],
             radius=np.array([np.nan if o.radius is None else o.radius for o in ordered], dtype=np.float64),
+            hidden=np.array([o.hidden for o in ordered], dtype=np.bool_),
             objects=ordered,
         )
 

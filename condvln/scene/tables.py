@@ -142,7 +142,6 @@ def _room(row: Row) -> Room:
 
 
 def _object_row(scene_id: str, item: SceneObject) -> Row:
-    box = item.obb
     return {
         "scene_id": scene_id,
         "object_id": item.object_id,
@@ -152,18 +151,15 @@ def _object_row(scene_id: str, item: SceneObject) -> Row:
         "center": _point(item.center),
         "aabb_min": None if item.aabb is None else _point(item.aabb[0]),
         "aabb_max": None if item.aabb is None else _point(item.aabb[1]),
-        "obb": None
-        if box is None
-        else {
-            "center": _point(box.center),
-            "half_extents": _point(box.half_extents),
-            "rotation": dict(zip("xyzw", round_quaternion(from_matrix(box.rotation)).tolist(), strict=True)),
-        },
+        "obb": None if item.obb is None else _box_row(item.obb),
         "size": None if item.size is None else _point(item.size),
         "radius": item.radius,
         "geometry": item.geometry,
         "mesh": [_part_row(p) for p in item.mesh],
         "static": item.static,
+        "parts": [_box_row(box) for box in item.parts],
+        "receptacles": item.receptacles,
+        "openness": item.openness,
         "parent": item.parent,
         "support": item.support,
         "hidden": item.hidden,
@@ -171,7 +167,7 @@ def _object_row(scene_id: str, item: SceneObject) -> Row:
 
 
 def _object(row: Row) -> SceneObject:
-    box, low = row["obb"], row["aabb_min"]
+    low = row["aabb_min"]
     return SceneObject(
         object_id=row["object_id"],
         room_id=row["room_id"],
@@ -179,19 +175,31 @@ def _object(row: Row) -> SceneObject:
         label=row["label"],
         center=_vector(row["center"]),
         aabb=None if low is None else np.array([_vector(low), _vector(row["aabb_max"])]),
-        obb=None
-        if box is None
-        else OrientedBox(
-            _vector(box["center"]), _vector(box["half_extents"]), to_matrix([box["rotation"][c] for c in "xyzw"])
-        ),
+        obb=None if row["obb"] is None else _box(row["obb"]),
         size=None if row["size"] is None else _vector(row["size"]),
         radius=row["radius"],
         mesh=tuple(_part(p) for p in row["mesh"]),
         static=row["static"],
+        parts=tuple(_box(box) for box in row["parts"]),
+        receptacles=None if row["receptacles"] is None else tuple(row["receptacles"]),
+        openness=row["openness"],
         parent=row["parent"],
         support=row["support"],
         hidden=row["hidden"],
     )
+
+
+def _box_row(box: OrientedBox) -> Row:
+    return {
+        "center": _point(box.center),
+        "half_extents": _point(box.half_extents),
+        "rotation": dict(zip("xyzw", round_quaternion(from_matrix(box.rotation)).tolist(), strict=True)),
+    }
+
+
+def _box(row: Row) -> OrientedBox:
+    rotation = to_matrix([row["rotation"][c] for c in "xyzw"])
+    return OrientedBox(_vector(row["center"]), _vector(row["half_extents"]), rotation)
 
 
 def _part_row(part: MeshPart) -> Row:

@@ -14,6 +14,7 @@ import shapely
 from condvln.labels import vocabulary
 from condvln.scene import MeshPart, OrientedBox, Room, Scene, SceneObject, SceneWarning, round_mm
 from condvln.scene.boxes import aabb_of, box_corners, placement, rounded_box
+from condvln.scene.containment import with_containment
 from condvln.scene.frames import Z_UP_TO_HABITAT
 from condvln.scene.geometry import SceneGeometry
 from condvln.sources.house_file import HouseFile, HouseObject, HouseRegion, read_house_file
@@ -77,7 +78,7 @@ class Mp3dSource(SceneSource):
             scene_id=scene_id,
             root=self.root,
             rooms=tuple(sorted(rooms, key=lambda r: r.room_id)),
-            objects=tuple(sorted(items, key=lambda o: o.object_id)),
+            objects=with_containment(sorted(items, key=lambda o: o.object_id), self.family),
             shipped_navmeshes=navmeshes,
             stage=stage,
             warnings=tuple(sorted(set(warnings), key=lambda w: (w.code, w.where, w.message))),

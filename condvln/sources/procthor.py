@@ -18,6 +18,7 @@ from condvln.formats.json_lines import MAX_LINE_BYTES, JsonLines
 from condvln.labels import vocabulary
 from condvln.scene import OrientedBox, Room, Scene, SceneObject, SceneWarning, round_mm
 from condvln.scene.boxes import aabb_of, box_corners, rounded_box
+from condvln.scene.containment import with_containment
 from condvln.scene.geometry import SceneGeometry
 from condvln.sources.asset_database import FILE_NAMES, Asset, AssetDatabase
 from condvln.sources.input_ledger import InputLedger
@@ -129,7 +130,7 @@ class ProcthorSource(SceneSource):
             root=self.root,
             # Where a thing has no name, nothing can be said not to be there.
             rooms=tuple(replace(r, complete=r.room_id not in unnamed) for r in sorted(rooms, key=lambda r: r.room_id)),
-            objects=tuple(sorted(placed, key=lambda o: o.object_id)),
+            objects=with_containment(sorted(placed, key=lambda o: o.object_id), self.family),
             shipped_navmeshes=self.shipped_navmeshes(scene_id, ledger),
             warnings=tuple(sorted(warnings, key=lambda w: (w.code, w.where, w.message))),
         )
@@ -240,8 +241,18 @@ class ProcthorSource(SceneSource):
             raw = prefix if prefix in vocabulary.raw_labels(self.family) else UNKNOWN_LABEL
         label = vocabulary.canonical(raw, self.family)
         centre = round_mm(item.position)
+        receptacles = () if item.parent_id is None else (item.parent_id,)
         if asset is None or asset.size is None:
-            return SceneObject(item.object_id, "", raw, label, centre, static=item.kinematic)
+            return SceneObject(
+                item.object_id,
+                "",
+                raw,
+                label,
+                centre,
+                static=item.kinematic,
+                receptacles=receptacles,
+                openness=item.openness,
+            )
         box = OrientedBox(item.position, asset.size / 2, item.rotation)
         aabb = round_mm(aabb_of(box_corners(box)))
         return SceneObject(
@@ -255,6 +266,8 @@ class ProcthorSource(SceneSource):
             size=round_mm(aabb[1] - aabb[0]),
             radius=float(np.ceil(np.linalg.norm(asset.size) / 2 * 1000) / 1000),
             static=item.kinematic,
+            receptacles=receptacles,
+            openness=item.openness,
         )
 
 

@@ -80,7 +80,10 @@ class Opening:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class HouseObject:
-    """An object: centre of its box (3,), rotation (3, 3), and the object it stands on or in, if any."""
+    """An object: centre of its box (3,), rotation (3, 3), and the object it stands on or in, if any.
+
+    openness : share that it is open, 0 to 1; None where the house does not say
+    """
 
     object_id: str
     asset_id: str
@@ -89,6 +92,7 @@ class HouseObject:
     position: F64
     rotation: F64
     kinematic: bool
+    openness: float | None = None
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -222,7 +226,7 @@ def _opening(node: JsonNode, kind: Literal["door", "window"], wall_of: dict[str,
 def _collect(node: JsonNode, parent: str | None, into: list[HouseObject]) -> None:
     """An object and all that stands on or in it."""
     own, rotation, kinematic = _identifier(node), node.get("rotation"), node.get("kinematic")
-    kind = node.get("objectType")
+    kind, openness = node.get("objectType"), node.get("openness")
     degrees = [0.0, 0.0, 0.0] if rotation is None else [rotation[c].number(MAX_ANGLE) for c in "xyz"]
     into.append(
         HouseObject(
@@ -233,6 +237,7 @@ def _collect(node: JsonNode, parent: str | None, into: list[HouseObject]) -> Non
             position=_point(node["position"]),
             rotation=unity_rotation(degrees),
             kinematic=kinematic is not None and kinematic.boolean(),
+            openness=None if openness is None else openness.number(),
         )
     )
     for child in node.array("children"):

@@ -63,9 +63,37 @@ def read_objects(document: JsonNode, family: str) -> list[SceneObject]:
             obb=_oriented(node),
             size=round_mm(aabb[1] - aabb[0]),
             radius=float(np.ceil(np.linalg.norm(box[1] - box[0]) / 2 * 1000) / 1000),
+            receptacles=_receptacles(node),
+            openness=_openness(node),
             static=not any(flag is not None and flag.boolean() for flag in (pickable, movable)),
         )
     return list(found.values())
+
+
+def _receptacles(node: JsonNode) -> tuple[str, ...] | None:
+    """What an object is in or on; None where the metadata have no such key."""
+    if "parentReceptacles" not in node:
+        return None
+    said = node.get("parentReceptacles")
+    return () if said is None else tuple(entry.text() for entry in said.elements())
+
+
+def _openness(node: JsonNode) -> float | None:
+    """Share that an object is open: 1 for a receptacle that can't be shut, 0 where `isOpen` is false; None if unsaid.
+
+    ``visible`` depends on the camera and says nothing here.
+    """
+    openable, is_open, share = (node.get(key) for key in ("openable", "isOpen", "openness"))
+    if openable is None:
+        return None
+    if not openable.boolean():
+        holds = node.get("receptacle")
+        return 1.0 if holds is not None and holds.boolean() else None
+    if is_open is None:
+        return None if share is None else share.number()
+    if not is_open.boolean():
+        return 0.0
+    return 1.0 if share is None else share.number()
 
 
 def floor_outline(document: JsonNode) -> F64 | None:

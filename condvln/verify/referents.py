@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Set
 from functools import cached_property
 from typing import Any, NamedTuple
 
 from condvln.scene import Room, Scene, SceneObject
+from condvln.verify.containment import shut_away
 from condvln.verify.phrases import Named, Phrase
 from condvln.verify.predicates import FALSE, TRUE, Judge, Judgement, Thing
 from condvln.verify.surfaces import Shapes, SurfaceGauge
@@ -49,18 +50,25 @@ class Answer(NamedTuple):
 
 
 class RoomView:
-    """One room with its things, labelled anew from their raw labels."""
+    """One room with its things, whose labels are found from their raw labels again.
 
-    def __init__(self, room: Room, label: str, objects: Iterable[SceneObject], family: str, meaning: Words) -> None:
+    things : what can be seen; shut_away : what is inside something shut, and may be there or not
+    """
+
+    def __init__(
+        self, room: Room, label: str, objects: Iterable[SceneObject], family: str, meaning: Words, hidden: Set[str]
+    ) -> None:
         self.room = room
         self.label = label
         ordered = sorted(objects, key=lambda item: item.object_id)
-        self.things = tuple(Thing.of(item, meaning.label(item.raw_label, family, _model(item))) for item in ordered)
+        things = [Thing.of(item, meaning.label(item.raw_label, family, _model(item))) for item in ordered]
+        self.things = tuple(thing for thing in things if thing.object_id not in hidden)
+        self.shut_away = tuple(thing for thing in things if thing.object_id in hidden)
         self._meaning = meaning
         self._meant: dict[str, tuple[Thing, ...]] = {}
         self._open: dict[str, frozenset[str]] = {}
         doubtful: set[str] = set()
-        for thing in self.things:
+        for thing in things:
             labels, anything = meaning.may_be(thing.label, family, _side(thing))
             doubtful |= labels
             self._open[thing.object_id] = frozenset() if anything else labels
@@ -68,11 +76,11 @@ class RoomView:
 
     @cached_property
     def labels(self) -> frozenset[str]:
-        """Labels of its things."""
+        """Labels of its things that can be seen."""
         return frozenset(thing.label for thing in self.things)
 
     def meant(self, label: str) -> tuple[Thing, ...]:
-        """All things that a word for `label` might mean here."""
+        """All things in sight that a word for `label` might mean here."""
         if label not in self._meant:
             own = self._meaning.meant_by(label)
             self._meant[label] = tuple(
@@ -83,6 +91,11 @@ class RoomView:
     def knows_absence(self, label: str) -> bool:
         """Whether nothing that nobody named could be called `label`, and the annotation is complete."""
         return self.room.complete and not self._meaning.meant_by(label) & self.doubtful
+
+    def unknown(self, label: str) -> tuple[Thing, ...]:
+        """All things out of sight that a word for `label` might mean: none of them can be said to be absent."""
+        own = self._meaning.meant_by(label)
+        return tuple(thing for thing in self.shut_away if thing.label in own)
 
     def only(self, label: str) -> Thing | None:
         """The thing called so that is alone in it: no other could be meant."""
@@ -100,6 +113,12 @@ class SceneReferents:
         held: dict[str, list[SceneObject]] = {room.room_id: [] for room in scene.rooms}
         for item in scene.objects:
             held.setdefault(item.room_id, []).append(item)
+        hidden = shut_away(
+            scene.objects,
+            scene.family,
+            lambda item: self.meaning.label(item.raw_label, scene.family, _model(item)),
+            self.meaning,
+        )
         self.rooms = {
             room.room_id: RoomView(
                 room,
@@ -107,6 +126,7 @@ class SceneReferents:
                 held[room.room_id],
                 scene.family,
                 self.meaning,
+                hidden,
             )
             for room in scene.rooms
         }
@@ -156,8 +176,10 @@ class SceneReferents:
             return Problem("room_unique", f"one {named.label}", [view.room.room_id for view in candidates])
         if len(candidates) < 2:
             return Problem("room_anchor_needed", f"several rooms like a {named.label}", len(candidates))
-        having = [view for view in candidates if view.meant(named.anchor)]
+        having = [view for view in candidates if view.meant(named.anchor) or view.unknown(named.anchor)]
         anchor = having[0].only(named.anchor) if len(having) == 1 else None
+        if anchor is not None and anchor.item.geometry == "none":
+            return Problem("anchor_extent", f"a {named.anchor} of known extent", anchor.object_id)
         if anchor is None or having[0].label != named.label:
             found = {view.room.room_id: len(view.meant(named.anchor)) for view in having}
             return Problem("room_unique", f"one {named.label} with one {named.anchor}", found)
@@ -169,15 +191,17 @@ class SceneReferents:
 
     def _anchor(self, view: RoomView, label: str) -> Thing | Problem:
         found = view.only(label)
+        if found is not None and found.item.geometry == "none":
+            return Problem("anchor_extent", f"a {label} of known extent", found.object_id)
         if found is None:
             return Problem("anchor_unique", f"one {label}", [thing.object_id for thing in view.meant(label)])
         return found
 
     def _relations(self, view: RoomView, label: str, predicate: str, anchor: Thing) -> list[tuple[Thing, Judgement]]:
-        """Each thing that `label` might mean, with how it stands to the anchor."""
+        """Each thing that `label` might mean, in sight or not, and whether it is so related to the anchor."""
         key = (view.room.room_id, label, predicate, anchor.object_id)
         if key not in self._related:
-            others = [thing for thing in view.meant(label) if thing is not anchor]
+            others = [thing for thing in (*view.meant(label), *view.unknown(label)) if thing is not anchor]
             self._related[key] = [(thing, self.judge(predicate, thing, anchor)) for thing in others]
         return self._related[key]
 
@@ -198,7 +222,7 @@ class SceneReferents:
             return anchor
         if len(meant) < 2:
             return Problem("qualifier_needed", f"several things like a {phrase.label}", len(meant))
-        related = self._relations(view, phrase.label, predicate, anchor)
+        related = [(x, how) for x, how in self._relations(view, phrase.label, predicate, anchor) if x in meant]
         fitting = [thing for thing, how in related if how.verdict == TRUE and thing.label == phrase.label]
         open_ones = [thing.object_id for thing, how in related if how.verdict != FALSE]
         if len(fitting) != 1 or len(open_ones) != 1:
@@ -213,8 +237,8 @@ class SceneReferents:
         if phrase.qualifier is None:
             anchor = None
             numbers: Mapping[str, float | None] = {}
-            possible = view.meant(phrase.label)
-            sure = [thing for thing in possible if thing.label == phrase.label]
+            possible = (*view.meant(phrase.label), *view.unknown(phrase.label))
+            sure = [thing for thing in view.meant(phrase.label) if thing.label == phrase.label]
             found: Any = [thing.object_id for thing in possible]
         else:
             predicate, anchor_label = phrase.qualifier
@@ -222,9 +246,10 @@ class SceneReferents:
             if isinstance(anchored, Problem):
                 return anchored
             related = self._relations(view, phrase.label, predicate, anchored)
-            sure = [thing for thing, how in related if how.verdict == TRUE and thing.label == phrase.label]
+            seen = [(thing, how) for thing, how in related if thing not in view.shut_away]
+            sure = [thing for thing, how in seen if how.verdict == TRUE and thing.label == phrase.label]
             possible = tuple(thing for thing, how in related if how.verdict != FALSE)
-            anchor, numbers = anchored.object_id, _deciding(related, sure)
+            anchor, numbers = anchored.object_id, _deciding(seen, sure)
             found = {thing.object_id: dict(how.numbers) for thing, how in related}
         if not sure and possible:
             return Problem("condition_decided", f"surely a {phrase.label} or surely none", found)

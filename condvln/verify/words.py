@@ -63,7 +63,11 @@ class Words:
     confusable_rooms : the same of room types
     nouns, rooms : (noun, its article) of the labels and room types that text may name
     structure : labels of walls, floors and the like
+<<<<<<< HEAD
     objects : all other labels but the catch-alls, each with the bounds of its longest side in metres
+=======
+    containers : by label of what holds things inside, ``shut`` (a door or lid may hide them) or ``open``
+>>>>>>> dfaf3de (Containers hide what is inside: scene facts from metadata and boxes, used by the sampler and proven by the verifier)
     """
 
     confusable: Mapping[str, frozenset[str]]
@@ -71,10 +75,14 @@ class Words:
     nouns: Mapping[str, tuple[str, str]]
     rooms: Mapping[str, tuple[str, str]]
     structure: frozenset[str]
+<<<<<<< HEAD
     objects: Mapping[str, tuple[float, float]]
     _general_rooms: frozenset[str]
     _vague: Mapping[str, frozenset[str]]
     _unnamed: Mapping[tuple[str, str], frozenset[str]]
+=======
+    containers: Mapping[str, str]
+>>>>>>> dfaf3de (Containers hide what is inside: scene facts from metadata and boxes, used by the sampler and proven by the verifier)
     _labels: Mapping[tuple[str, str], str]
     _room_types: Mapping[tuple[str, str], str]
     _by_word: Mapping[str, str]
@@ -147,6 +155,7 @@ def words() -> Words:
         nouns={x: (row["noun"], row["article"]) for x, row in labels.items() if row["in_text"] == "yes"},
         rooms={x: (row["noun"], row["article"]) for x, row in rooms.items() if row["in_text"] == "yes"},
         structure=frozenset(label for label, row in labels.items() if row["kind"] == "structure"),
+<<<<<<< HEAD
         objects={
             label: (float(row["least"] or 0), float(row["most"] or "inf"))
             for label, row in labels.items()
@@ -159,6 +168,9 @@ def words() -> Words:
             for row in _rows("raw_labels.csv")
             if not row["label"]
         },
+=======
+        containers=_containers(labels),
+>>>>>>> dfaf3de (Containers hide what is inside: scene facts from metadata and boxes, used by the sampler and proven by the verifier)
         _labels=_raw_table("raw_labels.csv"),
         _room_types=_raw_table("raw_rooms.csv"),
         _by_word=_unambiguous(said),
@@ -180,6 +192,17 @@ def _raw_table(name: str) -> dict[tuple[str, str], str]:
     # Matterport's one-letter labels mean what their case says, and so have no folded form.
     other = {(source, folded(raw)): label for (source, raw), label in reversed(listed.items()) if len(raw) > 1}
     return other | listed
+
+
+def _containers(labels: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
+    """Kind of container by label: as listed, else that of the first broader label which is listed."""
+    listed = {row["label"]: row["kind"] for row in _rows("containers.csv")}
+    found = {}
+    for label in labels:
+        known = [name for name in (label, *sorted(_broader(label, labels))) if name in listed]
+        if known and listed[known[0]]:
+            found[label] = listed[known[0]]
+    return found
 
 
 def _listed(table: Mapping[tuple[str, str], str], raw: str, family: str) -> str | None:

@@ -20,18 +20,25 @@ __all__ = [
     "GROUP_SIZE",
     "HANG",
     "HEADING_TOLERANCE",
+    "INSIDE_SHARE",
     "KEPT_AT_LEAST",
+    "LARGER_THAN_RECEPTACLE",
     "LOW_EYE",
+    "OPEN_SHARE",
     "PATH_SPACING",
     "PREFIX_SAMPLES",
     "PREFIX_STRAY",
     "RATE_STEPS",
+    "REST_GAP",
+    "REST_SHARE",
     "RING_GAP",
     "RING_SPACING",
     "SINK",
     "SNAP_AT_MOST",
     "SNAP_TOLERANCE",
     "STAGINGS",
+    "TOP_DEPTH",
+    "UNKNOWN_EXTENT",
     "UPRIGHT_COSINE",
     "WALL_DETOUR",
 ]
@@ -114,3 +121,24 @@ EVIDENCE: Final = 8
 STAGINGS: Final = 3
 """The same where they are stagings of one layout, near copies in which little varies; with fewer of them a layout's
 counts don't stand for themselves."""
+
+INSIDE_SHARE: Final = 0.8
+"""Share of an object's box that must lie in a container's box for the container to hold it."""
+
+OPEN_SHARE: Final = 0.5
+"""A container that is open less than this hides what is inside."""
+
+TOP_DEPTH: Final = 0.05
+"""Metres below a container's top that an object's bottom must lie for the object to be in it, not on it."""
+
+REST_GAP: Final = 0.03
+"""Metres between an object's bottom and the top of what it rests on."""
+
+REST_SHARE: Final = 0.5
+"""Share of an object's footprint that must lie over what it rests on."""
+
+LARGER_THAN_RECEPTACLE: Final = 2.0
+"""An object whose longest side is more than this many times that of its stated receptacle is not in or on it."""
+
+UNKNOWN_EXTENT: Final = 0.4
+"""Metres; edges of the cube that stands in the agent's way where an object's own extent is unknown."""

@@ -26,12 +26,27 @@ class MadeFacts:
 
 
 def made_room(
-    room_id: str, label: str, labels: list[str], *, complete: bool = True, size: float = 1.0
+    room_id: str,
+    label: str,
+    labels: list[str],
+    *,
+    complete: bool = True,
+    size: float = 1.0,
+    hidden: tuple[int, ...] = (),
+    without_extent: tuple[int, ...] = (),
 ) -> tuple[Room, RoomArrays]:
     room = Room(room_id, label, label, 0, 0.0, 2.5, None, "dataset", complete)
     half = np.full(3, size / 2)
     objects = [
-        SceneObject(f"{room_id}_{k:02}", room_id, x, x, np.zeros(3), aabb=np.array([-half, half]))
+        SceneObject(
+            f"{room_id}_{k:02}",
+            room_id,
+            x,
+            x,
+            np.zeros(3),
+            aabb=None if k in without_extent else np.array([-half, half]),
+            hidden=k in hidden,
+        )
         for k, x in enumerate(labels)
     ]
     return room, RoomArrays.of(room_id, objects)
@@ -51,7 +66,8 @@ def rooms_with_facts(draw: st.DrawFn) -> Referents:
     margin = {p: rng.uniform(0.5, 2.0, size=(n, n)) for p in PREDICATES}
     for table in status.values():
         np.fill_diagonal(table, 0)
-    room, arrays = made_room("r", "bedroom", labels)
+    some = st.lists(st.integers(0, n - 1), max_size=2).map(tuple)
+    room, arrays = made_room("r", "bedroom", labels, hidden=draw(some), without_extent=draw(some))
     return Referents.of(room, arrays, MadeFacts(status, margin), vocabulary, 0.3)
 
 
@@ -60,21 +76,26 @@ def rivals_of(referents: Referents, i: int) -> list[int]:
     return [
         j
         for j in range(len(labels))
-        if j != i and (labels[j] in vocabulary.overlapping(labels[i]) or labels[i] in vocabulary.overlapping(labels[j]))
+        if j != i
+        and not referents.arrays.objects[j].hidden
+        and (labels[j] in vocabulary.overlapping(labels[i]) or labels[i] in vocabulary.overlapping(labels[j]))
     ]
 
 
 def ways_of(referents: Referents, i: int) -> set[tuple[str, int]]:
     """All (predicate, anchor) that make i unique, by definition."""
     labels, status = referents.arrays.labels, referents.facts.status
+    objects = referents.arrays.objects
     rivals = rivals_of(referents, i)
-    if not vocabulary.fit_for_text(labels[i]) or not rivals:
+    if not vocabulary.fit_for_text(labels[i]) or not rivals or objects[i].hidden:
         return set()
     return {
         (p, a)
         for p in PREDICATES
         for a in range(len(labels))
         if vocabulary.fit_for_text(labels[a])
+        and not objects[a].hidden
+        and objects[a].box is not None
         and not rivals_of(referents, a)
         and status[p][i, a] == 1
         and all(status[p][j, a] == -1 for j in rivals)
@@ -84,13 +105,32 @@ def ways_of(referents: Referents, i: int) -> set[tuple[str, int]]:
 @given(rooms_with_facts())
 def test_names_fit_one_object_only(referents: Referents) -> None:
     for i, label in enumerate(referents.arrays.labels):
-        unique = vocabulary.fit_for_text(label) and not rivals_of(referents, i)
+        seen = not referents.arrays.objects[i].hidden
+        unique = seen and vocabulary.fit_for_text(label) and not rivals_of(referents, i)
         ways = ways_of(referents, i)
         taken = [(q.predicate, q.anchor) for q in referents.qualifications[i]]
         assert referents.unique[i] == unique
         assert set(taken) <= ways, "a qualifier must be necessary and sufficient"
         assert len(set(taken)) == len(taken)
         assert referents.usable[i] == (unique or bool(ways)), "what can be told apart is not given up"
+
+
+def test_a_hidden_object_is_never_named_and_spoils_no_name() -> None:
+    room, arrays = made_room("r", "bedroom", ["bed", "lamp", "lamp", "lamp"], hidden=(1, 3))
+    referents = Referents.of(room, arrays, no_facts(4), vocabulary, 0.3)
+    assert referents.unique.tolist() == [True, False, True, False]
+    assert referents.usable.tolist() == [True, False, True, False]
+
+
+def test_a_room_is_not_named_by_what_may_be_hidden_in_another_or_has_no_extent() -> None:
+    here = made_room("a", "bedroom", ["bed", "piano"])
+    for labels, hidden, names in ((["bed"], (), 1), (["bed", "piano"], (1,), 0), (["bed", "piano"], (), 0)):
+        other = made_room("b", "bedroom", labels, hidden=hidden)
+        rooms = [Referents.of(*each, no_facts(len(each[1])), vocabulary, 0.3) for each in (here, other)]
+        assert len(room_refs(rooms, vocabulary).get("a", ())) == names
+    pointlike = made_room("a", "bedroom", ["bed", "piano"], without_extent=(1,))
+    rooms = [Referents.of(*x, no_facts(len(x[1])), vocabulary, 0.3) for x in (pointlike, made_room("b", "bedroom", []))]
+    assert [ref.anchor_label for ref in room_refs(rooms, vocabulary)["a"]] == ["bed"]
 
 
 @given(rooms_with_facts())

@@ -1,0 +1,234 @@
+"""What contains an object, what it rests on, and whether a shut container hides it.
+
+Where the source says what an object is in or on, that decides; elsewhere the boxes do. A container counts as shut
+unless its source says that it is at least half open. Nobody in the room knows what is inside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.labels import vocabulary
+from condvln.scene.boxes import aabb_of, box_corners
+from condvln.scene.scene import SceneObject
+from schemas.config.constants import (
+    INSIDE_SHARE,
+    LARGER_THAN_RECEPTACLE,
+    OPEN_SHARE,
+    REST_GAP,
+    REST_SHARE,
+    TOP_DEPTH,
+)
+
+__all__ = ["SCANNED", "is_shut", "with_containment"]
+
+F64 = NDArray[np.float64]
+
+SCANNED: Final = frozenset({"mp3d", "gibson"})
+"""Families whose objects were annotated on scans of real buildings: what a scanner saw is not hidden."""
+
+WITHOUT_TOP: Final = frozenset({"drawer"})
+"""Labels of things whose top lies within other furniture, so that nothing rests on them."""
+
+MM: Final = 1000.0
+"""Boxes are compared in whole millimetres, in which sums and products are exact."""
+
+THIN: Final = 1.0
+"""Millimetres; a box is at least so thick, so that shares of a flat one are defined."""
+
+SLACK: Final = 1e-6
+"""For shares, and for thresholds in millimetres, which are rounded."""
+
+
+def is_shut(item: SceneObject) -> bool:
+    """Whether an object can be closed and is open less than half; unsaid is closed."""
+    return vocabulary.container(item.label) == "shut" and (item.openness is None or item.openness < OPEN_SHARE)
+
+
+def with_containment(objects: Sequence[SceneObject], family: str) -> tuple[SceneObject, ...]:
+    """The objects of one scene, in rooms already, with `parent`, `support` and `hidden`; in their order.
+
+    Of several containers the smallest is the parent; any that is shut hides. Structure (floors, walls) holds and
+    supports nothing here. Parents and supports form no cycle.
+    """
+    links = _Links()
+    of = {item.object_id: item for item in objects}
+    for item in objects:
+        if item.receptacles is not None:
+            _stated(item, of, links)
+    for members in _rooms(objects):
+        _measured(members, links)
+    hidden = set() if family in SCANNED else _hidden(of, links)
+    parent = {name: min(around)[1] for name, around in links.inside.items()}
+    support = {name: min(below)[1] for name, below in links.upon.items()}
+    _without_cycles(parent, support)
+    return tuple(
+        replace(
+            item,
+            parent=parent.get(item.object_id),
+            support=support.get(item.object_id),
+            hidden=item.object_id in hidden,
+        )
+        for item in objects
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Links:
+    """By object: (rank, id) of all containers around it, and of all that it rests on; the lowest rank comes first."""
+
+    inside: dict[str, list[tuple[float, str]]] = field(default_factory=dict)
+    upon: dict[str, list[tuple[float, str]]] = field(default_factory=dict)
+
+
+def _stated(item: SceneObject, of: Mapping[str, SceneObject], links: _Links) -> None:
+    """What the source says; containers rank by volume, supports by how near their top is."""
+    for name in dict.fromkeys(item.receptacles or ()):
+        holder = of.get(name)
+        if holder is None or holder is item or _is_structure(holder) or _too_large(item, holder):
+            continue
+        if _is_inside(item, holder):
+            links.inside.setdefault(item.object_id, []).append(
+                (_volume(None if holder.box is None else _mm(holder.box)), name)
+            )
+        else:
+            gap = (
+                0.0
+                if item.box is None or holder.box is None
+                else abs(float(_mm(item.box)[0, 1] - _mm(holder.box)[1, 1]))
+            )
+            links.upon.setdefault(item.object_id, []).append((gap, name))
+
+
+def _is_inside(item: SceneObject, holder: SceneObject) -> bool:
+    """Whether an object is in a receptacle that its source names, not on top of it.
+
+    Boxes of cabinets and drawers may be those of a door alone, so that being below the top suffices.
+    """
+    kind = vocabulary.container(holder.label)
+    if kind is None:
+        return False
+    if item.box is None or holder.box is None:
+        return kind == "shut"
+    if kind == "shut":
+        return bool(_mm(item.box)[0, 1] <= _mm(holder.box)[1, 1] - MM * TOP_DEPTH + SLACK)
+    return float(_shares_inside(_mm(item.box)[None], _mm(holder.box)[None])[0, 0]) >= INSIDE_SHARE - SLACK
+
+
+def _measured(members: Sequence[SceneObject], links: _Links) -> None:
+    """What the boxes of one room say: containers where the source says nothing, supports where it names nothing."""
+    things = [item for item in members if item.box is not None and not _is_structure(item)]
+    if not things:
+        return
+    boxes = np.array([_mm(item.box) for item in things if item.box is not None])
+    volumes = np.array([_volume(box) for box in boxes])
+    silent = [k for k, item in enumerate(things) if item.receptacles is None]
+    holders = [k for k, item in enumerate(things) if vocabulary.container(item.label) is not None]
+    if silent and holders:
+        share = _shares_inside(boxes[silent], boxes[holders])
+        for row, column in np.argwhere((share >= INSIDE_SHARE - SLACK) & (volumes[holders] > volumes[silent][:, None])):
+            holder = holders[column]
+            around = links.inside.setdefault(things[silent[row]].object_id, [])
+            around.append((float(volumes[holder]), things[holder].object_id))
+    free = [k for k, item in enumerate(things) if item.object_id not in {**links.inside, **links.upon}]
+    for k, below, share_over in _resting(things, boxes, free):
+        links.upon.setdefault(things[k].object_id, []).append((-share_over, things[below].object_id))
+
+
+def _resting(things: Sequence[SceneObject], boxes: F64, free: Sequence[int]) -> Iterator[tuple[int, int, float]]:
+    """(object, what it rests on, share of its footprint over that), by indices: tops that are larger and just below."""
+    bearing = [(k, item) for k, item in enumerate(things) if item.label not in WITHOUT_TOP]
+    tops = [(k, _mm(aabb_of(box_corners(part)))) for k, item in bearing for part in item.parts]
+    tops += [(k, boxes[k]) for k, item in bearing if not item.parts]
+    if not tops:
+        return
+    owner = np.array([k for k, _ in tops])
+    slabs = np.array([box for _, box in tops])
+    ground = boxes[:, :, [0, 2]]
+    area = np.prod(np.maximum(ground[:, 1] - ground[:, 0], THIN), axis=1)
+    centre_y = boxes[:, :, 1].mean(axis=1)
+    for k in free:
+        level = np.abs(boxes[k, 0, 1] - slabs[:, 1, 1]) <= MM * REST_GAP + SLACK
+        candidates = np.flatnonzero(level & (owner != k) & (area[owner] > area[k]) & (centre_y[owner] < centre_y[k]))
+        shared: dict[int, float] = {}
+        for c in candidates:
+            slab = slabs[c][:, [0, 2]]
+            sides = np.minimum(ground[k, 1], slab[1]) - np.maximum(ground[k, 0], slab[0])
+            part = float(np.prod(np.clip(sides, 0.0, None) / np.maximum(ground[k, 1] - ground[k, 0], THIN)))
+            shared[int(owner[c])] = shared.get(int(owner[c]), 0.0) + part
+        yield from ((k, below, share) for below, share in shared.items() if share >= REST_SHARE - SLACK)
+
+
+def _hidden(of: Mapping[str, SceneObject], links: _Links) -> set[str]:
+    """Objects in something shut, with all that is in or on them."""
+    above: dict[str, list[str]] = {}
+    for upward in (links.inside, links.upon):
+        for name, others in upward.items():
+            for _, below in others:
+                above.setdefault(below, []).append(name)
+    ahead = [name for name, around in links.inside.items() if any(is_shut(of[holder]) for _, holder in around)]
+    hidden: set[str] = set()
+    while ahead:
+        name = ahead.pop()
+        if name not in hidden:
+            hidden.add(name)
+            ahead += above.get(name, ())
+    return hidden
+
+
+def _without_cycles(parent: dict[str, str], support: dict[str, str]) -> None:
+    """Remove links that lead back to their own object; the first in order of id goes."""
+    for links in (support, parent):
+        for name in sorted(links):
+            seen: set[str] = set()
+            ahead = [links[name]]
+            while ahead:
+                at = ahead.pop()
+                if at == name:
+                    del links[name]
+                    break
+                if at not in seen:
+                    seen.add(at)
+                    ahead += [up[at] for up in (parent, support) if at in up]
+
+
+def _rooms(objects: Sequence[SceneObject]) -> list[list[SceneObject]]:
+    rooms: dict[str, list[SceneObject]] = {}
+    for item in objects:
+        rooms.setdefault(item.room_id, []).append(item)
+    return [sorted(rooms[name], key=lambda item: item.object_id) for name in sorted(rooms)]
+
+
+def _is_structure(item: SceneObject) -> bool:
+    return vocabulary.is_structure(item.label)
+
+
+def _too_large(item: SceneObject, holder: SceneObject) -> bool:
+    """Simulators now and then name a plate as receptacle of the counter below it."""
+    if item.box is None or holder.box is None:
+        return False
+    longest = [float(np.max(box[1] - box[0])) for box in (_mm(item.box), _mm(holder.box))]
+    return longest[0] > LARGER_THAN_RECEPTACLE * longest[1]
+
+
+def _mm(box: F64) -> F64:
+    """A box (2, 3) in whole millimetres."""
+    whole: F64 = np.rint(box * MM)
+    return whole
+
+
+def _volume(box: F64 | None) -> float:
+    return float("inf") if box is None else float(np.prod(np.maximum(box[1] - box[0], THIN)))
+
+
+def _shares_inside(boxes: F64, holders: F64) -> F64:
+    """(n, m) share of the volume of boxes (n, 2, 3) that lies in holders (m, 2, 3)."""
+    low, high = boxes[:, 0], np.maximum(boxes[:, 1], boxes[:, 0] + THIN)
+    sides = np.minimum(high[:, None], holders[None, :, 1]) - np.maximum(low[:, None], holders[None, :, 0])
+    share: F64 = np.prod(np.clip(sides, 0.0, None) / (high - low)[:, None], axis=2)
+    return share

@@ -1,0 +1,147 @@
+"""Which things are shut away, found from what the source says and from boxes, one thing at a time.
+
+The scene's own `parent`, `support` and `hidden` are not read: they are what is to be proven.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.scene import OrientedBox, SceneObject
+from condvln.verify.words import Words
+from schemas.config.constants import (
+    INSIDE_SHARE,
+    LARGER_THAN_RECEPTACLE,
+    OPEN_SHARE,
+    REST_GAP,
+    REST_SHARE,
+    TOP_DEPTH,
+)
+
+__all__ = ["shut_away"]
+
+_MM: Final = 1000
+FROM_SCANS: Final = ("gibson", "mp3d")
+"""Families whose things were seen by a scanner."""
+IN_FURNITURE: Final = "drawer"
+"""Nothing rests on the top of one: that lies inside of the furniture it belongs to."""
+
+F64 = NDArray[np.float64]
+_Box = tuple[tuple[int, int, int], tuple[int, int, int]]
+
+
+def shut_away(
+    items: Sequence[SceneObject], family: str, label_of: Callable[[SceneObject], str], meaning: Words
+) -> frozenset[str]:
+    """Ids of the things that nobody in the room can know of: inside something shut, or in or on such a thing."""
+    if family in FROM_SCANS:
+        return frozenset()
+    things = {item.object_id: _Holder(item, label_of(item), meaning) for item in items}
+    found: set[str] = set()
+    for name in things:
+        reached: set[str] = set()
+        ahead = [name]
+        while ahead and name not in found:
+            for holder, inside in _below(things[ahead.pop()], things):
+                if inside and holder.shut:
+                    found.add(name)
+                elif holder.name not in reached:
+                    reached.add(holder.name)
+                    ahead.append(holder.name)
+    return frozenset(found)
+
+
+class _Holder:
+    """A thing in whole millimetres, and how it holds others."""
+
+    def __init__(self, item: SceneObject, label: str, meaning: Words) -> None:
+        self.item = item
+        self.name = item.object_id
+        self.label = label
+        self.kind = meaning.containers.get(label, "")
+        self.shut = self.kind == "shut" and not (item.openness is not None and item.openness >= OPEN_SHARE)
+        self.structure = label in meaning.structure
+        self.box = None if item.box is None else _whole(item.box)
+        self.tops = [_whole(_bounds(part)) for part in item.parts] or ([] if self.box is None else [self.box])
+        self.links: list[tuple[_Holder, bool]] | None = None
+
+
+def _below(thing: _Holder, things: dict[str, _Holder]) -> list[tuple[_Holder, bool]]:
+    """What a thing is in (True) and on (False)."""
+    if thing.links is None:
+        thing.links = list(_stated(thing, things)) if thing.item.receptacles is not None else []
+        others = [x for x in things.values() if x is not thing and x.item.room_id == thing.item.room_id]
+        if thing.box is not None and not thing.structure:
+            others = [x for x in others if x.box is not None and not x.structure]
+            if thing.item.receptacles is None:
+                thing.links += [(x, True) for x in others if x.kind and _encloses(x.box, thing.box)]
+            if not thing.links:
+                thing.links += [(x, False) for x in others if x.label != IN_FURNITURE and _bears(x, thing)]
+    return thing.links
+
+
+def _stated(thing: _Holder, things: dict[str, _Holder]) -> Iterable[tuple[_Holder, bool]]:
+    for name in thing.item.receptacles or ():
+        holder = things.get(name)
+        if holder is None or holder is thing or holder.structure:
+            continue
+        own, its = thing.box, holder.box
+        if own is None or its is None:
+            yield holder, holder.kind == "shut"
+            continue
+        if max(_sides(own)) > LARGER_THAN_RECEPTACLE * max(_sides(its)):
+            continue
+        if holder.kind == "shut":
+            yield holder, own[0][1] <= its[1][1] - TOP_DEPTH * _MM + 1e-6
+        else:
+            yield holder, holder.kind == "open" and _share_inside(own, its) >= INSIDE_SHARE - 1e-6
+
+
+def _encloses(holder: _Box | None, box: _Box) -> bool:
+    assert holder is not None
+    volumes = [np.prod([max(side, 1) for side in _sides(each)], dtype=np.float64) for each in (holder, box)]
+    return bool(volumes[0] > volumes[1] and _share_inside(box, holder) >= INSIDE_SHARE - 1e-6)
+
+
+def _bears(holder: _Holder, thing: _Holder) -> bool:
+    """Whether a thing rests on a holder: tops near its bottom that lie under half of it, of something larger."""
+    own, its = thing.box, holder.box
+    assert own is not None
+    assert its is not None
+    areas = [max(_sides(box)[0], 1) * max(_sides(box)[2], 1) for box in (own, its)]
+    if areas[1] <= areas[0] or its[0][1] + its[1][1] >= own[0][1] + own[1][1]:
+        return False
+    shared = 0.0
+    for top in holder.tops:
+        if abs(own[0][1] - top[1][1]) <= REST_GAP * _MM + 1e-6:
+            over = [max(min(own[1][k], top[1][k]) - max(own[0][k], top[0][k]), 0) for k in (0, 2)]
+            shared += over[0] * over[1] / areas[0]
+    return shared >= REST_SHARE - 1e-6
+
+
+def _share_inside(box: _Box, holder: _Box) -> float:
+    """Share of a box in another; a box is a millimetre thick at least."""
+    share = 1.0
+    for k in range(3):
+        low, high = box[0][k], max(box[1][k], box[0][k] + 1)
+        share *= max(min(high, holder[1][k]) - max(low, holder[0][k]), 0) / (high - low)
+    return share
+
+
+def _sides(box: _Box) -> list[int]:
+    return [high - low for low, high in zip(*box, strict=True)]
+
+
+def _bounds(part: OrientedBox) -> F64:
+    """(2, 3) bounds of an oriented box."""
+    reach = np.abs(part.rotation) @ part.half_extents
+    return np.array([part.center - reach, part.center + reach])
+
+
+def _whole(box: F64) -> _Box:
+    low, high = ((round(float(x) * _MM), round(float(y) * _MM), round(float(z) * _MM)) for x, y, z in box)
+    return low, high
