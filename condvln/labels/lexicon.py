@@ -9,8 +9,8 @@ raw label that is in no list might bear any label. Catch-all labels have ``may_b
 ``least`` and ``most`` bound the longest side of what bears a label, in metres, generously: they only decide what a
 nameless thing of known size can't be.
 
-``containers.csv`` lists what holds things inside: ``shut`` where a door, a lid or a drawer may hide them, ``open`` where
-they stay in sight, empty where a broader label does but this one does not.
+``containers.csv`` lists what holds things inside: ``shut`` where a door, a lid or a drawer may hide them, ``open``
+where they stay in sight, empty where a broader label does but this one does not.
 """
 
 from __future__ import annotations

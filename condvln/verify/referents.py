@@ -95,7 +95,7 @@ class RoomView:
     def unknown(self, label: str) -> tuple[Thing, ...]:
         """All things out of sight that a word for `label` might mean: none of them can be said to be absent."""
         own = self._meaning.meant_by(label)
-        return tuple(thing for thing in self.shut_away if thing.label in own)
+        return tuple(x for x in self.shut_away if x.label in own or own & self._open[x.object_id])
 
     def only(self, label: str) -> Thing | None:
         """The thing called so that is alone in it: no other could be meant."""

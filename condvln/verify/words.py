@@ -63,11 +63,8 @@ class Words:
     confusable_rooms : the same of room types
     nouns, rooms : (noun, its article) of the labels and room types that text may name
     structure : labels of walls, floors and the like
-<<<<<<< HEAD
     objects : all other labels but the catch-alls, each with the bounds of its longest side in metres
-=======
     containers : by label of what holds things inside, ``shut`` (a door or lid may hide them) or ``open``
->>>>>>> dfaf3de (Containers hide what is inside: scene facts from metadata and boxes, used by the sampler and proven by the verifier)
     """
 
     confusable: Mapping[str, frozenset[str]]
@@ -75,14 +72,11 @@ class Words:
     nouns: Mapping[str, tuple[str, str]]
     rooms: Mapping[str, tuple[str, str]]
     structure: frozenset[str]
-<<<<<<< HEAD
     objects: Mapping[str, tuple[float, float]]
     _general_rooms: frozenset[str]
     _vague: Mapping[str, frozenset[str]]
     _unnamed: Mapping[tuple[str, str], frozenset[str]]
-=======
     containers: Mapping[str, str]
->>>>>>> dfaf3de (Containers hide what is inside: scene facts from metadata and boxes, used by the sampler and proven by the verifier)
     _labels: Mapping[tuple[str, str], str]
     _room_types: Mapping[tuple[str, str], str]
     _by_word: Mapping[str, str]
@@ -155,7 +149,6 @@ def words() -> Words:
         nouns={x: (row["noun"], row["article"]) for x, row in labels.items() if row["in_text"] == "yes"},
         rooms={x: (row["noun"], row["article"]) for x, row in rooms.items() if row["in_text"] == "yes"},
         structure=frozenset(label for label, row in labels.items() if row["kind"] == "structure"),
-<<<<<<< HEAD
         objects={
             label: (float(row["least"] or 0), float(row["most"] or "inf"))
             for label, row in labels.items()
@@ -168,9 +161,7 @@ def words() -> Words:
             for row in _rows("raw_labels.csv")
             if not row["label"]
         },
-=======
         containers=_containers(labels),
->>>>>>> dfaf3de (Containers hide what is inside: scene facts from metadata and boxes, used by the sampler and proven by the verifier)
         _labels=_raw_table("raw_labels.csv"),
         _room_types=_raw_table("raw_rooms.csv"),
         _by_word=_unambiguous(said),

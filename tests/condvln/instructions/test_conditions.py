@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import itertools
-<<<<<<< HEAD
 from collections import Counter
-=======
->>>>>>> dfaf3de (Containers hide what is inside: scene facts from metadata and boxes, used by the sampler and proven by the verifier)
 from dataclasses import replace
 
 import numpy as np
