@@ -33,6 +33,11 @@ __all__ = ["EvaluationReport", "HandedIn", "Question", "evaluate_predictions", "
 SHOWN: Final = 5
 """Ids of missing episodes in a sentence; ``--json`` has all of them."""
 
+MAIN_TABLES: Final = ("main", "sweep", "twin_main")
+"""Tables that are printed unasked, where there are such; ``--json`` and ``--csv`` have all."""
+ALL_TABLES: Final = "all"
+"""In place of names."""
+
 
 @dataclass(frozen=True)
 class Question:
@@ -48,6 +53,7 @@ class Question:
     oracle_radius : distance of OSR, metres, where it is larger than the success distance; none for that
     fast_dtw : nDTW by VLN-CE's approximation
     strict : an episode without a prediction is an error
+    tables : names of the tables to print, or ``ALL_TABLES``; the main ones where empty
     """
 
     export: Path
@@ -62,6 +68,7 @@ class Question:
     oracle_radius: float | None = None
     fast_dtw: bool = False
     strict: bool = False
+    tables: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -88,11 +95,21 @@ class EvaluationReport:
     """The tables of one evaluation, and what the files lack; rich draws the terminal form."""
 
     def __init__(
-        self, evaluations: Sequence[Evaluation], tables: Sequence[Table], handed_in: Sequence[HandedIn] = ()
+        self,
+        evaluations: Sequence[Evaluation],
+        tables: Sequence[Table],
+        handed_in: Sequence[HandedIn] = (),
+        asked: Sequence[str] = (),
     ) -> None:
         self.evaluations = evaluations
         self.tables = tables
         self.handed_in = handed_in
+        self._asked = tuple(asked) or tuple(name for name in MAIN_TABLES if name in {t.name for t in tables})
+
+    @property
+    def shown(self) -> list[Table]:
+        """The tables that are printed: those asked for by name, else the main ones."""
+        return [table for table in self.tables if self._asked == (ALL_TABLES,) or table.name in self._asked]
 
     @property
     def warnings(self) -> list[str]:
@@ -117,12 +134,12 @@ class EvaluationReport:
         }
 
     def as_markdown(self) -> str:
-        """All tables as Markdown."""
-        return "\n".join(as_markdown(table) for table in self.tables)
+        """The shown tables as Markdown."""
+        return "\n".join(as_markdown(table) for table in self.shown)
 
     def as_latex(self) -> str:
-        """All tables as LaTeX (booktabs)."""
-        return "\n".join(as_latex(table) for table in self.tables)
+        """The shown tables as LaTeX (booktabs)."""
+        return "\n".join(as_latex(table) for table in self.shown)
 
     def write_csv(self, folder: Path) -> list[Path]:
         """One file a table; unrounded.
@@ -156,7 +173,10 @@ class EvaluationReport:
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         yield from (Text(f"warning: {warning}") for warning in self.warnings)
-        yield from (as_rich(table) for table in self.tables)
+        yield from (as_rich(table) for table in self.shown)
+        others = [table.name for table in self.tables if table not in self.shown]
+        if others:
+            yield Text(f"more tables, with --table NAME or --all: {', '.join(others)}")
 
 
 def walk_split(
@@ -230,7 +250,11 @@ def evaluate_predictions(asked: Question) -> EvaluationReport:
     tables = all_tables(evaluations, tasks)
     if twins:
         tables += twin_tables(list(zip(evaluations, twins, strict=True)))
-    return EvaluationReport(evaluations, tables, handed_in)
+    names = [table.name for table in tables]
+    unknown = [name for name in asked.tables if name not in (*names, ALL_TABLES)]
+    if unknown:
+        raise UsageError(f"there is no table {unknown[0]!r}", place="--table", remedy=f"Choose of: {', '.join(names)}.")
+    return EvaluationReport(evaluations, tables, handed_in, asked.tables)
 
 
 def _handed_in(path: Path, evaluation: Evaluation) -> HandedIn:

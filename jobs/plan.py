@@ -14,15 +14,15 @@ from schemas.config import Config
 
 __all__ = ["make_plan"]
 
-SHOWN: Final = 40
-"""Scenes listed on a terminal; ``--json`` has all of them."""
-
 SHOWN_FILES: Final = 5
 """Missing or damaged files named on a terminal."""
 
 
-def make_plan(config: Config) -> Report:
-    """The plan of `config` against what is published under its name."""
+def make_plan(config: Config, *, every_scene: bool = False) -> Report:
+    """The plan of `config` against what is published under its name.
+
+    every_scene : a row for each scene in place of one for all scenes of one cause
+    """
     store = open_store(config)
     found = plan(build_pipeline(config), listed_units(config), store, config.name)
     entries = [asdict(entry) for entry in found.entries]
@@ -61,13 +61,36 @@ def make_plan(config: Config) -> Report:
             + ", ".join(f"{store.url}/{path}" for path in found.damaged[:SHOWN_FILES])
             + (" …" if len(found.damaged) > SHOWN_FILES else "")
         )
-    todo = [e for e in entries if e["status"] != "FRESH"][:SHOWN]
+    todo = [entry for entry in entries if entry["status"] != "FRESH"]
+    section = _scenes(todo) if every_scene else _groups(todo)
+    return Report(document, lines, [section])
+
+
+def _groups(entries: list[dict[str, Any]]) -> Section:
+    """What is to do, the scenes of one cause in one row; the most expensive first."""
+    groups: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
+    for entry in entries:
+        key = (entry["status"], ", ".join(entry["reasons"]), _stages(entry["stages"]))
+        groups.setdefault(key, []).append(entry)
+    rows = [
+        (len(found), *key, sum(entry["seconds"] for entry in found), _example(found)) for key, found in groups.items()
+    ]
+    rows.sort(key=lambda row: (-row[4], row[1:4]))
+    title = "To do (--all lists every scene)" if entries else "To do"
+    return Section(title, ("scenes", "status", "because of", "stages", "CPU s", "for example"), [*rows])
+
+
+def _example(entries: list[dict[str, Any]]) -> str:
+    first = min(entries, key=lambda entry: str(entry["unit_id"]))
+    return f"{first['unit_id']}: {first['detail']}" if first["detail"] else str(first["unit_id"])
+
+
+def _scenes(entries: list[dict[str, Any]]) -> Section:
     rows = [
         (e["unit_id"], e["status"], ", ".join(e["reasons"]), _stages(e["stages"]), e["seconds"], e["detail"])
-        for e in todo
+        for e in entries
     ]
-    section = Section("Scenes", ("scene", "status", "because of", "stages", "seconds", "detail"), [*rows])
-    return Report(document, lines, [section])
+    return Section("Scenes", ("scene", "status", "because of", "stages", "CPU s", "detail"), [*rows])
 
 
 def _stages(stages: tuple[tuple[str, str], ...]) -> str:

@@ -55,7 +55,9 @@ class Report:
         return {**self.document, "exit_code": self.exit_code}
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        yield from (Text(line) for line in self.lines)
+        # A terminal wraps long lines where it is narrow; in a file a line is one message.
+        whole = not console.is_terminal
+        yield from (Text(line, no_wrap=whole, overflow="ignore" if whole else None) for line in self.lines)
         yield from (section.table() for section in self.sections if section.rows)
 
     def extend(self, lines: Iterable[str]) -> None:

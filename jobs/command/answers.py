@@ -13,8 +13,9 @@ __all__ = ["answer", "console", "leave"]
 
 
 def console(quiet: bool = False) -> Console:
-    """Where progress is told: standard error, so that a report can be read by a program."""
-    return Console(stderr=True, quiet=quiet)
+    """Where progress goes: standard error, so that a program can read the report on standard output."""
+    # In a log a line is one message; a terminal wraps it where it is narrow.
+    return Console(stderr=True, quiet=quiet, soft_wrap=not sys.stderr.isatty())
 
 
 def answer(report: Any, as_json: bool) -> None:
@@ -24,7 +25,7 @@ def answer(report: Any, as_json: bool) -> None:
     else:
         from jobs.report import terminal
 
-        terminal().print(report)
+        terminal().print(report, crop=False)
 
 
 def leave(code: int) -> None:

@@ -44,12 +44,17 @@ def samples(
     answer(write_samples(folder, family=family, scenes=scenes, seed=seed), as_json)
 
 
-def plan(config: ConfigPath, overrides: Overrides = None, as_json: AsJson = False) -> None:
+def plan(
+    config: ConfigPath,
+    overrides: Overrides = None,
+    every_scene: Annotated[bool, typer.Option("--all", help="a row for each scene")] = False,
+    as_json: AsJson = False,
+) -> None:
     """The difference between the published snapshot and the sources, with its cost. Runs nothing."""
     from jobs.configuration import load_config
     from jobs.plan import make_plan
 
-    answer(make_plan(load_config(config, overrides or ())), as_json)
+    answer(make_plan(load_config(config, overrides or ()), every_scene=every_scene), as_json)
 
 
 def generate(

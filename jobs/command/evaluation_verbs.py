@@ -89,12 +89,16 @@ def evaluate(
     strict: Annotated[
         bool, typer.Option("--strict", help="end with exit code 3 where an episode has no prediction; no tables then")
     ] = False,
+    table: Annotated[
+        list[str] | None, typer.Option("--table", metavar="NAME", help="print this table; may be repeated")
+    ] = None,
+    all_tables: Annotated[bool, typer.Option("--all", help="print every table, not the main ones alone")] = False,
     latex: Annotated[bool, typer.Option("--latex", help="print LaTeX tables (booktabs)")] = False,
     markdown: Annotated[bool, typer.Option("--markdown", help="print Markdown tables")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Metrics of agents' predictions: SR, SPL, nDTW, BSA, CSR, which branch was taken, and how sure it all is."""
-    from jobs.evaluate import Question, evaluate_predictions
+    from jobs.evaluate import ALL_TABLES, Question, evaluate_predictions
 
     if distance not in ("geodesic", "euclidean"):
         raise UsageError(f"--distance {distance!r}", remedy="Say geodesic or euclidean.")
@@ -111,6 +115,7 @@ def evaluate(
         oracle_radius=oracle_radius,
         fast_dtw=fast_dtw,
         strict=strict,
+        tables=(ALL_TABLES,) if all_tables else tuple(table or ()),
     )
     report = evaluate_predictions(asked)
     for target, write in ((scores, report.write_scores), (csv, report.write_csv), (plots, report.write_plots)):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -66,6 +67,14 @@ def test_agents_side_by_side_in_every_form(evaluate: Any, agents: dict[str, Path
         assert all(name in text for name in ("oracle", "wrong-branch"))
     terminal = evaluate(*files).stdout
     assert "Main results" in terminal
+    assert "By category" not in terminal, "other tables are named, not printed"
+    assert set(tables) - {"main"} <= set(re.split(r"[,\s]+", terminal.split("more tables", 1)[1]))
+    named = evaluate(*files, "--table", "category").stdout
+    assert "Main results" not in named
+    every = evaluate(*files, "--all").stdout
+    assert all(table["title"] in every for table in tables.values())
+    wrong = evaluate(*files, "--table", "nothing")
+    assert wrong.exit_code == 1
     assert "…" not in terminal  # no number is cut
 
 
