@@ -18,6 +18,7 @@ __all__ = ["COEFFICIENTS", "COMPILE_SECONDS", "FEATURES", "counts_of", "stage_co
 FEATURES: Final[Mapping[str, tuple[str, ...]]] = {
     "scene": ("scene", "objects", "mesh_mb"),
     "relations": ("scene", "kilopairs"),
+    "visibility": ("scene", "seen_objects"),
     "programs": ("objects", "asked"),
     "episodes": ("asked", "placed_kiloobjects"),
     "text": ("asked",),
@@ -28,6 +29,7 @@ COEFFICIENTS: Final[Mapping[str, Mapping[str, tuple[float, ...]]]] = {
     "replicacad": {
         "scene": (0.0, 0.0018, 0.0),
         "relations": (0.176, 0.0644),
+        "visibility": (0.10, 0.0030),
         "programs": (0.0045, 0.634),
         "episodes": (0.638, 0.188),
         "text": (0.113,),
@@ -35,6 +37,7 @@ COEFFICIENTS: Final[Mapping[str, Mapping[str, tuple[float, ...]]]] = {
     "procthor": {
         "scene": (0.004, 0.0012, 0.0),
         "relations": (0.020, 0.0204),
+        "visibility": (0.02, 0.0040),
         "programs": (0.0097, 0.766),
         "episodes": (0.202, 0.329),
         "text": (0.093,),
@@ -42,6 +45,7 @@ COEFFICIENTS: Final[Mapping[str, Mapping[str, tuple[float, ...]]]] = {
     "ithor": {
         "scene": (0.032, 0.0007, 0.0),
         "relations": (0.029, 0.0085),
+        "visibility": (0.02, 0.0032),
         "programs": (0.0074, 0.327),
         "episodes": (0.374, 0.016),
         "text": (0.046,),
@@ -49,6 +53,7 @@ COEFFICIENTS: Final[Mapping[str, Mapping[str, tuple[float, ...]]]] = {
     "gibson": {
         "scene": (0.018, 0.0003, 1.0),
         "relations": (0.053, 0.0238),
+        "visibility": (0.02, 0.0040),
         "programs": (0.0085, 0.713),
         # Its real scenes at hand have no navmesh; where one has, its episodes are taken to cost what ProcTHOR's do.
         "episodes": (0.188, 0.329),
@@ -71,6 +76,7 @@ def counts_of(family: str, counts: SceneCounts, asked: int) -> dict[str, float]:
 
     scene : 1
     objects : objects of the scene
+    seen_objects : the same; 0 where no navmesh is shipped or can be built, so that nothing is looked for
     kilopairs : thousand ordered pairs of objects that share a room, where all rooms are equally full
     asked : hundred episodes asked of the scene
     placed_kiloobjects : thousand pairs of an episode and an object; 0 where no navmesh is shipped or can be built
@@ -81,6 +87,7 @@ def counts_of(family: str, counts: SceneCounts, asked: int) -> dict[str, float]:
     return {
         "scene": 1.0,
         "objects": counts.objects,
+        "seen_objects": counts.objects if navmesh else 0,
         "kilopairs": counts.objects**2 / counts.rooms / 1000,
         "asked": asked / 100,
         "placed_kiloobjects": placed * counts.objects / 1000,

@@ -10,7 +10,15 @@ from condvln.sources.source import HashFile, Source
 from factory.pipeline import Pipeline, TableSpec
 from factory.unit import InputFile, Unit
 from jobs.costs import stage_costs
-from jobs.stages import EpisodeStage, PriorsAggregate, ProgramStage, RelationStage, SceneStage, TextStage
+from jobs.stages import (
+    EpisodeStage,
+    PriorsAggregate,
+    ProgramStage,
+    RelationStage,
+    SceneStage,
+    TextStage,
+    VisibilityStage,
+)
 from schemas.config import Config, SourceConfig
 from schemas.config.constants import GROUP_SIZE
 from schemas.errors import ConfigError
@@ -26,6 +34,7 @@ _STAGE_OF: Final[dict[str, str | tuple[str, ...]]] = {
     "rooms": "scene",
     "objects": "scene",
     "relations": "relations",
+    "visibility": "visibility",
     "instructions": "text",
     "episodes": "text",
     "rejections": ("programs", "episodes"),
@@ -34,13 +43,14 @@ _STAGE_OF: Final[dict[str, str | tuple[str, ...]]] = {
 
 
 def build_pipeline(config: Config) -> Pipeline:
-    """The five stages under `config`, and the eight tables they publish."""
+    """The six stages under `config`, and the nine tables they publish."""
     agent, preamble = config.agent, config.text.preamble
     return Pipeline(
         name="condvln",
         stages=(
             SceneStage(agent, config.limits),
             RelationStage(config.thresholds),
+            VisibilityStage(config.places.eye_height, config.places.island_radius, agent.max_climb),
             ProgramStage(
                 config.thresholds,
                 config.places,

@@ -1,4 +1,4 @@
-"""Arrow schemas of the eight published tables; every column carries its description.
+"""Arrow schemas of the nine published tables; every column carries its description.
 
 The family of a scene is the partition folder (``source=<family>``), not a column. Coordinates are metres in Habitat's
 frame (+Y up, −Z forward; east = +X, north = −Z), rounded to 1 mm. Every nested value is a typed struct, so that DuckDB,
@@ -23,6 +23,7 @@ __all__ = [
     "SCENES",
     "SORT_KEYS",
     "TABLES",
+    "VISIBILITY",
     "description",
 ]
 
@@ -185,6 +186,29 @@ RELATIONS: Final = pa.schema(
             _F,
             "distance from the emitted threshold in widths of the dead zone; 1 or more is usable in text",
         ),
+    ]
+)
+
+VISIBILITY: Final = pa.schema(
+    [
+        _SCENE_ID,
+        _required("object_id", _S, "object whose label text may name"),
+        _field(
+            "seeable",
+            _B,
+            "enough of its surface is seen at eye height from places of its room where an agent can stand; text uses "
+            "no other object; null in a scene without a navmesh, where nothing is excluded",
+        ),
+        _field(
+            "unseen",
+            _B,
+            "none of its surface is seen from any of these places; where both this and `seeable` are false, text says "
+            "nothing that depends on it",
+        ),
+        _field("places", _I, "places that it was looked for from; 0 where a shut container hides it"),
+        _field("from_places", _I, "those of them that see some of it"),
+        _field("share", _F, "share of its surface that is seen from all of them together, 0 to 1"),
+        _field("nearest_view", _F, "horizontal metres from its centre to the nearest place that sees it; else null"),
     ]
 )
 
@@ -361,6 +385,7 @@ TABLES: Final[dict[str, pa.Schema]] = {
     "rooms": ROOMS,
     "objects": OBJECTS,
     "relations": RELATIONS,
+    "visibility": VISIBILITY,
     "instructions": INSTRUCTIONS,
     "episodes": EPISODES,
     "rejections": REJECTIONS,
@@ -372,6 +397,7 @@ ABOUT: Final[dict[str, str]] = {
     "rooms": "One row for each room.",
     "objects": "One row for each object, with the best geometry that its source gives.",
     "relations": "One row for each edge of the relation graphs, with every metric it was decided by.",
+    "visibility": "One row for each object that text could name: whether it can be seen from where an agent can stand.",
     "instructions": "One row for each program that was sampled: its tree, truths and, where placed, its text.",
     "episodes": "One row for each placed instruction: start, goals and paths of every leaf, budget and text.",
     "rejections": "Counts of candidates that failed a rule, by scene, stage, cell and reason.",
@@ -384,6 +410,7 @@ SORT_KEYS: Final[dict[str, tuple[str, ...]]] = {
     "rooms": ("scene_id", "room_id"),
     "objects": ("scene_id", "object_id"),
     "relations": ("scene_id", "room_id", "subject", "target", "kind", "predicate"),
+    "visibility": ("scene_id", "object_id"),
     "instructions": ("scene_id", "instruction_id"),
     "episodes": ("scene_id", "episode_id"),
     "rejections": ("scene_id", "stage", "reason", "cell"),

@@ -15,7 +15,7 @@ from condvln.scene import Room, Scene, SceneObject
 from condvln.seeding import generator
 from schemas.config.constants import FLOOR_LEAST_SPACING, FLOOR_LIFT, FLOOR_POINTS, SINK, SNAP_TOLERANCE
 
-__all__ = ["floor_points"]
+__all__ = ["floor_points", "standing_points"]
 
 F64 = NDArray[np.float64]
 
@@ -39,12 +39,38 @@ def floor_points(
     if room.polygon is None:
         points = _whole_floor(scene, pathfinder, islands)
     else:
-        points = _room_floor(room, room.polygon, pathfinder, islands)
+        points, good = _room_floor(room, room.polygon, pathfinder, islands)
+        points = points[good] if good.any() else points
+    free = _free(points, obstacles)
+    points = points[free] if free.any() else points
+    return np.asarray(points + np.array([0.0, FLOOR_LIFT, 0.0]), dtype=np.float64)
+
+
+def standing_points(
+    scene: Scene,
+    room: Room,
+    pathfinder: PathfinderProtocol,
+    islands: Sequence[int],
+    obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
+) -> F64:
+    """Places (n, 3) of a room where an agent can stand, spread evenly; none where it can stand nowhere.
+
+    These are the points of :func:`floor_points` without the lift, and without those that cannot be stood at.
+    """
+    if room.polygon is None:
+        points = _whole_floor(scene, pathfinder, islands)
+    else:
+        points, good = _room_floor(room, room.polygon, pathfinder, islands)
+        points = points[good]
+    return np.asarray(points[_free(points, obstacles)], dtype=np.float64)
+
+
+def _free(points: F64, obstacles: Sequence[tuple[SceneObject, Footprint]]) -> NDArray[np.bool_]:
+    """Which points (n, 3) lie in no obstacle's footprint."""
     free = np.ones(len(points), dtype=bool)
     for _, footprint in obstacles:
         free &= footprint.distance(points) > 0.0
-    points = points[free] if free.any() else points
-    return np.asarray(points + np.array([0.0, FLOOR_LIFT, 0.0]), dtype=np.float64)
+    return free
 
 
 def _whole_floor(scene: Scene, pathfinder: PathfinderProtocol, islands: Sequence[int]) -> F64:
@@ -60,7 +86,13 @@ def _whole_floor(scene: Scene, pathfinder: PathfinderProtocol, islands: Sequence
     return np.asarray(points[np.isfinite(points).all(axis=1)], dtype=np.float64)
 
 
-def _room_floor(room: Room, polygon: F64, pathfinder: PathfinderProtocol, islands: Sequence[int]) -> F64:
+def _room_floor(
+    room: Room, polygon: F64, pathfinder: PathfinderProtocol, islands: Sequence[int]
+) -> tuple[F64, NDArray[np.bool_]]:
+    """The points (n, 3) of a grid in a room's outline, on the navmesh where they can be stood at; which can, (n,).
+
+    Where none can, they are at the height of the room's floor.
+    """
     outline = shapely.Polygon(polygon)
     if not outline.is_valid:
         outline = shapely.make_valid(outline)
@@ -75,10 +107,10 @@ def _room_floor(room: Room, polygon: F64, pathfinder: PathfinderProtocol, island
     grid = grid[shapely.contains_xy(outline, grid[:, 0], grid[:, 1])]
     asked = np.column_stack([grid[:, 0], np.full(len(grid), room.floor_y), grid[:, 1]])
     if not len(asked):
-        return asked
+        return asked, np.zeros(0, dtype=bool)
     snapped = pathfinder.snap_points(asked).astype(np.float64)
     with np.errstate(invalid="ignore"):
         good = np.hypot(*(snapped - asked)[:, [0, 2]].T) <= SNAP_TOLERANCE
         good &= np.abs(snapped[:, 1] - room.floor_y) <= SINK
     good &= np.isin(pathfinder.get_islands(asked), islands)
-    return np.asarray(snapped[good] if good.any() else asked, dtype=np.float64)
+    return np.asarray(snapped if good.any() else asked, dtype=np.float64), np.asarray(good, dtype=np.bool_)

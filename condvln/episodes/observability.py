@@ -1,8 +1,9 @@
 """The observability axis: from where the evidence for an instruction's conditions can be seen.
 
 Evidence for a condition that is true is a witness, and its anchor where there is one; for one that is false, that next
-to all of the room's floor was seen, or, where things of the label are there but not in that relation, all of these and
-the anchor. Only conditions that the gold route evaluates count; an agent never meets the others.
+to all of the room's floor was seen, or, where things of the label are there but not in that relation, all of these
+that can be seen at all and the anchor. Only conditions that the gold route evaluates count; an agent never meets the
+others.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from condvln.labels import Vocabulary, vocabulary
 from condvln.navigation.protocol import PathfinderProtocol
 from condvln.navigation.sight import SightTarget, View, eyes_at, in_view
 from condvln.scene import Scene, SceneObject
+from condvln.scene.sightings import EVERYTHING_SEEN, Sightings
 from schemas.config import EpisodeConfig, PlacesConfig
 from schemas.config.constants import EYE_SPACING, FIRST_VIEW_DEGREES, PREFIX_SAMPLES, PREFIX_STRAY
 from schemas.episode import Observability
@@ -91,8 +93,10 @@ class Observer:
         rules: EpisodeConfig,
         obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
         words: Vocabulary = vocabulary,
+        sightings: Sightings = EVERYTHING_SEEN,
     ) -> None:
         self._scene, self._view, self._pathfinder, self._words = scene, view, pathfinder, words
+        self._hidden = sightings.hidden_ids(scene)
         self._places, self._rules = places, rules
         self._obstacles, self._islands = obstacles, wide_islands(pathfinder, places)
         self._around = View(range=places.sight_range)
@@ -148,7 +152,11 @@ class Observer:
         if condition.qualifier is None:
             return whole
         meant = self._words.overlapping(condition.label)
-        there = [("object", o.object_id) for o in self._scene.objects if o.room_id == room and o.label in meant]
+        there = [
+            ("object", o.object_id)
+            for o in self._scene.objects
+            if o.room_id == room and o.label in meant and o.object_id not in self._hidden
+        ]
         return (frozenset({*there, *anchor}), *whole) if there else whole
 
     def _target(self, name: _Target) -> SightTarget | None:

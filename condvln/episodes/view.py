@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from condvln.labels import Vocabulary, vocabulary
 from condvln.navigation.occluders import BoxOccluders, JoinedOccluders, MeshOccluders, Occluders
 from condvln.navigation.sight import SightTarget, View, visible_points
-from condvln.navigation.surface_samples import box_samples, mesh_samples
+from condvln.navigation.surface_samples import DEFAULT_SAMPLES, box_samples, mesh_samples
 from condvln.scene import Scene, SceneObject
 from condvln.scene.geometry import STRUCTURE, SceneGeometry
 
@@ -82,12 +82,16 @@ class SceneView:
             self._targets[object_id] = SightTarget(self._samples(item), self._box_number.get(object_id, -1))
         return self._targets[object_id]
 
-    def _samples(self, item: SceneObject) -> F64:
+    def denser_target(self, object_id: str, count: int) -> SightTarget:
+        """The same with `count` points of the surface."""
+        return SightTarget(self._samples(self._scene.object_of[object_id], count), self.target(object_id).own)
+
+    def _samples(self, item: SceneObject, count: int = DEFAULT_SAMPLES) -> F64:
         own = self._faces.get(item.object_id)
         if own is not None and self._geometry is not None:
-            return mesh_samples(self._geometry.vertices, own)
+            return mesh_samples(self._geometry.vertices, own, count)
         box = _box_of(item)
-        return item.center[None] if box is None else box_samples(*box)
+        return item.center[None] if box is None else box_samples(*box, count)
 
     def seen(self, eyes: F64, target: SightTarget, view: View) -> Bools:
         """(n, k): which samples of a target each of n eyes (n, 3) sees, looking all around."""

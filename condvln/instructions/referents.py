@@ -5,8 +5,9 @@ at the loose threshold, so that none lies in the dead zone). A rival is an objec
 might use for this one as well: same label, synonym, hypernym or hyponym, or a thing of no label that may bear it. What
 may be anything at all ("unknown") is nobody's rival: it only keeps the room from being said to lack something.
 
-What is hidden is unknown: text never names it, and it is not a rival of what is seen. It may still be there, so that
-nothing that a word for it might mean is said to be absent.
+What nobody can see is unknown: text never names it, and it is not a rival of what is seen. It may still be there, so
+that nothing that a word for it might mean is said to be absent. Where it is in doubt whether one can be seen, no word
+that might mean it is used.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 from condvln.instructions.predicates import PREDICATE_GROUPS
 from condvln.labels import Vocabulary
 from condvln.scene import Room, RoomArrays
+from condvln.scene.sightings import EVERYTHING_SEEN, Sightings
 from schemas.program import ObjectRef, Predicate, Qualifier, RoomRef
 
 __all__ = ["ALTERNATIVES", "Facts", "Qualification", "Referents", "object_refs", "room_refs"]
@@ -62,9 +64,9 @@ class Qualification:
 class Referents:
     """The names that one room's objects may go by.
 
-    rival (n, n) : j is in sight and could be meant by i's label; nameable (n,) : in sight, and the label is fit for
-    text; unique (n,) : nameable without rivals; anchor (n,) : unique and of known extent; small (n,) : shorter than the
-    anchor size
+    rival (n, n) : j can be seen and could be meant by i's label; nameable (n,) : can be seen, the label is fit for text,
+    and no word for it might mean a thing in doubt; unique (n,) : nameable without rivals; anchor (n,) : unique and of
+    known extent; small (n,) : shorter than the anchor size
     may_be (n,) : labels that a thing may bear without being called so, of those that may be some things only
     blocked : labels that can't be said to be absent, since something nameless may bear them
     """
@@ -119,15 +121,18 @@ class Referents:
         vocabulary: Vocabulary,
         anchor_size: float,
         family: str | None = None,
+        sightings: Sightings = EVERYTHING_SEEN,
     ) -> Referents:
         """Names of all objects of a room.
 
         family : whose labels they are; None where each is what its label says and nothing else
         """
-        seen = ~arrays.hidden
-        nameable = np.array([vocabulary.fit_for_text(label) for label in arrays.labels], dtype=bool) & seen
+        seen = ~sightings.hidden(arrays)
         may_be, blocked = _nameless(arrays, vocabulary, family)
-        rival = meant_by(arrays.labels, arrays.labels, may_be, vocabulary) & seen & seen[:, None]
+        meant = meant_by(arrays.labels, arrays.labels, may_be, vocabulary)
+        nameable = np.array([vocabulary.fit_for_text(label) for label in arrays.labels], dtype=bool) & seen
+        nameable &= ~meant[:, sightings.in_doubt(arrays)].any(axis=1)
+        rival = meant & seen & seen[:, None]
         np.fill_diagonal(rival, False)
         unique = nameable & ~rival.any(axis=1)
         small = np.asarray(_longest_side(arrays) < anchor_size)

@@ -26,6 +26,7 @@ from condvln.instructions.rendering import word_count
 from condvln.instructions.stops import Stops, Target, TargetPool, targets
 from condvln.labels import Vocabulary, vocabulary
 from condvln.scene import Scene
+from condvln.scene.sightings import EVERYTHING_SEEN, Sightings
 from condvln.seeding import Draws, generator
 from schemas.config import InstructionCell, InstructionsConfig, SamplingConfig
 from schemas.episode import Composition
@@ -56,6 +57,7 @@ class ProgramSampler:
     facts : facts fit for text, per room id
     bits : the priors' bits that this scene reads (``LabelPriors.bits``)
     stops : what the navigation knows; ``apart_by_centres`` where there is no navmesh
+    sightings : which objects nobody can see; without them all can be seen that are in no shut container
     preamble : whether texts that use compass words open with the start heading; cells may bound the number of words
 
     Attributes
@@ -76,6 +78,7 @@ class ProgramSampler:
         stops: Stops,
         preamble: bool,
         words: Vocabulary = vocabulary,
+        sightings: Sightings = EVERYTHING_SEEN,
     ) -> None:
         self.scene, self.wanted, self.sampling, self.seed = scene, wanted, sampling, seed
         self.preamble = preamble
@@ -83,7 +86,13 @@ class ProgramSampler:
         self.rejections: Counter[tuple[InstructionCell | None, str]] = Counter()
         self.referents = {
             room.room_id: Referents.of(
-                room, scene.arrays(room.room_id), facts[room.room_id], words, sampling.anchor_size, scene.family
+                room,
+                scene.arrays(room.room_id),
+                facts[room.room_id],
+                words,
+                sampling.anchor_size,
+                scene.family,
+                sightings,
             )
             for room in sorted(scene.rooms, key=lambda r: r.room_id)
             if room.room_id in facts

@@ -23,9 +23,9 @@ class StatementTruths:
     """The statements "there is a <label> <predicate> the <anchor>" of one room and one predicate.
 
     labels (l,) : nameable labels of the room; anchors (a,) : indices of objects unique by label and not small
-    exact (l, n) : which objects in sight bear a label; held (n, a) : which objects are in the relation with margin
-    true (l, a) : an object in sight of exactly this label is in the relation
-    false (l, a) : every object that the label might mean, hidden ones too, fails the relation at the loose threshold
+    exact (l, n) : which objects that can be seen bear a label; held (n, a) : which objects are related with margin
+    true (l, a) : an object that can be seen of exactly this label is in the relation
+    false (l, a) : every object that the label might mean, seen or not, fails the relation at the loose threshold
     """
 
     predicate: Predicate
@@ -44,7 +44,7 @@ def statement_truths(referents: Referents, vocabulary: Vocabulary) -> Iterator[S
     anchors = np.flatnonzero(referents.anchor & ~referents.small)
     if not labels or not len(anchors):
         return
-    exact = np.array([[x == label for x in own] for label in labels], dtype=bool) & ~referents.arrays.hidden
+    exact = np.array([[x == label for x in own] for label in labels], dtype=bool) & referents.nameable
     overlap = meant_by(labels, own, referents.may_be, vocabulary)
     # "a bed near the bed" says nothing; neither does any word for it. A label that something unseen may bear is asked
     # with neither truth.

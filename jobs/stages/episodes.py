@@ -16,6 +16,7 @@ from condvln.episodes.table import (
     rejections_table,
 )
 from condvln.episodes.unplaced import unplaced_programs, unplaced_table
+from condvln.episodes.visibility import sightings_from_table
 from condvln.instructions import (
     names_compass,
 )
@@ -44,9 +45,9 @@ class EpisodeStage(Stage):
     preamble: bool
     seed: int
     name: str = "episodes"
-    version: int = 7
+    version: int = 8
     tables: tuple[str, ...] = ("placements", "unplaced", "rejections", "funnel")
-    reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "stops", "candidates")
+    reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "visibility", "stops", "candidates")
     reads_inputs: bool = True
 
     def parameters(self, unit: Unit) -> JSON:
@@ -74,7 +75,15 @@ class EpisodeStage(Stage):
             self.seed,
             max_climb=self.max_climb,
         )
-        observer = Observer(scene, view_of(unit, scene), placer.pathfinder, self.places, self.rules, placer.obstacles)
+        observer = Observer(
+            scene,
+            view_of(unit, scene),
+            placer.pathfinder,
+            self.places,
+            self.rules,
+            placer.obstacles,
+            sightings=sightings_from_table(upstream["visibility"]),
+        )
         pool = fill_pool(
             candidates,
             placer,

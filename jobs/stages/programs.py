@@ -15,6 +15,7 @@ from condvln.episodes.table import (
     rejections_table,
     stops_table,
 )
+from condvln.episodes.visibility import sightings_from_table
 from condvln.instructions import (
     LabelPriors,
     PriorBits,
@@ -76,7 +77,7 @@ class ProgramStage(Stage):
     version: int = 8
     tables: tuple[str, ...] = ("stops", "candidates", "rejections")
     reads_inputs: bool = True
-    reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "relations")
+    reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "relations", "visibility")
     needs: tuple[str, ...] = ("priors",)
 
     def parameters(self, unit: Unit) -> JSON:
@@ -125,6 +126,7 @@ class ProgramStage(Stage):
             self.seed,
             stops=stops,
             preamble=self.preamble,
+            sightings=sightings_from_table(upstream["visibility"]),
         )
         candidates = draw_candidates(sampler)
         return StageOutput(

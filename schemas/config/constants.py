@@ -33,6 +33,8 @@ __all__ = [
     "REST_SHARE",
     "RING_GAP",
     "RING_SPACING",
+    "SEEABLE_PLACES",
+    "SEEABLE_SHARE",
     "SINK",
     "SNAP_AT_MOST",
     "SNAP_TOLERANCE",
@@ -87,6 +89,13 @@ FLOOR_LEAST_SPACING: Final = 0.2
 
 FLOOR_LIFT: Final = 0.05
 """Metres that these points lie above the floor, so that its own surface does not hide them."""
+
+SEEABLE_SHARE: Final = 1 / 16
+"""Part of an object's surface that must be seen, from all places of its room together, before text uses the object:
+several times what the verifier asks of other points, so that the two agree."""
+
+SEEABLE_PLACES: Final = 2
+"""Places that must see some of it."""
 
 GROUP_SIZE: Final = 4
 """Programs of a counterfactual group: both truths of a condition, with two leaves exchanged and not."""

@@ -1,0 +1,140 @@
+"""Which objects can be seen at all: from some place of their room where an agent can stand, at the height of its eyes.
+
+An object is *seeable* where so much of its surface is seen that other points of it would show the same; *unseen* where
+none of many points is seen from any place. What lies between is neither: text says nothing of it, and nothing that it
+could spoil.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from condvln.episodes.floor import standing_points
+from condvln.episodes.footprint import Footprint
+from condvln.episodes.view import SceneView
+from condvln.labels import Vocabulary, vocabulary
+from condvln.navigation.protocol import PathfinderProtocol
+from condvln.navigation.sight import SightTarget, View, eyes_at
+from condvln.scene import Scene, SceneObject
+from condvln.scene.sightings import Sightings
+from schemas.config.constants import SEEABLE_PLACES, SEEABLE_SHARE
+from schemas.tables import VISIBILITY
+
+__all__ = ["Visibility", "scene_visibility", "sightings_from_table", "visibility_table"]
+
+F64 = NDArray[np.float64]
+
+FIRST_PLACES: Final = 32
+"""Places that every object is looked for from; all others are asked only where these do not suffice."""
+CLOSE_SAMPLES: Final = 512
+"""Points of an object's surface that are looked for then: a part of 1 % is missed by all of them once in 170 times."""
+_ANY_DISTANCE: Final = View(range=float("inf"))
+
+
+@dataclass(frozen=True, slots=True)
+class Visibility:
+    """What is seen of one object from the places of its room where an agent can stand.
+
+    places : places that were looked from
+    from_places : those of them that see some of it
+    share : share of its surface that is seen from all of them together
+    nearest_view : horizontal metres from its centre to the nearest place that sees it; None where none does
+    seeable, unseen : see the module; never both
+    """
+
+    object_id: str
+    places: int
+    from_places: int
+    share: float
+    nearest_view: float | None
+    seeable: bool
+    unseen: bool
+
+
+def scene_visibility(
+    scene: Scene,
+    view: SceneView,
+    pathfinder: PathfinderProtocol,
+    islands: Sequence[int],
+    eye_height: float,
+    obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
+    words: Vocabulary = vocabulary,
+) -> list[Visibility]:
+    """The visibility of every object that text could name, in the order of ids.
+
+    islands : those of the navmesh that an episode may be on
+    eye_height : metres of the eyes above the floor
+    obstacles : furniture that the navmesh ignores; nobody stands in it
+    """
+    eyes = {
+        room.room_id: eyes_at(standing_points(scene, room, pathfinder, islands, obstacles), eye_height)
+        for room in scene.rooms
+    }
+    named = sorted((item for item in scene.objects if words.fit_for_text(item.label)), key=lambda o: o.object_id)
+    nowhere = np.empty((0, 3))
+    return [_visibility(item, eyes.get(item.room_id, nowhere), view) for item in named]
+
+
+def _visibility(item: SceneObject, eyes: F64, view: SceneView) -> Visibility:
+    if item.hidden:
+        eyes = eyes[:0]
+    few = eyes[np.unique(np.linspace(0, len(eyes) - 1, min(FIRST_PLACES, len(eyes))).round().astype(int))]
+    found = _looked_for(item, few, view, view.target(item.object_id))
+    if not found.seeable and len(eyes):
+        found = _looked_for(item, eyes, view, view.denser_target(item.object_id, CLOSE_SAMPLES))
+    return found
+
+
+def _looked_for(item: SceneObject, eyes: F64, view: SceneView, target: SightTarget) -> Visibility:
+    seen = view.seen(eyes, target, _ANY_DISTANCE)
+    points, hits = seen.any(axis=0), seen.sum(axis=1)
+    seeing = eyes[hits > 0]
+    away = np.linalg.norm((seeing - item.center)[:, [0, 2]], axis=1)
+    return Visibility(
+        object_id=item.object_id,
+        places=len(eyes),
+        from_places=len(seeing),
+        share=round(float(points.mean()), 3),
+        nearest_view=round(float(away.min()), 3) if len(away) else None,
+        seeable=bool(points.mean() >= SEEABLE_SHARE and len(seeing) >= min(SEEABLE_PLACES, len(eyes))),
+        unseen=not points.any(),
+    )
+
+
+def visibility_table(scene: Scene, found: Iterable[Visibility] | None, words: Vocabulary = vocabulary) -> pa.Table:
+    """Rows of the published table; with None, where nothing is known of places to stand, all is null."""
+    rows: list[dict[str, Any]]
+    if found is None:
+        unknown = dict.fromkeys(VISIBILITY.names)
+        named = sorted(item.object_id for item in scene.objects if words.fit_for_text(item.label))
+        rows = [{**unknown, "scene_id": scene.scene_id, "object_id": name} for name in named]
+    else:
+        rows = [
+            {
+                "scene_id": scene.scene_id,
+                "object_id": one.object_id,
+                "seeable": one.seeable,
+                "unseen": one.unseen,
+                "places": one.places,
+                "from_places": one.from_places,
+                "share": one.share,
+                "nearest_view": one.nearest_view,
+            }
+            for one in found
+        ]
+    return pa.Table.from_pylist(rows, schema=VISIBILITY)
+
+
+def sightings_from_table(table: pa.Table) -> Sightings:
+    """The objects that nobody sees, and those of which it is in doubt; none where all is null."""
+    columns: Mapping[str, list[Any]] = table.select(["object_id", "seeable", "unseen"]).to_pydict()
+    rows = list(zip(*columns.values(), strict=True))
+    unseen = frozenset(name for name, _, out_of_sight in rows if out_of_sight)
+    doubtful = frozenset(name for name, seeable, _ in rows if seeable is False)
+    return Sightings(unseen, doubtful - unseen)

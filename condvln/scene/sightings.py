@@ -1,0 +1,41 @@
+"""Which objects of a scene nobody sees, and of which that is in doubt."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.scene.scene import RoomArrays, Scene
+
+__all__ = ["EVERYTHING_SEEN", "Sightings"]
+
+
+@dataclass(frozen=True, slots=True)
+class Sightings:
+    """Objects by id that can't be seen from where an agent can stand. An object that is not listed can be.
+
+    unseen : nobody sees them; they don't make a word for what is seen ambiguous
+    doubtful : perhaps somebody does; text uses no word that might mean them
+    """
+
+    unseen: frozenset[str] = frozenset()
+    doubtful: frozenset[str] = frozenset()
+
+    def hidden(self, arrays: RoomArrays) -> NDArray[np.bool_]:
+        """(n,) objects of a room that nobody sees, those in shut containers among them."""
+        return np.array([o.hidden or o.object_id in self.unseen for o in arrays.objects], dtype=bool)
+
+    def in_doubt(self, arrays: RoomArrays) -> NDArray[np.bool_]:
+        """(n,) objects of a room that are perhaps seen."""
+        return np.array([o.object_id in self.doubtful and not o.hidden for o in arrays.objects], dtype=bool)
+
+    def hidden_ids(self, scene: Scene) -> frozenset[str]:
+        """All objects of a scene that nobody sees, by id."""
+        return self.unseen | {item.object_id for item in scene.objects if item.hidden}
+
+
+EVERYTHING_SEEN: Final = Sightings()
+"""All can be seen but what is in a shut container."""

@@ -1,0 +1,53 @@
+"""What can be seen of a scene's objects from where an agent can stand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from condvln.episodes.goals import blocked_footprints, wide_islands
+from condvln.episodes.visibility import scene_visibility, visibility_table
+from factory.stage import Stage, StageOutput
+from factory.unit import Unit
+from jobs.stages.inputs import Tables, pathfinder_of, scene_of, view_of
+from schemas.canonical import JSON
+from schemas.config import PlacesConfig
+
+__all__ = ["VisibilityStage"]
+
+
+@dataclass
+class VisibilityStage(Stage):
+    """rooms, objects, navmesh and surfaces → which objects can be seen; nothing is known of a scene without navmesh."""
+
+    eye_height: float
+    island_radius: float
+    max_climb: float
+    name: str = "visibility"
+    version: int = 1
+    tables: tuple[str, ...] = ("visibility",)
+    reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes")
+    reads_inputs: bool = True
+
+    def parameters(self, unit: Unit) -> JSON:
+        return {
+            "places": {"eye_height": self.eye_height, "island_radius": self.island_radius},
+            "agent": {"max_climb": self.max_climb},
+        }
+
+    def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
+        scene = scene_of(unit, upstream)
+        if scene.navmesh is None:
+            return StageOutput(tables={"visibility": visibility_table(scene, None)})
+        pathfinder = pathfinder_of(scene, upstream)
+        found = scene_visibility(
+            scene,
+            view_of(unit, scene),
+            pathfinder,
+            wide_islands(pathfinder, PlacesConfig(island_radius=self.island_radius)),
+            self.eye_height,
+            blocked_footprints(scene, pathfinder, self.max_climb),
+        )
+        return StageOutput(
+            tables={"visibility": visibility_table(scene, found)},
+            measures={"objects": float(len(found)), "unseen": float(sum(one.unseen for one in found))},
+        )
