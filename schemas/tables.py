@@ -192,7 +192,7 @@ RELATIONS: Final = pa.schema(
 VISIBILITY: Final = pa.schema(
     [
         _SCENE_ID,
-        _required("object_id", _S, "object whose label text may name"),
+        _required("object_id", _S, "object that is not a part of the building"),
         _field(
             "seeable",
             _B,
@@ -397,7 +397,7 @@ ABOUT: Final[dict[str, str]] = {
     "rooms": "One row for each room.",
     "objects": "One row for each object, with the best geometry that its source gives.",
     "relations": "One row for each edge of the relation graphs, with every metric it was decided by.",
-    "visibility": "One row for each object that text could name: whether it can be seen from where an agent can stand.",
+    "visibility": "One row for each object but walls and floors: whether it can be seen from where an agent can stand.",
     "instructions": "One row for each program that was sampled: its tree, truths and, where placed, its text.",
     "episodes": "One row for each placed instruction: start, goals and paths of every leaf, budget and text.",
     "rejections": "Counts of candidates that failed a rule, by scene, stage, cell and reason.",

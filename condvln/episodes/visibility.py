@@ -66,7 +66,9 @@ def scene_visibility(
     obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
     words: Vocabulary = vocabulary,
 ) -> list[Visibility]:
-    """The visibility of every object that text could name, in the order of ids.
+    """The visibility of every object that is not a part of the building, in the order of ids.
+
+    A thing without a name is looked for too: it may be what a word means.
 
     islands : those of the navmesh that an episode may be on
     eye_height : metres of the eyes above the floor
@@ -76,9 +78,14 @@ def scene_visibility(
         room.room_id: eyes_at(standing_points(scene, room, pathfinder, islands, obstacles), eye_height)
         for room in scene.rooms
     }
-    named = sorted((item for item in scene.objects if words.fit_for_text(item.label)), key=lambda o: o.object_id)
     nowhere = np.empty((0, 3))
-    return [_visibility(item, eyes.get(item.room_id, nowhere), view) for item in named]
+    return [_visibility(item, eyes.get(item.room_id, nowhere), view) for item in _things(scene, words)]
+
+
+def _things(scene: Scene, words: Vocabulary) -> list[SceneObject]:
+    known = words.labels
+    found = [o for o in scene.objects if o.label not in known or words.entry(o.label).kind != "structure"]
+    return sorted(found, key=lambda item: item.object_id)
 
 
 def _visibility(item: SceneObject, eyes: F64, view: SceneView) -> Visibility:
@@ -112,8 +119,8 @@ def visibility_table(scene: Scene, found: Iterable[Visibility] | None, words: Vo
     rows: list[dict[str, Any]]
     if found is None:
         unknown = dict.fromkeys(VISIBILITY.names)
-        named = sorted(item.object_id for item in scene.objects if words.fit_for_text(item.label))
-        rows = [{**unknown, "scene_id": scene.scene_id, "object_id": name} for name in named]
+        named = _things(scene, words)
+        rows = [{**unknown, "scene_id": scene.scene_id, "object_id": item.object_id} for item in named]
     else:
         rows = [
             {

@@ -64,9 +64,10 @@ class Qualification:
 class Referents:
     """The names that one room's objects may go by.
 
-    rival (n, n) : j can be seen and could be meant by i's label; nameable (n,) : can be seen, the label is fit for text,
-    and no word for it might mean a thing in doubt; unique (n,) : nameable without rivals; anchor (n,) : unique and of
-    known extent; small (n,) : shorter than the anchor size
+    rival (n, n) : j can be seen and could be meant by i's label
+    nameable (n,) : can be seen, the label is fit for text, and no word for it might mean a thing in doubt
+    unique (n,) : nameable without rivals; anchor (n,) : unique and of known extent; small (n,) : shorter than the
+    anchor size
     may_be (n,) : labels that a thing may bear without being called so, of those that may be some things only
     blocked : labels that can't be said to be absent, since something nameless may bear them
     """

@@ -26,11 +26,11 @@ class Sightings:
 
     def hidden(self, arrays: RoomArrays) -> NDArray[np.bool_]:
         """(n,) objects of a room that nobody sees, those in shut containers among them."""
-        return np.array([o.hidden or o.object_id in self.unseen for o in arrays.objects], dtype=bool)
+        return np.asarray(arrays.hidden | np.array([name in self.unseen for name in arrays.object_ids], dtype=bool))
 
     def in_doubt(self, arrays: RoomArrays) -> NDArray[np.bool_]:
         """(n,) objects of a room that are perhaps seen."""
-        return np.array([o.object_id in self.doubtful and not o.hidden for o in arrays.objects], dtype=bool)
+        return np.asarray(~arrays.hidden & np.array([name in self.doubtful for name in arrays.object_ids], dtype=bool))
 
     def hidden_ids(self, scene: Scene) -> frozenset[str]:
         """All objects of a scene that nobody sees, by id."""

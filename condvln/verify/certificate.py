@@ -21,6 +21,7 @@ FACTS: Final[Mapping[str, str]] = {
     "room_named": "a room goes by the type that the scene has for it",
     "room_unique": "a room's name fits one room",
     "room_anchor_needed": "a room is told apart by a thing only where its type is not enough",
+    "seeable": "every thing that the text speaks of can be seen from where an agent can stand in its room",
     "anchor_unique": "the thing that a qualifier refers to is alone in its room",
     "referent_unique": "a phrase without a qualifier fits one thing",
     "qualifier_needed": "a qualifier stands only where the label fits several things",

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.sight import eyes_at
-from condvln.scene import Scene
+from condvln.scene import Scene, SceneObject
 from condvln.scene.geometry import SceneGeometry
 from condvln.verify.certificate import Certificate
 from condvln.verify.footprints import Obstacles
@@ -99,7 +99,7 @@ def check_observability(
 def sight_of(
     scene: Scene,
     surfaces: Surfaces,
-    referents: SceneReferents,
+    is_structure: Callable[[SceneObject], bool],
     pathfinder: Pathfinder,
     obstacles: Obstacles,
     rules: VerifierRules,
@@ -115,7 +115,7 @@ def sight_of(
         room, radius = scene.room_of[room_id], rules.places.island_radius
         return ground_points(scene, room, pathfinder, radius, obstacles.grounds)
 
-    return Sight(scene, surfaces(), referents.is_structure, floor, rules.places, rules.episodes)
+    return Sight(scene, surfaces(), is_structure, floor, rules.places, rules.episodes)
 
 
 def _asked(row: ManifestEpisode, certificate: Certificate, referents: SceneReferents, eye_height: float) -> _Asked:

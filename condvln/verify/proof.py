@@ -25,6 +25,7 @@ from condvln.verify.referents import SceneReferents
 from condvln.verify.rules import VerifierRules
 from condvln.verify.surfaces import Shapes
 from condvln.verify.text_check import check_meaning
+from condvln.verify.visibility import Onlookers, check_seen
 from schemas.errors import InputError, MissingFileError, PathEscapeError
 
 __all__ = ["Navmesh", "SceneReader", "find_navmesh", "prove_export", "prove_scene"]
@@ -104,29 +105,40 @@ def prove_scene(
     ------
     InputError : a mesh of the scene, or its surfaces, can't be read
     """
-    referents = SceneReferents(scene, rules.thresholds, shapes)
-    for row, certificate in zip(rows, certificates, strict=True):
-        check_meaning(row.manifest, referents, rules, certificate)
-        check_program(row.manifest, certificate)
-        check_record(row.manifest, row.record, certificate)
     try:
         navmesh = find_navmesh(scene, folder, rows[0].manifest.navmesh)
     except InputError as error:
+        _check_words(rows, certificates, SceneReferents(scene, rules.thresholds, shapes), rules)
         for certificate in certificates:
             certificate.holds("navmesh", False, rows[0].manifest.navmesh, str(error))
         return
+    obstacles = Obstacles(scene, navmesh.pathfinder, rules.agent.max_climb)
+    # What is a wall or a floor goes by labels alone, before anything is known of what can be seen.
+    labels = SceneReferents(scene, rules.thresholds, shapes)
+    sight = sight_of(scene, surfaces, labels.is_structure, navmesh.pathfinder, obstacles, rules)
+    onlookers = Onlookers(scene, sight, navmesh.pathfinder, rules.places, labels.hidden)
+    referents = SceneReferents(scene, rules.thresholds, shapes, onlookers.see)
+    _check_words(rows, certificates, referents, rules)
     for row, certificate in zip(rows, certificates, strict=True):
+        check_seen(row.manifest.program, onlookers, certificate)
         claimed = (row.manifest.navmesh, row.manifest.navmesh_sha256)
         certificate.same("navmesh", claimed, (navmesh.path, navmesh.sha256))
     follower = Follower(navmesh.pathfinder, max_actions=rules.episodes.max_steps)
-    obstacles = Obstacles(scene, navmesh.pathfinder, rules.agent.max_climb)
     manifests = [row.manifest for row in rows]
     check_placement(manifests, certificates, scene, follower, obstacles, rules)
     for row, certificate in zip(rows, certificates, strict=True):
         check_truth(row.manifest, row.truth, follower, certificate)
-    if any(row.observability is not None for row in manifests):
-        sight = sight_of(scene, surfaces, referents, navmesh.pathfinder, obstacles, rules)
-        check_observability(manifests, certificates, sight, referents, rules.places.eye_height)
+    check_observability(manifests, certificates, sight, referents, rules.places.eye_height)
+
+
+def _check_words(
+    rows: Sequence[Row], certificates: Sequence[Certificate], referents: SceneReferents, rules: VerifierRules
+) -> None:
+    """What the texts mean, and what follows from the programs and the records alone."""
+    for row, certificate in zip(rows, certificates, strict=True):
+        check_meaning(row.manifest, referents, rules, certificate)
+        check_program(row.manifest, certificate)
+        check_record(row.manifest, row.record, certificate)
 
 
 def find_navmesh(scene: Scene, folder: Path, claimed: str) -> Navmesh:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Set
+from collections.abc import Callable, Iterable, Mapping, Set
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -52,18 +52,26 @@ class Answer(NamedTuple):
 class RoomView:
     """One room with its things, whose labels are found from their raw labels again.
 
-    things : what can be seen; shut_away : what is inside something shut, and may be there or not
+    things : all but what is inside something shut; not all of them can be seen
     """
 
     def __init__(
-        self, room: Room, label: str, objects: Iterable[SceneObject], family: str, meaning: Words, hidden: Set[str]
+        self,
+        room: Room,
+        label: str,
+        objects: Iterable[SceneObject],
+        family: str,
+        meaning: Words,
+        hidden: Set[str],
+        can_be_seen: Callable[[str], bool],
     ) -> None:
         self.room = room
         self.label = label
+        self._hidden, self._can_be_seen = hidden, can_be_seen
         ordered = sorted(objects, key=lambda item: item.object_id)
         things = [Thing.of(item, meaning.label(item.raw_label, family, _model(item))) for item in ordered]
         self.things = tuple(thing for thing in things if thing.object_id not in hidden)
-        self.shut_away = tuple(thing for thing in things if thing.object_id in hidden)
+        self._all = tuple(things)
         self._meaning = meaning
         self._meant: dict[str, tuple[Thing, ...]] = {}
         self._open: dict[str, frozenset[str]] = {}
@@ -76,26 +84,30 @@ class RoomView:
 
     @cached_property
     def labels(self) -> frozenset[str]:
-        """Labels of its things that can be seen."""
+        """Labels of its things that are in nothing shut."""
         return frozenset(thing.label for thing in self.things)
 
     def meant(self, label: str) -> tuple[Thing, ...]:
         """All things in sight that a word for `label` might mean here."""
         if label not in self._meant:
-            own = self._meaning.meant_by(label)
-            self._meant[label] = tuple(
-                thing for thing in self.things if thing.label in own or own & self._open[thing.object_id]
-            )
+            self._meant[label] = tuple(thing for thing in self._called(label) if self.is_seen(thing))
         return self._meant[label]
+
+    def unknown(self, label: str) -> tuple[Thing, ...]:
+        """All things out of sight that a word for `label` might mean: none of them can be said to be absent."""
+        return tuple(thing for thing in self._called(label) if not self.is_seen(thing))
+
+    def is_seen(self, thing: Thing) -> bool:
+        """Whether a thing can be seen: not in something shut, and in sight of a place where an agent can stand."""
+        return thing.object_id not in self._hidden and self._can_be_seen(thing.object_id)
+
+    def _called(self, label: str) -> Iterable[Thing]:
+        own = self._meaning.meant_by(label)
+        return (thing for thing in self._all if thing.label in own or own & self._open[thing.object_id])
 
     def knows_absence(self, label: str) -> bool:
         """Whether nothing that nobody named could be called `label`, and the annotation is complete."""
         return self.room.complete and not self._meaning.meant_by(label) & self.doubtful
-
-    def unknown(self, label: str) -> tuple[Thing, ...]:
-        """All things out of sight that a word for `label` might mean: none of them can be said to be absent."""
-        own = self._meaning.meant_by(label)
-        return tuple(x for x in self.shut_away if x.label in own or own & self._open[x.object_id])
 
     def only(self, label: str) -> Thing | None:
         """The thing called so that is alone in it: no other could be meant."""
@@ -106,14 +118,20 @@ class RoomView:
 class SceneReferents:
     """The phrases of all texts of one scene; what one phrase means is found once."""
 
-    def __init__(self, scene: Scene, thresholds: Thresholds, shapes: Shapes) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        thresholds: Thresholds,
+        shapes: Shapes,
+        can_be_seen: Callable[[str], bool] = lambda object_id: True,
+    ) -> None:
         self.scene = scene
         self.meaning = words()
         self.judge = Judge(thresholds, SurfaceGauge(shapes))
         held: dict[str, list[SceneObject]] = {room.room_id: [] for room in scene.rooms}
         for item in scene.objects:
             held.setdefault(item.room_id, []).append(item)
-        hidden = shut_away(
+        self.hidden = shut_away(
             scene.objects,
             scene.family,
             lambda item: self.meaning.label(item.raw_label, scene.family, _model(item)),
@@ -126,7 +144,8 @@ class SceneReferents:
                 held[room.room_id],
                 scene.family,
                 self.meaning,
-                hidden,
+                self.hidden,
+                can_be_seen,
             )
             for room in scene.rooms
         }
@@ -246,7 +265,7 @@ class SceneReferents:
             if isinstance(anchored, Problem):
                 return anchored
             related = self._relations(view, phrase.label, predicate, anchored)
-            seen = [(thing, how) for thing, how in related if thing not in view.shut_away]
+            seen = [(thing, how) for thing, how in related if view.is_seen(thing)]
             sure = [thing for thing, how in seen if how.verdict == TRUE and thing.label == phrase.label]
             possible = tuple(thing for thing, how in related if how.verdict != FALSE)
             anchor, numbers = anchored.object_id, _deciding(seen, sure)

@@ -174,6 +174,28 @@ class Sight:
             at += len(eye)
             self._seen[look.sought].update(zip(look.keys, look.seen, strict=True))
 
+    def floor(self, room_id: str) -> F64:
+        """Points (n, 3) of a room's floor."""
+        return self._floor(room_id)
+
+    def surface(self, object_id: str, count: int) -> F64:
+        """Points (count, 3) of this package's own on a thing's surface; its centre where no extent is known."""
+        item = self._scene.object_of[object_id]
+        triangles = self._triangles(item)
+        return item.center[None] if triangles is None else evenly(triangles, count)
+
+    def meets(self, object_id: str, eyes: F64, points: F64) -> Bools:
+        """(k,): which of the points (k, 3) of a thing any of the eyes (n, 3) sees, at whatever distance."""
+        number = self._boxes.get(object_id, -1)
+        seen = np.zeros(len(points), dtype=bool)
+        for begin in range(0, len(eyes), EYES_AT_ONCE):
+            left = np.flatnonzero(~seen)
+            part = eyes[begin : begin + EYES_AT_ONCE]
+            looks = np.repeat(part, len(left), axis=0), np.tile(points[left], (len(part), 1))
+            hidden = self._hiding.hidden(*looks, np.full(len(looks[0]), number))
+            seen[left] = ~hidden.reshape(len(part), len(left)).all(axis=0)
+        return seen
+
     def is_seen(self, sought: Sought, eyes: F64, yaw: float | None = None) -> bool:
         """Whether enough of something is seen from eyes (n, 3) together; with a yaw, of what lies ahead of the one."""
         where = self._where(sought)
@@ -210,16 +232,35 @@ class Sight:
             return None
         known, least = self._geometry, self._rules.object_seen
         number, box = self._boxes.get(object_id, -1), _box(item)
-        faces = np.empty((0, 3)) if known is None else known.faces[known.owner == self._numbers[object_id]]
-        if known is not None and len(faces):
-            ours, published = evenly(known.vertices[faces]), mesh_samples(known.vertices, faces)
-        elif box is not None:
-            middle, half, axes = box
-            ours = evenly((middle + (_SIGNS * half) @ axes.T)[_TRIANGLES])
-            published = box_samples(middle, half, axes)
-        else:
+        triangles, faces = self._triangles(item), self._faces(item)
+        if triangles is None:
             return _Points(item.center[None], 0, number, least)
+        if known is not None and len(faces):
+            published = mesh_samples(known.vertices, faces)
+        else:
+            assert box is not None
+            published = box_samples(*box)
+        ours = evenly(triangles)
         return _Points(np.concatenate([ours, published]), len(ours), number, least)
+
+    def _faces(self, item: SceneObject) -> NDArray[np.int64]:
+        """Faces (m, 3) of a thing's own surface; none where no exact surface is known."""
+        known = self._geometry
+        return (
+            np.empty((0, 3), np.int64) if known is None else known.faces[known.owner == self._numbers[item.object_id]]
+        )
+
+    def _triangles(self, item: SceneObject) -> F64 | None:
+        """Triangles (m, 3, 3) of a thing's surface, or of its box; None where no extent is known."""
+        faces, box = self._faces(item), _box(item)
+        if self._geometry is not None and len(faces):
+            surface: F64 = self._geometry.vertices[faces]
+            return surface
+        if box is None:
+            return None
+        middle, half, axes = box
+        sides: F64 = (middle + (_SIGNS * half) @ axes.T)[_TRIANGLES]
+        return sides
 
 
 def _share(seen: Bools) -> float:

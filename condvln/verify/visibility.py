@@ -1,0 +1,89 @@
+"""Which things of a scene can be seen at all, by rays of this package's own.
+
+A thing is seen if enough of the points that this package spreads over its surface are met by looks from places of its
+room where an agent can stand. The factory asks for four times as much before it speaks of a thing, and for none of many
+more points before it passes over one: what lies between is never spoken of, so that two sets of points agree on the
+rest. What a shut container hides is not seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Set
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.navigation.pathfinder import Pathfinder
+from condvln.navigation.sight import eyes_at
+from condvln.scene import Scene
+from condvln.verify.certificate import Certificate
+from condvln.verify.sight import Sight
+from schemas.config import PlacesConfig
+from schemas.config.constants import FLOOR_LIFT, SEEABLE_SHARE
+from schemas.program import Program
+
+__all__ = ["Onlookers", "check_seen"]
+
+F64 = NDArray[np.float64]
+
+POINTS: Final = 256
+"""Points on a thing's surface."""
+SEEN_SHARE: Final = SEEABLE_SHARE / 4
+"""Part of them that must be seen."""
+FEW: Final = 8
+"""One in so many places and points is tried first; most things are seen so."""
+
+
+class Onlookers:
+    """What is seen from all places of each room where an agent can stand. Each thing is asked once.
+
+    hidden : ids of what is inside something shut
+    """
+
+    def __init__(
+        self, scene: Scene, sight: Sight, pathfinder: Pathfinder, places: PlacesConfig, hidden: Set[str]
+    ) -> None:
+        self._scene, self._sight, self._pathfinder, self._places = scene, sight, pathfinder, places
+        self._hidden = hidden
+        self._eyes: dict[str, F64] = {}
+        self._seen: dict[str, bool] = {}
+
+    def see(self, object_id: str) -> bool:
+        """Whether a thing can be seen from somewhere in its room."""
+        if object_id not in self._seen:
+            self._seen[object_id] = self._look_for(object_id)
+        return self._seen[object_id]
+
+    def _look_for(self, object_id: str) -> bool:
+        item = self._scene.object_of.get(object_id)
+        if item is None or object_id in self._hidden or item.room_id not in self._scene.room_of:
+            return False
+        points = self._sight.surface(object_id, POINTS)
+        eyes = self._of_room(item.room_id)
+        least = SEEN_SHARE * len(points)
+        if self._sight.meets(object_id, eyes[::FEW], points[::FEW]).sum() >= least:
+            return True
+        return bool(self._sight.meets(object_id, eyes, points).sum() >= least) if len(eyes) else False
+
+    def _of_room(self, room_id: str) -> F64:
+        """Eyes (n, 3) at the places of a room that can be stood at."""
+        if room_id not in self._eyes:
+            floor = self._sight.floor(room_id) - np.array([0.0, FLOOR_LIFT, 0.0])
+            stood = np.asarray(self._pathfinder.are_navigable(floor)) if len(floor) else np.zeros(0, bool)
+            self._eyes[room_id] = eyes_at(floor[stood], self._places.eye_height)
+        return self._eyes[room_id]
+
+
+def check_seen(program: Program, onlookers: Onlookers, certificate: Certificate) -> None:
+    """Every thing that a text speaks of as there can be seen: stops, anchors and witnesses."""
+    named: set[str | None] = set()
+    for condition in program.conditions:
+        named |= {*condition.witnesses, condition.room.anchor_id}
+        named.add(None if condition.qualifier is None else condition.qualifier.anchor_id)
+    for leaf in program.leaves:
+        for move in leaf.moves:
+            named |= {move.object_id, move.room.anchor_id}
+            named.add(None if move.qualifier is None else move.qualifier.anchor_id)
+    out_of_sight = sorted(name for name in named if name is not None and not onlookers.see(name))
+    certificate.holds("seeable", not out_of_sight, "seen from where an agent can stand", out_of_sight)
