@@ -10,7 +10,8 @@ raw label that is in no list might bear any label. Catch-all labels have ``may_b
 nameless thing of known size can't be.
 
 ``containers.csv`` lists what holds things inside: ``shut`` where a door, a lid or a drawer may hide them, ``open``
-where they stay in sight, empty where a broader label does but this one does not.
+where they stay in sight, empty where a broader label does but this one does not. ``frames.csv`` lists what one sees
+through: things of legs, boards and rails, whose box is mostly air.
 """
 
 from __future__ import annotations
@@ -105,6 +106,7 @@ class Vocabulary:
     __slots__ = (
         "_containers",
         "_entries",
+        "_frames",
         "_label_of_word",
         "_may_be",
         "_overlapping",
@@ -122,10 +124,12 @@ class Vocabulary:
         raw_rooms: Mapping[tuple[str, str], str],
         may_be: Mapping[tuple[str, str], frozenset[str]] | None = None,
         containers: Mapping[str, ContainerKind | Literal[""]] | None = None,
+        frames: Iterable[str] = (),
     ) -> None:
         self._entries = {e.label: e for e in entries}
         self._rooms = {r.label: r for r in rooms}
         self._containers = dict(containers or {})
+        self._frames = frozenset(frames)
         self._raw = _with_normalised_keys(raw_labels)
         self._raw_rooms = _with_normalised_keys(raw_rooms)
         self._may_be = _with_normalised_keys(may_be or {})
@@ -228,6 +232,12 @@ class Vocabulary:
         names = [label, *sorted(() if entry is None else entry.hypernyms)]
         return next((self._containers[name] or None for name in names if name in self._containers), None)
 
+    def is_frame(self, label: str) -> bool:
+        """Whether one sees through what bears `label`, or a narrower one: its box hides nothing that is in or on it."""
+        entry = self._entries.get(label)
+        names = {label} if entry is None else {label, *entry.hypernyms}
+        return bool(names & self._frames) and self.container(label) != "shut"
+
     def overlapping(self, label: str) -> frozenset[str]:
         """Canonical labels that a speaker might mean by a word for `label`: itself, synonyms, hypernyms, hyponyms.
 
@@ -311,7 +321,8 @@ class Vocabulary:
         may_be = {(row["source"], row["raw_label"]): _several(row["may_be"]) for row in listed if not row["label"]}
         raw_rooms = {(row["source"], row["raw_label"]): row["label"] for row in _rows("raw_rooms.csv")}
         containers = {row["label"]: cast(ContainerKind | Literal[""], row["kind"]) for row in _rows("containers.csv")}
-        return cls(entries, rooms, raw, raw_rooms, may_be, containers)
+        frames = [row["label"] for row in _rows("frames.csv")]
+        return cls(entries, rooms, raw, raw_rooms, may_be, containers, frames)
 
 
 def _rows(name: str) -> list[dict[str, str]]:

@@ -107,12 +107,13 @@ class BoxOccluders:
     """Solid boxes in place of a scene's surfaces.
 
     A box that holds the eye or the point hides nothing from it, since boxes of neighbouring things overlap and a
-    shelf's box holds what stands on the shelf. The point's own box hides its far side.
+    shelf's box holds what stands in the shelf. The point's own box hides its far side.
 
     Parameters
     ----------
     centers, half_extents : (b, 3) metres, Habitat frame
     rotations : (b, 3, 3), their columns the boxes' axes; none for boxes along the axes
+    headroom : (b,) metres above a box in which it hides nothing either, as of a table's what stands on it; none for 0
 
     Raises
     ------
@@ -122,15 +123,24 @@ class BoxOccluders:
     approximate = True
 
     def __init__(
-        self, centers: npt.ArrayLike, half_extents: npt.ArrayLike, rotations: npt.ArrayLike | None = None
+        self,
+        centers: npt.ArrayLike,
+        half_extents: npt.ArrayLike,
+        rotations: npt.ArrayLike | None = None,
+        headroom: npt.ArrayLike | None = None,
     ) -> None:
         self._centers = np.array(centers, np.float64, order="C").reshape(-1, 3)
         self._half = np.array(half_extents, np.float64, order="C").reshape(-1, 3)
         count = len(self._centers)
         axes = np.broadcast_to(np.eye(3), (count, 3, 3)) if rotations is None else rotations
         self._axes = np.array(axes, np.float64, order="C").reshape(-1, 3, 3)
-        if len(self._half) != count or len(self._axes) != count:
-            raise UsageError(f"{count} centres, {len(self._half)} extents and {len(self._axes)} rotations of boxes")
+        above = np.zeros(count) if headroom is None else headroom
+        self._headroom = np.array(above, np.float64, order="C").reshape(-1)
+        if {len(self._half), len(self._axes), len(self._headroom)} != {count}:
+            raise UsageError(
+                f"{count} centres, {len(self._half)} extents, {len(self._axes)} rotations and "
+                f"{len(self._headroom)} headrooms of boxes"
+            )
         sound = np.isfinite(self._centers).all(axis=1) & np.isfinite(self._axes).all(axis=(1, 2))
         sound &= (np.isfinite(self._half) & (self._half >= 0)).all(axis=1)
         if not sound.all():
@@ -147,14 +157,19 @@ class BoxOccluders:
 
     def __add__(self, other: BoxOccluders) -> BoxOccluders:
         """These boxes and then the others."""
-        pairs = ((self._centers, other._centers), (self._half, other._half), (self._axes, other._axes))
+        pairs = (
+            (self._centers, other._centers),
+            (self._half, other._half),
+            (self._axes, other._axes),
+            (self._headroom, other._headroom),
+        )
         return BoxOccluders(*(np.concatenate(pair) for pair in pairs))
 
     def hidden(self, eyes: Points, points: Points, own: npt.NDArray[np.int64] | None = None) -> Flags:
         """See :class:`Occluders`; ``own`` counts the boxes in the order in which they were given."""
         mine = np.full(len(eyes), -1, np.int64) if own is None else np.require(own, np.int64, ["C", "W"])
         begin, end = (np.require(values, np.float64, ["C", "W"]) for values in (eyes, points))
-        return blocked_looks(begin, end, mine, self._centers, self._half, self._axes, TOUCH)
+        return blocked_looks(begin, end, mine, self._centers, self._half, self._axes, self._headroom, TOUCH)
 
 
 class JoinedOccluders:

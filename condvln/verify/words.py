@@ -65,6 +65,7 @@ class Words:
     structure : labels of walls, floors and the like
     objects : all other labels but the catch-alls, each with the bounds of its longest side in metres
     containers : by label of what holds things inside, ``shut`` (a door or lid may hide them) or ``open``
+    frames : labels of what one sees through
     """
 
     confusable: Mapping[str, frozenset[str]]
@@ -77,6 +78,7 @@ class Words:
     _vague: Mapping[str, frozenset[str]]
     _unnamed: Mapping[tuple[str, str], frozenset[str]]
     containers: Mapping[str, str]
+    frames: frozenset[str]
     _labels: Mapping[tuple[str, str], str]
     _room_types: Mapping[tuple[str, str], str]
     _by_word: Mapping[str, str]
@@ -162,6 +164,7 @@ def words() -> Words:
             if not row["label"]
         },
         containers=_containers(labels),
+        frames=_frames(labels),
         _labels=_raw_table("raw_labels.csv"),
         _room_types=_raw_table("raw_rooms.csv"),
         _by_word=_unambiguous(said),
@@ -194,6 +197,13 @@ def _containers(labels: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
         if known and listed[known[0]]:
             found[label] = listed[known[0]]
     return found
+
+
+def _frames(labels: Mapping[str, Mapping[str, str]]) -> frozenset[str]:
+    """Labels that are listed as frames, and narrower ones, but for what can be shut."""
+    listed = {row["label"] for row in _rows("frames.csv")}
+    shut = {label for label, kind in _containers(labels).items() if kind == "shut"}
+    return frozenset(label for label in labels if listed & {label, *_broader(label, labels)}) - shut
 
 
 def _listed(table: Mapping[tuple[str, str], str], raw: str, family: str) -> str | None:

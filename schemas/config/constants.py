@@ -17,6 +17,7 @@ __all__ = [
     "FLOOR_LIFT",
     "FLOOR_POINTS",
     "FLOOR_STANDING",
+    "FRAME_HEADROOM",
     "GROUP_SIZE",
     "HANG",
     "HEADING_TOLERANCE",
@@ -96,6 +97,9 @@ several times what the verifier asks of other points, so that the two agree."""
 
 SEEABLE_PLACES: Final = 2
 """Places that must see some of it."""
+
+FRAME_HEADROOM: Final = 0.5
+"""Metres above a shelf, a table or another frame within which a thing is on it, so that its box does not hide it."""
 
 GROUP_SIZE: Final = 4
 """Programs of a counterfactual group: both truths of a condition, with two leaves exchanged and not."""

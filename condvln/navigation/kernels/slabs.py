@@ -15,6 +15,23 @@ Doubles = npt.NDArray[np.float64]
 
 
 @compiled
+def _is_above(point: Doubles, center: Doubles, half: Doubles, axes: Doubles, headroom: float, touch: float) -> bool:
+    """Whether a point (3,) is straight above a box, at most ``headroom`` metres."""
+    dx, dy, dz = point[0] - center[0], point[1] - center[1], point[2] - center[2]
+    enter, leave = 0.0, headroom
+    for i in range(3):
+        begin = dx * axes[0, i] + dy * axes[1, i] + dz * axes[2, i]
+        way = -axes[1, i]
+        reach = half[i] + touch
+        if abs(way) > 1e-12:
+            one, other = (-reach - begin) / way, (reach - begin) / way
+            enter, leave = max(enter, min(one, other)), min(leave, max(one, other))
+        elif abs(begin) > reach:
+            return False
+    return enter <= leave
+
+
+@compiled
 def blocked_looks(
     eyes: Doubles,
     points: Doubles,
@@ -22,18 +39,20 @@ def blocked_looks(
     centers: Doubles,
     half: Doubles,
     axes: Doubles,
+    headroom: Doubles,
     touch: float,
 ) -> npt.NDArray[np.bool_]:
     """Which of k looks a box stands in, (k,).
 
-    A box that holds either end hides nothing, but for the one that the point belongs to. What is met within ``touch``
-    metres of an end does not count.
+    A box that holds either end hides nothing, but for the one that the point belongs to; one with headroom holds what
+    is so far above it as well. What is met within ``touch`` metres of an end does not count.
 
     Parameters
     ----------
     eyes, points : (k, 3) float64
     own : (k,) int64, number of the point's own box
     centers, half : (b, 3) float64; axes : (b, 3, 3) float64, columns the boxes' axes
+    headroom : (b,) float64, metres
     """
     out = np.zeros(len(eyes), np.bool_)
     for k in range(len(eyes)):
@@ -62,6 +81,8 @@ def blocked_looks(
                     leave = -math.inf  # beside the box all the way
             # A slit as thin as rounding is none: the look only brushes an edge.
             meets = enter < leave and leave > margin and enter < 1.0 - margin
+            if meets and not holds_eye and not holds_point and headroom[b] > 0.0:
+                holds_point = _is_above(points[k], centers[b], half[b], axes[b], headroom[b], touch)
             if meets and not holds_eye and (not holds_point or own[k] == b):
                 out[k] = True
                 break

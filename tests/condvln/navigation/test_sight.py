@@ -250,3 +250,30 @@ def test_triangle_soup_against_plain_algebra() -> None:
     ours = MeshOccluders(corners.reshape(-1, 3), np.arange(450).reshape(-1, 3)).hidden(eyes, points)
     np.testing.assert_array_equal(ours[sure], hidden(0.0)[sure])
     assert 0.2 < ours.mean() < 0.95
+
+
+@given(
+    point=st.tuples(*[st.floats(-1.5, 1.5)] * 3),
+    half=st.tuples(*[st.floats(0.1, 1.0)] * 3),
+    turn=st.floats(-math.pi, math.pi),
+    tilt=st.floats(-0.2, 0.2),
+    headroom=st.floats(0.01, 1.0),
+)
+def test_a_box_with_headroom_hides_nothing_straight_above_it(point, half, turn, tilt, headroom) -> None:
+    """Held against small steps straight down from the point, each asked whether it is in the box."""
+    cos, sin, up, down = math.cos(turn), math.sin(turn), math.cos(tilt), math.sin(tilt)
+    axes = np.array([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]]) @ np.array([[1, 0, 0], [0, up, -down], [0, down, up]])
+    below = np.array(point) - np.linspace(0.0, headroom, 2001)[:, None] * [0.0, 1.0, 0.0]
+    margins = (np.abs(below @ axes) - half).max(axis=1)
+    if 0.005 < margins.min() < 0.015:
+        return  # within the 1 cm of the surface that counts as touching, or close to it
+    # From below and outside of the box, so that it stands in the way of what is above it.
+    eyes = np.array([[0.0, -5.0, 0.0]])
+    solid, frame = (BoxOccluders([[0, 0, 0]], [half], [axes], room) for room in (None, [headroom]))
+    hidden = bool(solid.hidden(eyes, np.array([point]))[0])
+    assert bool(frame.hidden(eyes, np.array([point]))[0]) == (hidden and margins.min() >= 0.01)
+
+
+def test_headroom_fits_the_boxes() -> None:
+    with pytest.raises(UsageError, match="headrooms"):
+        BoxOccluders([[0, 0, 0]], [[1, 1, 1]], None, [0.5, 0.5])
