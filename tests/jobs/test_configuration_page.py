@@ -23,7 +23,7 @@ from schemas.canonical import canonical_json
 from schemas.config import Config
 from schemas.errors import CondVLNError
 
-STAGES = ("scene", "relations", "programs", "episodes", "text", "priors")
+STAGES = ("scene", "relations", "visibility", "programs", "episodes", "text", "priors")
 
 CHANGED: dict[str, Any] = {
     "name": "other",
