@@ -53,9 +53,10 @@ def draw_episode(path: Path, scene: Scene, floor: Sequence[F64], episode: Mappin
         box = Footprint.of(item)
         if box is None:
             continue
-        corners = box.center + (np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * box.half) @ box.axes
         colour = NAMED if item.object_id in named else FURNITURE
-        plan.fill(corners[:, 0], corners[:, 1], facecolor=colour, edgecolor="#6f6a60", linewidth=0.6, alpha=0.85)
+        for part in box.parts or (box,):
+            corners = part.center + (np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * part.half) @ part.axes
+            plan.fill(corners[:, 0], corners[:, 1], facecolor=colour, edgecolor="#6f6a60", linewidth=0.6, alpha=0.85)
         plan.text(*box.center, item.label, fontsize=6, ha="center", va="center", color="#333333")
     for leaf in episode["leaves"]:
         gold = leaf["leaf"] == episode["gold_leaf"]

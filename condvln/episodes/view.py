@@ -43,7 +43,7 @@ class SceneView:
 
     def __init__(self, scene: Scene, geometry: SceneGeometry | None = None, words: Vocabulary = vocabulary) -> None:
         self._scene = scene
-        self._box_number: dict[str, int] = {}
+        self._box_numbers: dict[str, list[int]] = {}
         self._faces: dict[str, NDArray[np.int64]] = {}
         self._targets: dict[str, SightTarget] = {}
         self._geometry = geometry if geometry is not None and len(geometry.faces) else None
@@ -68,55 +68,56 @@ class SceneView:
         """A solid box of every object that is a body; the box around a room's walls is none."""
         found: list[tuple[F64, F64, F64]] = []
         for item in self._scene.objects:
-            box = _box_of(item)
-            if box is not None and not _is_structure(item.label, words):
-                self._box_number[item.object_id] = len(found)
-                found.append(box)
+            boxes = _boxes_of(item)
+            if boxes and not _is_structure(item.label, words):
+                self._box_numbers[item.object_id] = [len(found) + k for k in range(len(boxes))]
+                found += boxes
         centers, halves, rotations = zip(*found, strict=True) if found else ((), (), np.zeros((0, 3, 3)))
         return BoxOccluders(np.reshape(centers, (-1, 3)), np.reshape(halves, (-1, 3)), np.array(rotations))
 
     def target(self, object_id: str) -> SightTarget:
         """Where one object is looked for: points of its surface, of its box, or its centre, the first that is known."""
         if object_id not in self._targets:
-            item = self._scene.object_of[object_id]
-            self._targets[object_id] = SightTarget(self._samples(item), self._box_number.get(object_id, -1))
+            self._targets[object_id] = self._target(self._scene.object_of[object_id])
         return self._targets[object_id]
 
     def denser_target(self, object_id: str, count: int) -> SightTarget:
-        """The same with `count` points of the surface."""
-        return SightTarget(self._samples(self._scene.object_of[object_id], count), self.target(object_id).own)
+        """The same with `count` points of the surface, or of each part's."""
+        return self._target(self._scene.object_of[object_id], count)
 
-    def _samples(self, item: SceneObject, count: int = DEFAULT_SAMPLES) -> F64:
-        own = self._faces.get(item.object_id)
-        if own is not None and self._geometry is not None:
-            return mesh_samples(self._geometry.vertices, own, count)
-        box = _box_of(item)
-        return item.center[None] if box is None else box_samples(*box, count)
+    def _target(self, item: SceneObject, count: int = DEFAULT_SAMPLES) -> SightTarget:
+        faces = self._faces.get(item.object_id)
+        if faces is not None and self._geometry is not None:
+            return SightTarget(mesh_samples(self._geometry.vertices, faces, count))
+        boxes = _boxes_of(item)
+        samples = [box_samples(*box, count) for box in boxes] or [item.center[None]]
+        numbers = self._box_numbers.get(item.object_id, [-1] * len(samples))
+        return SightTarget(np.concatenate(samples), np.repeat(numbers, [len(points) for points in samples]))
 
     def seen(self, eyes: F64, target: SightTarget, view: View) -> Bools:
         """(n, k): which samples of a target each of n eyes (n, 3) sees, looking all around."""
-        own = np.full(len(target.samples), target.own)
-        return visible_points(self._occluders, eyes, target.samples, view, own=own)
+        return visible_points(self._occluders, eyes, target.samples, view, own=target.owners)
 
     def glimpsed(self, eyes: F64, object_id: str, view: View) -> Bools:
         """(n,): which of n eyes (n, 3) see any sample of an object. A few are tried first, as most eyes see those."""
         target = self.target(object_id)
         seen = np.zeros(len(eyes), dtype=bool)
-        for part in (target.samples[::FIRST_LOOKS], target.samples):
+        for part in (SightTarget(target.samples[::FIRST_LOOKS], target.owners[::FIRST_LOOKS]), target):
             left = np.flatnonzero(~seen)
             if len(left):
-                seen[left] = self.seen(eyes[left], SightTarget(part, target.own), view).any(axis=1)
+                seen[left] = self.seen(eyes[left], part, view).any(axis=1)
         return seen
 
 
-def _box_of(item: SceneObject) -> tuple[F64, F64, F64] | None:
-    """Centre, half extents and axes of the tightest box that is known of an object."""
-    if item.obb is not None:
-        return item.obb.center, item.obb.half_extents, item.obb.rotation
+def _boxes_of(item: SceneObject) -> list[tuple[F64, F64, F64]]:
+    """Centre, half extents and axes of an object's parts, else of the tightest box that is known; empty without."""
+    oriented = item.parts or (() if item.obb is None else (item.obb,))
+    if oriented:
+        return [(box.center, box.half_extents, box.rotation) for box in oriented]
     if item.box is None:
-        return None
+        return []
     low, high = item.box
-    return (low + high) / 2, np.maximum(high - low, 0.0) / 2, np.eye(3)
+    return [((low + high) / 2, np.maximum(high - low, 0.0) / 2, np.eye(3))]
 
 
 def _is_structure(label: str, words: Vocabulary) -> bool:

@@ -62,10 +62,19 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class SightTarget:
-    """An object to look for: samples (k, 3) of its surface, and its number among box occluders, if it is one."""
+    """An object to look for.
+
+    samples : (k, 3) points of its surface
+    own : number of the box occluder that it is, or (k,) of the one that each sample belongs to; -1 for none
+    """
 
     samples: Points
-    own: int = -1
+    own: int | npt.NDArray[np.int64] = -1
+
+    @property
+    def owners(self) -> npt.NDArray[np.int64]:
+        """`own` for each sample."""
+        return np.broadcast_to(np.asarray(self.own, dtype=np.int64), len(self.samples))
 
 
 def eyes_at(positions: npt.ArrayLike, height: float = EYE_HEIGHT) -> Points:
@@ -149,7 +158,7 @@ def visible_shares(
     if not len(targets):
         return np.zeros((count, 0))
     points = np.concatenate([target.samples for target in targets])
-    own = np.repeat([target.own for target in targets], sizes)
+    own = np.concatenate([target.owners for target in targets])
     seen = visible_points(occluders, eyes, points, view, headings, own)
     shares: Points = np.add.reduceat(seen.astype(np.float64), np.cumsum(sizes) - sizes, axis=1) / sizes
     return shares

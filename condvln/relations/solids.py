@@ -16,7 +16,7 @@ from condvln.relations.box_distances import SIGNS
 from condvln.scene import SceneObject
 from condvln.scene.meshes import WorldMesh
 
-__all__ = ["BoxSolid", "MeshSolid", "Solid", "is_its_aabb", "solid_of"]
+__all__ = ["BoxSolid", "CompoundSolid", "MeshSolid", "Solid", "is_its_aabb", "solid_of"]
 
 F64 = NDArray[np.float64]
 
@@ -139,7 +139,35 @@ class MeshSolid:
         return inside
 
 
-Solid = BoxSolid | MeshSolid
+@dataclass(frozen=True, eq=False)
+class CompoundSolid:
+    """Several boxes that overlap or touch: a counter with a corner."""
+
+    parts: tuple[BoxSolid, ...]
+
+    @cached_property
+    def extent(self) -> F64:
+        """(2, 3) [min, max] of all corners."""
+        ends = np.array([part.extent for part in self.parts])
+        return np.array([ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)])
+
+    @cached_property
+    def surface(self) -> Any:
+        """The surfaces of all parts, 12 triangles each."""
+        faces = [_BOX_FACES + 8 * k for k in range(len(self.parts))]
+        return _bvh(np.concatenate([part.vertices for part in self.parts]), np.concatenate(faces))
+
+    @cached_property
+    def pieces(self) -> F64:
+        """(p, 3) one point on each part."""
+        return np.concatenate([part.pieces for part in self.parts])
+
+    def contains(self, points: F64) -> NDArray[np.bool_]:
+        """Which of (n, 3) points lie inside or on a part."""
+        return np.asarray(np.any([part.contains(points) for part in self.parts], axis=0), dtype=np.bool_)
+
+
+Solid = BoxSolid | MeshSolid | CompoundSolid
 
 
 def _winding_number(points: F64, triangles: F64) -> F64:
@@ -161,6 +189,8 @@ def solid_of(item: SceneObject, aabb: F64, mesh: WorldMesh | None) -> Solid:
     """The best solid known of an object whose aabb (2, 3) is known."""
     if mesh is not None and len(mesh.faces) > 0:
         return MeshSolid(mesh)
+    if item.parts:
+        return CompoundSolid(tuple(BoxSolid(part.center, part.half_extents, part.rotation) for part in item.parts))
     if item.obb is not None:
         return BoxSolid(item.obb.center, item.obb.half_extents, item.obb.rotation)
     return BoxSolid((aabb[0] + aabb[1]) / 2, (aabb[1] - aabb[0]) / 2, np.eye(3))
@@ -168,7 +198,7 @@ def solid_of(item: SceneObject, aabb: F64, mesh: WorldMesh | None) -> Solid:
 
 def is_its_aabb(item: SceneObject, mesh: WorldMesh | None) -> bool:
     """Whether an object's axis-aligned box is the best that is known of it, or its oriented box is no other."""
-    if mesh is not None and len(mesh.faces) > 0:
+    if (mesh is not None and len(mesh.faces) > 0) or item.parts:
         return False
     if item.obb is None:
         return True

@@ -160,7 +160,7 @@ def _resting(things: Sequence[SceneObject], boxes: F64, free: Sequence[int]) -> 
             slab = slabs[c][:, [0, 2]]
             sides = np.minimum(ground[k, 1], slab[1]) - np.maximum(ground[k, 0], slab[0])
             part = float(np.prod(np.clip(sides, 0.0, None) / np.maximum(ground[k, 1] - ground[k, 0], THIN)))
-            shared[int(owner[c])] = shared.get(int(owner[c]), 0.0) + part
+            shared[int(owner[c])] = max(shared.get(int(owner[c]), 0.0), part)
         yield from ((k, below, share) for below, share in shared.items() if share >= REST_SHARE - SLACK)
 
 

@@ -21,6 +21,7 @@ from condvln.scene.boxes import aabb_of, box_corners, rounded_box
 from condvln.scene.containment import with_containment
 from condvln.scene.geometry import SceneGeometry
 from condvln.sources.asset_database import FILE_NAMES, Asset, AssetDatabase
+from condvln.sources.counters import counter_parts
 from condvln.sources.input_ledger import InputLedger
 from condvln.sources.procthor_house import House, HouseObject, read_house
 from condvln.sources.procthor_solids import house_structure
@@ -266,6 +267,7 @@ class ProcthorSource(SceneSource):
             size=round_mm(aabb[1] - aabb[0]),
             radius=float(np.ceil(np.linalg.norm(asset.size) / 2 * 1000) / 1000),
             static=item.kinematic,
+            parts=counter_parts(item.asset_id, item.position, asset.size, item.rotation),
             receptacles=receptacles,
             openness=item.openness,
         )

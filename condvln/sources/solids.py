@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from condvln.scene import SceneObject
 from condvln.scene.boxes import box_corners, corners
 from condvln.scene.geometry import STRUCTURE, SceneGeometry
+from schemas.config.constants import UNKNOWN_EXTENT
 
 __all__ = [
     "SMALLEST",
@@ -82,18 +83,26 @@ def boxes(eights: ArrayLike, owners: Sequence[int] | I64) -> Piece:
 
 
 def object_boxes(objects: Iterable[tuple[int, SceneObject]]) -> Piece:
-    """The box of each numbered object, oriented where that is known; what has no known extent has none."""
+    """The boxes of each numbered object: its parts, else its oriented box, else the axis-aligned one.
+
+    An object of unknown extent that stands on nothing is a cube of `UNKNOWN_EXTENT`, so that no path leads through it.
+    """
     eights: list[F64] = []
     owners: list[int] = []
     for number, item in objects:
         box = item.box
-        if item.obb is not None:
-            eights.append(box_corners(item.obb))
+        if item.parts:
+            own = [box_corners(part) for part in item.parts]
+        elif item.obb is not None:
+            own = [box_corners(item.obb)]
         elif box is not None:
-            eights.append(corners(box))
+            own = [corners(box)]
+        elif item.parent is None and item.support is None:
+            own = [corners([item.center - UNKNOWN_EXTENT / 2, item.center + UNKNOWN_EXTENT / 2])]
         else:
             continue
-        owners.append(number)
+        eights += own
+        owners += [number] * len(own)
     return boxes(eights, owners)
 
 

@@ -119,7 +119,7 @@ def _bears(holder: _Holder, thing: _Holder) -> bool:
     for top in holder.tops:
         if abs(own[0][1] - top[1][1]) <= REST_GAP * _MM + 1e-6:
             over = [max(min(own[1][k], top[1][k]) - max(own[0][k], top[0][k]), 0) for k in (0, 2)]
-            shared += over[0] * over[1] / areas[0]
+            shared = max(shared, over[0] * over[1] / areas[0])
     return shared >= REST_SHARE - 1e-6
 
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
 from condvln.navigation.pathfinder import Pathfinder
-from condvln.scene import Room, Scene, SceneObject
+from condvln.scene import OrientedBox, Room, Scene, SceneObject
 from condvln.verify.geodesics import Point
 from schemas.config.constants import FLOOR_STANDING, HANG, SINK, SNAP_TOLERANCE, UPRIGHT_COSINE
 
@@ -23,39 +23,66 @@ TOUCHING: Final = 0.001
 """Metres by which a path may cut into a footprint: positions are rounded to as much."""
 
 
+class _Rectangle(NamedTuple):
+    """centre (2,), half lengths (2,), and axes (2, 2) as columns, in the (x, z) plane."""
+
+    centre: F64
+    half: F64
+    axes: F64
+
+    def corners(self, inset: float) -> F64:
+        """(4, 2) corners, each side moved inwards."""
+        reach = np.maximum(self.half - inset, 0.0)
+        corners: F64 = self.centre + (np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * reach) @ self.axes.T
+        return corners
+
+
 class Ground:
-    """The rectangle that an object stands over, in the (x, z) plane."""
+    """What an object stands over in the (x, z) plane: a rectangle, or one for each of its parts.
+
+    centre : (2,) of the largest rectangle
+    """
 
     def __init__(self, item: SceneObject) -> None:
         box = item.box
         self.bottom = float(item.center[1] if box is None else box[0, 1])
-        self.centre: F64 = item.center[[0, 2]]
-        self._half: F64 = np.zeros(2)
-        self._axes: F64 = np.eye(2)
-        if item.obb is not None and np.abs(item.obb.rotation[1]).max() >= UPRIGHT_COSINE:
-            flat = np.flatnonzero(np.arange(3) != np.abs(item.obb.rotation[1]).argmax())
-            axes = item.obb.rotation[np.ix_(_GROUND, flat)]
-            self.centre = item.obb.center[[0, 2]]
-            self._half, self._axes = item.obb.half_extents[flat], axes / np.linalg.norm(axes, axis=0)
-        elif item.aabb is not None:
-            low, high = item.aabb[:, [0, 2]]
-            self.centre, self._half = (low + high) / 2, (high - low) / 2
+        whole = [item.obb] if item.obb is not None else []
+        found = [_below(part) for part in item.parts or whole]
+        self._rectangles = [rectangle for rectangle in found if rectangle is not None]
+        if len(self._rectangles) < max(len(found), 1):
+            low, high = (item.center, item.center) if item.aabb is None else item.aabb
+            flat = (low + high)[_GROUND] / 2, (high - low)[_GROUND] / 2
+            self._rectangles = [_Rectangle(*flat, np.eye(2))]
+        self.centre: F64 = max(self._rectangles, key=lambda one: float(one.half[0] * one.half[1])).centre
 
     def distances(self, points: F64) -> F64:
-        """Horizontal metres (n,) from points (n, 3); 0 over the rectangle."""
-        beyond = np.abs((points[:, [0, 2]] - self.centre) @ self._axes) - self._half
-        return np.asarray(np.linalg.norm(np.maximum(beyond, 0.0), axis=1))
+        """Horizontal metres (n,) from points (n, 3); 0 over the object."""
+        away = []
+        for centre, half, axes in self._rectangles:
+            beyond = np.abs((points[:, _GROUND] - centre) @ axes) - half
+            away.append(np.linalg.norm(np.maximum(beyond, 0.0), axis=1))
+        return np.asarray(np.minimum.reduce(away))
 
     @property
     def half_round(self) -> float:
-        """Metres half way round the rectangle."""
-        return float(2.0 * self._half.sum())
+        """Metres half way round the object."""
+        if len(self._rectangles) == 1:
+            return float(2.0 * self._rectangles[0].half.sum())
+        return float(self.polygon(0.0).length) / 2.0
 
-    def polygon(self, inset: float) -> shapely.Polygon:
-        """The rectangle with its sides moved inwards."""
-        half = np.maximum(self._half - inset, 0.0)
-        corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * half
-        return shapely.Polygon(self.centre + corners @ self._axes.T)
+    def polygon(self, inset: float) -> shapely.Geometry:
+        """The ground below it with the sides of each rectangle moved inwards."""
+        return shapely.union_all([shapely.Polygon(one.corners(inset)) for one in self._rectangles])
+
+
+def _below(box: OrientedBox) -> _Rectangle | None:
+    """The rectangle below an upright box; None where it is tilted."""
+    up = np.abs(box.rotation[1])
+    if up.max() < UPRIGHT_COSINE:
+        return None
+    flat = np.flatnonzero(np.arange(3) != up.argmax())
+    axes = box.rotation[np.ix_(_GROUND, flat)]
+    return _Rectangle(box.center[_GROUND], box.half_extents[flat], axes / np.linalg.norm(axes, axis=0))
 
 
 class Reach:

@@ -52,12 +52,12 @@ _TRIANGLES: Final = np.concatenate([_QUADS[:, [0, 1, 2]], _QUADS[:, [0, 2, 3]]])
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Points:
-    """Where something is looked for: points (k, 3), of which the first `own` are this package's; its number among the
-    boxes that hide, -1 for none; the share of it that counts as having seen it."""
+    """Where something is looked for: points (k, 3), of which the first `own` are this package's; of each the number of
+    the box that it is on among those that hide, -1 for none; the share that counts as having seen it."""
 
     points: F64
     own: int
-    box: int
+    boxes: NDArray[np.int64]
     least: float
 
     def is_seen(self, seen: Bools) -> bool:
@@ -116,7 +116,7 @@ class Sight:
         self.approximate = known is None or known.approximate
         self._geometry = None if self.approximate else known
         self._numbers = {item.object_id: number for number, item in enumerate(scene.objects)}
-        self._boxes: dict[str, int] = {}
+        self._boxes: dict[str, list[int]] = {}
         self._hiding = self._hiders(known, is_structure)
         self._points: dict[Sought, _Points | None] = {}
         self._seen: dict[Sought, dict[bytes, Bools]] = {}
@@ -124,9 +124,11 @@ class Sight:
     def _hiders(self, known: SceneGeometry | None, is_structure: Callable[[SceneObject], bool]) -> Occluders:
         if known is not None and not known.approximate:
             return MeshOccluders(known.vertices, known.faces)
-        bodies = [(item.object_id, _box(item)) for item in self._scene.objects if not is_structure(item)]
-        solid = [(name, box) for name, box in bodies if box is not None]
-        self._boxes = {name: number for number, (name, _) in enumerate(solid)}
+        bodies = [item for item in self._scene.objects if not is_structure(item)]
+        solid = [(item.object_id, box) for item in bodies for box in _boxes(item)]
+        self._boxes = {}
+        for number, (name, _) in enumerate(solid):
+            self._boxes.setdefault(name, []).append(number)
         middles, halves, axes = (np.array([box[k] for _, box in solid]) for k in range(3))
         boxes = BoxOccluders(middles.reshape(-1, 3), halves.reshape(-1, 3), axes.reshape(-1, 3, 3))
         walls = () if known is None else known.faces[known.owner == STRUCTURE]
@@ -166,7 +168,7 @@ class Sight:
         ends = [np.nonzero(look.seen) for look in looks]
         begins = np.concatenate([look.eyes[eye] for look, (eye, _) in zip(looks, ends, strict=True)])
         points = np.concatenate([look.where.points[point] for look, (_, point) in zip(looks, ends, strict=True)])
-        boxes = np.repeat([look.where.box for look in looks], [len(eye) for eye, _ in ends])
+        boxes = np.concatenate([look.where.boxes[point] for look, (_, point) in zip(looks, ends, strict=True)])
         free = ~self._hiding.hidden(begins, points, boxes)
         at = 0
         for look, (eye, point) in zip(looks, ends, strict=True):
@@ -186,13 +188,13 @@ class Sight:
 
     def meets(self, object_id: str, eyes: F64, points: F64) -> Bools:
         """(k,): which of the points (k, 3) of a thing any of the eyes (n, 3) sees, at whatever distance."""
-        number = self._boxes.get(object_id, -1)
+        own = self._own_boxes(object_id, points)
         seen = np.zeros(len(points), dtype=bool)
         for begin in range(0, len(eyes), EYES_AT_ONCE):
             left = np.flatnonzero(~seen)
             part = eyes[begin : begin + EYES_AT_ONCE]
             looks = np.repeat(part, len(left), axis=0), np.tile(points[left], (len(part), 1))
-            hidden = self._hiding.hidden(*looks, np.full(len(looks[0]), number))
+            hidden = self._hiding.hidden(*looks, np.tile(own[left], len(part)))
             seen[left] = ~hidden.reshape(len(part), len(left)).all(axis=0)
         return seen
 
@@ -224,24 +226,37 @@ class Sight:
 
     def _of_floor(self, room_id: str) -> _Points | None:
         points = self._floor(room_id) if room_id in self._scene.room_of else np.empty((0, 3))
-        return _Points(points, 0, -1, self._rules.floor_seen) if len(points) else None
+        outside = np.full(len(points), -1)
+        return _Points(points, 0, outside, self._rules.floor_seen) if len(points) else None
 
     def _of_thing(self, object_id: str) -> _Points | None:
         item = self._scene.object_of.get(object_id)
         if item is None:
             return None
         known, least = self._geometry, self._rules.object_seen
-        number, box = self._boxes.get(object_id, -1), _box(item)
         triangles, faces = self._triangles(item), self._faces(item)
         if triangles is None:
-            return _Points(item.center[None], 0, number, least)
-        if known is not None and len(faces):
-            published = mesh_samples(known.vertices, faces)
+            points, count = item.center[None], 0
         else:
-            assert box is not None
-            published = box_samples(*box)
-        ours = evenly(triangles)
-        return _Points(np.concatenate([ours, published]), len(ours), number, least)
+            if known is not None and len(faces):
+                published = mesh_samples(known.vertices, faces)
+            else:
+                published = np.concatenate([box_samples(*box) for box in _boxes(item)])
+            ours = evenly(triangles)
+            points, count = np.concatenate([ours, published]), len(ours)
+        return _Points(points, count, self._own_boxes(object_id, points), least)
+
+    def _own_boxes(self, object_id: str, points: F64) -> NDArray[np.int64]:
+        """Of points (k, 3) of a thing, the number of the box that each is on, the nearest of several; -1 for none."""
+        numbers = np.array(self._boxes.get(object_id, [-1]), dtype=np.int64)
+        if len(numbers) == 1:
+            return np.full(len(points), numbers[0])
+        away = [
+            np.linalg.norm(np.maximum(np.abs((points - middle) @ axes) - half, 0.0), axis=1)
+            for middle, half, axes in _boxes(self._scene.object_of[object_id])
+        ]
+        nearest: NDArray[np.int64] = numbers[np.argmin(np.round(away, 6), axis=0)]
+        return nearest
 
     def _faces(self, item: SceneObject) -> NDArray[np.int64]:
         """Faces (m, 3) of a thing's own surface; none where no exact surface is known."""
@@ -251,16 +266,14 @@ class Sight:
         )
 
     def _triangles(self, item: SceneObject) -> F64 | None:
-        """Triangles (m, 3, 3) of a thing's surface, or of its box; None where no extent is known."""
-        faces, box = self._faces(item), _box(item)
+        """Triangles (m, 3, 3) of a thing's surface, or of its boxes; None where no extent is known."""
+        faces, boxes = self._faces(item), _boxes(item)
         if self._geometry is not None and len(faces):
             surface: F64 = self._geometry.vertices[faces]
             return surface
-        if box is None:
+        if not boxes:
             return None
-        middle, half, axes = box
-        sides: F64 = (middle + (_SIGNS * half) @ axes.T)[_TRIANGLES]
-        return sides
+        return np.concatenate([(middle + (_SIGNS * half) @ axes.T)[_TRIANGLES] for middle, half, axes in boxes])
 
 
 def _share(seen: Bools) -> float:
@@ -303,11 +316,13 @@ def much(least: float, count: int) -> float:
     return float(sure[0] / count) if len(sure) else 2.0
 
 
-def _box(item: SceneObject) -> tuple[F64, F64, F64] | None:
-    """Middle, half extents and axes (columns) of the tightest box that is known of a thing."""
+def _boxes(item: SceneObject) -> list[tuple[F64, F64, F64]]:
+    """Middle, half extents and axes (columns) of each part of a thing, else of the tightest box that is known."""
+    if item.parts:
+        return [(part.center, part.half_extents, part.rotation) for part in item.parts]
     if item.obb is not None:
-        return item.obb.center, item.obb.half_extents, item.obb.rotation
+        return [(item.obb.center, item.obb.half_extents, item.obb.rotation)]
     box = item.box
     if box is None:
-        return None
-    return (box[0] + box[1]) / 2, np.maximum(box[1] - box[0], 0.0) / 2, np.eye(3)
+        return []
+    return [((box[0] + box[1]) / 2, np.maximum(box[1] - box[0], 0.0) / 2, np.eye(3))]

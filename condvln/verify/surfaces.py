@@ -72,6 +72,11 @@ class Shapes:
         parts = [part for part in parts if len(part.shape.corners)]
         if parts or (item.obb is None and item.box is None):
             return parts
+        if item.parts:
+            return [
+                _placed(_shape(trimesh.creation.box(extents=2 * p.half_extents), True), p.rotation, p.center)
+                for p in item.parts
+            ]
         if item.obb is not None:
             extents, centre, rotation = 2 * item.obb.half_extents, item.obb.center, item.obb.rotation
         else:

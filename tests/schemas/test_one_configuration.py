@@ -26,6 +26,8 @@ TECHNICAL = {
     "relations/box_distances.py": {"PARALLEL", "PAIRS_AT_ONCE"},
     "relations/metrics.py": {"MILLIMETRES_PER_METRE"},
     "relations/compass.py": {"SECTOR_DEGREES", "COINCIDENT"},
+    "episodes/footprint.py": {"ROUNDING"},
+    "verify/containment.py": {"_MM"},
     "verify/surfaces.py": {"KEPT_TRIANGLES", "ORTHOGONAL"},
     "verify/lookouts.py": {"EVEN"},
     "verify/episode_record.py": {"HEADING"},
