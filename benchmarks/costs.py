@@ -26,10 +26,10 @@ from factory.costs import CostModel
 from factory.executor import InlineExecutor
 from factory.index import Index
 from factory.local_store import LocalStore
+from factory.machine import probe, slowness
 from factory.receipt import Receipt
 from factory.report import Silence
 from factory.run import run
-from factory.speed import probe, slowness
 from factory.unit import Unit
 from jobs.costs import COEFFICIENTS, FEATURES, counts_of
 from jobs.pipeline import build_pipeline, list_units, open_configured
@@ -123,7 +123,7 @@ def main() -> None:
     console = Console(width=140)
     scenes = int(os.environ.get("CONDVLN_BENCH_SCENES", "24"))
     warm_up(lambda message: None)
-    console.print(f"probe: {probe():.4f} CPU s on this machine (REFERENCE_PROBE_SECONDS in factory/speed.py)")
+    console.print(f"probe: {probe():.4f} CPU s on this machine (REFERENCE_PROBE_SECONDS in factory/machine.py)")
     table = Table(title="CPU seconds for one of each count")
     for column in ("family", "stage", "counts", "fitted here", "in use × slowness", "scenes"):
         table.add_column(column)

@@ -24,10 +24,10 @@ from condvln.compiled import warm_up
 from condvln.samples import make_samples
 from factory.executor import Executor, InlineExecutor
 from factory.local_store import LocalStore
+from factory.machine import slowness
 from factory.ray_executor import RayExecutor
 from factory.run import run
 from factory.snapshot import Snapshot
-from factory.speed import slowness
 from jobs.configuration import load_config
 from jobs.pipeline import build_pipeline, list_units
 from jobs.workspace import file_hashes, hasher

@@ -8,8 +8,8 @@ from typing import Any, Final
 import numpy as np
 
 from factory.index import Index
+from factory.machine import slowness
 from factory.pipeline import Pipeline
-from factory.speed import slowness
 from factory.unit import Unit
 
 __all__ = ["MEMORY_MARGIN", "PRIOR_SECONDS", "CostModel"]

@@ -1,4 +1,4 @@
-"""A limit on the seconds of a unit.
+"""How a unit or a run is stopped: a limit on a unit's seconds, and SIGTERM, which schedulers send.
 
 Python code is interrupted by a signal and quarantined with its traceback. Compiled code that keeps the interpreter
 locked cannot be: there, in a worker process that may die, a watchdog written in C prints where every thread stands
@@ -18,7 +18,7 @@ from typing import Final
 
 from schemas.errors import DeadlineError
 
-__all__ = ["Deadline"]
+__all__ = ["Deadline", "terminable"]
 
 _AGAIN: Final = 1.0
 """Seconds until the signal comes again, should a stage have swallowed the error."""
@@ -65,3 +65,25 @@ class Deadline:
             signal.signal(signal.SIGALRM, before)
             if self._may_exit:
                 faulthandler.cancel_dump_traceback_later()
+
+
+@contextlib.contextmanager
+def terminable() -> Iterator[threading.Event]:
+    """Let SIGTERM stop a run as Ctrl-C does: nothing more is handed out, Ray is shut down by its owner.
+
+    The event is set as well: what is raised inside a callback of C code may be printed and forgotten there.
+    """
+    stopped = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield stopped
+        return
+
+    def stop(signum: int, frame: FrameType | None) -> None:
+        stopped.set()
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield stopped
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -29,7 +29,7 @@ class StageReceipt:
     made : it was made just now, rather than found committed
     skipped : it ended the unit's chain
     cpu_seconds : CPU seconds of its process; 0 where they were not recorded
-    estimate : what the unit's own estimate said, in CPU seconds of the reference machine (``factory.speed``)
+    estimate : what the unit's own estimate said, in CPU seconds of the reference machine (``factory.machine``)
     stored : bytes of its files in the store, by which a listing tells that one is missing or cut; None if not known
     """
 

@@ -28,6 +28,7 @@ import pyarrow.compute as pc
 
 from factory.commits import Commits
 from factory.context import RunContext
+from factory.deadline import terminable
 from factory.executor import Executor, InlineExecutor
 from factory.faults import FaultPlan
 from factory.heartbeat import Busy, Heartbeat, busy_message
@@ -47,7 +48,6 @@ from factory.snapshot import read_manifest, read_ref
 from factory.spool import Spool
 from factory.stage import Aggregate
 from factory.store import Store
-from factory.termination import terminable
 from factory.unit import Unit, Work
 from schemas.errors import ClusterError, CorruptShardError, FailureBudgetError, StoreError
 

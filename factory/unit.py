@@ -33,7 +33,7 @@ class Unit:
     partition : folder ``source=<partition>`` that its rows are published in
     inputs : what its first stage (and every stage with ``reads_inputs``) is keyed on; order is free
     payload : handed to the stages as it is (root folder, scene name); never keyed
-    costs : estimated CPU seconds on the reference machine (``factory.speed``), by stage; one left out counts as free
+    costs : estimated CPU seconds on the reference machine (``factory.machine``), by stage; one left out counts as free
     memory : estimated bytes at the peak
     fault : the unit could not even be listed: it is quarantined with this error, and so not lost
     """

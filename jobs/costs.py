@@ -1,7 +1,7 @@
 """What each stage of a scene costs, estimated from counts that are known before a run.
 
 A stage's CPU seconds are a sum of coefficients times counts, never negative: see `counts_of` for the counts and
-`COEFFICIENTS` for the coefficients, in CPU seconds of the reference machine (``factory.speed``). They only have to be
+`COEFFICIENTS` for the coefficients, in CPU seconds of the reference machine (``factory.machine``). They only have to be
 right for the first run of a source: from then on the factory corrects them by its receipts (``factory.costs``).
 """
 

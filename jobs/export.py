@@ -8,7 +8,6 @@ from typing import Final, TypedDict
 
 from condvln.export.contents import ORIGIN, exported_snapshot
 from condvln.export.graph_episodes import GraphEpisodes
-from condvln.export.graphs import GraphFolder
 from condvln.export.report import ExportReport
 from condvln.export.rows import Row
 from condvln.export.snapshot import ExportConfig, export_snapshot
@@ -16,13 +15,14 @@ from condvln.export.staging import staged
 from condvln.export.tables import FolderTables
 from condvln.export.viewpoints import FOLDER, ViewpointReport, write_viewpoints
 from condvln.formats.streams import atomic_stream
+from condvln.navigation.graph_pathfinder import GraphFolder
 from factory.snapshot import Snapshot, read_manifest, read_ref, ref_path
 from jobs.bias import add_bias, priors_behind
-from jobs.built_navmeshes import built_navmeshes
 from jobs.export_lock import alone_in_export
 from jobs.export_origin import Origin, refuse_losses
 from jobs.listing import listed_units
 from jobs.oracle import linear_text
+from jobs.pipeline import built_navmeshes
 from jobs.report import Report, Section
 from jobs.workspace import graph_folders, published, snapshot_folder
 from schemas.config import Config

@@ -12,9 +12,9 @@ from rich.console import Console
 from condvln.compiled import warm_up
 from factory.auto_executor import AutoExecutor
 from factory.executor import Executor, InlineExecutor
+from factory.machine import slowness
 from factory.report import ABORTED, RunReport
 from factory.run import run
-from factory.speed import slowness
 from factory.unit import Unit
 from jobs.costs import COMPILE_SECONDS
 from jobs.export import write_export

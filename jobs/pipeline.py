@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any, Final
 
+from condvln.export.rows import Row
+from condvln.export.scene_table import NavmeshBytes
 from condvln.sources.registry import open_source
 from condvln.sources.source import HashFile, Source
 from factory.pipeline import Pipeline, TableSpec
+from factory.snapshot import Snapshot
 from factory.unit import InputFile, Unit
 from jobs.costs import stage_costs
 from jobs.stages import (
@@ -24,7 +27,7 @@ from schemas.config.constants import GROUP_SIZE
 from schemas.errors import ConfigError
 from schemas.tables import SORT_KEYS, TABLES
 
-__all__ = ["build_pipeline", "list_units", "open_configured"]
+__all__ = ["build_pipeline", "built_navmeshes", "list_units", "open_configured"]
 
 BYTES_BASE: Final = 300 * 2**20
 """Memory of a worker before it reads a scene: interpreter, numpy, Arrow, compiled kernels."""
@@ -118,3 +121,20 @@ def list_units(config: Config, hash_file: HashFile) -> list[Unit]:
                 remedy="Keep one of them, or part them with 'scenes' and 'exclude'.",
             )
     return units
+
+
+def built_navmeshes(config: Config, snapshot: Snapshot) -> NavmeshBytes:
+    """The navmeshes that the units of a snapshot were built with, by source and row of the scenes table.
+
+    Asking for one raises ``CorruptShardError`` where the unit's file is missing or damaged: leaving its scene out would
+    shrink an export silently.
+    """
+    pipeline = build_pipeline(config)
+
+    def navmesh(source: str, row: Row) -> bytes | None:
+        if not row["navmesh_built"]:
+            return None
+        kept = snapshot.unit_table(f"{source}/{row['scene_id']}", pipeline, "navmeshes")
+        return kept["data"][0].as_py() if kept.num_rows else None
+
+    return navmesh

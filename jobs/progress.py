@@ -12,11 +12,10 @@ from typing import Final
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-from factory.eta import Remaining, readable
 from factory.heartbeat import Busy
 from factory.receipt import Receipt
 from factory.report import Progress as RunListener
-from factory.report import RunReport
+from factory.report import Remaining, RunReport, readable
 from factory.run_log import RunLog
 from factory.store import Store
 from schemas.errors import CondVLNError

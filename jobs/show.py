@@ -20,7 +20,7 @@ from condvln.navigation.navmesh_file import NavMeshFile, parse_navmesh, read_nav
 from condvln.scene import Scene
 from condvln.scene.tables import scene_from_tables
 from factory.snapshot import Snapshot
-from jobs.built_navmeshes import built_navmeshes
+from jobs.pipeline import built_navmeshes
 from jobs.report import Report
 from jobs.workspace import published
 from schemas.config import Config

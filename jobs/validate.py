@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from condvln.export.graphs import GraphFolder
 from condvln.export.validation import CODES, Finding, Options, validate
 from condvln.export.validation.navmeshes import EpisodeNavmeshes
+from condvln.navigation.graph_pathfinder import GraphFolder
 
 __all__ = ["ValidationReport", "validate_files"]
 

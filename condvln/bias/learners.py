@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache
@@ -12,12 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from condvln.bias.blocks import progressive
 from condvln.bias.guesser_view import Asked, GuesserView
 from condvln.labels import vocabulary
 from schemas.program import SHAPES, Category
 
-__all__ = ["LEARNED", "NO_GUESS", "Learner", "leaf_truths"]
+__all__ = ["BLOCKS", "LEARNED", "NO_GUESS", "Indices", "Learner", "blocks", "leaf_truths", "progressive"]
 
 Guesses = NDArray[np.int64]
 Learner = Callable[[Sequence[GuesserView]], Guesses]
@@ -248,3 +248,34 @@ LEARNED: Final[Mapping[str, Learner]] = {
     "words in place": _regression(_cues),
 }
 """By the name in reports."""
+
+
+BLOCKS: Final = 10
+"""The first is only learned from."""
+
+Indices = NDArray[np.int64]
+
+
+def blocks(scenes: Sequence[str], count: int = BLOCKS) -> list[Indices]:
+    """Indices of the episodes of each block, ascending; a scene is in one block, and none is empty.
+
+    Parameters
+    ----------
+    scenes : the scene of each episode
+    """
+    names = sorted(set(scenes), key=lambda name: hashlib.blake2b(name.encode(), digest_size=8).digest())
+    rank = {name: k for k, name in enumerate(names)}
+    place = np.array([rank[scene] for scene in scenes], dtype=np.int64)
+    sizes = np.bincount(place, minlength=len(names))
+    # By the middle of each scene in the row of all episodes, so that blocks are about equally large.
+    middles = (np.cumsum(sizes) - sizes / 2) / max(1, sizes.sum())
+    block = np.floor(middles * count).astype(np.int64)
+    found = [np.flatnonzero(block[place] == k) for k in range(count)] if len(place) else []
+    return [indices for indices in found if len(indices)]
+
+
+def progressive(scenes: Sequence[str], count: int = BLOCKS) -> Iterator[tuple[Indices, Indices]]:
+    """(learned from, guessed) of each step."""
+    parts = blocks(scenes, count)
+    for k in range(1, len(parts)):
+        yield np.concatenate(parts[:k]), parts[k]

@@ -11,8 +11,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from condvln.evaluation.branching import decisions
 from condvln.evaluation.evaluate import SWEPT, Evaluation
+from condvln.evaluation.measures import decisions
 from condvln.evaluation.statistics import Estimate, PairedTest, estimate, paired_test
 from condvln.evaluation.task import Task
 from schemas.errors import UsageError

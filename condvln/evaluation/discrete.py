@@ -18,9 +18,8 @@ import numpy.typing as npt
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import shortest_path
 
-from condvln.evaluation.branching import NO_LEAF, committed_leaf
 from condvln.evaluation.kernels.alignment import dtw_of_costs
-from condvln.evaluation.measures import FIDELITY_DISTANCE, length_weighted, spl
+from condvln.evaluation.measures import FIDELITY_DISTANCE, NO_LEAF, committed_leaf, length_weighted, spl
 from condvln.evaluation.predictions import GraphPrediction
 from condvln.export.r2r import ERROR_MARGIN
 from condvln.formats.json_entries import document

@@ -16,8 +16,8 @@ from typing import Any, Final, NoReturn
 
 import numpy as np
 
-from condvln.evaluation.branching import NO_LEAF
 from condvln.evaluation.evaluate import AXES, Evaluation
+from condvln.evaluation.measures import NO_LEAF
 from condvln.evaluation.score import Score, ScoreRules
 from condvln.evaluation.task import Task
 from condvln.formats.json_entries import document, head

@@ -13,7 +13,7 @@ from condvln.evaluation.goal_distances import Nearness
 from condvln.evaluation.predictions import Prediction
 from condvln.evaluation.score import Score, ScoreRules, score
 from condvln.evaluation.task import Task
-from condvln.export.rxr import numeric_id
+from condvln.export.variants import numeric_id
 from condvln.navigation.protocol import PathfinderProtocol
 from schemas.errors import FormatError
 

@@ -13,7 +13,6 @@ from typing import Final
 
 import numpy as np
 
-from condvln.evaluation.branching import NO_LEAF, first_divergence
 from condvln.evaluation.discrete import (
     ERROR_MARGIN,
     GraphBranches,
@@ -24,10 +23,11 @@ from condvln.evaluation.discrete import (
     read_graph_episodes,
 )
 from condvln.evaluation.evaluate import AXES, SWEPT, Evaluation
+from condvln.evaluation.measures import NO_LEAF, first_divergence
 from condvln.evaluation.predictions import GraphPrediction
 from condvln.evaluation.score import Score, ScoreRules
 from condvln.evaluation.task import Task
-from condvln.export.rxr import numeric_id
+from condvln.export.variants import numeric_id
 from condvln.navigation.graph_pathfinder import GraphPathfinder
 from schemas.errors import MissingFileError
 

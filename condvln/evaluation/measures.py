@@ -1,4 +1,4 @@
-"""The measures of a path against a goal or a reference, as pure functions.
+"""The measures of a path against a goal, a reference or a program's branches, as pure functions.
 
 Formulas as in habitat-lab (``tasks/nav/nav.py``), VLN-CE (``habitat_extensions/measures.py``), Ilharco et al. 2019
 (nDTW, SDTW) and Jain et al. 2019 (CLS); docs/metrics.md tells where published evaluators differ.
@@ -6,14 +6,32 @@ Formulas as in habitat-lab (``tasks/nav/nav.py``), VLN-CE (``habitat_extensions/
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Sequence
+from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from condvln.evaluation.goal_distances import Nearness, SnappedPath
 from condvln.evaluation.kernels.alignment import coverage_distances, dtw, fast_dtw
+from schemas.program import Program
 
-__all__ = ["FIDELITY_DISTANCE", "cls", "length_weighted", "ndtw", "path_length", "spl", "without_repeats"]
+__all__ = [
+    "FIDELITY_DISTANCE",
+    "NO_LEAF",
+    "DistanceMode",
+    "cls",
+    "committed_leaf",
+    "decisions",
+    "first_divergence",
+    "length_weighted",
+    "ndtw",
+    "path_length",
+    "reached_in_order",
+    "reached_in_order_euclidean",
+    "spl",
+    "without_repeats",
+]
 
 Points = npt.NDArray[np.float64]
 
@@ -80,3 +98,73 @@ def length_weighted(coverage: float, reference_length: float, length: float) -> 
     expected = coverage * reference_length
     total = expected + abs(expected - length)
     return coverage if total == 0 else coverage * expected / total
+
+
+NO_LEAF: Final = -1
+"""The agent stopped at no leaf, or did not stop."""
+
+
+def committed_leaf(distances: Sequence[float], radius: float) -> int:
+    """The nearest leaf among those nearer than ``radius`` (metres from where the agent stopped); :data:`NO_LEAF` for
+    none."""
+    nearest = int(np.argmin(distances))
+    return nearest if distances[nearest] < radius else NO_LEAF
+
+
+def decisions(program: Program, leaf: int) -> tuple[tuple[int, bool], ...]:
+    """Conditions asked on the way to ``leaf`` and the answer that leads there, from the root."""
+
+    def search(at: int) -> tuple[tuple[int, bool], ...] | None:
+        if at < 0:
+            return () if -1 - at == leaf else None
+        branch = program.branches[at]
+        for target, answer in ((branch.then, True), (branch.otherwise, False)):
+            below = search(target)
+            if below is not None:
+                return ((branch.condition, answer), *below)
+        return None
+
+    found = search(0)
+    if found is None:
+        raise ValueError(f"the program has no leaf {leaf}")
+    return found
+
+
+def first_divergence(program: Program, gold: int, committed: int) -> int | None:
+    """How many decisions of the gold route the agent got right before its first wrong one; None if it made none wrong.
+
+    The condition that it got wrong is ``decisions(program, gold)[…][0]`` at that place.
+    """
+    if committed in (gold, NO_LEAF):
+        return None
+    right, taken = decisions(program, gold), decisions(program, committed)
+    return next(place for place, (a, b) in enumerate(zip(right, taken, strict=False)) if a != b)
+
+
+DistanceMode = Literal["geodesic", "euclidean"]
+"""How the distance to a subgoal is measured: along the floor (a ball would pass through walls), or as the authors'
+code does."""
+
+
+def reached_in_order(nearness: Nearness, path: SnappedPath, subgoals: Points, radius: float) -> int:
+    """Length of the longest prefix of ``subgoals`` (m, 3) reached in order, geodesically nearer than ``radius``.
+
+    One position may reach several; the start counts.
+    """
+    at = 0
+    for number, subgoal in enumerate(subgoals):
+        found = nearness.first_within(path, subgoal, radius, at)
+        if found is None:
+            return number
+        at = found
+    return len(subgoals)
+
+
+def reached_in_order_euclidean(positions: Points, subgoals: Points, radius: float) -> int:
+    """As the authors' public evaluator counts: straight line in 3-D, at most ``radius``, one subgoal a pose at most."""
+    reached = 0
+    for position in positions:
+        if reached == len(subgoals):
+            break
+        reached += bool(np.sqrt(np.square(position - subgoals[reached]).sum()) <= radius)
+    return reached

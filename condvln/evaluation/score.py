@@ -8,11 +8,21 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from condvln.evaluation.branching import NO_LEAF, committed_leaf, first_divergence
 from condvln.evaluation.goal_distances import Nearness, SnappedPath
-from condvln.evaluation.measures import FIDELITY_DISTANCE, cls, ndtw, path_length, spl
+from condvln.evaluation.measures import (
+    FIDELITY_DISTANCE,
+    NO_LEAF,
+    DistanceMode,
+    cls,
+    committed_leaf,
+    first_divergence,
+    ndtw,
+    path_length,
+    reached_in_order,
+    reached_in_order_euclidean,
+    spl,
+)
 from condvln.evaluation.predictions import Prediction
-from condvln.evaluation.subgoals import DistanceMode, reached_in_order, reached_in_order_euclidean
 from condvln.evaluation.task import Task
 from condvln.navigation.protocol import PathfinderProtocol
 from schemas.errors import FormatError

@@ -12,8 +12,8 @@ from condvln.evaluation.graph_split import GraphSplit, r2r_file
 from condvln.evaluation.predictions import detect_format, read_graph_predictions, read_predictions
 from condvln.evaluation.score import ScoreRules
 from condvln.evaluation.task import Task, read_tasks
-from condvln.export.graphs import GraphFolder
 from condvln.manifest import manifest_path, manifest_paths
+from condvln.navigation.graph_pathfinder import GraphFolder
 from condvln.navigation.navmesh_folder import NavmeshFolder
 from schemas.errors import MissingFileError, UsageError
 

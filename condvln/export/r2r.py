@@ -12,7 +12,7 @@ from itertools import combinations
 from typing import Any, Final
 
 from condvln.export.rows import Row
-from condvln.export.rxr import numeric_id
+from condvln.export.variants import numeric_id
 from condvln.export.vlnce import gold
 from condvln.navigation.graph_pathfinder import GraphPathfinder
 

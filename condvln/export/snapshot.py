@@ -17,7 +17,6 @@ from condvln.export.changelog import Generated, PublishedEpisodes, changes_betwe
 from condvln.export.consumers import consumer_files
 from condvln.export.contents import CHANGELOG, INDEX, document_digest, exported_snapshot
 from condvln.export.croissant import croissant
-from condvln.export.oracle import ORACLE_COLUMNS, OracleText, oracle_text_of
 from condvln.export.pool import INSTRUCTION_COLUMNS, POOL_COLUMNS, PoolBuilder
 from condvln.export.r2r import Graphs
 from condvln.export.report import ExportReport, WrittenFile
@@ -28,6 +27,7 @@ from condvln.export.splits import SPLITS, Split
 from condvln.export.staging import staged
 from condvln.export.tables import SnapshotTables, joined_by_scene
 from condvln.export.tokens import TOKEN_LENGTH, Vocabulary
+from condvln.export.variants import ORACLE_COLUMNS, OracleText, oracle_text_of
 from condvln.export.vlnce import SCENE_PATTERNS
 from condvln.export.writer import ExportWriter, Layout
 from condvln.formats.streams import atomic_stream

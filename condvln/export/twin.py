@@ -9,8 +9,8 @@ from typing import Any
 
 import orjson
 
-from condvln.export.oracle import oracle_episode
 from condvln.export.tokens import PAD_INDEX, UNK_INDEX, Vocabulary, tokenize
+from condvln.export.variants import oracle_episode
 from condvln.export.vlnce import encode
 from condvln.formats.streams import JsonArrayStream, atomic_stream, read_unpacked
 from schemas.errors import FormatError

@@ -10,16 +10,14 @@ from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
 
-from condvln.export.ansr import ansr_bytes
 from condvln.export.axes import observability_class, route_class, words_class
-from condvln.export.oracle import OracleText, oracle_episode, oracle_text_of
 from condvln.export.r2r import Graphs, r2r_episode
 from condvln.export.report import ExportReport, WrittenFile
 from condvln.export.rows import Row
-from condvln.export.rxr import rxr_episode
 from condvln.export.scene_table import SceneTable
 from condvln.export.splits import SPLITS
 from condvln.export.tokens import Vocabulary, tokenize
+from condvln.export.variants import OracleText, ansr_bytes, oracle_episode, oracle_text_of, rxr_episode
 from condvln.export.vlnce import (
     DocumentWriter,
     document_writer,

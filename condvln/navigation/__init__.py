@@ -17,10 +17,9 @@ if TYPE_CHECKING:
     from condvln.navigation.occluders import BoxOccluders, MeshOccluders, Occluders, wall_boxes
     from condvln.navigation.pathfinder import HitRecord, Pathfinder
     from condvln.navigation.polygon_tile import tile_of_polygons
-    from condvln.navigation.protocol import PathfinderProtocol
+    from condvln.navigation.protocol import PathfinderProtocol, ShortestPath
     from condvln.navigation.recast import build_navmesh, build_scene_navmesh
     from condvln.navigation.settings import NavMeshSettings
-    from condvln.navigation.shortest_path import ShortestPath
     from condvln.navigation.sight import SightTarget, View, eyes_at, first_sights, visible_points, visible_shares
     from condvln.navigation.surface_samples import box_samples, mesh_samples
 

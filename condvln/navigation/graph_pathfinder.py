@@ -1,10 +1,12 @@
-"""Shortest paths over a graph of viewpoints, behind the same protocol as those over a navmesh."""
+"""Shortest paths over graphs of viewpoints, behind the protocol of those over a navmesh; and folders of graphs."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
+from pathlib import Path
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -13,13 +15,13 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 
 from condvln.navigation.connectivity import ViewpointGraph, read_connectivity
 from condvln.navigation.points import many_points, one_point, paired_points
+from condvln.navigation.protocol import ShortestPath
 from condvln.navigation.sampling import RandomSource
 from condvln.navigation.settings import NavMeshSettings
-from condvln.navigation.shortest_path import ShortestPath
 from condvln.navigation.tile import Floats, Ints
 from schemas.errors import InputError, UsageError
 
-__all__ = ["GraphPathfinder"]
+__all__ = ["GraphFolder", "GraphPathfinder"]
 
 # Metres from a point to the viewpoint it snaps to: R2R's success radius, about one and a half edges.
 SNAP_REACH = 3.0
@@ -244,3 +246,33 @@ class GraphPathfinder:
         if not 0 <= index < self.num_islands:
             raise UsageError(f"island {index} of {self.num_islands}", remedy="Take an index from get_island")
         return index
+
+
+_SUFFIX: Final = "_connectivity.json"
+
+
+class GraphFolder(Mapping[str, GraphPathfinder]):
+    """Graph by scan over folders of ``<scan>_connectivity.json``; of two files of one scan the first folder's counts.
+
+    Raises
+    ------
+    FormatError : on asking for a scan whose file is damaged
+    """
+
+    def __init__(self, *folders: Path) -> None:
+        self._files: dict[str, Path] = {}
+        self._read: dict[str, GraphPathfinder] = {}
+        for folder in folders:
+            for path in sorted(folder.glob(f"*{_SUFFIX}")):
+                self._files.setdefault(path.name.removesuffix(_SUFFIX), path)
+
+    def __getitem__(self, scan: str) -> GraphPathfinder:
+        if scan not in self._read:
+            self._read[scan] = GraphPathfinder.load(self._files[scan])
+        return self._read[scan]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._files)
+
+    def __len__(self) -> int:
+        return len(self._files)

@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from condvln.navigation.points import many_points, one_point, paired_points
+from condvln.navigation.protocol import ShortestPath
 from condvln.navigation.sampling import RandomSource
 from condvln.navigation.settings import NavMeshSettings
-from condvln.navigation.shortest_path import ShortestPath
 from condvln.navigation.tile import Floats, Ints
 from schemas.errors import FormatError, UsageError
 

@@ -19,9 +19,9 @@ from condvln.navigation.kernels.route import distance_table, route_to_nearest, r
 from condvln.navigation.links import disable_zero_area, polygon_areas
 from condvln.navigation.navmesh_file import NavMeshFile, read_navmesh, write_navmesh
 from condvln.navigation.points import many_points, one_point, paired_points
+from condvln.navigation.protocol import ShortestPath
 from condvln.navigation.sampling import RandomSource, Sampler
 from condvln.navigation.settings import NavMeshSettings
-from condvln.navigation.shortest_path import ShortestPath
 from condvln.navigation.tile import WALKABLE, Floats, Ints, NavMeshTile
 from schemas.errors import UsageError
 

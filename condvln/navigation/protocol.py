@@ -1,17 +1,18 @@
-"""What the rest of the project asks of a navigation backend."""
+"""What the rest of the project asks of a navigation backend, and the paths that it answers with."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
+import numpy as np
 import numpy.typing as npt
 
 from condvln.navigation.sampling import RandomSource
 from condvln.navigation.settings import NavMeshSettings
-from condvln.navigation.shortest_path import ShortestPath
 from condvln.navigation.tile import Floats, Ints
 
-__all__ = ["PathfinderProtocol"]
+__all__ = ["PathfinderProtocol", "ShortestPath"]
 
 
 @runtime_checkable
@@ -76,3 +77,28 @@ class PathfinderProtocol(Protocol):
 
     def get_random_navigable_points(self, count: int, rng: RandomSource, island: int | None = None) -> Floats:
         """``count`` seeded random places (count, 3)."""
+
+
+def _no_points() -> Floats:
+    return np.empty((0, 3), np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class ShortestPath:
+    """A shortest path, or the fact that there is none.
+
+    Attributes
+    ----------
+    geodesic_distance : metres along the path; infinite where there is none
+    points : (k, 3) float32 corner points, metres, Habitat frame; empty where there is none
+    closest_goal : which of several goals the path leads to; -1 where there is no path
+    """
+
+    geodesic_distance: float = float("inf")
+    points: Floats = field(default_factory=_no_points)
+    closest_goal: int = -1
+
+    @property
+    def found(self) -> bool:
+        """Is there a path?"""
+        return self.geodesic_distance < float("inf")

@@ -13,10 +13,10 @@ from factory import LocalStore, plan, run
 from factory.commits import Commits
 from factory.costs import PRIOR_SECONDS, CostModel
 from factory.index import Index, IndexWriter
+from factory.machine import REFERENCE_PROBE_SECONDS, probe, slowness
 from factory.planner import Planner
 from factory.receipt import Receipt, StageReceipt
 from factory.snapshot import Snapshot
-from factory.speed import REFERENCE_PROBE_SECONDS, probe, slowness
 
 SLOWNESS = 3.0
 

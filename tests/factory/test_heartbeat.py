@@ -12,10 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from factory import InlineExecutor, LocalStore, run
-from factory.eta import PRIOR_SECONDS, Remaining, readable
 from factory.heartbeat import BUSY_SECONDS, Busy, Heartbeat, busy_message
 from factory.receipt import Receipt, StageReceipt
-from factory.report import Silence
+from factory.report import PRIOR_SECONDS, Remaining, Silence, readable
 
 
 class Watch(Silence):

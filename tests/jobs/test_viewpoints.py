@@ -15,10 +15,10 @@ from rich.console import Console
 
 from condvln.evaluation.split import SplitOptions, evaluate_split
 from condvln.export.graph_episodes import GraphEpisodes
-from condvln.export.graphs import GraphFolder
 from condvln.export.tables import FolderTables, MemoryTables
 from condvln.export.viewpoints import FOLDER, write_viewpoints
 from condvln.navigation.connectivity import read_connectivity
+from condvln.navigation.graph_pathfinder import GraphFolder
 from condvln.samples import make_samples
 from condvln.sources.registry import open_source
 from jobs.generate import run_generate

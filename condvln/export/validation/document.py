@@ -1,15 +1,17 @@
-"""What the linter remembers of a document once its episodes are checked."""
+"""What the linter keeps of a document once its episodes are checked, and the checks of single values."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from condvln.export.tokens import Vocabulary
+from condvln.export.validation.findings import LintReport
 from condvln.navigation.protocol import PathfinderProtocol
 
-__all__ = ["Document", "Kind", "PathfinderOf"]
+__all__ = ["Document", "Kind", "PathfinderOf", "check_keys", "is_number", "is_point", "points", "straight"]
 
 Kind = Literal["vlnce", "ansr", "rxr", "r2r"]
 
@@ -36,3 +38,46 @@ class Document:
         self.starts |= other.starts
         self.goals |= other.goals
         self.told |= other.told
+
+
+def is_number(value: Any) -> bool:
+    """A JSON number; true and false are none."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def is_point(value: Any, size: int = 3) -> bool:
+    """A list of ``size`` numbers."""
+    return isinstance(value, list) and len(value) == size and all(is_number(part) for part in value)
+
+
+def points(report: LintReport, place: str, value: Any, size: int = 3) -> bool:
+    """Is ``value`` a list of points? What it is instead is noted."""
+    if not isinstance(value, list):
+        report.add(place, "wrong-type", f"not a list of points but {type(value).__name__}")
+        return False
+    for number, point in enumerate(value):
+        if not is_point(point, size):
+            report.add(f"{place}[{number}]", "wrong-type", f"not {size} numbers: {point!r:.60}")
+            return False
+        if not all(math.isfinite(part) for part in point):
+            report.add(f"{place}[{number}]", "not-finite", f"{point}")
+            return False
+    return True
+
+
+def straight(a: Iterable[float], b: Iterable[float]) -> float:
+    """Euclidean distance."""
+    return math.dist(tuple(a), tuple(b))
+
+
+def check_keys(report: LintReport, place: str, record: Any, required: frozenset[str], allowed: frozenset[str]) -> bool:
+    """Is ``record`` an object with all ``required`` keys? Unknown and missing ones are noted."""
+    if not isinstance(record, dict):
+        report.add(place, "wrong-type", f"not an object but {type(record).__name__}")
+        return False
+    for key in sorted(set(record) - allowed):
+        report.add(f"{place}.{key}" if place else key, "unknown-key", f"unknown key {key!r}")
+    missing = sorted(required - set(record))
+    for key in missing:
+        report.add(place, "missing-key", f"no key {key!r}")
+    return not missing

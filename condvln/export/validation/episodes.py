@@ -13,9 +13,8 @@ from typing import Any, Final
 import numpy as np
 
 from condvln.export.tokens import PAD_INDEX, UNK_INDEX, tokenize
-from condvln.export.validation.document import Document, PathfinderOf
+from condvln.export.validation.document import Document, PathfinderOf, check_keys, is_number, is_point, points, straight
 from condvln.export.validation.findings import LintReport
-from condvln.export.validation.values import check_keys, is_number, is_point, points, straight
 
 __all__ = ["EpisodeChecks"]
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any, Final
 
+from condvln.export.validation.document import check_keys, is_number
 from condvln.export.validation.findings import LintReport
-from condvln.export.validation.values import check_keys, is_number
 from condvln.navigation.graph_pathfinder import GraphPathfinder
 from schemas.errors import CondVLNError
 

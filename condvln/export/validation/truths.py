@@ -6,9 +6,8 @@ import math
 from itertools import pairwise
 from typing import Any, Final
 
-from condvln.export.validation.document import Document
+from condvln.export.validation.document import Document, check_keys, points, straight
 from condvln.export.validation.findings import LintReport
-from condvln.export.validation.values import check_keys, points, straight
 
 __all__ = ["check_truths"]
 

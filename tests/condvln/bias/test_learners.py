@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from condvln.bias.blocks import BLOCKS, blocks, progressive
 from condvln.bias.guesser_view import GuesserView
 from condvln.bias.guessers import FIXED
-from condvln.bias.learners import LEARNED, NO_GUESS, leaf_truths
+from condvln.bias.learners import BLOCKS, LEARNED, NO_GUESS, blocks, leaf_truths, progressive
 from schemas.program import CATEGORIES, SHAPES, Program
 
 

@@ -17,8 +17,8 @@ from condvln.evaluation.aggregate import (
     summary,
     sweep_summary,
 )
-from condvln.evaluation.branching import decisions, first_divergence
 from condvln.evaluation.evaluate import Evaluation, evaluate
+from condvln.evaluation.measures import decisions, first_divergence
 from condvln.evaluation.predictions import Prediction
 from condvln.evaluation.statistics import estimate
 from condvln.evaluation.task import Task

@@ -16,10 +16,10 @@ from condvln.evaluation.score import ScoreRules
 from condvln.evaluation.split import SplitOptions, evaluate_split
 from condvln.evaluation.tables import all_tables
 from condvln.evaluation.task import Task
-from condvln.export.graphs import GraphFolder
-from condvln.export.rxr import numeric_id
 from condvln.export.snapshot import export_snapshot
 from condvln.export.tables import MemoryTables
+from condvln.export.variants import numeric_id
+from condvln.navigation.graph_pathfinder import GraphFolder
 from schemas.errors import FormatError, MissingFileError, UsageError
 from tests.made_snapshot import made_snapshot
 

@@ -16,8 +16,8 @@ from condvln.evaluation.evaluate import AXES, Evaluation, evaluate
 from condvln.evaluation.predictions import Prediction, read_predictions
 from condvln.evaluation.split import SplitOptions, evaluate_split, split_tasks
 from condvln.evaluation.task import Task, read_tasks
-from condvln.export.rxr import numeric_id
 from condvln.export.snapshot import export_snapshot
+from condvln.export.variants import numeric_id
 from condvln.navigation.navmesh_folder import NavmeshFolder
 from condvln.navigation.pathfinder import Pathfinder
 from schemas.errors import FormatError, MissingFileError, PathEscapeError, UsageError
@@ -132,8 +132,8 @@ def spoiled(export: Path, folder: Path, change: Any) -> Path:
     [
         (lambda lines: lines[2].pop("gold_leaf"), "line 3: gold_leaf"),
         (lambda lines: lines[1].update(extra=1), "line 2: extra"),
-        (lambda lines: lines[1].update(gold_leaf=9), "line 2: gold_leaf: no such leaf"),
-        (lambda lines: lines[1].update(gold_leaf=-1), "line 2: gold_leaf: no such leaf"),
+        (lambda lines: lines[1].update(gold_leaf=9), "line 2: gold_leaf: there is no leaf"),
+        (lambda lines: lines[1].update(gold_leaf=-1), "line 2: gold_leaf: there is no leaf"),
         (lambda lines: lines[1]["leaves"].pop(), "line 2: leaves"),
         (lambda lines: lines[1]["leaves"][0].update(leaf=1), "line 2: leaves"),
         (lambda lines: lines.append(lines[0]), "occurs twice"),

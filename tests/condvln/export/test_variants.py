@@ -14,10 +14,10 @@ import pytest
 from condvln.evaluation.discrete import GraphDistances, evaluate_graph, read_graph_episodes
 from condvln.evaluation.predictions import GraphPrediction
 from condvln.export.r2r import r2r_episode
-from condvln.export.rxr import numeric_id
 from condvln.export.snapshot import ExportConfig, export_snapshot
 from condvln.export.splits import SPLITS
 from condvln.export.tables import MemoryTables
+from condvln.export.variants import numeric_id
 from condvln.navigation.connectivity import read_connectivity
 from condvln.navigation.graph_pathfinder import GraphPathfinder
 from schemas.config import SplitsConfig

@@ -1,0 +1,93 @@
+"""Variants of the stock episode: ANSR-v1, RxR-VLN-CE's guide files, and the oracle-linear twin.
+
+ANSR-v1 adds top-level ``subgoals``, as the public evaluators of conditional episodes read it; source of the keys:
+dataset type ``ANSR-v1`` of the VLN-Zero and Open-Nav forks. The key is always there, ``[]`` where the gold branch has
+one move. RxR's trainers write predictions by ``instruction_id``, a number; ours is made of the episode's id. The twin
+is the same episode with the gold branch as a plain instruction.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+from condvln.export.rows import Row
+from condvln.export.vlnce import encode, gold
+
+__all__ = [
+    "ORACLE_COLUMNS",
+    "OracleText",
+    "ansr_bytes",
+    "numeric_id",
+    "oracle_episode",
+    "oracle_text_of",
+    "rxr_episode",
+    "subgoals",
+]
+
+
+def subgoals(row: Row) -> list[dict[str, Any]]:
+    """The gold leaf's subgoals in order, with the success distance as their radius."""
+    return [{"position": s["position"], "radius": row["success_distance"]} for s in gold(row)["subgoals"]]
+
+
+def ansr_bytes(stock: bytes, row: Row) -> bytes:
+    """The encoded ANSR-v1 episode of an encoded stock one."""
+    return stock[:-1] + b',"subgoals":' + encode(subgoals(row)) + b"}"
+
+
+_BITS: Final = 52
+"""Bits of a number that every JSON reader keeps exactly."""
+
+
+def numeric_id(episode_id: str) -> int:
+    """The number that stands for an episode where a format wants one."""
+    return int.from_bytes(hashlib.sha256(episode_id.encode()).digest()[:8], "big") >> (64 - _BITS)
+
+
+def rxr_episode(stock: dict[str, Any], row: Row, split: str) -> dict[str, Any]:
+    """The guide's episode of a stock one: the text under RxR's keys, no tokens (agents bring their own encoder)."""
+    return {
+        **stock,
+        "instruction": {
+            "instruction_id": str(numeric_id(row["episode_id"])),
+            "instruction_text": row["instruction_text"],
+            "language": "en-US",
+            "annotator_id": "0",
+            "edit_distance": 0.0,
+            "timed_instruction": [],
+            "instruction_tokens": [],
+            "split": split,
+        },
+    }
+
+
+OracleText = Mapping[str, str] | Callable[[Row, Row], str]
+"""Linear text by episode id, or made from the columns :data:`ORACLE_COLUMNS` of a row of the episodes table and its
+whole row of the instructions table."""
+
+ORACLE_COLUMNS: Final = (
+    "scene_id",
+    "episode_id",
+    "instruction_id",
+    "category",
+    "gold_leaf",
+    "start_heading_degrees",
+    "instruction_text",
+)
+
+
+def oracle_text_of(texts: OracleText, episode: Row, instruction: Row) -> str:
+    """Linear text of one episode.
+
+    Raises
+    ------
+    KeyError : a mapping without this episode
+    """
+    return texts(episode, instruction) if callable(texts) else texts[episode["episode_id"]]
+
+
+def oracle_episode(stock: dict[str, Any], text: str, tokens: list[int]) -> dict[str, Any]:
+    """The twin of a stock episode."""
+    return {**stock, "instruction": {**stock["instruction"], "instruction_text": text, "instruction_tokens": tokens}}
