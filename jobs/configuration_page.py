@@ -36,7 +36,7 @@ NO_STAGE: Final = {
     "sources.N.exclude": "scenes that are new; those left out are removed",
     "sources.N.regions": "scenes whose files differ",
     "sources.N.houses": "scenes whose files differ",
-    "sources.N.connectivity": "the export",
+    "sources.N.connectivity": "scenes whose files differ, and the export",
     "splits": "the export",
     "ray": "nothing",
     "keep": "nothing",

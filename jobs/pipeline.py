@@ -84,6 +84,7 @@ def open_configured(config: Config, source: SourceConfig, hash_file: HashFile) -
         navmesh=source.navmesh,
         hash_file=hash_file,
         absence=source.absence,
+        connectivity=source.connectivity,
     )
 
 
@@ -102,6 +103,7 @@ def list_units(config: Config, hash_file: HashFile) -> list[Unit]:
                 "houses": None if source.houses is None else str(source.houses),
                 "navmesh": source.navmesh,
                 "absence": source.absence,
+                "connectivity": None if source.connectivity is None else str(source.connectivity),
             }
             units.append(
                 Unit(

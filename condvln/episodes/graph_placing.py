@@ -6,6 +6,7 @@ et al., Vision-and-Language Navigation, CVPR 2018).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations, pairwise
 from typing import Final
@@ -15,12 +16,13 @@ from numpy.typing import NDArray
 from shapely import Polygon, contains_xy
 
 from condvln.episodes.footprint import Footprint
+from condvln.instructions.stops import Stops
 from condvln.navigation.graph_pathfinder import GraphPathfinder
 from condvln.scene import Room, Scene, SceneObject
 from condvln.seeding import generator
 from schemas.program import Program
 
-__all__ = ["REASONS", "GraphLeaf", "GraphPlacement", "GraphPlacer", "NotOnGraph"]
+__all__ = ["REASONS", "GraphLeaf", "GraphPlacement", "GraphPlacer", "NotOnGraph", "viewpoint_stops"]
 
 F64 = NDArray[np.float64]
 
@@ -30,9 +32,13 @@ FARTHEST: Final = 30.0
 """Metres along the graph from the start to a leaf, as on a navmesh."""
 STOREY: Final = 2.5
 """Metres a camera may hang above the floor of its room."""
+UNEVEN: Final = 0.5
+"""Metres that the floor below a camera may lie under its region's floor: a region has one height, a scan is uneven."""
+BORDER: Final = 0.3
+"""Metres between the outlines of regions that touch: a region without cameras is seen from those around it."""
 
 REASONS: Final = {
-    "object_without_viewpoint": "no viewpoint of its room lies within 3 m of the object",
+    "object_without_viewpoint": "no viewpoint of its room, or around a room without any, lies within 3 m of the object",
     "leaves_too_close": "two leaves lie less than 3 m apart on the graph",
     "one_viewpoint": "two stops that follow each other stand at one viewpoint",
     "no_start_in_range": "no viewpoint has every leaf 3 to 30 m away and no other leaf on the way",
@@ -69,11 +75,19 @@ class GraphPlacer:
     def __init__(self, scene: Scene, graph: GraphPathfinder, seed: int) -> None:
         self._scene, self._graph, self._seed = scene, graph, seed
         self._places = graph.graph.positions.astype(np.float64)
-        self._in_room = {room.room_id: self._of_room(room) for room in scene.rooms}
+        own = {room.room_id: self._of_room(room) for room in scene.rooms}
+        self._in_room = {
+            room.room_id: own[room.room_id] if own[room.room_id].any() else self._around(room, own)
+            for room in scene.rooms
+        }
         self._nearest: dict[str, str | None] = {}
 
     def viewpoint(self, item: SceneObject) -> str | None:
-        """The viewpoint of the object's room nearest to its box; None where none is within reach."""
+        """The viewpoint of the object's room nearest to its box; None where none is within reach.
+
+        A region without any viewpoint (the chancel of a church, scanned from the nave) is stood at from the regions of
+        its level that touch it. Nothing says where walls are, so that one may lie between.
+        """
         if item.object_id not in self._nearest:
             self._nearest[item.object_id] = self._find(item)
         return self._nearest[item.object_id]
@@ -135,8 +149,36 @@ class GraphPlacer:
         return self._graph.graph.ids[best] if away[best] <= REACH else None
 
     def _of_room(self, room: Room) -> NDArray[np.bool_]:
-        level = (self._places[:, 1] >= room.floor_y) & (self._places[:, 1] <= room.floor_y + STOREY)
+        above = self._places[:, 1] - room.floor_y
+        level = (above >= -UNEVEN) & (above <= STOREY)
         if room.polygon is None:
             return np.asarray(level, dtype=np.bool_)
         inside = contains_xy(Polygon(room.polygon), self._places[:, 0], self._places[:, 2])
         return np.asarray(level & inside, dtype=np.bool_)
+
+    def _around(self, room: Room, own: Mapping[str, NDArray[np.bool_]]) -> NDArray[np.bool_]:
+        """Viewpoints of the rooms that touch one without any."""
+        found = np.zeros(len(self._places), dtype=np.bool_)
+        if room.polygon is None:
+            return found
+        outline = Polygon(room.polygon)
+        for other in self._scene.rooms:
+            if other.polygon is not None and other.level == room.level and other is not room:
+                found |= own[other.room_id] & (outline.distance(Polygon(other.polygon)) <= BORDER)
+        return found
+
+
+def viewpoint_stops(scene: Scene, graph: GraphPathfinder) -> Stops:
+    """What a sampler of programs needs to know of a scan on viewpoints: objects with a viewpoint, and which lie apart.
+
+    Two objects are apart where the ways between their viewpoints are as long as R2R's success distance, so that no
+    program is drawn that `GraphPlacer` must refuse for where its objects are.
+    """
+    placer = GraphPlacer(scene, graph, 0)
+    ordered = sorted(scene.objects, key=lambda item: item.object_id)
+    stood = [(item.object_id, name) for item in ordered if (name := placer.viewpoint(item)) is not None]
+    number = {name: k for k, name in enumerate(sorted({name for _, name in stood}))}
+    between = np.array([[graph.viewpoint_distance(a, b) for b in number] for a in number]).reshape(len(number), -1)
+    rows = [number[name] for _, name in stood]
+    apart = np.isfinite(between) & (between >= REACH)
+    return Stops(tuple(name for name, _ in stood), np.asarray(apart[np.ix_(rows, rows)], dtype=np.bool_))

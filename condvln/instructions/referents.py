@@ -69,7 +69,9 @@ class Referents:
     unique (n,) : nameable without rivals; anchor (n,) : unique and of known extent; small (n,) : shorter than the
     anchor size
     may_be (n,) : labels that a thing may bear without being called so, of those that may be some things only
+    open (n,) : the same of all things whose extent is known, also of those that may be anything
     blocked : labels that can't be said to be absent, since something nameless may bear them
+    unplaced : those among them that something of unknown extent may bear, so that it may be near to anything
     """
 
     room: Room
@@ -81,7 +83,9 @@ class Referents:
     anchor: Bools
     small: Bools
     may_be: tuple[frozenset[str], ...]
+    open: tuple[frozenset[str], ...]
     blocked: frozenset[str]
+    unplaced: frozenset[str]
 
     def lacks(self, label: str, vocabulary: Vocabulary) -> bool:
         """Whether it can be said that nothing in the room goes by a word for `label`."""
@@ -91,12 +95,12 @@ class Referents:
     def decides(self, label: str, vocabulary: Vocabulary) -> bool:
         """Whether "a `label` near …" can be said to be false.
 
-        It is where the one thing that the label fits stands elsewhere, which claims no absence; else only where
-        nothing unseen may bear the label.
+        It is where the one thing that the label fits is elsewhere, which claims no absence; else only where all that
+        may bear the label, nameless things among it, is known and is elsewhere.
         """
         if label in self.unique_labels:
             return True
-        return self.room.complete and not vocabulary.overlapping(label) & self.blocked
+        return self.room.complete and not vocabulary.overlapping(label) & self.unplaced
 
     @cached_property
     def qualifications(self) -> tuple[tuple[Qualification, ...], ...]:
@@ -129,7 +133,7 @@ class Referents:
         family : whose labels they are; None where each is what its label says and nothing else
         """
         seen = ~sightings.hidden(arrays)
-        may_be, blocked = _nameless(arrays, vocabulary, family)
+        may_be, open_, blocked, unplaced = _nameless(arrays, vocabulary, family)
         meant = meant_by(arrays.labels, arrays.labels, may_be, vocabulary)
         nameable = np.array([vocabulary.fit_for_text(label) for label in arrays.labels], dtype=bool) & seen
         nameable &= ~meant[:, sightings.in_doubt(arrays)].any(axis=1)
@@ -147,7 +151,9 @@ class Referents:
             anchor=unique & np.array([o.geometry != "none" for o in arrays.objects], dtype=bool),
             small=small,
             may_be=may_be,
+            open=open_,
             blocked=blocked,
+            unplaced=unplaced,
         )
 
 
@@ -172,20 +178,24 @@ def meant_by(
 
 def _nameless(
     arrays: RoomArrays, vocabulary: Vocabulary, family: str | None
-) -> tuple[tuple[frozenset[str], ...], frozenset[str]]:
-    """What each thing may be besides what it is called, where that is something definite; and all that any may be."""
+) -> tuple[tuple[frozenset[str], ...], tuple[frozenset[str], ...], frozenset[str], frozenset[str]]:
+    """What things may be besides what they are called: `may_be`, `open`, `blocked` and `unplaced` of `Referents`."""
+    none: frozenset[str] = frozenset()
     if family is None:
-        return (frozenset(),) * len(arrays), frozenset()
-    longest = np.max(arrays.aabb_max - arrays.aabb_min, axis=1, initial=-np.inf).tolist()
-    open_ = [
-        vocabulary.may_be(label, family, side if side == side else None)
-        for label, side in zip(arrays.labels, longest, strict=True)
+        return (none,) * len(arrays), (none,) * len(arrays), none, none
+    longest = np.max(arrays.aabb_max - arrays.aabb_min, axis=1, initial=-np.inf)
+    known = ~np.isnan(longest)
+    found = [
+        vocabulary.may_be(label, family, float(side) if there else None)
+        for label, side, there in zip(arrays.labels, longest, known, strict=True)
     ]
-    definite = tuple(
-        frozenset() if vocabulary.is_vague(label, family) else labels
-        for label, labels in zip(arrays.labels, open_, strict=True)
+    may_be = tuple(
+        none if vocabulary.is_vague(label, family) else labels
+        for label, labels in zip(arrays.labels, found, strict=True)
     )
-    return definite, frozenset().union(*open_)
+    placed = tuple(labels if there else none for labels, there in zip(found, known, strict=True))
+    unplaced = none.union(*(labels for labels, there in zip(found, known, strict=True) if not there))
+    return may_be, placed, none.union(*found), unplaced
 
 
 def _longest_side(arrays: RoomArrays) -> NDArray[np.float64]:

@@ -25,7 +25,8 @@ class StatementTruths:
     labels (l,) : nameable labels of the room; anchors (a,) : indices of objects unique by label and not small
     exact (l, n) : which objects that can be seen bear a label; held (n, a) : which objects are related with margin
     true (l, a) : an object that can be seen of exactly this label is in the relation
-    false (l, a) : every object that the label might mean, seen or not, fails the relation at the loose threshold
+    false (l, a) : every object that the label might mean, seen or not, or that has no name and may bear the label,
+        fails the relation at the loose threshold
     """
 
     predicate: Predicate
@@ -49,11 +50,14 @@ def statement_truths(referents: Referents, vocabulary: Vocabulary) -> Iterator[S
     # "a bed near the bed" says nothing; neither does any word for it. A label that something unseen may bear is asked
     # with neither truth.
     decided = np.array([referents.decides(label, vocabulary) for label in labels], dtype=bool)
+    # "A lamp near the bed" is false only where no nameless thing that may be a lamp is near it. "The lamp" is seen.
+    definite = np.array([label in referents.unique_labels for label in labels], dtype=bool)
+    possible = overlap | (meant_by(labels, own, referents.open, vocabulary) & ~definite[:, None])
     sayable = ~overlap[:, anchors] & decided[:, None]
     for predicate in PREDICATES:
         status = referents.facts.status[predicate][:, anchors]
         held = np.asarray(status == 1)
-        left = overlap.astype(np.float32) @ (status != -1).astype(np.float32)
+        left = possible.astype(np.float32) @ (status != -1).astype(np.float32)
         yield StatementTruths(
             predicate=predicate,
             labels=labels,

@@ -11,6 +11,7 @@ from typing import ClassVar, Final
 import numpy as np
 import shapely
 
+from condvln.formats.dataset_root import DatasetRoot
 from condvln.labels import vocabulary
 from condvln.scene import MeshPart, OrientedBox, Room, Scene, SceneObject, SceneWarning, round_mm
 from condvln.scene.boxes import aabb_of, box_corners, placement, rounded_box
@@ -32,6 +33,9 @@ LAYOUTS: Final = tuple(
     f"{scans}*/{inside}*.house" for scans in ("", "scans/", "v1/scans/") for inside in ("", "house_segmentations/")
 )
 """Where ``<scan>.house`` stands: Habitat's ``<scan>/``, the original ``[v1/scans/]<scan>/house_segmentations/``."""
+GRAPHS: Final = "connectivity"
+"""Folder of the dataset with ``<scan>_connectivity.json``."""
+MAX_GRAPH_BYTES: Final = 64 << 20
 AXIS_TOLERANCE: Final = 1e-3
 
 
@@ -108,6 +112,20 @@ class Mp3dSource(SceneSource):
         if self.options.regions is not None:
             side_regions(self.options.regions, [scene_id], self.family, ledger)
         self._beside(scene_id, path, ledger)
+        graph = self.connectivity(scene_id)
+        if graph is not None:
+            ledger.record(f"{GRAPHS}/{graph.name}", DatasetRoot(graph.parent).read(graph.name, MAX_GRAPH_BYTES))
+
+    def connectivity(self, scene_id: str) -> Path | None:
+        """See `SceneSource.connectivity`. None too where the scan has a mesh or a navmesh."""
+        path = self._scans().get(scene_id)
+        if path is None:
+            return None
+        stage, navmeshes = self._beside(scene_id, path, InputLedger())
+        if stage or any(self.files.has(navmesh) for navmesh in navmeshes):
+            return None
+        graph = (self.options.connectivity or self.root / GRAPHS) / f"{scene_id}_connectivity.json"
+        return graph if graph.is_file() else None
 
     def _beside(self, scene_id: str, path: str, ledger: InputLedger) -> tuple[tuple[MeshPart, ...], tuple[str, ...]]:
         """The scan's mesh and possible navmeshes, in its folder or beside its ``.house``."""

@@ -43,6 +43,7 @@ def open_source(
     houses: str | os.PathLike[str] | None = None,
     hash_file: HashFile = hash_file,
     absence: Absence = "complete",
+    connectivity: str | os.PathLike[str] | None = None,
 ) -> Source:
     """The dataset of a family under `root`.
 
@@ -54,6 +55,7 @@ def open_source(
     houses : folder of ProcTHOR's house JSON, where `root` is Habitat's scene dataset of them (ai2thor-hab)
     hash_file : size and SHA-256 of a file
     absence : ``never`` asks incompletely annotated rooms too, and lets no room be said to lack anything
+    connectivity : folder of Matterport3D's viewpoint graphs; ``connectivity`` of the dataset where it is None
 
     Raises
     ------
@@ -69,7 +71,8 @@ def open_source(
             remedy="Download the dataset, or set the source's 'root' to the folder it stands in",
         )
     choice = SceneChoice(tuple(scenes), tuple(exclude))
-    options = SourceOptions(choice, navmesh, None if regions is None else Path(regions), hash_file, absence)
+    graphs = None if connectivity is None else Path(connectivity)
+    options = SourceOptions(choice, navmesh, None if regions is None else Path(regions), hash_file, absence, graphs)
     if houses is None:
         return READERS[family](root, options)
     if family != ProcthorHabitatSource.family:

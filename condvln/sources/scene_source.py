@@ -40,6 +40,7 @@ class SourceOptions:
     regions: Path | None
     hash_file: HashFile
     absence: Absence = "complete"
+    connectivity: Path | None = None
 
 
 class SceneSource(ABC):
@@ -88,6 +89,10 @@ class SceneSource(ABC):
 
     def geometry(self, scene: Scene) -> SceneGeometry | None:
         """Surfaces of a scene; see `Source.geometry`. A family whose files hold none keeps this answer."""
+        return None
+
+    def connectivity(self, scene_id: str) -> Path | None:
+        """The file of the viewpoint graph that a scene is walked on for want of a mesh; None where there is none."""
         return None
 
     def handles(self) -> list[SceneHandle]:

@@ -123,6 +123,10 @@ class Source(Protocol):
         """
         ...
 
+    def connectivity(self, scene_id: str) -> Path | None:
+        """The file of the viewpoint graph that a scene is walked on for want of a mesh; None where there is none."""
+        ...
+
 
 def hash_file(path: Path) -> tuple[int, str]:
     """Size and SHA-256 of a file, read in pieces."""

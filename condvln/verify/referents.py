@@ -75,12 +75,11 @@ class RoomView:
         self._meaning = meaning
         self._meant: dict[str, tuple[Thing, ...]] = {}
         self._open: dict[str, frozenset[str]] = {}
-        doubtful: set[str] = set()
+        self._vague: dict[str, frozenset[str]] = {}
         for thing in things:
             labels, anything = meaning.may_be(thing.label, family, _side(thing))
-            doubtful |= labels
             self._open[thing.object_id] = frozenset() if anything else labels
-        self.doubtful = frozenset(doubtful)
+            self._vague[thing.object_id] = labels
 
     @cached_property
     def labels(self) -> frozenset[str]:
@@ -105,9 +104,14 @@ class RoomView:
         own = self._meaning.meant_by(label)
         return (thing for thing in self._all if thing.label in own or own & self._open[thing.object_id])
 
+    def nameless(self, label: str) -> list[Thing]:
+        """Things that nobody named, and that might be called `label` for all that is known of them."""
+        own = self._meaning.meant_by(label)
+        return [thing for thing in self._all if own & self._vague[thing.object_id]]
+
     def knows_absence(self, label: str) -> bool:
         """Whether nothing that nobody named could be called `label`, and the annotation is complete."""
-        return self.room.complete and not self._meaning.meant_by(label) & self.doubtful
+        return self.room.complete and not self.nameless(label)
 
     def only(self, label: str) -> Thing | None:
         """The thing called so that is alone in it: no other could be meant."""
@@ -274,12 +278,24 @@ class SceneReferents:
             return Problem("condition_decided", f"surely a {phrase.label} or surely none", found)
         # That the one thing of a label is elsewhere is seen; that there is no such thing must be known.
         definite = phrase.qualifier is not None and view.only(phrase.label) is not None
-        if not sure and not definite and not view.knows_absence(phrase.label):
-            return Problem("absence_known", f"a room known to have no other {phrase.label}", view.room.room_id)
+        if not sure and not definite and (doubt := self._doubt(view, phrase, anchor)) is not None:
+            return Problem("absence_known", f"a room known to have no other {phrase.label}", doubt)
         if not sure and anchor is None and not self._elsewhere(phrase.label, view):
             return Problem("absent_is_elsewhere", f"a {phrase.label} in another room", "none in the scene")
         witnesses = frozenset(thing.object_id for thing in sure)
         return Answer(bool(sure), definite, witnesses, view.room.room_id, anchor, room_anchor, numbers)
+
+    def _doubt(self, view: RoomView, phrase: Phrase, anchor_id: str | None) -> str | None:
+        """What keeps the absence of a thing from being known: the room, or a nameless thing that may be one."""
+        if not view.room.complete:
+            return view.room.room_id
+        for thing in view.nameless(phrase.label):
+            if phrase.qualifier is None or thing.box is None:
+                return thing.object_id
+            anchor = next(other for other in view.things if other.object_id == anchor_id)
+            if self.judge(phrase.qualifier[0], thing, anchor).verdict != FALSE:
+                return thing.object_id
+        return None
 
     def _elsewhere(self, label: str, view: RoomView) -> bool:
         return self.single_room or any(label in other.labels for other in self.rooms.values() if other is not view)

@@ -39,18 +39,26 @@ def navmeshes_table(scene_id: str, data: bytes | None) -> pa.Table:
 
 @lru_cache(maxsize=8)
 def _source(
-    family: str, root: str, regions: str | None, houses: str | None, navmesh: str | None, absence: Absence
+    family: str,
+    root: str,
+    regions: str | None,
+    houses: str | None,
+    navmesh: str | None,
+    graphs: str | None,
+    absence: Absence,
 ) -> Source:
     """One reader a process and dataset: its shared files are read once."""
     side, house_folder = (None if path is None else Path(path) for path in (regions, houses))
-    return open_source(family, Path(root), navmesh=navmesh, regions=side, houses=house_folder, absence=absence)
+    return open_source(
+        family, Path(root), navmesh=navmesh, regions=side, houses=house_folder, absence=absence, connectivity=graphs
+    )
 
 
 def source_of(unit: Unit) -> Source:
-    keys = ("regions", "houses", "navmesh")
-    regions, houses, navmesh = (None if value is None else str(value) for value in map(unit.payload.get, keys))
+    keys = ("regions", "houses", "navmesh", "connectivity")
+    regions, houses, navmesh, graphs = (None if value is None else str(value) for value in map(unit.payload.get, keys))
     absence: Absence = "never" if unit.payload.get("absence") == "never" else "complete"
-    return _source(str(unit.payload["family"]), str(unit.payload["root"]), regions, houses, navmesh, absence)
+    return _source(str(unit.payload["family"]), str(unit.payload["root"]), regions, houses, navmesh, graphs, absence)
 
 
 def scene_of(unit: Unit, tables: Tables) -> Scene:

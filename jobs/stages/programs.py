@@ -9,6 +9,7 @@ import pyarrow as pa
 
 from condvln.episodes.candidates import candidates_table, draw_candidates
 from condvln.episodes.goals import blocked_footprints, scene_goals
+from condvln.episodes.graph_placing import viewpoint_stops
 from condvln.episodes.placing import reachable_stops
 from condvln.episodes.routes import GoalField
 from condvln.episodes.table import (
@@ -22,11 +23,12 @@ from condvln.instructions import (
     ProgramSampler,
     apart_by_centres,
 )
+from condvln.navigation.graph_pathfinder import GraphPathfinder
 from condvln.relations import RoomRelations, text_facts
 from condvln.scene import Scene
 from factory.stage import Aggregate, Stage, StageOutput
 from factory.unit import Unit
-from jobs.stages.inputs import Tables, dump, pathfinder_of, scene_of, view_of
+from jobs.stages.inputs import Tables, dump, pathfinder_of, scene_of, source_of, view_of
 from jobs.stages.text import TextStage
 from schemas.canonical import JSON
 from schemas.config import (
@@ -74,7 +76,7 @@ class ProgramStage(Stage):
     preamble: bool
     seed: int
     name: str = "programs"
-    version: int = 9
+    version: int = 10
     tables: tuple[str, ...] = ("stops", "candidates", "rejections")
     reads_inputs: bool = True
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "relations", "visibility")
@@ -109,26 +111,34 @@ class ProgramStage(Stage):
             relations = RoomRelations.from_table(upstream["relations"], arrays, self.thresholds)
             facts[room.room_id] = text_facts(relations, self.thresholds)
         goals = {}
-        stops = apart_by_centres(scene, self.places)
+        # What is tried in turn until one of it gives candidates.
+        ways = [apart_by_centres(scene, self.places)]
         if scene.navmesh is not None:
             pathfinder = pathfinder_of(scene, upstream)
             obstacles = blocked_footprints(scene, pathfinder, self.max_climb)
             goals = scene_goals(scene, pathfinder, self.places, self.goals, obstacles, view_of(unit, scene))
             separation = self.places.leaf_separation(scene.single_room)
-            stops = reachable_stops(pathfinder, GoalField(pathfinder, goals), separation)
+            ways = [reachable_stops(pathfinder, GoalField(pathfinder, goals), separation)]
+        elif (graph := source_of(unit).connectivity(scene.scene_id)) is not None:
+            # Where too few things have a viewpoint for any program, there are instructions without episodes.
+            ways.insert(0, viewpoint_stops(scene, GraphPathfinder.load(graph)))
+        bits = self._bits(scene, shared)
         # Leaves are checked before the gold one is drawn among them, so that the check can't favour a truth.
-        sampler = ProgramSampler(
-            scene,
-            facts,
-            self._bits(scene, shared),
-            self.instructions,
-            self.sampling,
-            self.seed,
-            stops=stops,
-            preamble=self.preamble,
-            sightings=sightings_from_table(upstream["visibility"]),
-        )
-        candidates = draw_candidates(sampler)
+        for stops in ways:
+            sampler = ProgramSampler(
+                scene,
+                facts,
+                bits,
+                self.instructions,
+                self.sampling,
+                self.seed,
+                stops=stops,
+                preamble=self.preamble,
+                sightings=sightings_from_table(upstream["visibility"]),
+            )
+            candidates = draw_candidates(sampler)
+            if len(candidates):
+                break
         return StageOutput(
             tables={
                 "stops": stops_table(scene.scene_id, goals),
