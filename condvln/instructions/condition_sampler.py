@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from condvln.instructions.conditions import ConditionPool, Question
-from condvln.instructions.degeneracy import Claim, Presupposed, clash
+from condvln.instructions.degeneracy import Claim, Presupposed, clash, repeats_anchor
 from condvln.instructions.predicates import PREDICATE_GROUPS
 from condvln.instructions.referents import Referents
 from condvln.instructions.rejection import GivenUp
@@ -136,8 +136,10 @@ class ConditionSampler:
         question, sums = statements
         found: dict[bool, Condition] = {}
         for truth in (True, False):
-            for _ in range(self._sampling.attempts):
+            for attempt in range(self._sampling.attempts):
                 condition = self._condition(room, question(truth, draws.cumulative(sums[truth])))
+                if 2 * attempt < self._sampling.attempts and repeats_anchor(condition, self._vocabulary):
+                    continue  # clumsy: taken only where nothing else is found
                 rule = clash(Claim.of(condition), claims, given, self._vocabulary)
                 if rule is None:
                     found[truth] = condition

@@ -15,7 +15,17 @@ from typing import Final
 from condvln.labels import Vocabulary
 from schemas.program import SHAPES, Category, Condition, ObjectRef, Program
 
-__all__ = ["REASONS", "Claim", "Presupposed", "clash", "degeneracies", "idle_conditions", "is_circular", "outcomes"]
+__all__ = [
+    "REASONS",
+    "Claim",
+    "Presupposed",
+    "clash",
+    "degeneracies",
+    "idle_conditions",
+    "is_circular",
+    "outcomes",
+    "repeats_anchor",
+]
 
 REASONS: Final[dict[str, str]] = {
     "tautology": "a condition is settled by its own words: by its room's name, or by its own anchor",
@@ -74,8 +84,6 @@ def clash(claim: Claim, others: Sequence[Claim], given: Presupposed, vocabulary:
     words = vocabulary.overlapping(claim.label)
     if claim.anchor in words or claim.room_anchor in words:
         return "tautology"
-    if claim.anchor is not None and claim.room_anchor in vocabulary.overlapping(claim.anchor):
-        return "circular"
     # What is absent here can be a stop only elsewhere; asking presence of no stop anywhere keeps the two truths alike.
     everywhere = claim.anchor is None
     if any((everywhere or room == claim.room_id) and label in words for room, label in given.stops):
@@ -118,10 +126,14 @@ def _closes_cycle(claim: Claim, others: Sequence[Claim], vocabulary: Vocabulary)
 
 def is_circular(ref: ObjectRef, vocabulary: Vocabulary) -> bool:
     """Whether a phrase is like "the desk in the bedroom with the desk"."""
-    if ref.room.anchor_label is None:
+    return ref.room.anchor_label is not None and ref.label in vocabulary.overlapping(ref.room.anchor_label)
+
+
+def repeats_anchor(named: ObjectRef | Condition, vocabulary: Vocabulary) -> bool:
+    """Whether a phrase is like "the chair near the desk in the bedroom with the desk": sound, but clumsy."""
+    if named.qualifier is None or named.room.anchor_label is None:
         return False
-    words = vocabulary.overlapping(ref.room.anchor_label)
-    return ref.label in words or (ref.qualifier is not None and ref.qualifier.anchor_label in words)
+    return named.qualifier.anchor_label in vocabulary.overlapping(named.room.anchor_label)
 
 
 @cache

@@ -17,7 +17,7 @@ from typing import Final
 from condvln.instructions.condition_sampler import ConditionSampler
 from condvln.instructions.conditions import ConditionPool
 from condvln.instructions.counterfactuals import Group, counterfactual_group
-from condvln.instructions.degeneracy import idle_conditions, is_circular, outcomes
+from condvln.instructions.degeneracy import idle_conditions, is_circular, outcomes, repeats_anchor
 from condvln.instructions.priors import PriorBits
 from condvln.instructions.programs import composition, instruction_id
 from condvln.instructions.referents import ALTERNATIVES, Facts, Referents, object_refs, room_refs
@@ -338,7 +338,8 @@ class ProgramSampler:
         key = (room, target.object_id)
         if key not in self._refs:
             refs = object_refs(self.referents[target.room_id], target.index, room)
-            self._refs[key] = tuple(ref for ref in refs if not is_circular(ref, self.words))
+            sound = tuple(ref for ref in refs if not is_circular(ref, self.words))
+            self._refs[key] = tuple(ref for ref in sound if not repeats_anchor(ref, self.words)) or sound
         if not self._refs[key]:
             raise GivenUp("circular")
         return draws.choice(self._refs[key])

@@ -154,6 +154,11 @@ class Vocabulary:
         return tuple(sorted(self._entries))
 
     @property
+    def nameless(self) -> frozenset[str]:
+        """Labels that name no one thing: parts of a building, catch-alls."""
+        return frozenset(entry.label for entry in self._entries.values() if entry.kind != "object")
+
+    @property
     def room_labels(self) -> tuple[str, ...]:
         """All canonical room types, sorted."""
         return tuple(sorted(self._rooms))

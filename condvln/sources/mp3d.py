@@ -23,6 +23,7 @@ from condvln.sources.input_ledger import InputLedger
 from condvln.sources.mesh_geometry import scan_geometry
 from condvln.sources.regions import in_rooms, side_regions
 from condvln.sources.scene_source import Note, SceneSource, SourceOptions
+from condvln.sources.slices import joined_slices
 from condvln.sources.source import UNKNOWN_LABEL
 from schemas.errors import ConfigError, FormatError
 
@@ -43,7 +44,8 @@ class Mp3dSource(SceneSource):
     """Scans, by their ids.
 
     An object's room is its region, as the file says, never the one around it: a fifth of the centres lie in none or in
-    another. ``<scan>.glb`` and ``<scan>.navmesh`` are taken from the scan's folder where they are there.
+    another. Slices of one object, cut at a border of regions, are one object again (see `slices`). ``<scan>.glb`` and
+    ``<scan>.navmesh`` are taken from the scan's folder where they are there.
     """
 
     family: ClassVar[str] = "mp3d"
@@ -71,6 +73,8 @@ class Mp3dSource(SceneSource):
         room_of = {region.index: _room(region, self.family, str(self.root / path)) for region in house.regions}
         rooms = tuple(room_of.values())
         items, warnings = _objects(house, room_of, self.family)
+        items, cut = joined_slices(items, {room.room_id: room for room in rooms}, vocabulary.nameless)
+        warnings += cut
         if self.options.regions is not None:
             drawn = side_regions(self.options.regions, [scene_id], self.family, ledger)
             if drawn:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import pyarrow as pa
 
-from condvln.episodes.candidates import candidates_table, draw_candidates
+from condvln.episodes.candidates import Candidate, candidates_table, draw_candidates
 from condvln.episodes.goals import blocked_footprints, scene_goals
 from condvln.episodes.graph_placing import viewpoint_stops
 from condvln.episodes.placing import reachable_stops
@@ -33,6 +34,7 @@ from jobs.stages.text import TextStage
 from schemas.canonical import JSON
 from schemas.config import (
     GoalsConfig,
+    InstructionCell,
     InstructionsConfig,
     PlacesConfig,
     SamplingConfig,
@@ -111,7 +113,7 @@ class ProgramStage(Stage):
             relations = RoomRelations.from_table(upstream["relations"], arrays, self.thresholds)
             facts[room.room_id] = text_facts(relations, self.thresholds)
         goals = {}
-        # What is tried in turn until one of it gives candidates.
+        # What knows where objects can be stood at; each next one fills what the one before left short.
         ways = [apart_by_centres(scene, self.places)]
         if scene.navmesh is not None:
             pathfinder = pathfinder_of(scene, upstream)
@@ -120,10 +122,12 @@ class ProgramStage(Stage):
             separation = self.places.leaf_separation(scene.single_room)
             ways = [reachable_stops(pathfinder, GoalField(pathfinder, goals), separation)]
         elif (graph := source_of(unit).connectivity(scene.scene_id)) is not None:
-            # Where too few things have a viewpoint for any program, there are instructions without episodes.
+            # Where too few things have a viewpoint, there are instructions without episodes.
             ways.insert(0, viewpoint_stops(scene, GraphPathfinder.load(graph)))
         bits = self._bits(scene, shared)
         # Leaves are checked before the gold one is drawn among them, so that the check can't favour a truth.
+        candidates: list[Candidate] = []
+        rejections: Counter[tuple[InstructionCell | None, str]] = Counter()
         for stops in ways:
             sampler = ProgramSampler(
                 scene,
@@ -136,14 +140,30 @@ class ProgramStage(Stage):
                 preamble=self.preamble,
                 sightings=sightings_from_table(upstream["visibility"]),
             )
-            candidates = draw_candidates(sampler)
-            if len(candidates):
-                break
+            drawn = draw_candidates(sampler)
+            candidates = _filled(candidates, drawn) if candidates else drawn
+            rejections += sampler.rejections
         return StageOutput(
             tables={
                 "stops": stops_table(scene.scene_id, goals),
                 "candidates": candidates_table(scene.scene_id, candidates),
-                "rejections": rejections_table(scene.scene_id, self.name, sampler.rejections),
+                "rejections": rejections_table(scene.scene_id, self.name, rejections),
             },
             measures={"candidates": float(len(candidates))},
         )
+
+
+def _filled(candidates: list[Candidate], others: list[Candidate]) -> list[Candidate]:
+    """`candidates`, and of the `others` as many as their cells are short of what is asked.
+
+    No more others than candidates, so that most of what is published has an episode.
+    """
+    there = {candidate.instruction_id for candidate in candidates}
+    held = Counter(candidate.cell for candidate in candidates)
+    added: list[Candidate] = []
+    for other in others:
+        if other.cell is None or other.instruction_id in there or held[other.cell] >= other.cell.count:
+            continue
+        held[other.cell] += 1
+        added.append(other)
+    return candidates + added[: len(candidates)]

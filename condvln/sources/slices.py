@@ -1,0 +1,153 @@
+"""Objects that an annotation cut in pieces where they cross from one region into another, put together again.
+
+Matterport's annotators labelled the scan region by region, so that a refrigerator on a border is one object in each
+region that it reaches into. Two objects are slices of one where all of this holds:
+
+* they have the same category, and stand in different regions of one level;
+* their boxes touch or overlap: no more than ``GAP`` apart;
+* seen along the way from one to the other, the smaller is covered by the other to at least ``COVER``: a cut leaves the
+  same cross-section on both sides, while things that merely stand beside each other seldom have it;
+* both reach the border: each box comes within ``GAP`` of the other's region.
+
+Slices of slices belong together too. The whole is in the region that holds most of its volume.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from condvln.scene import OrientedBox, Room, SceneObject, SceneWarning, round_mm
+from condvln.scene.boxes import box_corners, rounded_box
+
+__all__ = ["COVER", "GAP", "joined_slices"]
+
+F64 = NDArray[np.float64]
+
+GAP: Final = 0.05
+"""Metres between the boxes of two slices, and from a slice to the region that it was cut from, at most."""
+
+COVER: Final = 0.6
+"""Share of the smaller cross-section that the other one covers, at least."""
+
+
+def joined_slices(
+    objects: Sequence[SceneObject], rooms: Mapping[str, Room], kept_apart: frozenset[str] = frozenset()
+) -> tuple[list[SceneObject], list[SceneWarning]]:
+    """Objects with all slices of one put together, in the given order, and a warning for each that was.
+
+    Parameters
+    ----------
+    objects : with their rooms and boxes; those without a box are left as they are
+    kept_apart : labels whose objects go on in the next region by their nature, or name no one thing: walls, "unknown"
+    """
+    of_label: defaultdict[str, list[int]] = defaultdict(list)
+    for k, item in enumerate(objects):
+        if item.aabb is not None and item.label not in kept_apart and rooms[item.room_id].polygon is not None:
+            of_label[item.raw_label].append(k)
+    floors = {name: shapely.Polygon(room.polygon) for name, room in rooms.items() if room.polygon is not None}
+    whole = list(range(len(objects)))
+    for members in of_label.values():
+        for at, i in enumerate(members):
+            for j in members[at + 1 :]:
+                one, other = objects[i], objects[j]
+                same_level = rooms[one.room_id].level == rooms[other.room_id].level
+                if one.room_id != other.room_id and same_level and _cut(one, other, floors):
+                    _unite(whole, i, j)
+    parts: defaultdict[int, list[int]] = defaultdict(list)
+    for k in range(len(objects)):
+        parts[_root(whole, k)].append(k)
+    found: list[SceneObject] = []
+    said: list[SceneWarning] = []
+    for members in parts.values():
+        if len(members) == 1:
+            found.append(objects[members[0]])
+            continue
+        item = _joined([objects[k] for k in members])
+        found.append(item)
+        others = ", ".join(sorted(objects[k].object_id for k in members if objects[k].object_id != item.object_id))
+        said.append(SceneWarning("object_cut", item.object_id, f"put together with its slices {others}"))
+    return found, said
+
+
+def _cut(one: SceneObject, other: SceneObject, floors: Mapping[str, shapely.Polygon]) -> bool:
+    assert one.aabb is not None
+    assert other.aabb is not None
+    low = np.maximum(one.aabb[0], other.aabb[0])
+    high = np.minimum(one.aabb[1], other.aabb[1])
+    shared = high - low  # below zero along an axis on which they are apart
+    if float(shared.min()) < -GAP:
+        return False
+    # They lie beside each other on the ground, along the axis on which they share least.
+    across = 0 if shared[0] <= shared[2] else 2
+    section = [axis for axis in (0, 1, 2) if axis != across]
+    sizes = [np.maximum((box[1] - box[0])[section], 1e-3) for box in (one.aabb, other.aabb)]
+    covered = np.maximum(shared[section], 0.0) / np.minimum(*sizes)
+    if float(covered.min()) < COVER:
+        return False
+    return all(_shadow(item).distance(floors[region.room_id]) <= GAP for item, region in ((one, other), (other, one)))
+
+
+def _shadow(item: SceneObject) -> shapely.Polygon:
+    assert item.aabb is not None
+    (x0, _, z0), (x1, _, z1) = item.aabb
+    return shapely.box(x0, z0, x1, z1)
+
+
+def _joined(slices: Sequence[SceneObject]) -> SceneObject:
+    """One object of several; it keeps the id and the axes of the largest, and the region of most of its volume."""
+    volume: defaultdict[str, float] = defaultdict(float)
+    for item in slices:
+        volume[item.room_id] += _volume(item)
+    room_id = min(volume, key=lambda name: (-volume[name], name))
+    largest = min(slices, key=lambda item: (-_volume(item), item.object_id))
+    aabbs = np.array([item.aabb for item in slices])
+    aabb = round_mm(np.array([aabbs[:, 0].min(axis=0), aabbs[:, 1].max(axis=0)]))
+    box = None
+    if largest.obb is not None:
+        axes = largest.obb.rotation
+        corners = np.concatenate([_corners(item) for item in slices]) @ axes
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        box = rounded_box(OrientedBox(axes @ ((low + high) / 2), (high - low) / 2, axes))
+    half = (aabb[1] - aabb[0]) / 2 if box is None else box.half_extents
+    return replace(
+        largest,
+        room_id=room_id,
+        center=round_mm(aabb.mean(axis=0) if box is None else box.center),
+        aabb=aabb,
+        obb=box,
+        size=round_mm(aabb[1] - aabb[0]),
+        radius=float(np.ceil(np.linalg.norm(half) * 1000) / 1000),
+    )
+
+
+def _corners(item: SceneObject) -> F64:
+    assert item.aabb is not None
+    if item.obb is not None:
+        return box_corners(item.obb)
+    return box_corners(OrientedBox(item.aabb.mean(axis=0), (item.aabb[1] - item.aabb[0]) / 2, np.eye(3)))
+
+
+def _volume(item: SceneObject) -> float:
+    assert item.aabb is not None
+    if item.obb is not None:
+        return float(np.prod(item.obb.half_extents)) * 8.0
+    return float(np.prod(item.aabb[1] - item.aabb[0]))
+
+
+def _root(whole: list[int], k: int) -> int:
+    while whole[k] != k:
+        k = whole[k]
+    return k
+
+
+def _unite(whole: list[int], i: int, j: int) -> None:
+    """Trees of indices, the least on top, so that the order of the pairs changes nothing."""
+    low, high = sorted((_root(whole, i), _root(whole, j)))
+    whole[high] = low
