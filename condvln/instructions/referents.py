@@ -228,11 +228,9 @@ def _qualifications(
             kept = found[int(rows[r])]
             if (group == "height" and len(kept) >= ALTERNATIVES) or (group == "far" and kept):
                 continue
-            # By different anchors: one of them may be what names the room, and then says nothing in it.
-            best: dict[int, Qualification] = {}
-            for _, negated, by, predicate in sorted(options):
-                best.setdefault(by, Qualification(predicate, by, -negated))
-            kept.extend([*best.values()][:ALTERNATIVES])
+            kept.extend(
+                Qualification(predicate, by, -negated) for _, negated, by, predicate in sorted(options)[:ALTERNATIVES]
+            )
     return tuple(tuple(kept) for kept in found)
 
 

@@ -95,7 +95,7 @@ def test_real_scenes_are_labelled_alike(real_data: Path, family: str) -> None:
         views = SceneReferents(scene, Thresholds(), Shapes(scene.root)).rooms
         for room in scene.rooms:
             assert views[room.room_id].label == room.label
-        things = [thing for view in views.values() for thing in (*view.things, *view.shut_away)]
+        things = [thing for view in views.values() for thing in view._all]
         assert {thing.object_id: thing.label for thing in things} == {
             item.object_id: item.label for item in scene.objects if item.room_id in views
         }
