@@ -13,6 +13,7 @@ from condvln.navigation.sight import SightTarget, View, visible_points
 from condvln.navigation.surface_samples import DEFAULT_SAMPLES, box_samples, mesh_samples
 from condvln.scene import Scene, SceneObject
 from condvln.scene.geometry import STRUCTURE, SceneGeometry
+from schemas.config.constants import FRAME_HEADROOM
 
 __all__ = ["SceneView"]
 
@@ -29,7 +30,8 @@ class SceneView:
     """Sight in one scene.
 
     Surfaces that are exact hide by themselves. Where they are boxes, structure (walls, floors) hides as triangles and
-    every object as a solid box, since boxes of neighbouring things overlap and a shelf's holds what stands on it.
+    every object as a box. A box hides nothing of what is in it, since boxes of neighbouring things overlap and a
+    shelf's holds what stands there; that of a frame (``Vocabulary.is_frame``) nothing of what is on it either.
     Where no surface is known, boxes alone hide: walls don't.
 
     Parameters
@@ -67,13 +69,15 @@ class SceneView:
     def _boxes(self, words: Vocabulary) -> BoxOccluders:
         """A solid box of every object that is a body; the box around a room's walls is none."""
         found: list[tuple[F64, F64, F64]] = []
+        headroom: list[float] = []
         for item in self._scene.objects:
             boxes = _boxes_of(item)
             if boxes and not _is_structure(item.label, words):
                 self._box_numbers[item.object_id] = [len(found) + k for k in range(len(boxes))]
                 found += boxes
+                headroom += [FRAME_HEADROOM if words.is_frame(item.label) else 0.0] * len(boxes)
         centers, halves, rotations = zip(*found, strict=True) if found else ((), (), np.zeros((0, 3, 3)))
-        return BoxOccluders(np.reshape(centers, (-1, 3)), np.reshape(halves, (-1, 3)), np.array(rotations))
+        return BoxOccluders(np.reshape(centers, (-1, 3)), np.reshape(halves, (-1, 3)), np.array(rotations), headroom)
 
     def target(self, object_id: str) -> SightTarget:
         """Where one object is looked for: points of its surface, of its box, or its centre, the first that is known."""

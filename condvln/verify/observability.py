@@ -100,6 +100,7 @@ def sight_of(
     scene: Scene,
     surfaces: Surfaces,
     is_structure: Callable[[SceneObject], bool],
+    is_frame: Callable[[SceneObject], bool],
     pathfinder: Pathfinder,
     obstacles: Obstacles,
     rules: VerifierRules,
@@ -115,7 +116,7 @@ def sight_of(
         room, radius = scene.room_of[room_id], rules.places.island_radius
         return ground_points(scene, room, pathfinder, radius, obstacles.grounds)
 
-    return Sight(scene, surfaces(), is_structure, floor, rules.places, rules.episodes)
+    return Sight(scene, surfaces(), is_structure, is_frame, floor, rules.places, rules.episodes)
 
 
 def _asked(row: ManifestEpisode, certificate: Certificate, referents: SceneReferents, eye_height: float) -> _Asked:

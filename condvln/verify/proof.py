@@ -115,7 +115,7 @@ def prove_scene(
     obstacles = Obstacles(scene, navmesh.pathfinder, rules.agent.max_climb)
     # What is a wall or a floor goes by labels alone, before anything is known of what can be seen.
     labels = SceneReferents(scene, rules.thresholds, shapes)
-    sight = sight_of(scene, surfaces, labels.is_structure, navmesh.pathfinder, obstacles, rules)
+    sight = sight_of(scene, surfaces, labels.is_structure, labels.is_frame, navmesh.pathfinder, obstacles, rules)
     onlookers = Onlookers(scene, sight, navmesh.pathfinder, rules.places, labels.hidden)
     referents = SceneReferents(scene, rules.thresholds, shapes, onlookers.see)
     _check_words(rows, certificates, referents, rules)

@@ -167,6 +167,10 @@ class SceneReferents:
         """Whether an object is a wall, a floor or the like."""
         return self.meaning.label(item.raw_label, self.scene.family, _model(item)) in self.meaning.structure
 
+    def is_frame(self, item: SceneObject) -> bool:
+        """Whether an object is a shelf, a table or the like, whose box is mostly air."""
+        return self.meaning.label(item.raw_label, self.scene.family, _model(item)) in self.meaning.frames
+
     def room(self, named: Named | None) -> tuple[RoomView, str | None] | Problem:
         """The room that a name means, and the id of the thing that its name rests on."""
         if named not in self._rooms:

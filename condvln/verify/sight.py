@@ -24,7 +24,7 @@ from condvln.navigation.surface_samples import box_samples, mesh_samples
 from condvln.scene import Scene, SceneObject
 from condvln.scene.geometry import STRUCTURE, SceneGeometry
 from schemas.config import EpisodeConfig, PlacesConfig
-from schemas.config.constants import FIRST_VIEW_DEGREES
+from schemas.config.constants import FIRST_VIEW_DEGREES, FRAME_HEADROOM
 
 __all__ = ["Sight", "Sought", "evenly", "much"]
 
@@ -93,6 +93,7 @@ class Sight:
     ----------
     geometry : the scene's surfaces, None where its dataset tells none
     is_structure : whether an object is a wall, a floor …, whose box is no body
+    is_frame : whether it is a shelf, a table …, whose box hides nothing of what is on it
     floor : points (n, 3) of a room's floor, by its id
 
     Attributes
@@ -105,11 +106,13 @@ class Sight:
         scene: Scene,
         geometry: SceneGeometry | None,
         is_structure: Callable[[SceneObject], bool],
+        is_frame: Callable[[SceneObject], bool],
         floor: Callable[[str], F64],
         places: PlacesConfig,
         rules: EpisodeConfig,
     ) -> None:
         self._scene, self._floor, self._rules = scene, floor, rules
+        self._is_frame = is_frame
         self._around = View(range=places.sight_range)
         self._ahead = View(range=places.sight_range, horizontal_fov=FIRST_VIEW_DEGREES, vertical_fov=FIRST_VIEW_DEGREES)
         known = None if geometry is None or not len(geometry.faces) else geometry
@@ -130,7 +133,9 @@ class Sight:
         for number, (name, _) in enumerate(solid):
             self._boxes.setdefault(name, []).append(number)
         middles, halves, axes = (np.array([box[k] for _, box in solid]) for k in range(3))
-        boxes = BoxOccluders(middles.reshape(-1, 3), halves.reshape(-1, 3), axes.reshape(-1, 3, 3))
+        open_above = {item.object_id for item in bodies if self._is_frame(item)}
+        above = [FRAME_HEADROOM * (name in open_above) for name, _ in solid]
+        boxes = BoxOccluders(middles.reshape(-1, 3), halves.reshape(-1, 3), axes.reshape(-1, 3, 3), above)
         walls = () if known is None else known.faces[known.owner == STRUCTURE]
         return (
             boxes if known is None or not len(walls) else JoinedOccluders(MeshOccluders(known.vertices, walls), boxes)

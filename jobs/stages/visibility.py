@@ -23,7 +23,7 @@ class VisibilityStage(Stage):
     island_radius: float
     max_climb: float
     name: str = "visibility"
-    version: int = 1
+    version: int = 2
     tables: tuple[str, ...] = ("visibility",)
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes")
     reads_inputs: bool = True

@@ -9,6 +9,7 @@ import pytest
 
 from condvln.episodes.view import SceneView
 from condvln.episodes.visibility import Visibility, scene_visibility, sightings_from_table, visibility_table
+from condvln.navigation.sight import View
 from condvln.scene import Scene
 from condvln.scene.geometry import STRUCTURE
 from condvln.scene.sightings import Sightings
@@ -113,3 +114,15 @@ def test_the_rows_do_not_depend_on_the_order_of_objects() -> None:
     plain = SceneView(scene, surfaces_of([(k, box_triangles(*o.aabb)) for k, o in enumerate(scene.objects)]))
     assert seen(turned, again) == seen(scene, plain)
     assert np.all([one.seeable for one in seen(scene, view).values()])
+
+
+@pytest.mark.parametrize("holder", ["shelf", "coffee table", "counter", "refrigerator"])
+def test_a_frame_hides_nothing_of_what_is_on_it_and_a_solid_does(holder: str) -> None:
+    """Seen from below through the box: a vase on top of it, one that lies in it, and one behind it."""
+    around = dataclasses.replace(box("holder", 1.0, 0.0, 0.5, 0.0, 2.0), label=holder)
+    top, inner = box("vase", 1.3, 0.0, 0.1, 2.02, 2.12), box("lamp", 1.3, 0.0, 0.1, 1.0, 1.1)
+    behind = box("sofa", 3.0, 0.0, 0.1, 0.0, 0.5)
+    view = SceneView(apartment(around, top, inner, behind))
+    eye = np.array([[0.0, EYE, 0.0]])
+    shown = {name: bool(view.glimpsed(eye, name, View(range=9.0))[0]) for name in ("vase", "lamp", "sofa")}
+    assert shown == {"vase": holder in ("shelf", "coffee table"), "lamp": True, "sofa": False}

@@ -98,11 +98,17 @@ def chest_and_vase() -> Scene:
     return Scene("made", "flat", Path("."), (ROOM,), (chest, vase))
 
 
-def sees(geometry: SceneGeometry | None, structure: tuple[str, ...] = (), yaw: float | None = None) -> dict[str, bool]:
+def sees(
+    geometry: SceneGeometry | None,
+    structure: tuple[str, ...] = (),
+    frames: tuple[str, ...] = (),
+    yaw: float | None = None,
+) -> dict[str, bool]:
     sight = Sight(
         chest_and_vase(),
         geometry,
         lambda item: item.object_id in structure,
+        lambda item: item.object_id in frames,
         lambda room_id: np.array([[0.4, 0.05, 0.0], [0.4, 0.05, 1.0], [9.0, 0.05, 0.0], [-2.0, 0.05, 0.0]]),
         PlacesConfig(),
         EpisodeConfig(floor_seen=0.7),
@@ -155,3 +161,20 @@ def test_floors_are_the_factory_s(made_export) -> None:
                 atol=1e-9,
             )
     assert kinds
+
+
+def test_a_frame_hides_nothing_of_what_is_on_it() -> None:
+    shelf = dataclasses.replace(box("shelf", 1.0, 0.0, 0.5, 0.0, 2.0), object_id="shelf", room_id="r")
+    vase = dataclasses.replace(box("vase", 1.3, 0.0, 0.1, 2.02, 2.12), object_id="vase", room_id="r")
+    scene = Scene("made", "flat", Path("."), (ROOM,), (shelf, vase))
+    for frames, seen in (((), False), (("shelf",), True)):
+        sight = Sight(
+            scene,
+            None,
+            lambda item: False,
+            lambda item, frames=frames: item.object_id in frames,
+            lambda room_id: np.empty((0, 3)),
+            PlacesConfig(),
+            EpisodeConfig(),
+        )
+        assert bool(sight.meets("vase", np.array([[0.0, 1.25, 0.0]]), sight.surface("vase", 64)).any()) == seen
