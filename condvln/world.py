@@ -13,24 +13,17 @@ from pathlib import Path
 
 import networkx as nx
 
-from condvln.episodes.candidates import Candidate, draw_candidates
-from condvln.episodes.goals import blocked_footprints, scene_goals
-from condvln.episodes.observability import Observer
+from condvln.episodes.candidates import Candidate
 from condvln.episodes.picture import draw_episode
-from condvln.episodes.placing import Placer, reachable_stops
-from condvln.episodes.pool import EpisodePool, fill_pool
-from condvln.episodes.routes import GoalField
+from condvln.episodes.pool import EpisodePool
+from condvln.episodes.steps import Walkable, draw_programs, look_around, place_programs, published_texts
 from condvln.episodes.table import placements_table, with_text
 from condvln.episodes.view import SceneView
+from condvln.episodes.visibility import sightings_from_table, visibility_table
 from condvln.export.rows import rows_of
 from condvln.instructions import (
     LabelPriors,
-    ProgramSampler,
-    apart_by_centres,
     instruction_table,
-    names_compass,
-    render,
-    with_preamble,
 )
 from condvln.instructions.programs import composition
 from condvln.instructions.referents import Referents
@@ -159,36 +152,37 @@ class World:
         instructions, sampling = instructions or InstructionsConfig(), sampling or SamplingConfig()
         places, goals, episodes = places or PlacesConfig(), goals or GoalsConfig(), episodes or EpisodeConfig()
         text, thresholds = text or TextConfig(), thresholds or Thresholds()
-        scene, pathfinder = self.scene, self.pathfinder
+        scene = self.scene
         priors = priors or label_priors([scene], thresholds=thresholds, sampling=sampling)
-        obstacles = blocked_footprints(scene, pathfinder, self.agent.max_climb)
-        goal_points = scene_goals(scene, pathfinder, places, goals, obstacles, self.view)
-        separation = places.leaf_separation(scene.single_room)
-        stops = apart_by_centres(scene, places)
-        if goal_points:
-            stops = reachable_stops(pathfinder, GoalField(pathfinder, goal_points), separation)
-        sampler = ProgramSampler(
+        walkable = Walkable(self.pathfinder, self.view, self.agent.max_climb)
+        seen = look_around(scene, walkable, eye_height=places.eye_height, island_radius=places.island_radius)
+        sightings = sightings_from_table(visibility_table(scene, seen))
+        drawn = draw_programs(
             scene,
             self._facts(thresholds),
             priors.bits(scene, sampling.plausible_share),
-            instructions,
-            sampling,
-            seed,
-            stops=stops,
+            walkable,
+            sightings,
+            instructions=instructions,
+            sampling=sampling,
+            places=places,
+            goals=goals,
             preamble=text.preamble,
+            seed=seed,
         )
-        candidates = draw_candidates(sampler)
-        placer = Placer(scene, pathfinder, goal_points, places, episodes, seed, max_climb=self.agent.max_climb)
-        pool = fill_pool(
-            candidates,
-            placer,
-            instructions.wanted,
-            instructions.label_cap,
-            lambda program: text.preamble and names_compass(program),
-            Observer(scene, self.view, pathfinder, places, episodes, placer.obstacles),
-            instructions.counterfactual_groups,
+        pool = place_programs(
+            scene,
+            drawn.candidates,
+            drawn.goals,
+            walkable,
+            sightings,
+            instructions=instructions,
+            places=places,
+            rules=episodes,
+            preamble=text.preamble,
+            seed=seed,
         )
-        return self._published(pool, candidates, episodes, text, seed)
+        return self._published(pool, drawn.candidates, episodes, text, seed)
 
     def draw(self, episode: ManifestEpisode, path: str | os.PathLike[str]) -> Path:
         """A top-down picture of an episode as a PNG file: floor, furniture, start, the path to every leaf."""
@@ -208,13 +202,7 @@ class World:
         programs = {candidate.instruction_id: candidate.program for candidate in candidates}
         compositions = {name: composition(program) for name, program in programs.items()}
         placements = placements_table(scene.scene_id, pool, compositions, scene.navmesh.sha256)
-        texts = {}
-        for row in placements.to_pylist():
-            name = row["instruction_id"]
-            said = render(programs[name], seed, name)
-            if text.preamble and names_compass(programs[name]):
-                said = with_preamble(said, row["start_heading_degrees"], seed, name)
-            texts[row["episode_id"]] = said
+        _, texts = published_texts(programs, placements.to_pylist(), text, seed)
         placed = {episode.instruction_id: programs[episode.instruction_id] for episode in pool.episodes}
         instruction_of = {
             row["instruction_id"]: row for row in rows_of(instruction_table(scene.scene_id, placed.items()))

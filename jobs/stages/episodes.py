@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from condvln.episodes.candidates import Candidate, candidates_from_table
-from condvln.episodes.observability import Observer
-from condvln.episodes.placing import Placer
-from condvln.episodes.pool import EpisodePool, fill_pool
+from condvln.episodes.pool import EpisodePool
+from condvln.episodes.steps import place_programs
 from condvln.episodes.table import (
     PLACEMENTS,
     funnel_table,
@@ -17,13 +16,10 @@ from condvln.episodes.table import (
 )
 from condvln.episodes.unplaced import unplaced_programs, unplaced_table
 from condvln.episodes.visibility import sightings_from_table
-from condvln.instructions import (
-    names_compass,
-)
 from condvln.scene import Scene
 from factory.stage import Stage, StageOutput
 from factory.unit import Unit
-from jobs.stages.inputs import Tables, dump, pathfinder_of, scene_of, view_of
+from jobs.stages.inputs import Tables, dump, scene_of, walkable_of
 from schemas.canonical import JSON
 from schemas.config import (
     EpisodeConfig,
@@ -66,32 +62,19 @@ class EpisodeStage(Stage):
         candidates = candidates_from_table(upstream["candidates"], wanted)
         if scene.navmesh is None:
             return self._without_navmesh(scene, candidates)
-        placer = Placer(
+        walkable = walkable_of(unit, scene, upstream, self.max_climb)
+        assert walkable is not None
+        pool = place_programs(
             scene,
-            pathfinder_of(scene, upstream),
-            goals_from_table(upstream["stops"]),
-            self.places,
-            self.rules,
-            self.seed,
-            max_climb=self.max_climb,
-        )
-        observer = Observer(
-            scene,
-            view_of(unit, scene),
-            placer.pathfinder,
-            self.places,
-            self.rules,
-            placer.obstacles,
-            sightings=sightings_from_table(upstream["visibility"]),
-        )
-        pool = fill_pool(
             candidates,
-            placer,
-            wanted,
-            self.instructions.label_cap,
-            lambda program: self.preamble and names_compass(program),
-            observer,
-            groups,
+            goals_from_table(upstream["stops"]),
+            walkable,
+            sightings_from_table(upstream["visibility"]),
+            instructions=self.instructions,
+            places=self.places,
+            rules=self.rules,
+            preamble=self.preamble,
+            seed=self.seed,
         )
         compositions = dict(
             zip(*(upstream["candidates"][c].to_pylist() for c in ("instruction_id", "composition")), strict=True)

@@ -9,6 +9,7 @@ from typing import Final
 
 import pyarrow as pa
 
+from condvln.episodes.steps import Walkable
 from condvln.episodes.view import SceneView
 from condvln.navigation.navmesh_file import parse_navmesh
 from condvln.navigation.pathfinder import Pathfinder
@@ -23,7 +24,7 @@ from schemas.config import (
     Section,
 )
 
-__all__ = ["NAVMESHES", "Tables", "dump", "navmeshes_table", "pathfinder_of", "scene_of", "source_of", "view_of"]
+__all__ = ["NAVMESHES", "Tables", "dump", "navmeshes_table", "pathfinder_of", "scene_of", "source_of", "walkable_of"]
 
 
 Tables = Mapping[str, pa.Table]
@@ -73,8 +74,12 @@ def pathfinder_of(scene: Scene, tables: Tables) -> Pathfinder:
     return Pathfinder.load(scene.root / scene.navmesh.path)
 
 
-def view_of(unit: Unit, scene: Scene) -> SceneView:
-    return SceneView(scene, source_of(unit).geometry(scene))
+def walkable_of(unit: Unit, scene: Scene, tables: Tables, max_climb: float) -> Walkable | None:
+    """Where an agent can walk in the scene and what it sees there; None where the scene has no navmesh."""
+    if scene.navmesh is None:
+        return None
+    view = SceneView(scene, source_of(unit).geometry(scene))
+    return Walkable(pathfinder_of(scene, tables), view, max_climb)
 
 
 def dump(section: Section) -> JSON:

@@ -8,11 +8,16 @@ from dataclasses import dataclass
 
 import pyarrow as pa
 
+<<<<<<< HEAD
 from condvln.episodes.candidates import Candidate, candidates_table, draw_candidates
 from condvln.episodes.goals import blocked_footprints, scene_goals
 from condvln.episodes.graph_placing import viewpoint_stops
 from condvln.episodes.placing import reachable_stops
 from condvln.episodes.routes import GoalField
+=======
+from condvln.episodes.candidates import candidates_table
+from condvln.episodes.steps import draw_programs
+>>>>>>> d2cfd00 (The steps from a scene to its episodes are functions that the stages and World call)
 from condvln.episodes.table import (
     rejections_table,
     stops_table,
@@ -21,15 +26,17 @@ from condvln.episodes.visibility import sightings_from_table
 from condvln.instructions import (
     LabelPriors,
     PriorBits,
-    ProgramSampler,
-    apart_by_centres,
 )
 from condvln.navigation.graph_pathfinder import GraphPathfinder
 from condvln.relations import RoomRelations, text_facts
 from condvln.scene import Scene
 from factory.stage import Aggregate, Stage, StageOutput
 from factory.unit import Unit
+<<<<<<< HEAD
 from jobs.stages.inputs import Tables, dump, pathfinder_of, scene_of, source_of, view_of
+=======
+from jobs.stages.inputs import Tables, dump, scene_of, walkable_of
+>>>>>>> d2cfd00 (The steps from a scene to its episodes are functions that the stages and World call)
 from jobs.stages.text import TextStage
 from schemas.canonical import JSON
 from schemas.config import (
@@ -112,6 +119,7 @@ class ProgramStage(Stage):
             arrays = scene.arrays(room.room_id)
             relations = RoomRelations.from_table(upstream["relations"], arrays, self.thresholds)
             facts[room.room_id] = text_facts(relations, self.thresholds)
+<<<<<<< HEAD
         goals = {}
         # What knows where objects can be stood at; each next one fills what the one before left short.
         ways = [apart_by_centres(scene, self.places)]
@@ -148,8 +156,28 @@ class ProgramStage(Stage):
                 "stops": stops_table(scene.scene_id, goals),
                 "candidates": candidates_table(scene.scene_id, candidates),
                 "rejections": rejections_table(scene.scene_id, self.name, rejections),
+=======
+        drawn = draw_programs(
+            scene,
+            facts,
+            self._bits(scene, shared),
+            walkable_of(unit, scene, upstream, self.max_climb),
+            sightings_from_table(upstream["visibility"]),
+            instructions=self.instructions,
+            sampling=self.sampling,
+            places=self.places,
+            goals=self.goals,
+            preamble=self.preamble,
+            seed=self.seed,
+        )
+        return StageOutput(
+            tables={
+                "stops": stops_table(scene.scene_id, drawn.goals),
+                "candidates": candidates_table(scene.scene_id, drawn.candidates),
+                "rejections": rejections_table(scene.scene_id, self.name, drawn.rejections),
+>>>>>>> d2cfd00 (The steps from a scene to its episodes are functions that the stages and World call)
             },
-            measures={"candidates": float(len(candidates))},
+            measures={"candidates": float(len(drawn.candidates))},
         )
 
 

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from condvln.episodes.steps import published_texts
 from condvln.episodes.table import (
     with_text,
 )
 from condvln.instructions import (
     instruction_table,
-    names_compass,
     programs_from_table,
-    render,
-    with_preamble,
 )
 from factory.stage import Stage, StageOutput
 from factory.unit import Unit
@@ -54,15 +52,9 @@ class TextStage(Stage):
         names = pa.chunked_array(wanted, pa.string())
         kept = candidates.filter(pc.is_in(candidates["instruction_id"], value_set=names))
         programs = dict(programs_from_table(kept))
-        bodies = {k: render(program, self.seed, k) for k, program in programs.items()}
         groups = dict(zip(*(placements[c].to_pylist() for c in ("instruction_id", "group_id")), strict=True))
-        texts = {}
-        for row in placements.select(["episode_id", "instruction_id", "start_heading_degrees"]).to_pylist():
-            name = row["instruction_id"]
-            named = self.text.preamble and names_compass(programs[name])
-            texts[row["episode_id"]] = (
-                with_preamble(bodies[name], row["start_heading_degrees"], self.seed, name) if named else bodies[name]
-            )
+        rows = placements.select(["episode_id", "instruction_id", "start_heading_degrees"]).to_pylist()
+        bodies, texts = published_texts(programs, rows, self.text, self.seed)
         return StageOutput(
             tables={
                 "instructions": instruction_table(str(unit.payload["scene_id"]), programs.items(), bodies, groups),

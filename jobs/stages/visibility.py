@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from condvln.episodes.goals import blocked_footprints, wide_islands
-from condvln.episodes.visibility import scene_visibility, visibility_table
+from condvln.episodes.steps import look_around
+from condvln.episodes.visibility import visibility_table
 from factory.stage import Stage, StageOutput
 from factory.unit import Unit
-from jobs.stages.inputs import Tables, pathfinder_of, scene_of, view_of
+from jobs.stages.inputs import Tables, scene_of, walkable_of
 from schemas.canonical import JSON
-from schemas.config import PlacesConfig
 
 __all__ = ["VisibilityStage"]
 
@@ -36,17 +35,10 @@ class VisibilityStage(Stage):
 
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
         scene = scene_of(unit, upstream)
-        if scene.navmesh is None:
+        walkable = walkable_of(unit, scene, upstream, self.max_climb)
+        if walkable is None:
             return StageOutput(tables={"visibility": visibility_table(scene, None)})
-        pathfinder = pathfinder_of(scene, upstream)
-        found = scene_visibility(
-            scene,
-            view_of(unit, scene),
-            pathfinder,
-            wide_islands(pathfinder, PlacesConfig(island_radius=self.island_radius)),
-            self.eye_height,
-            blocked_footprints(scene, pathfinder, self.max_climb),
-        )
+        found = look_around(scene, walkable, eye_height=self.eye_height, island_radius=self.island_radius)
         return StageOutput(
             tables={"visibility": visibility_table(scene, found)},
             measures={"objects": float(len(found)), "unseen": float(sum(one.unseen for one in found))},

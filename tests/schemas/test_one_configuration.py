@@ -38,6 +38,7 @@ TECHNICAL = {
     "episodes/placing.py": {"COMPASS_STEP"},
     # The verifier's own measurement: how many samples, how sure, how many at once.
     "verify/sight.py": {"OWN_POINTS", "ODDS", "EYES_AT_ONCE", "RAYS_AT_ONCE", "_R2"},
+    "verify/visibility.py": {"POINTS", "FEW", "SEEN_SHARE"},
     "verify/files.py": {"_BLOCK"},
     "verify/completeness.py": {"_BLOCK"},
     "verify/predicates.py": {"TRUE", "FALSE", "UNDECIDED"},
@@ -46,6 +47,7 @@ TECHNICAL = {
     "instructions/priors.py": {"MERGE_ROWS"},
     "instructions/stops.py": {"REJECTIONS"},
     "episodes/view.py": {"FIRST_LOOKS"},
+    "episodes/visibility.py": {"FIRST_PLACES", "CLOSE_SAMPLES"},
     # Formats of ids.
     "instructions/programs.py": {"ID_LENGTH"},
     "episodes/table.py": {"ID_DIGITS"},

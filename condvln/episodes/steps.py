@@ -1,0 +1,146 @@
+"""The steps from a scene to its episodes: what the stages of a run and :class:`condvln.world.World` both call."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.episodes.candidates import Candidate, draw_candidates
+from condvln.episodes.goals import blocked_footprints, scene_goals, wide_islands
+from condvln.episodes.observability import Observer
+from condvln.episodes.placing import Placer, reachable_stops
+from condvln.episodes.pool import EpisodePool, fill_pool
+from condvln.episodes.routes import GoalField
+from condvln.episodes.view import SceneView
+from condvln.episodes.visibility import Visibility, scene_visibility
+from condvln.instructions import PriorBits, ProgramSampler, apart_by_centres, names_compass, render, with_preamble
+from condvln.navigation.pathfinder import Pathfinder
+from condvln.relations import TextFacts
+from condvln.scene import Scene
+from condvln.scene.sightings import Sightings
+from schemas.config import (
+    EpisodeConfig,
+    GoalsConfig,
+    InstructionCell,
+    InstructionsConfig,
+    PlacesConfig,
+    SamplingConfig,
+    TextConfig,
+)
+from schemas.program import Program
+
+__all__ = ["DrawnPrograms", "Walkable", "draw_programs", "look_around", "place_programs", "published_texts"]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Walkable:
+    """Where an agent can walk in a scene, and what it can see from there; max_climb is metres it steps up."""
+
+    pathfinder: Pathfinder
+    view: SceneView
+    max_climb: float
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class DrawnPrograms:
+    """Candidate programs in the order in which they will be tried.
+
+    goals : goal points (k, 3) by object id; empty where nobody can walk
+    rejections : how often each reason ended a draw, by cell
+    """
+
+    goals: Mapping[str, NDArray[np.float64]]
+    candidates: list[Candidate]
+    rejections: Counter[tuple[InstructionCell | None, str]]
+
+
+def look_around(scene: Scene, walkable: Walkable, *, eye_height: float, island_radius: float) -> list[Visibility]:
+    """Which objects can be seen from where an agent can stand in their rooms; lengths in metres."""
+    islands = wide_islands(walkable.pathfinder, PlacesConfig(island_radius=island_radius))
+    obstacles = blocked_footprints(scene, walkable.pathfinder, walkable.max_climb)
+    return list(scene_visibility(scene, walkable.view, walkable.pathfinder, islands, eye_height, obstacles))
+
+
+def draw_programs(
+    scene: Scene,
+    facts: Mapping[str, TextFacts],
+    bits: PriorBits,
+    walkable: Walkable | None,
+    sightings: Sightings,
+    *,
+    instructions: InstructionsConfig,
+    sampling: SamplingConfig,
+    places: PlacesConfig,
+    goals: GoalsConfig,
+    preamble: bool,
+    seed: int,
+) -> DrawnPrograms:
+    """Candidate programs of a scene; without ``walkable`` objects are apart by their centres.
+
+    Parameters
+    ----------
+    facts : what text may say of pairs of objects, by room id
+    """
+    goal_points: Mapping[str, NDArray[np.float64]] = {}
+    stops = apart_by_centres(scene, places)
+    if walkable is not None:
+        pathfinder = walkable.pathfinder
+        obstacles = blocked_footprints(scene, pathfinder, walkable.max_climb)
+        goal_points = scene_goals(scene, pathfinder, places, goals, obstacles, walkable.view)
+        separation = places.leaf_separation(scene.single_room)
+        stops = reachable_stops(pathfinder, GoalField(pathfinder, goal_points), separation)
+    # Leaves are checked before the gold one is drawn among them, so that the check can't favour a truth.
+    sampler = ProgramSampler(
+        scene, facts, bits, instructions, sampling, seed, stops=stops, preamble=preamble, sightings=sightings
+    )
+    return DrawnPrograms(goal_points, draw_candidates(sampler), sampler.rejections)
+
+
+def place_programs(
+    scene: Scene,
+    candidates: Iterable[Candidate],
+    goals: Mapping[str, NDArray[np.float64]],
+    walkable: Walkable,
+    sightings: Sightings,
+    *,
+    instructions: InstructionsConfig,
+    places: PlacesConfig,
+    rules: EpisodeConfig,
+    preamble: bool,
+    seed: int,
+) -> EpisodePool:
+    """The episodes that candidates become, and why the others failed."""
+    placer = Placer(scene, walkable.pathfinder, goals, places, rules, seed, max_climb=walkable.max_climb)
+    observer = Observer(scene, walkable.view, walkable.pathfinder, places, rules, placer.obstacles, sightings=sightings)
+    return fill_pool(
+        candidates,
+        placer,
+        instructions.wanted,
+        instructions.label_cap,
+        lambda program: preamble and names_compass(program),
+        observer,
+        instructions.counterfactual_groups,
+    )
+
+
+def published_texts(
+    programs: Mapping[str, Program], placements: Sequence[Mapping[str, Any]], text: TextConfig, seed: int
+) -> tuple[dict[str, str], dict[str, str]]:
+    """Text of each program by instruction id, and of each episode by episode id, which may open with the heading.
+
+    placements : rows of PLACEMENTS
+    """
+    bodies = {name: render(program, seed, name) for name, program in programs.items()}
+    texts = {}
+    for row in placements:
+        name = row["instruction_id"]
+        said = bodies[name]
+        if text.preamble and names_compass(programs[name]):
+            said = with_preamble(said, row["start_heading_degrees"], seed, name)
+        texts[row["episode_id"]] = said
+    return bodies, texts
