@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from condvln.episodes.candidates import Candidate, draw_candidates
 from condvln.episodes.goals import blocked_footprints, scene_goals, wide_islands
+from condvln.episodes.graph_placing import viewpoint_stops
 from condvln.episodes.observability import Observer
 from condvln.episodes.placing import Placer, reachable_stops
 from condvln.episodes.pool import EpisodePool, fill_pool
@@ -19,6 +20,7 @@ from condvln.episodes.routes import GoalField
 from condvln.episodes.view import SceneView
 from condvln.episodes.visibility import Visibility, scene_visibility
 from condvln.instructions import PriorBits, ProgramSampler, apart_by_centres, names_compass, render, with_preamble
+from condvln.navigation.graph_pathfinder import GraphPathfinder
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.relations import TextFacts
 from condvln.scene import Scene
@@ -79,26 +81,54 @@ def draw_programs(
     goals: GoalsConfig,
     preamble: bool,
     seed: int,
+    graph: GraphPathfinder | None = None,
 ) -> DrawnPrograms:
-    """Candidate programs of a scene; without ``walkable`` objects are apart by their centres.
+    """Candidate programs of a scene; without ``walkable`` and ``graph`` objects are apart by their centres.
 
     Parameters
     ----------
     facts : what text may say of pairs of objects, by room id
+    graph : viewpoints of a scan that nobody can walk
     """
     goal_points: Mapping[str, NDArray[np.float64]] = {}
-    stops = apart_by_centres(scene, places)
+    # What knows where objects can be stood at; each next one fills what the one before left short.
+    ways = [apart_by_centres(scene, places)]
     if walkable is not None:
         pathfinder = walkable.pathfinder
         obstacles = blocked_footprints(scene, pathfinder, walkable.max_climb)
         goal_points = scene_goals(scene, pathfinder, places, goals, obstacles, walkable.view)
         separation = places.leaf_separation(scene.single_room)
-        stops = reachable_stops(pathfinder, GoalField(pathfinder, goal_points), separation)
+        ways = [reachable_stops(pathfinder, GoalField(pathfinder, goal_points), separation)]
+    elif graph is not None:
+        # Where too few things have a viewpoint, there are instructions without episodes.
+        ways.insert(0, viewpoint_stops(scene, graph))
     # Leaves are checked before the gold one is drawn among them, so that the check can't favour a truth.
-    sampler = ProgramSampler(
-        scene, facts, bits, instructions, sampling, seed, stops=stops, preamble=preamble, sightings=sightings
-    )
-    return DrawnPrograms(goal_points, draw_candidates(sampler), sampler.rejections)
+    candidates: list[Candidate] = []
+    rejections: Counter[tuple[InstructionCell | None, str]] = Counter()
+    for stops in ways:
+        sampler = ProgramSampler(
+            scene, facts, bits, instructions, sampling, seed, stops=stops, preamble=preamble, sightings=sightings
+        )
+        drawn = draw_candidates(sampler)
+        candidates = _filled(candidates, drawn) if candidates else drawn
+        rejections += sampler.rejections
+    return DrawnPrograms(goal_points, candidates, rejections)
+
+
+def _filled(candidates: list[Candidate], others: list[Candidate]) -> list[Candidate]:
+    """`candidates`, and of the `others` as many as their cells are short of what is asked.
+
+    No more others than candidates, so that most of what is published has an episode.
+    """
+    there = {candidate.instruction_id for candidate in candidates}
+    held = Counter(candidate.cell for candidate in candidates)
+    added: list[Candidate] = []
+    for other in others:
+        if other.cell is None or other.instruction_id in there or held[other.cell] >= other.cell.count:
+            continue
+        held[other.cell] += 1
+        added.append(other)
+    return candidates + added[: len(candidates)]
 
 
 def place_programs(

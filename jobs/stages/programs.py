@@ -2,22 +2,13 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import pyarrow as pa
 
-<<<<<<< HEAD
-from condvln.episodes.candidates import Candidate, candidates_table, draw_candidates
-from condvln.episodes.goals import blocked_footprints, scene_goals
-from condvln.episodes.graph_placing import viewpoint_stops
-from condvln.episodes.placing import reachable_stops
-from condvln.episodes.routes import GoalField
-=======
 from condvln.episodes.candidates import candidates_table
 from condvln.episodes.steps import draw_programs
->>>>>>> d2cfd00 (The steps from a scene to its episodes are functions that the stages and World call)
 from condvln.episodes.table import (
     rejections_table,
     stops_table,
@@ -32,16 +23,11 @@ from condvln.relations import RoomRelations, text_facts
 from condvln.scene import Scene
 from factory.stage import Aggregate, Stage, StageOutput
 from factory.unit import Unit
-<<<<<<< HEAD
-from jobs.stages.inputs import Tables, dump, pathfinder_of, scene_of, source_of, view_of
-=======
-from jobs.stages.inputs import Tables, dump, scene_of, walkable_of
->>>>>>> d2cfd00 (The steps from a scene to its episodes are functions that the stages and World call)
+from jobs.stages.inputs import Tables, dump, scene_of, source_of, walkable_of
 from jobs.stages.text import TextStage
 from schemas.canonical import JSON
 from schemas.config import (
     GoalsConfig,
-    InstructionCell,
     InstructionsConfig,
     PlacesConfig,
     SamplingConfig,
@@ -119,44 +105,6 @@ class ProgramStage(Stage):
             arrays = scene.arrays(room.room_id)
             relations = RoomRelations.from_table(upstream["relations"], arrays, self.thresholds)
             facts[room.room_id] = text_facts(relations, self.thresholds)
-<<<<<<< HEAD
-        goals = {}
-        # What knows where objects can be stood at; each next one fills what the one before left short.
-        ways = [apart_by_centres(scene, self.places)]
-        if scene.navmesh is not None:
-            pathfinder = pathfinder_of(scene, upstream)
-            obstacles = blocked_footprints(scene, pathfinder, self.max_climb)
-            goals = scene_goals(scene, pathfinder, self.places, self.goals, obstacles, view_of(unit, scene))
-            separation = self.places.leaf_separation(scene.single_room)
-            ways = [reachable_stops(pathfinder, GoalField(pathfinder, goals), separation)]
-        elif (graph := source_of(unit).connectivity(scene.scene_id)) is not None:
-            # Where too few things have a viewpoint, there are instructions without episodes.
-            ways.insert(0, viewpoint_stops(scene, GraphPathfinder.load(graph)))
-        bits = self._bits(scene, shared)
-        # Leaves are checked before the gold one is drawn among them, so that the check can't favour a truth.
-        candidates: list[Candidate] = []
-        rejections: Counter[tuple[InstructionCell | None, str]] = Counter()
-        for stops in ways:
-            sampler = ProgramSampler(
-                scene,
-                facts,
-                bits,
-                self.instructions,
-                self.sampling,
-                self.seed,
-                stops=stops,
-                preamble=self.preamble,
-                sightings=sightings_from_table(upstream["visibility"]),
-            )
-            drawn = draw_candidates(sampler)
-            candidates = _filled(candidates, drawn) if candidates else drawn
-            rejections += sampler.rejections
-        return StageOutput(
-            tables={
-                "stops": stops_table(scene.scene_id, goals),
-                "candidates": candidates_table(scene.scene_id, candidates),
-                "rejections": rejections_table(scene.scene_id, self.name, rejections),
-=======
         drawn = draw_programs(
             scene,
             facts,
@@ -169,29 +117,18 @@ class ProgramStage(Stage):
             goals=self.goals,
             preamble=self.preamble,
             seed=self.seed,
+            graph=self._graph(unit, scene),
         )
         return StageOutput(
             tables={
                 "stops": stops_table(scene.scene_id, drawn.goals),
                 "candidates": candidates_table(scene.scene_id, drawn.candidates),
                 "rejections": rejections_table(scene.scene_id, self.name, drawn.rejections),
->>>>>>> d2cfd00 (The steps from a scene to its episodes are functions that the stages and World call)
             },
             measures={"candidates": float(len(drawn.candidates))},
         )
 
-
-def _filled(candidates: list[Candidate], others: list[Candidate]) -> list[Candidate]:
-    """`candidates`, and of the `others` as many as their cells are short of what is asked.
-
-    No more others than candidates, so that most of what is published has an episode.
-    """
-    there = {candidate.instruction_id for candidate in candidates}
-    held = Counter(candidate.cell for candidate in candidates)
-    added: list[Candidate] = []
-    for other in others:
-        if other.cell is None or other.instruction_id in there or held[other.cell] >= other.cell.count:
-            continue
-        held[other.cell] += 1
-        added.append(other)
-    return candidates + added[: len(candidates)]
+    def _graph(self, unit: Unit, scene: Scene) -> GraphPathfinder | None:
+        """The viewpoints of a scan that nobody can walk; None where there is a navmesh, or no graph."""
+        path = None if scene.navmesh is not None else source_of(unit).connectivity(scene.scene_id)
+        return None if path is None else GraphPathfinder.load(path)
