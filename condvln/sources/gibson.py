@@ -202,7 +202,9 @@ def _objects(
             continue
         room = None if parent is None else room_of.get(parent.integer())
         if parent is None:
-            warnings.append(SceneWarning("no_parent_room", object_id, "its room is the one that its centre is in"))
+            warnings.append(
+                SceneWarning("no_parent_room", object_id, "the file names no room for it: it is placed by its centre")
+            )
         elif room is None and room_of:
             parent.fail(f"there is no room {parent.value}")
         centre = round_mm(Z_UP_TO_HABITAT @ location.vector(3))

@@ -21,7 +21,11 @@ from condvln.sources.input_ledger import InputLedger
 __all__ = ["NEAREST_REGION", "RegionIndex", "check_polygon", "in_rooms", "read_regions", "side_regions"]
 
 NEAREST_REGION: Final = 0.25
-"""Metres. An object whose centre lies so little outside all regions (in a wall, on a sill) is the nearest one's."""
+"""Metres. An object whose centre lies so little outside all regions (in a wall, on a sill) is the nearest one's, if the
+next one is farther by ``CLEAR``; else nobody can tell which of them it is in."""
+
+CLEAR: Final = 0.05
+"""Metres by which the second nearest region must be farther away than the nearest."""
 
 DEFAULT_FLOOR: Final = 0.0
 DEFAULT_EXTRUSION: Final = 2.5
@@ -78,38 +82,59 @@ class RegionIndex:
         return [(shapely.Polygon(r.polygon), r) for r in self.rooms]
 
     def room_of(self, point: NDArray[np.float64]) -> Room | None:
-        """The room that holds a point (3,): of several the smallest; of none the nearest within `NEAREST_REGION`."""
-        around = [
+        """The room that a point is in, else the only one within `NEAREST_REGION` of it."""
+        near = self.near(point)
+        clear = len(near) == 1 or (len(near) > 1 and near[1][0] - near[0][0] >= CLEAR)
+        return self.holding(point) or (near[0][1] if clear and near[0][0] <= NEAREST_REGION else None)
+
+    def holding(self, point: NDArray[np.float64]) -> Room | None:
+        """The room that a point (3,) is in, of several the smallest."""
+        spot = shapely.Point(point[0], point[2])
+        holding = [(polygon.area, r.room_id, r) for polygon, r in self._around(point) if polygon.covers(spot)]
+        return min(holding, key=lambda h: h[:2])[2] if holding else None
+
+    def near(self, point: NDArray[np.float64]) -> list[tuple[float, Room]]:
+        """Rooms no more than twice `NEAREST_REGION` away from a point, nearest first, with the metres to each."""
+        spot = shapely.Point(point[0], point[2])
+        near = [(float(polygon.distance(spot)), r.room_id, r) for polygon, r in self._around(point)]
+        return [(metres, room) for metres, _, room in sorted(near, key=lambda n: n[:2]) if metres <= 2 * NEAREST_REGION]
+
+    def _around(self, point: NDArray[np.float64]) -> list[tuple[shapely.Polygon, Room]]:
+        """Rooms at the height of a point."""
+        return [
             (polygon, r)
             for polygon, r in self._polygons
             if r.floor_y - NEAREST_REGION <= point[1] <= r.ceiling_y + NEAREST_REGION
         ]
-        spot = shapely.Point(point[0], point[2])
-        holding = [(polygon.area, r.room_id, r) for polygon, r in around if polygon.covers(spot)]
-        if holding:
-            return min(holding, key=lambda h: h[:2])[2]
-        near = [(polygon.distance(spot), r.room_id, r) for polygon, r in around]
-        near = [n for n in near if n[0] <= NEAREST_REGION]
-        return min(near, key=lambda n: n[:2])[2] if near else None
 
 
 def in_rooms(objects: Iterable[SceneObject], rooms: Sequence[Room]) -> tuple[list[SceneObject], list[SceneWarning]]:
-    """Objects with the room that holds their centre, and a warning for each that stands in none and is left out.
+    """Objects with the room that holds their centre, else with the only one that is near it.
 
-    A room without a polygon holds everything.
+    A warning ``nearest_room`` names each object that goes to a room that its centre is not in, and
+    ``object_outside_rooms`` each that is left out. A room without a polygon holds everything.
     """
     whole = next((room for room in rooms if room.polygon is None), None)
     index = RegionIndex(tuple(rooms))
     placed: list[SceneObject] = []
-    lost: list[SceneWarning] = []
+    said: list[SceneWarning] = []
     for item in objects:
         room = whole or index.room_of(item.center)
-        if room is None:
-            message = f"its centre {item.center.tolist()} is in no room: left out"
-            lost.append(SceneWarning("object_outside_rooms", item.object_id, message))
-        else:
+        if whole is None and (room is None or room is not index.holding(item.center)):
+            near = index.near(item.center)
+            if room is not None:
+                message = (
+                    f"its centre is in no room; it counts to the nearest one, {room.room_id}, {near[0][0]:.2f} m away"
+                )
+                said.append(SceneWarning("nearest_room", item.object_id, message))
+            else:
+                which = ", ".join(f"{r.room_id} {metres:.2f} m away" for metres, r in near)
+                why = f"is in none and could be in {which}" if which else "is in none and near none"
+                message = f"its centre {item.center.tolist()} {why}: left out"
+                said.append(SceneWarning("object_outside_rooms", item.object_id, message))
+        if room is not None:
             placed.append(replace(item, room_id=room.room_id))
-    return placed, lost
+    return placed, said
 
 
 def side_regions(side: Path, names: Sequence[str], family: str, ledger: InputLedger) -> tuple[Room, ...]:

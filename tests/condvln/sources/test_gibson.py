@@ -41,7 +41,7 @@ def test_a_building_is_turned_upright(tmp_path: Path) -> None:
 def test_without_a_parent_the_room_is_the_one_around_it(tmp_path: Path) -> None:
     scene = write(tmp_path, building()).read("verified/Made")
     assert scene.object_of["vase_3"].room_id == "dining_room_2"
-    assert [(w.code, w.where) for w in scene.warnings] == [("no_navmesh", "navmesh"), ("no_parent_room", "vase_3")]
+    assert [(w.code, w.where) for w in scene.warnings] == [("no_parent_room", "vase_3")]
     outside = building()
     outside["objects"][2]["location"] = [90, 0, 0]
     scene = write(tmp_path, outside).read("verified/Made")
@@ -119,7 +119,7 @@ def test_habitats_own_sample(real_data: Path, tmp_path: Path) -> None:
     scene = open_source("gibson", tmp_path).read("GibsonTestScene")
     (microwave,) = scene.objects
     assert (microwave.object_id, microwave.label) == ("microwave_1", "microwave")
-    assert sorted(w.code for w in scene.warnings) == ["no_navmesh", "object_without_place", "object_without_place"]
+    assert sorted(w.code for w in scene.warnings) == ["object_without_place", "object_without_place"]
 
 
 def test_a_folder_without_buildings_is_one_clear_error(tmp_path: Path) -> None:

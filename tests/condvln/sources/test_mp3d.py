@@ -99,7 +99,6 @@ def test_what_has_no_label_region_or_box_is_said(tmp_path: Path) -> None:
     assert "sofa_3" not in scene.object_of
     assert [(w.code, w.where) for w in scene.warnings] == [
         ("no_box", "sofa_4"),
-        ("no_navmesh", "navmesh"),
         ("object_outside_rooms", "sofa_3"),
         ("unlabelled_object", "unknown_2"),
     ]

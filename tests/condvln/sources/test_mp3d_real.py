@@ -46,7 +46,6 @@ def test_the_scan_is_read_whole(scene: Scene, house: HouseFile) -> None:
     assert (len(scene.rooms), len(scene.objects), len(house.panoramas), len(house.categories)) == (4, 109, 11, 1659)
     assert Counter(o.geometry for o in scene.objects) == {"obb": 109}
     assert [(w.code, w.where) for w in scene.warnings] == [
-        ("no_navmesh", "navmesh"),
         ("unlabelled_object", "unknown_64"),
     ]
     left = scene.object_of["unknown_64"].size

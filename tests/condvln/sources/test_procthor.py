@@ -49,7 +49,7 @@ def test_a_house_is_mirrored_into_habitats_frame(root: Path) -> None:
     # Turned by 90°: its sides are swapped.
     assert table.aabb is not None
     assert table.aabb.tolist() == [[1.5, 0.0, -1.8], [2.5, 0.8, -0.2]]
-    assert [w.code for w in scene.warnings] == ["no_navmesh"]
+    assert [w.code for w in scene.warnings] == []
 
 
 def test_a_tilted_thing_is_turned_as_unity_turns_it(root: Path) -> None:
@@ -136,7 +136,7 @@ def test_an_asset_that_the_database_lacks_has_no_extent(root: Path) -> None:
     unknown, dresser = scene.object_of["3|1"], scene.object_of["Dresser|3|7"]
     assert (unknown.geometry, unknown.label) == ("none", "unknown")
     assert (dresser.geometry, dresser.label) == ("none", "dresser")
-    assert Counter(w.code for w in scene.warnings) == {"unknown_asset": 2, "no_navmesh": 1}
+    assert Counter(w.code for w in scene.warnings) == {"unknown_asset": 2}
     # An unnamed thing could be anything: nothing may be said to be absent beside it.
     assert {r.room_id: r.complete for r in scene.rooms} == {"room|2": True, "room|3": False}
     made["objects"][1]["objectType"] = "Bed"
@@ -146,7 +146,7 @@ def test_an_asset_that_the_database_lacks_has_no_extent(root: Path) -> None:
 def test_the_generators_own_warning_is_kept(root: Path) -> None:
     made = house()
     made["metadata"]["warnings"] = {"RoomsNotNavigable": "Rooms [2] / 3 are not navigable."}
-    (warning, _) = sorted(write(root, made).read("train-0").warnings, key=lambda w: w.code, reverse=True)
+    (warning,) = sorted(write(root, made).read("train-0").warnings, key=lambda w: w.code, reverse=True)
     assert (warning.code, warning.message) == ("rooms_not_navigable", "Rooms [2] / 3 are not navigable.")
 
 

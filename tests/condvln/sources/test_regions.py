@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from condvln.formats.json_document import parse_json
-from condvln.scene import Room
-from condvln.sources.regions import NEAREST_REGION, RegionIndex, read_regions
+from condvln.scene import Room, SceneObject
+from condvln.sources.regions import NEAREST_REGION, RegionIndex, in_rooms, read_regions
 from schemas.errors import FormatError
 
 
@@ -126,3 +126,20 @@ def test_what_is_refused_and_how(regions: list[Any], message: str) -> None:
         rooms(*regions)
     assert caught.value.where == "s.json"
     assert caught.value.place.startswith("region_annotations[")
+
+
+def test_an_object_in_no_room_says_which_room_it_counts_to_or_that_it_is_left_out() -> None:
+    zones = rooms(region("west", (0, 0), (4, 4)), region("east", (4.3, 0), (8, 4)))
+
+    def placed(x: float) -> tuple[list[str], list[str]]:
+        item = SceneObject("lamp", "", "lamp", "lamp", np.array([x, 1.0, 2.0]))
+        found, said = in_rooms([item], zones)
+        assert all(w.where == "lamp" for w in said)
+        return [o.room_id for o in found], [w.code for w in said]
+
+    assert placed(3.9) == (["west"], [])
+    assert placed(4.1) == (["west"], ["nearest_room"])
+    assert placed(4.25) == (["east"], ["nearest_room"])
+    assert placed(4.15) == ([], ["object_outside_rooms"]), "as near to one as to the other"
+    assert placed(8.2) == (["east"], ["nearest_room"])
+    assert placed(8.3) == ([], ["object_outside_rooms"])
