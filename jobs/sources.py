@@ -8,6 +8,7 @@ from typing import Any, Final
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
+from condvln.labels import vocabulary
 from condvln.sources.downloads import look_for
 from jobs.pipeline import open_configured
 from jobs.report import Report, Section
@@ -42,7 +43,14 @@ def survey(config: Config, *, limit: int | None = None, console: Console | None 
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
         with Progress(*columns, console=console or Console(stderr=True), transient=True) as progress:
             task = progress.add_task(f"reading {source.family}", total=min(len(handles), limit or len(handles)))
-            found = survey_source(opened, handles, config.agent, limit=limit, tick=partial(progress.advance, task))
+            found = survey_source(
+                opened,
+                handles,
+                config.agent,
+                anchor_size=config.sampling.anchor_size,
+                limit=limit,
+                tick=partial(progress.advance, task),
+            )
         inputs = {i.path: i.size for handle in handles for i in handle.inputs}
         kinds = look_for(source.family, source.root, source.houses)
         document.append(
@@ -68,7 +76,11 @@ def survey(config: Config, *, limit: int | None = None, console: Console | None 
             if not k.files
         ]
         sections["Navmeshes"] += [(family, origin, count) for origin, count in sorted(found.navmeshes.items())]
-        sections["Unmapped labels"] += [(family, *item) for item in found.unmapped.most_common(SHOWN)]
+        sections["Will yield"].append((family, *_yield_row(found)))
+        sections["Will yield nothing"] += [(family, y.scene_id, y.nothing) for y in found.yields if y.nothing][:SHOWN]
+        sections["Unmapped labels"] += [
+            (family, raw, count, _may_be(raw, family)) for raw, count in found.unmapped.most_common(SHOWN)
+        ]
         sections["Unmapped rooms"] += [(family, *item) for item in found.unmapped_rooms.most_common(SHOWN)]
         sections["Warnings"] += [(family, *item) for item in sorted(found.warnings.items())]
         sections["Passed over"] += [(family, *item) for item in found.passed_over[:SHOWN]]
@@ -92,13 +104,41 @@ _COLUMNS: Final = {
     "Scenes": ("family", "scenes", "read", "rooms", "objects", "with extent", "without extent"),
     "Missing files": ("family", "need", "what", "from", "licence to accept"),
     "Navmeshes": ("family", "navmesh", "scenes"),
-    "Unmapped labels": ("family", "raw label", "objects"),
+    "Will yield": (
+        "family",
+        "scenes with instructions",
+        "without",
+        "with claims of absence",
+        "pairs of room and label blocked",
+        "nameless objects",
+        "hidden objects",
+    ),
+    "Will yield nothing": ("family", "scene", "why"),
+    "Unmapped labels": ("family", "raw label", "objects", "may be"),
     "Unmapped rooms": ("family", "raw label", "rooms"),
     "Warnings": ("family", "code", "places"),
     "Passed over": ("family", "path", "why"),
     "Will be skipped": ("family", "scene", "why"),
     "Unreadable": ("family", "scene", "cause"),
 }
+
+
+def _yield_row(found: Survey) -> tuple[int, ...]:
+    some = [one for one in found.yields if not one.nothing]
+    return (
+        len(some),
+        len(found.yields) - len(some),
+        sum(one.absence > 0 for one in some),
+        *(sum(getattr(one, name) for one in found.yields) for name in ("blocked", "nameless", "hidden")),
+    )
+
+
+def _may_be(raw: str, family: str) -> str:
+    """What an object of an unmapped type keeps from being said to be absent."""
+    label = vocabulary.canonical(raw, family)
+    if vocabulary.is_vague(label, family):
+        return "anything of its size"
+    return ", ".join(sorted(vocabulary.may_be(label, family))) or "nothing that text names"
 
 
 def _row(found: Survey) -> tuple[int, ...]:
@@ -116,4 +156,5 @@ def _counts(found: Survey) -> dict[str, Any]:
         "passed_over": [list(item) for item in found.passed_over],
         "skipped": [list(item) for item in found.skipped],
         "unreadable": [list(item) for item in found.unreadable],
+        "yields": [one.document() for one in found.yields],
     }

@@ -10,7 +10,8 @@ from condvln.labels import vocabulary
 from condvln.navigation.scene_navmesh import with_shipped_navmesh
 from condvln.scene import Scene
 from condvln.sources.source import UNKNOWN_LABEL, SceneHandle, Source
-from schemas.config import AgentConfig
+from jobs.scene_yield import SceneYield, scene_yield
+from schemas.config import AgentConfig, SamplingConfig
 from schemas.errors import InputError
 
 __all__ = ["Survey", "survey_source"]
@@ -25,6 +26,7 @@ class Survey:
     warnings : by code, how many places; skipped, unreadable : (scene id, why)
     passed_over : (path, why) of what holds no scene, or is listed under another name
     navmeshes : scenes by where their navmesh comes from
+    yields : what to expect of each scene that was read
     """
 
     scenes: int = 0
@@ -39,6 +41,7 @@ class Survey:
     passed_over: list[tuple[str, str]] = field(default_factory=list)
     skipped: list[tuple[str, str]] = field(default_factory=list)
     unreadable: list[tuple[str, str]] = field(default_factory=list)
+    yields: list[SceneYield] = field(default_factory=list)
 
     @property
     def without_extent(self) -> int:
@@ -51,6 +54,7 @@ def survey_source(
     handles: Sequence[SceneHandle],
     agent: AgentConfig,
     *,
+    anchor_size: float = SamplingConfig().anchor_size,
     limit: int | None = None,
     tick: Callable[[], object] | None = None,
 ) -> Survey:
@@ -60,6 +64,7 @@ def survey_source(
     ----------
     handles : the scenes, as ``source.handles()`` lists them
     agent : whose navmesh is looked for
+    anchor_size : least longest side of a thing that names a room, metres
     limit : most scenes read, spread evenly over the list; all where None
     tick : called after each scene
     """
@@ -72,6 +77,7 @@ def survey_source(
         try:
             scene = with_shipped_navmesh(source.read(scene_id), agent)
             _count(survey, source, scene)
+            survey.yields.append(scene_yield(scene, anchor_size))
         except InputError as error:
             survey.unreadable.append((scene_id, str(error)))
         if tick is not None:
@@ -86,9 +92,10 @@ def _count(survey: Survey, source: Source, scene: Scene) -> None:
     survey.with_extent += sum(item.box is not None or item.radius is not None for item in scene.objects)
     survey.warnings.update(warning.code for warning in scene.warnings)
     survey.unmapped.update(
-        item.raw_label
+        # A model whose source labels it wrongly goes by its own name.
+        item.raw_label if vocabulary.canonical(item.raw_label, scene.family) == item.label else item.label
         for item in scene.objects
-        if item.raw_label != UNKNOWN_LABEL and not vocabulary.is_mapped(item.raw_label, scene.family)
+        if item.raw_label != UNKNOWN_LABEL and item.label not in vocabulary.labels
     )
     survey.unmapped_rooms.update(
         room.raw_label for room in scene.rooms if room.annotation != "scene" and _unknown_room(room.raw_label, scene)

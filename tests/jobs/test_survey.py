@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from condvln.samples import FAMILIES, make_samples
 from condvln.sources.downloads import downloads, look_for
 from condvln.sources.registry import READERS, open_source
+from jobs.scene_yield import scene_yield
 from jobs.survey import survey_source
 from schemas.config import AgentConfig
 
@@ -91,3 +93,33 @@ def test_real_datasets(real_data: Path) -> None:
     assert [scene for scene, _ in found["mp3d"].unreadable] == ["gZ6f7yhEvPG"]
     assert found["gibson"].navmeshes == {"none": 13, "shipped, fits": 1}
     assert len(found["gibson"].skipped) == 13
+
+
+def test_what_scenes_will_yield_is_said_before_the_run(tmp_path: Path) -> None:
+    make_samples(tmp_path, family="gibson", scenes=2, seed=1)
+    for path in tmp_path.glob("verified"):
+        path.rename(tmp_path / "automated")
+    assert (tmp_path / "automated").is_dir()
+    for absence, asked in (("complete", False), ("never", True)):
+        source = open_source("gibson", tmp_path, absence=absence)
+        survey = survey_source(source, source.handles(), AgentConfig())
+        assert len(survey.yields) == survey.read >= 2
+        assert all((one.nothing == "") == asked for one in survey.yields)
+        assert all("absence: never" in one.nothing for one in survey.yields if not asked)
+        assert not any(one.absence for one in survey.yields), "nothing is ever said to be absent"
+
+
+def test_what_a_nameless_object_blocks_is_counted(tmp_path: Path) -> None:
+    make_samples(tmp_path, family="procthor", scenes=2, seed=1)
+    source = open_source("procthor", tmp_path)
+    scene = source.read(source.handles()[0].scene_id)
+    plain = scene_yield(scene, 0.4)
+    assert (plain.nothing, plain.nameless, plain.blocked) == ("", 0, 0)
+    assert plain.absence > 0
+    strange = replace(
+        scene.objects[0], object_id="strange", raw_label="ObjaZyx", label="obja zyx", aabb=None, size=None
+    )
+    found = scene_yield(replace(scene, objects=(*scene.objects, strange)), 0.4)
+    assert found.nameless == 1
+    assert found.blocked > 0
+    assert found.absence < plain.absence or plain.rooms > 1
