@@ -33,7 +33,7 @@ class SceneStage(Stage):
     agent: AgentConfig
     limits: LimitsConfig
     name: str = "scene"
-    version: int = 7
+    version: int = 8
     tables: tuple[str, ...] = ("scenes", "rooms", "objects", "navmeshes")
     reads_inputs: bool = True
 
