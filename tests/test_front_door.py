@@ -127,3 +127,18 @@ def test_the_ray_example_counts_predicates(repository: Path, tmp_path: Path) -> 
     make_samples(tmp_path, family="replicacad", scenes=2, seed=1)
     found = example(repository, "ray_job").main("replicacad", str(tmp_path))
     assert found["near"] > 0
+
+
+@pytest.mark.parametrize("page", ["architecture", "glossary"])
+def test_files_that_the_docs_name_exist(repository: Path, page: str) -> None:
+    text = (repository / "docs" / f"{page}.md").read_text(encoding="utf-8")
+    named = re.findall(r"`((?:condvln|factory|jobs|schemas|docs|deploy|tests)/[\w/.-]*)`", text)
+    assert len(named) > 15
+    assert [place for place in named if not (repository / place).exists()] == []
+
+
+def test_the_glossary_is_sorted(repository: Path) -> None:
+    text = (repository / "docs" / "glossary.md").read_text(encoding="utf-8")
+    words = [line.split("|")[1].strip().lower() for line in text.splitlines() if line.startswith("|")][2:]
+    assert len(words) > 25
+    assert words == sorted(words)
