@@ -60,6 +60,7 @@ def test_the_counts_of_a_scene() -> None:
     assert counts_of("mp3d", counts, 50) == {
         "scene": 1.0,
         "objects": 100.0,
+        "seen_objects": 100.0,
         "kilopairs": 2.5,
         "asked": 0.5,
         "placed_kiloobjects": 5.0,
@@ -67,6 +68,7 @@ def test_the_counts_of_a_scene() -> None:
     }
     # Without navmesh and without anything to build one from no episode is placed; a shipped navmesh builds none.
     assert counts_of("gibson", SceneCounts(100.0, 4.0), 50)["placed_kiloobjects"] == 0
+    assert counts_of("gibson", SceneCounts(100.0, 4.0), 50)["seen_objects"] == 0
     assert counts_of("gibson", SceneCounts(100.0, 4.0, 10, 3_000_000), 50)["mesh_mb"] == 0
     assert counts_of("ithor", SceneCounts(100.0), 50)["placed_kiloobjects"] == 5.0
 
