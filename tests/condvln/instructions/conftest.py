@@ -150,12 +150,13 @@ def _room_fits(ref: RoomRef, scene: Scene) -> list[str]:
 
 
 def _object_fits(ref: ObjectRef, scene: Scene, facts) -> list[str]:
-    """Ids of the objects that a name may fit, anything in the dead zone included."""
+    """Ids of the objects in sight that a name may fit, anything in the dead zone included."""
     arrays = scene.arrays(ref.room.room_id)
-    fits = [i for i, label in enumerate(arrays.labels) if label in _words(ref.label)]
+    seen = [(i, label) for i, label in enumerate(arrays.labels) if not arrays.objects[i].hidden]
+    fits = [i for i, label in seen if label in _words(ref.label)]
     if ref.qualifier is not None:
         assert len(fits) > 1, "a qualifier must be needed"
-        anchors = [i for i, label in enumerate(arrays.labels) if label in _words(ref.qualifier.anchor_label)]
+        anchors = [i for i, label in seen if label in _words(ref.qualifier.anchor_label)]
         assert [arrays.object_ids[i] for i in anchors] == [ref.qualifier.anchor_id]
         status = facts[ref.room.room_id].status[ref.qualifier.predicate][:, anchors[0]]
         assert status[arrays.object_ids.index(ref.object_id)] == 1
@@ -164,14 +165,15 @@ def _object_fits(ref: ObjectRef, scene: Scene, facts) -> list[str]:
 
 
 def _truth_of(condition: Condition, scene: Scene, facts) -> tuple[bool | None, tuple[str, ...]]:
-    """Truth and witnesses of a condition; None where margins don't allow to tell."""
+    """Truth and witnesses of a condition; None where margins, or what is hidden, don't allow to tell."""
     arrays = scene.arrays(condition.room.room_id)
     meant = [i for i, label in enumerate(arrays.labels) if label in _words(condition.label)]
-    exact = [i for i in meant if arrays.labels[i] == condition.label]
+    exact = [i for i in meant if arrays.labels[i] == condition.label and not arrays.objects[i].hidden]
     true, false = exact, not meant
     if condition.qualifier is not None:
         anchor = arrays.object_ids.index(condition.qualifier.anchor_id)
-        assert sum(x in _words(condition.qualifier.anchor_label) for x in arrays.labels) == 1
+        named = [i for i, x in enumerate(arrays.labels) if x in _words(condition.qualifier.anchor_label)]
+        assert [i for i in named if not arrays.objects[i].hidden] == [anchor]
         status = facts[condition.room.room_id].status[condition.qualifier.predicate][:, anchor]
         true = [i for i in exact if status[i] == 1]
         false = bool(exact) and all(status[i] == -1 for i in meant)
