@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from condvln.episodes.candidates import Candidate, draw_candidates
 from condvln.episodes.goals import blocked_footprints, scene_goals, wide_islands
-from condvln.episodes.graph_placing import viewpoint_stops
+from condvln.episodes.graph_placing import GraphPlacer, NotOnGraph, viewpoint_stops
 from condvln.episodes.observability import Observer
 from condvln.episodes.placing import Placer, reachable_stops
 from condvln.episodes.pool import EpisodePool, fill_pool
@@ -91,6 +91,7 @@ def draw_programs(
     graph : viewpoints of a scan that nobody can walk
     """
     goal_points: Mapping[str, NDArray[np.float64]] = {}
+    placer: GraphPlacer | None = None
     # What knows where objects can be stood at; each next one fills what the one before left short.
     ways = [apart_by_centres(scene, places)]
     if walkable is not None:
@@ -102,6 +103,7 @@ def draw_programs(
     elif graph is not None:
         # Where too few things have a viewpoint, there are instructions without episodes.
         ways.insert(0, viewpoint_stops(scene, graph))
+        placer = GraphPlacer(scene, graph, seed)
     # Leaves are checked before the gold one is drawn among them, so that the check can't favour a truth.
     candidates: list[Candidate] = []
     rejections: Counter[tuple[InstructionCell | None, str]] = Counter()
@@ -110,15 +112,40 @@ def draw_programs(
             scene, facts, bits, instructions, sampling, seed, stops=stops, preamble=preamble, sightings=sightings
         )
         drawn = draw_candidates(sampler)
-        candidates = _filled(candidates, drawn) if candidates else drawn
         rejections += sampler.rejections
+        if placer is not None and stops is ways[0]:
+            drawn, refused = _placeable(drawn, placer)
+            rejections += refused
+        candidates = _filled(candidates, drawn) if candidates else drawn
     return DrawnPrograms(goal_points, candidates, rejections)
+
+
+def _placeable(
+    candidates: list[Candidate], placer: GraphPlacer
+) -> tuple[list[Candidate], Counter[tuple[InstructionCell | None, str]]]:
+    """Those that have a start on the viewpoints, and why the others have none. Groups are kept or left out whole.
+
+    Every leaf is looked at as if it were gold, so that this tells nothing of the truth.
+    """
+    refused: Counter[tuple[InstructionCell | None, str]] = Counter()
+    lost: set[str] = set()
+    groups: set[str | None] = set()
+    for candidate in candidates:
+        try:
+            placer.place(candidate.program, candidate.instruction_id, compass=False)
+        except NotOnGraph as reason:
+            refused[candidate.cell, str(reason)] += 1
+            lost.add(candidate.instruction_id)
+            groups.add(candidate.group_id)
+    groups.discard(None)
+    kept = [one for one in candidates if one.instruction_id not in lost and one.group_id not in groups]
+    return kept, refused
 
 
 def _filled(candidates: list[Candidate], others: list[Candidate]) -> list[Candidate]:
     """`candidates`, and of the `others` as many as their cells are short of what is asked.
 
-    No more others than candidates, so that most of what is published has an episode.
+    At most one other for two candidates, so that most of what is published has an episode.
     """
     there = {candidate.instruction_id for candidate in candidates}
     held = Counter(candidate.cell for candidate in candidates)
@@ -128,7 +155,7 @@ def _filled(candidates: list[Candidate], others: list[Candidate]) -> list[Candid
             continue
         held[other.cell] += 1
         added.append(other)
-    return candidates + added[: len(candidates)]
+    return candidates + added[: len(candidates) // 2]
 
 
 def place_programs(
