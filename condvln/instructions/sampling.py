@@ -37,8 +37,8 @@ __all__ = ["ProgramSampler"]
 TRIES_PER_CANDIDATE: Final = 2
 """Shapes tried for each candidate wanted, so that a scene that can't fulfil some of them still fills its number."""
 
-VAIN_TRIES: Final = 30
-"""Shapes in a row, each drawn many times, after which a cell has given all that it can."""
+VAIN_TRIES: Final = 100
+"""Shapes in a row, each drawn many times, after which a cell has given all that it can.."""
 
 
 @dataclass(frozen=True, slots=True)
