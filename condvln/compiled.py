@@ -147,7 +147,7 @@ def _cache_folder(kernels: Path, package: str) -> Path | None:
                     _forget_old_versions(folder, package)
                 return folder
     _logger.warning(
-        "no folder can be written for compiled kernels: each process will compile anew; set NUMBA_CACHE_DIR"
+        "no folder can be written for compiled kernels: each process will compile again; set NUMBA_CACHE_DIR"
     )
     return None
 

@@ -240,7 +240,7 @@ class _Run:
                 return
             damaged = self.publisher.publish(table, self._context(), self.report, pins.pin.tables)
             if not damaged:
-                # What was in quarantine and is no more: mended, changed or gone.
+                # What was in quarantine and is no more: corrected, changed or gone.
                 for stage, key in sorted(failed_keys(self.index.table) - failed_keys(table)):
                     self.commits.release(stage, key)
                 return

@@ -36,7 +36,7 @@ def add_bias(
         counted, now = behind
         report.lines.append(
             f"what is usually true was counted over {counted} scenes, and {now} are published: what holds in those "
-            "others is foretold by their words; condvln rebuild CONFIG --priors counts anew"
+            "others is foretold by their words; condvln rebuild CONFIG --priors counts again"
         )
     rows = found.overview()
     # Source by source there are dozens; what is in order stands in export.json and on the card.

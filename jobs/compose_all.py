@@ -165,7 +165,7 @@ class _Writer:
         source = self.known.get(name)
         if source is None:
             raise MissingFileError(
-                "no source has this scene", remedy="Mend the configuration's 'sources', or generate and export again"
+                "no source has this scene", remedy="Correct the configuration's 'sources', or generate and export again"
             )
         if isinstance(source, InputError):
             raise source

@@ -197,7 +197,7 @@ def walk_split(
 
     Raises
     ------
-    UsageError : no such agent, or it answers something that is no action
+    UsageError : no such agent, or it answers something that is not an action
     """
     tasks, navmeshes = split_tasks(export, split), NavmeshFolder((export, *roots))
     if is_policy(agent):

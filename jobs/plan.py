@@ -52,7 +52,7 @@ def make_plan(config: Config, *, every_scene: bool = False) -> Report:
     if found.removed:
         lines.append(f"{len(found.removed)} no longer in the sources: {', '.join(found.removed[:5])} …")
     if found.renewed:
-        lines.append(f"would be built anew: {', '.join(found.renewed)}")
+        lines.append(f"would be built again: {', '.join(found.renewed)}")
     if found.reasons["damaged"]:
         lines.append(f"files of {found.reasons['damaged']} scenes are missing from the store, or cut: made again")
     if found.damaged:

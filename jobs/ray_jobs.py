@@ -87,7 +87,9 @@ class RayJobs:
         """Version of Ray on the cluster."""
         answer = self._ask("GET", "/api/version")
         if "ray_version" not in answer:
-            raise UsageError("this is no job server of Ray", where=self.address, remedy="Name the dashboard's address.")
+            raise UsageError(
+                "this is not a job server of Ray", where=self.address, remedy="Name the dashboard's address."
+            )
         return str(answer["ray_version"])
 
     def upload(self, files: Mapping[str, bytes]) -> str:
@@ -156,7 +158,7 @@ class RayJobs:
                     raise UsageError(f"refused ({error.code}): {last}", where=self.address, remedy=remedy) from error
                 fault = f"{error.code} {said.splitlines()[-1] if said else error.reason}"
             except json.JSONDecodeError as error:
-                raise UsageError("this is no job server of Ray", where=self.address + path) from error
+                raise UsageError("this is not a job server of Ray", where=self.address + path) from error
             except (urllib.error.URLError, OSError) as error:
                 fault = str(getattr(error, "reason", error))
         raise TransientIOError(

@@ -169,7 +169,7 @@ def _stat(file: str | os.DirEntry[str]) -> list[Any]:
 
 
 def code_digest() -> str:
-    """Digest of this program's own files: their times say nothing, since every image is built anew."""
+    """Digest of this program's own files: their times say nothing, since every image is built again."""
     state = hashlib.sha256()
     for package in _PACKAGES:
         root = Path(__file__).parents[1] / package

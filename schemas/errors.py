@@ -147,7 +147,7 @@ class ClusterError(CondVLNError):
 
 
 class StageError(CondVLNError):
-    """A stage's output is not what the stage declared. The unit is quarantined; the stage needs a mend."""
+    """A stage's output is not what the stage declared. The unit is quarantined; the stage needs a fix."""
 
     exit_code = 3
 

@@ -134,7 +134,7 @@ def walk(
 
     Raises
     ------
-    UsageError : the policy answers something that is no action
+    UsageError : the policy answers something that is not an action
     """
     limit = task.max_steps if max_steps is None else max_steps
     agent = Follower(pathfinder, space, sliding=sliding).stepped(task.start, heading_of(task.start_rotation))
@@ -156,7 +156,7 @@ def walk(
         action = policy.act(observation)
         if action not in (STOP, FORWARD, LEFT, RIGHT):
             raise UsageError(
-                f"{action!r} is no action", place=f"episode {task.episode_id}", remedy="Answer 0, 1, 2 or 3"
+                f"{action!r} is not an action", place=f"episode {task.episode_id}", remedy="Answer 0, 1, 2 or 3"
             )
         agent.take(action)
         stopped = action == STOP

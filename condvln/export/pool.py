@@ -187,7 +187,7 @@ class PoolBuilder:
         if not self._ids or not sum(map(len, self._ids)):
             raise StoreError(
                 "the snapshot holds no episodes",
-                remedy="Its rejections table has the reasons; mend the sources or the configuration and generate again",
+                remedy="Its rejections table has the reasons; correct the sources or the configuration, then generate",
             )
         columns = {name: np.concatenate(parts) for name, parts in self._columns.items()}
         self._refuse_repeats(columns["episode"])
@@ -229,7 +229,7 @@ class PoolBuilder:
         again = np.setdiff1d(np.arange(len(names)), first)
         example = pa.chunked_array(self._ids)[int(again[0])]
         raise StoreError(
-            f"{len(again)} episode ids stand twice in the snapshot, such as {example}",
+            f"{len(again)} episode ids occur twice in the snapshot, such as {example}",
             remedy="List each scene under one source only, then generate again",
         )
 

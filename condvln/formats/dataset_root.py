@@ -16,7 +16,7 @@ __all__ = ["TRANSIENT", "DatasetRoot"]
 _DRIVE = re.compile(r"^[A-Za-z]:")
 TRANSIENT: Final = frozenset({errno.EIO, errno.EAGAIN, errno.EBUSY, errno.ESTALE, errno.ETIMEDOUT, errno.EINTR})
 """Errors of the system that another try may cure."""
-_ESCAPE_REMEDY = "Paths must stay inside the dataset's root folder; mend the entry"
+_ESCAPE_REMEDY = "Paths must stay inside the dataset's root folder; correct the entry"
 
 
 class DatasetRoot:
@@ -37,7 +37,7 @@ class DatasetRoot:
         FormatError : not a path at all
         """
         if "\0" in path or not path.strip():
-            raise FormatError(f"{path!r} is no path", where=where, place=place, remedy="Mend the entry")
+            raise FormatError(f"{path!r} is not a path", where=where, place=place, remedy="Correct the entry")
         path = path.replace("\\", "/")
         if path.startswith("/") or _DRIVE.match(path):
             raise PathEscapeError(f"the path {path!r} is absolute", where=where, place=place, remedy=_ESCAPE_REMEDY)
@@ -102,7 +102,7 @@ class DatasetRoot:
             if error.errno in TRANSIENT:
                 raise TransientIOError(f"the file can't be read ({error.strerror})", where=path) from error
             raise MissingFileError(
-                f"the file can't be opened ({error.strerror})", where=path, remedy="Mend its name or its permissions"
+                f"the file can't be opened ({error.strerror})", where=path, remedy="Correct its name or its permissions"
             ) from None
         if len(data) > limit:
             raise FormatError(f"the file is larger than {limit} bytes", where=path, remedy="No real file is so large")

@@ -224,14 +224,14 @@ def _transform(node: JsonNode) -> Tree:
         if key in node:
             kept[key] = node[key].vector(length, MAX_SCALE).tolist()
     if "rotation" in kept and not sum(q * q for q in kept["rotation"]) > 0.5:
-        node["rotation"].fail("the quaternion is no rotation")
+        node["rotation"].fail("the quaternion is not a rotation")
     return kept
 
 
 def _count(node: JsonNode) -> int:
     value = node.integer()
     if value < 0:
-        node.fail(f"{value} is no count")
+        node.fail(f"{value} is not a count")
     return value
 
 

@@ -34,7 +34,7 @@ _STRING = re.compile(rb'"[^"\\]*(?:\\.[^"\\]*)*"|(")[^"\\]*(?:\\.[^"\\]*)*(\\?)\
 _REST = re.compile(rb'[^"\\]*(?:\\(?:.|\Z)[^"\\]*)*(?:"|\Z)', re.DOTALL)
 
 _SURROGATE = re.compile(rb"\\u[dD][89a-fA-F]")
-_REMEDY = "Take the file from its dataset again, or mend the entry"
+_REMEDY = "Take the file from its dataset again, or correct the entry"
 
 
 def parse_json(data: bytes, where: str) -> JsonNode:
@@ -190,7 +190,7 @@ class JsonNode:
 def _listed(value: Any) -> list[Any]:
     if isinstance(value, TextArray):
         return list(value)
-    raise TypeError(f"{type(value).__name__} is no JSON")
+    raise TypeError(f"{type(value).__name__} is not JSON")
 
 
 def _check_text(value: Any, where: str) -> None:
@@ -205,7 +205,7 @@ def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(unique) != len(pairs):
         seen: set[str] = set()
         twice = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
-        raise ValueError(f"the key {twice!r} stands twice in one object")
+        raise ValueError(f"the key {twice!r} occurs twice in one object")
     return unique
 
 

@@ -127,10 +127,10 @@ class JsonLines:
 
     def _no_line(self, number: int) -> MissingFileError:
         return MissingFileError(
-            "nothing stands in this line",
+            "this line is empty",
             where=self.where,
             place=f"line {number + 1}",
-            remedy="Mend the scene's id",
+            remedy="Correct the scene's id",
         )
 
     def _open(self) -> BinaryIO:

@@ -41,9 +41,9 @@ class _DType:
         try:
             found = np.dtype((self.order if self.order in ("<", ">") else "") + self.text)
         except (TypeError, ValueError) as error:
-            raise UnsafePickleError(f"{self.text!r:.40} is no plain type of numbers") from error
+            raise UnsafePickleError(f"{self.text!r:.40} is not a plain type of numbers") from error
         if found.kind not in _DTYPE_KINDS or found.fields is not None or found.subdtype is not None:
-            raise UnsafePickleError(f"{self.text!r:.40} is no plain type of numbers")
+            raise UnsafePickleError(f"{self.text!r:.40} is not a plain type of numbers")
         return found
 
 
@@ -98,7 +98,7 @@ def _scalar(dtype: Any, content: Any = None) -> Any:
 def _encode(text: Any, encoding: Any = "latin1") -> bytes:
     """How protocol 2 writes bytes."""
     if not isinstance(text, str) or encoding != "latin1":
-        raise UnsafePickleError("bytes that are no Latin-1")
+        raise UnsafePickleError("bytes that are not Latin-1")
     return text.encode("latin1")
 
 

@@ -51,7 +51,7 @@ def mesh_triangles(sources: Iterable[MeshSource]) -> tuple[Array, Array]:
     MissingFileError
         A file is not there.
     FormatError
-        A file can't be read, or a transform is no finite (4, 4) matrix.
+        A file can't be read, or a transform is not a finite (4, 4) matrix.
     """
     import trimesh
 
@@ -155,7 +155,7 @@ def _matrix(values: npt.ArrayLike, place: str) -> Array:
     with np.errstate(over="ignore"):
         matrix = np.asarray(values, np.float32)
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-        raise FormatError("the transform is no finite (4, 4) matrix", place=place, remedy="Repair the file")
+        raise FormatError("the transform is not a finite (4, 4) matrix", place=place, remedy="Repair the file")
     return matrix
 
 

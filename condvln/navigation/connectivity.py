@@ -94,7 +94,7 @@ def read_connectivity(path: str | os.PathLike[str]) -> ViewpointGraph:
 def _load(file: Path) -> list[Any]:
     try:
         if file.stat().st_size > MAX_FILE_BYTES:
-            raise _error(file, "", f"{file.stat().st_size} bytes is no connectivity file (at most {MAX_FILE_BYTES})")
+            raise _error(file, "", f"{file.stat().st_size} bytes is not a connectivity file (at most {MAX_FILE_BYTES})")
         items = orjson.loads(file.read_bytes())
     except FileNotFoundError as error:
         raise MissingFileError("there is no such connectivity file", where=file, remedy="Check the path") from error
@@ -124,7 +124,7 @@ def _numbers(file: Path, place: str, values: Any, count: int) -> list[float]:
             or not math.isfinite(value)
             or abs(value) > 1e6
         ):
-            raise _error(file, place, f"{value!r} is no number of metres")
+            raise _error(file, place, f"{value!r} is not a number of metres")
     return [float(value) for value in values]
 
 

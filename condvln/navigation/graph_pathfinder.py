@@ -65,9 +65,9 @@ class GraphPathfinder:
         places = np.array(positions, np.float32).reshape(-1, 3)
         pairs = np.sort(np.array(edges, np.int32).reshape(-1, 2), axis=1)
         if not len(places) or not np.isfinite(places).all():
-            raise InputError("a graph needs places with finite coordinates", remedy="Mend the graph")
+            raise InputError("a graph needs places with finite coordinates", remedy="Correct the graph")
         if len(pairs) and (pairs.min() < 0 or pairs.max() >= len(places) or (pairs[:, 0] == pairs[:, 1]).any()):
-            raise InputError("an edge names a place that is not there, or one place twice", remedy="Mend the graph")
+            raise InputError("an edge names a place that is not there, or one place twice", remedy="Correct the graph")
         pairs = np.unique(pairs, axis=0)
         lengths = np.linalg.norm(places[pairs[:, 0]].astype(float) - places[pairs[:, 1]], axis=1)
         return cls(ViewpointGraph(tuple(str(i) for i in range(len(places))), places, pairs, lengths))

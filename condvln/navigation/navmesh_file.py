@@ -151,7 +151,7 @@ def read_navmesh(path: str | os.PathLike[str]) -> NavMeshFile:
         size = file.stat().st_size
         if size > MAX_FILE_BYTES:
             raise FormatError(
-                f"{size} bytes is no navmesh of a scene (at most {MAX_FILE_BYTES})", where=file, remedy=REMEDY
+                f"{size} bytes is not a navmesh of a scene (at most {MAX_FILE_BYTES})", where=file, remedy=REMEDY
             )
         data = file.read_bytes()
     except FileNotFoundError as error:
@@ -176,7 +176,7 @@ def parse_navmesh(data: bytes, where: str | os.PathLike[str] = "<bytes>") -> Nav
     reader = _Reader(data, str(where))
     header = reader.take(FILE_HEADER, 1, "file header")[0]
     if header["magic"] != FILE_MAGIC:
-        reader.fail("this is no Habitat navmesh: its first four bytes are not 'TESM'", "file header")
+        reader.fail("this is not a Habitat navmesh: its first four bytes are not 'TESM'", "file header")
     version, tiles = int(header["version"]), int(header["tile_count"])
     if version not in FILE_VERSIONS:
         reader.fail(f"version {version} is not known (1 and 2 are)", "file header")

@@ -54,7 +54,7 @@ def tile_of_polygons(
     chosen = settings or NavMeshSettings()
     verts = np.ascontiguousarray(vertices, np.float32).reshape(-1, 3)
     if not np.isfinite(verts).all():
-        raise InputError("a vertex is NaN or infinite", remedy="Mend the floor polygons")
+        raise InputError("a vertex is NaN or infinite", remedy="Correct the floor polygons")
     if not (3 <= len(verts) < MAX_POLYGON_VERTICES and 1 <= len(polygons) <= MAX_POLYGONS):
         raise InputError(
             f"{len(verts)} vertices and {len(polygons)} polygons do not make a tile", remedy="Split the scene"
@@ -89,7 +89,7 @@ def _wound(verts: Floats, corners: list[int], number: int) -> list[int]:
     if not 3 <= len(corners) <= MAX_VERTS_PER_POLYGON or len(set(corners)) != len(corners):
         raise InputError(f"{len(corners)} corners", place=place, remedy="Give 3 to 6 different vertices")
     if min(corners) < 0 or max(corners) >= len(verts):
-        raise InputError("a vertex that is not there", place=place, remedy="Mend the floor polygons")
+        raise InputError("a vertex that is not there", place=place, remedy="Correct the floor polygons")
     ground = verts[corners][:, [0, 2]].astype(np.float64)
     along = np.roll(ground, -1, axis=0) - ground
     following = np.roll(along, -1, axis=0)
@@ -110,7 +110,7 @@ def _polygon_records(corners: list[list[int]]) -> Records:
             sides.setdefault((min(vertex, other), max(vertex, other)), []).append((number, edge))
     for (a, b), users in sides.items():
         if len(users) > 2:
-            raise InputError(f"{len(users)} polygons share the edge {a}-{b}", remedy="Mend the floor polygons")
+            raise InputError(f"{len(users)} polygons share the edge {a}-{b}", remedy="Correct the floor polygons")
         if len(users) == 2:
             (first, first_edge), (second, second_edge) = users
             polys["neis"][first, first_edge] = second + 1

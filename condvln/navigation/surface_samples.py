@@ -71,7 +71,7 @@ def mesh_samples(vertices: npt.ArrayLike, faces: npt.ArrayLike, count: int = DEF
     """
     corners = np.asarray(vertices, np.float64)[np.asarray(faces, np.int64).reshape(-1, 3)]
     if not len(corners) or not np.isfinite(corners).all():
-        raise UsageError("the mesh has no triangles, or vertices that are no numbers: it has no surface")
+        raise UsageError("the mesh has no triangles, or vertices that are not numbers: it has no surface")
     along, across = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = np.linalg.norm(np.cross(along, across), axis=1)
     if not area.any():

@@ -37,7 +37,7 @@ class Yaw:
 
     def __post_init__(self) -> None:
         if self.cosine25**2 + self.sine25**2 != YAW_DENOMINATOR**2:
-            raise ValueError(f"({self.cosine25}, {self.sine25})/{YAW_DENOMINATOR} is no rotation")
+            raise ValueError(f"({self.cosine25}, {self.sine25})/{YAW_DENOMINATOR} is not a rotation")
 
     @property
     def cosine(self) -> float:

@@ -41,7 +41,7 @@ def to_matrix(xyzw: ArrayLike) -> F64:
     q = np.asarray(xyzw, dtype=np.float64)
     norm = float(np.linalg.norm(q))
     if not MIN_NORM < norm < math.inf:
-        raise ValueError(f"the quaternion {q.tolist()} is no rotation")
+        raise ValueError(f"the quaternion {q.tolist()} is not a rotation")
     x, y, z, w = q / norm
     return np.array(
         [

@@ -146,7 +146,7 @@ class BodyReader:
         if raw is None and template.handle in self._listed:
             raw = template.handle
         if raw is None:
-            what = "no semantic_id" if semantic is None else f"semantic_id {semantic.node.value} is no class"
+            what = "no semantic_id" if semantic is None else f"semantic_id {semantic.node.value} is not a class"
             self._warn("unlabelled_object", placed.object_id, f"{template.path}: {what}")
             raw = UNKNOWN_LABEL
         return raw, vocabulary.canonical(template.handle if template.handle in self._listed else raw, self.family)

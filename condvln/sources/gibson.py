@@ -56,9 +56,9 @@ class GibsonSource(SceneSource):
         super().__init__(root, options)
         if not self._buildings():
             raise ConfigError(
-                "no buildings (*.scn or 3DSceneGraph_*.npz, here or in verified/ and automated/) stand in this folder",
+                "no buildings (*.scn or 3DSceneGraph_*.npz, here or in verified/ and automated/) are in this folder",
                 where=root,
-                remedy="Download 3DSceneGraph, or set the source's 'root' to the folder it stands in",
+                remedy="Download 3DSceneGraph, or set the source's 'root' to its folder",
             )
 
     def listing(self) -> Iterator[tuple[str, Note]]:

@@ -51,6 +51,6 @@ class InputLedger:
                     size, sha256 = hash_file(root.path(path))
                 except OSError as error:
                     what = f"the file can't be read ({error.strerror})"
-                    raise MissingFileError(what, where=root.folder / path, remedy="Mend its permissions") from None
+                    raise MissingFileError(what, where=root.folder / path, remedy="Correct its permissions") from None
                 found.append(SceneInput(path, size, sha256))
         return tuple(sorted(found, key=lambda i: i.path))

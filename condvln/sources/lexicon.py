@@ -87,6 +87,6 @@ def _descriptor_path(dataset: SceneDataset, scene_name: str, named: JsonNode, le
         raise MissingFileError(
             "the semantic lexicon is not there",
             where=dataset.root.folder / path,
-            remedy=f"Download it again, or mend {named.place or kind!r} in {named.where}",
+            remedy=f"Download it again, or correct {named.place or kind!r} in {named.where}",
         )
     return path

@@ -56,9 +56,9 @@ class Mp3dSource(SceneSource):
         super().__init__(root, options)
         if not self._scans():
             raise ConfigError(
-                "no scans (<scan>/<scan>.house or <scan>/house_segmentations/<scan>.house) stand in this folder",
+                "no scans (<scan>/<scan>.house or <scan>/house_segmentations/<scan>.house) are in this folder",
                 where=root,
-                remedy="Download Matterport3D (its terms are to be accepted), or mend the source's 'root'",
+                remedy="Download Matterport3D (its terms are to be accepted), or correct the source's 'root'",
             )
 
     def listing(self) -> Iterator[tuple[str, Note]]:
@@ -160,8 +160,8 @@ def _room(region: HouseRegion, family: str, where: str) -> Room:
     polygon = shapely.Polygon(corners)
     if not polygon.is_valid or not polygon.area > 0:
         # Traced outlines cross themselves by a hair here and there.
-        mended = shapely.make_valid(polygon)
-        parts = [p for p in shapely.get_parts(mended) if p.geom_type == "Polygon"]
+        corrected = shapely.make_valid(polygon)
+        parts = [p for p in shapely.get_parts(corrected) if p.geom_type == "Polygon"]
         if not parts:
             raise FormatError(
                 f"the floor of region {region.index} has no area",
@@ -197,7 +197,7 @@ def _objects(house: HouseFile, room_of: dict[int, Room], family: str) -> tuple[l
             continue
         box = _box(entry)
         if box is None:
-            warnings.append(SceneWarning("no_box", object_id, "its axes are no frame: extent unknown"))
+            warnings.append(SceneWarning("no_box", object_id, "its axes are not a frame: extent unknown"))
         aabb = None if box is None else round_mm(aabb_of(box_corners(box)))
         items.append(
             SceneObject(
@@ -216,7 +216,7 @@ def _objects(house: HouseFile, room_of: dict[int, Room], family: str) -> tuple[l
 
 
 def _box(entry: HouseObject) -> OrientedBox | None:
-    """The oriented box in Habitat's frame; None where its axes are no frame."""
+    """The oriented box in Habitat's frame; None where its axes are not a frame."""
     if not np.allclose(entry.axes.T @ entry.axes, np.eye(3), atol=AXIS_TOLERANCE):
         return None
     return OrientedBox(Z_UP_TO_HABITAT @ entry.centre, entry.half_lengths, Z_UP_TO_HABITAT @ entry.axes)

@@ -57,9 +57,9 @@ class ProcthorSource(SceneSource):
         self._database: tuple[tuple[int, int], AssetDatabase | InputError] | None = None
         if not self._files():
             raise ConfigError(
-                "no houses (*.jsonl, *.jsonl.gz, *.json) stand in this folder",
+                "no houses (*.jsonl, *.jsonl.gz, *.json) are in this folder",
                 where=root,
-                remedy="Download ProcTHOR's houses, or set the source's 'root' to the folder they stand in",
+                remedy="Download ProcTHOR's houses, or set the source's 'root' to their folder",
             )
 
     def listing(self) -> Iterator[tuple[str, Note]]:
@@ -187,7 +187,7 @@ class ProcthorSource(SceneSource):
         return self._open[path]
 
     def _assets(self) -> AssetDatabase:
-        """The asset database, read anew where its file has changed."""
+        """The asset database, read again where its file has changed."""
         signature = next((s for s in map(self.files.signature, FILE_NAMES) if s != (0, 0)), (0, 0))
         if self._database is None or self._database[0] != signature:
             try:

@@ -68,7 +68,7 @@ def open_source(
         raise ConfigError(
             f"the {family} dataset folder is not there",
             where=root,
-            remedy="Download the dataset, or set the source's 'root' to the folder it stands in",
+            remedy="Download the dataset, or set the source's 'root' to its folder",
         )
     choice = SceneChoice(tuple(scenes), tuple(exclude))
     graphs = None if connectivity is None else Path(connectivity)
@@ -82,5 +82,5 @@ def open_source(
         )
     houses = Path(houses)
     if not houses.is_dir():
-        raise ConfigError("the folder of houses is not there", where=houses, remedy="Mend the source's 'houses'")
+        raise ConfigError("the folder of houses is not there", where=houses, remedy="Correct the source's 'houses'")
     return ProcthorHabitatSource(root, options, houses)

@@ -73,7 +73,7 @@ class ReplicaCadSource(SceneSource):
             yield scene_id, partial(self._assemble, dataset, scene_id, path)
 
     def scene(self, scene_id: str) -> Scene:
-        """One scene; see `Source.read`. Shared files are read anew, so that a mended one is seen."""
+        """One scene; see `Source.read`. Shared files are read again, so that a corrected one is seen."""
         dataset = SceneDataset(self.files)
         path = dataset.scenes().get(scene_id)
         if path is None:

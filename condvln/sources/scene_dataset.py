@@ -90,7 +90,7 @@ class _Index:
 
 
 _known_urdf = lru_cache(maxsize=64)(read_urdf)
-"""Scenes of one dataset share a handful of bodies; known by their bytes, so that a changed file is read anew."""
+"""Scenes of one dataset share a handful of bodies; known by their bytes, so that a changed file is read again."""
 
 
 class SceneDataset:
@@ -182,7 +182,7 @@ class SceneDataset:
         found = list_files(self.root, [f"*{CONFIG_SUFFIX}"]).paths
         if len(found) != 1:
             raise ConfigError(
-                f"{len(found)} files *{CONFIG_SUFFIX} stand in this folder, exactly one is expected",
+                f"{len(found)} files *{CONFIG_SUFFIX} are in this folder, exactly one is expected",
                 where=self.root.folder,
                 remedy="Set the source's 'root' to the folder that holds the dataset's configuration",
             )

@@ -47,9 +47,9 @@ class ThorSceneSource(SceneSource):
         self._known: dict[str, tuple[tuple[int, int], bool]] = {}
         if not self._scenes():
             raise ConfigError(
-                "no controller metadata (<scene>.json) stands in this folder",
+                "no controller metadata (<scene>.json) is in this folder",
                 where=root,
-                remedy="Save controller.last_event.metadata of each scene there, or mend the source's 'root'",
+                remedy="Save controller.last_event.metadata of each scene there, or correct the source's 'root'",
             )
 
     @abstractmethod

@@ -21,7 +21,7 @@ from schemas.errors import FormatError
 __all__ = ["MAX_URDF_BYTES", "LinkMesh", "read_urdf"]
 
 MAX_URDF_BYTES: Final = 16 << 20
-_REMEDY = "Take the file from its dataset again, or mend the element"
+_REMEDY = "Take the file from its dataset again, or correct the element"
 _SEPARATORS = re.compile(r"[,\s]+")
 
 

@@ -66,7 +66,7 @@ FACTS: Final[Mapping[str, str]] = {
     # files
     "record": "the VLN-CE record says what the manifest says",
     "ground_truth": "ground-truth locations lie along the gold path, and actions lead to the goal",
-    "split_named": "a row names the split that it stands in",
+    "split_named": "a row names the split that it is in",
     "unique_id": "an episode's id is its own",
     "unique_episode": "no other episode has this text and start in this scene",
     "split_leakage": "a scene belongs to one group of splits",

@@ -177,7 +177,7 @@ def _records(path: Path) -> Iterator[tuple[str, Mapping[str, Any]]]:
     for number, text in enumerate(_elements(path)):
         record = parsed(text, path, f"episodes.{number}")
         if not isinstance(record, dict):
-            raise FormatError("an episode is no object", where=path, place=f"episodes.{number}", remedy=_REMEDY)
+            raise FormatError("an episode is not an object", where=path, place=f"episodes.{number}", remedy=_REMEDY)
         yield str(record.get("episode_id")), record
 
 

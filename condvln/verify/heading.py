@@ -19,7 +19,7 @@ UNIT: Final = 1e-6
 
 
 def yaw_of(rotation: Sequence[float]) -> float | None:
-    """Radians about +Y of a rotation ``[x, y, z, w]``; None where it is no turn about the vertical."""
+    """Radians about +Y of a rotation ``[x, y, z, w]``; None where it is not a turn about the vertical."""
     x, y, z, w = rotation
     if abs(x) > UNIT or abs(z) > UNIT or abs(math.hypot(y, w) - 1.0) > UNIT:
         return None

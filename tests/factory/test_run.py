@@ -284,8 +284,8 @@ def test_a_failing_unit_is_set_aside_and_the_others_go_on(
     run(toys.pipeline(), units, store, retry_quarantined=True)
     assert counts(log) == {"a_bad.count": 2 * attempts}
     # The payload is not keyed, so a cured cause outside the key needs the asking, and then the record goes.
-    mended = [*units[:5], toys.unit("a/bad", 4)]
-    report = run(toys.pipeline(), mended, store, retry_quarantined=True)
+    corrected = [*units[:5], toys.unit("a/bad", 4)]
+    report = run(toys.pipeline(), corrected, store, retry_quarantined=True)
     assert (report.exit_code, report.counts["made"]) == (0, 1)
     assert [*Commits(store).quarantined()] == []
 
@@ -293,8 +293,8 @@ def test_a_failing_unit_is_set_aside_and_the_others_go_on(
 def test_a_mended_input_repairs_just_that_unit(store: LocalStore) -> None:
     bad = [*toys.units(5), toys.unit("a/bad", 4, trouble="format")]
     run(toys.pipeline(), bad, store)
-    mended = [*toys.units(5), toys.unit("a/bad", 4, content="mended")]
-    report = run(toys.pipeline(), mended, store)
+    corrected = [*toys.units(5), toys.unit("a/bad", 4, content="corrected")]
+    report = run(toys.pipeline(), corrected, store)
     assert (report.exit_code, report.counts["made"], report.counts["fresh"]) == (0, 1, 5)
     assert [*Commits(store).quarantined()] == []
 
@@ -371,7 +371,7 @@ def test_damaged_commits_are_found_and_made_again(store: LocalStore) -> None:
     for ref in ("other",):
         report = run(toys.pipeline(), units, store, ref)
         assert report.snapshot_id == whole.snapshot_id
-    # With all of the snapshot gone too, it is packed anew from mended commits.
+    # With all of the snapshot gone too, it is packed anew from corrected commits.
     path = next((store.root / "units" / "square").rglob("squares.parquet"))
     path.write_bytes(path.read_bytes()[::-1])
     (store.root / "snapshots" / whole.snapshot_id / "manifest.json").unlink()  # type: ignore[operator]

@@ -1,4 +1,4 @@
-"""Bad input costs its own scene only: one clear error, and a rerun after the mend repairs just that scene."""
+"""Bad input costs its own scene only: one clear error, and a rerun after the correction repairs just that scene."""
 
 from __future__ import annotations
 

@@ -186,12 +186,12 @@ def test_a_quarantined_scene_is_told_once_and_then_waited_for(corpus: Config) ->
     assert "quarantine" in again.lines[1]
     (record,) = report_status(corpus).document["quarantine"]
     assert (record["unit_id"], record["attempts"], record["cause"]) == ("replicacad/made_001", 1, "input")
-    # Tried again when someone asks, and when it is mended.
+    # Tried again when someone asks, and when it is corrected.
     assert rebuild(corpus, retry_quarantined=True).exit_code == 3
     path.write_bytes(sound)
     settle(corpus.sources[0].root)
-    mended = rebuild(corpus)
-    assert (mended.exit_code, mended.document["counts"]["ok"]) == (0, 2)
+    corrected = rebuild(corpus)
+    assert (corrected.exit_code, corrected.document["counts"]["ok"]) == (0, 2)
     assert report_status(corpus).document["quarantine"] == []
 
 

@@ -84,7 +84,7 @@ class MaterialReader:
         if source.get("alphaMode") is not None:
             mode = source["alphaMode"].text()
             if mode not in _ALPHA_MODES:
-                source["alphaMode"].fail(f"{mode!r} is no alpha mode")
+                source["alphaMode"].fail(f"{mode!r} is not an alpha mode")
             made["alphaMode"] = mode
         if "alphaCutoff" in source:
             made["alphaCutoff"] = source["alphaCutoff"].number(_LIMIT)
@@ -165,7 +165,7 @@ class MaterialReader:
     def _mime(self, source: JsonNode) -> str:
         mime = source["mimeType"].text()
         if mime not in _MIME:
-            source["mimeType"].fail(f"{mime!r:.60} is no image that a scene can have")
+            source["mimeType"].fail(f"{mime!r:.60} is not an image that a scene can have")
         return mime
 
     def _bytes(self, node: JsonNode) -> bytes:

@@ -98,7 +98,7 @@ class EpisodeChecks:
         name = str(episode.get("episode_id"))
         if "episode_id" in episode:
             if name in self._document.starts:
-                self._report.add(place, "duplicate-id", f"id {name} stands twice")
+                self._report.add(place, "duplicate-id", f"id {name} occurs twice")
             self._document.starts.setdefault(name, [])
 
     def _check_scene(self, place: str, episode: dict[str, Any]) -> None:
@@ -106,7 +106,7 @@ class EpisodeChecks:
         if "scene_id" not in episode:
             return
         if not isinstance(scene, str):
-            self._report.add(f"{place}.scene_id", "wrong-type", f"{scene!r} is no text")
+            self._report.add(f"{place}.scene_id", "wrong-type", f"{scene!r} is not text")
             return
         parts = scene.split("/")
         doubled = any(a == b for a, b in pairwise(parts)) and len(parts) > 3
@@ -144,7 +144,7 @@ class EpisodeChecks:
         if first > _UPRIGHT or third > _UPRIGHT:
             swapped = second <= _UPRIGHT and fourth <= _UPRIGHT
             code = "rotation-order" if swapped else "rotation-tilted"
-            self._report.add(place, code, f"{rotation} is no turn about +y")
+            self._report.add(place, code, f"{rotation} is not a turn about +y")
 
     def _check_goals(self, place: str, episode: dict[str, Any], key: str) -> list[tuple[list[float], float]]:
         goals, place = episode.get(key), f"{place}.{key}"
@@ -216,7 +216,7 @@ class EpisodeChecks:
             return
         text = instruction["instruction_text"]
         if not isinstance(text, str):
-            self._report.add(f"{place}.instruction_text", "wrong-type", f"{text!r} is no text")
+            self._report.add(f"{place}.instruction_text", "wrong-type", f"{text!r} is not text")
             return
         if not tokenize(text):
             self._report.add(f"{place}.instruction_text", "empty-text", "there are no words")

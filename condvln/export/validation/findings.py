@@ -74,7 +74,7 @@ CODES: Final[dict[str, Rule]] = {
     "truth-actions": Rule("error", "actions are 0 to 3 and end with their only STOP"),
     # across files
     "scene-leak": Rule("error", "scenes of training, val_unseen and test must differ"),
-    "episode-leak": Rule("error", "one text from one start stands in two splits"),
+    "episode-leak": Rule("error", "one text from one start is in two splits"),
     # discrete R2R
     "duplicate-viewpoint": Rule("warning", "a viewpoint follows itself"),
     "heading-range": Rule("error", "headings are radians in [0, 2π)"),

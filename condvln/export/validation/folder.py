@@ -104,7 +104,7 @@ def _without_shards(report: LintReport, file: Path) -> Iterator[Finding]:
 def _joined(split: Document, shard: Document, file: str) -> Iterator[Finding]:
     """Take a shard into its split, and tell what they may not share or must."""
     for name in sorted(split.starts.keys() & shard.starts.keys()):
-        yield Finding(file, f"episode {name}", "duplicate-id", f"id {name} stands in another shard too", name)
+        yield Finding(file, f"episode {name}", "duplicate-id", f"id {name} is in another shard too", name)
     if None not in (split.vocabulary, shard.vocabulary) and split.vocabulary != shard.vocabulary:
         yield Finding(file, "instruction_vocab", "vocabulary-differs", "is not that of the other shards")
     split.merge(shard)

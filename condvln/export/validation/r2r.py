@@ -36,7 +36,7 @@ def check_r2r(report: LintReport, items: list[Any], graphs: Mapping[str, GraphPa
         report.episode = str(item["path_id"])
         place = f"path {report.episode}"
         if str(item["path_id"]) in seen:
-            report.add(place, "duplicate-id", "stands twice")
+            report.add(place, "duplicate-id", "occurs twice")
         seen.add(str(item["path_id"]))
         scans.add(str(item["scan"]))
         _check(report, place, item, (graphs or {}).get(str(item["scan"])))

@@ -67,7 +67,7 @@ def _check_actions(report: LintReport, place: str, truth: dict[str, Any]) -> Non
     if steps is None:
         return
     if type(steps) is not int:
-        report.add(f"{place}.forward_steps", "wrong-type", f"{steps!r} is no whole number")
+        report.add(f"{place}.forward_steps", "wrong-type", f"{steps!r} is not a whole number")
         return
     if len(truth["locations"]) != steps + 1:
         report.add(f"{place}.forward_steps", "truth-steps", f"{steps} for {len(truth['locations'])} locations")

@@ -96,7 +96,7 @@ def test_the_budget_ends_the_walk_without_stop(l_shape: Pathfinder) -> None:
 
 
 def test_an_answer_that_is_no_action_is_refused(l_shape: Pathfinder) -> None:
-    with pytest.raises(UsageError, match=r"episode e: 7 is no action"):
+    with pytest.raises(UsageError, match=r"episode e: 7 is not an action"):
         walk(task(), Script([7]), l_shape)
 
 

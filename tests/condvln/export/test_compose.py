@@ -297,7 +297,7 @@ def changed(path: str, value: Any) -> Any:
         (changed("textures/0/source", 3), "the index 3 is not among 1"),
         (changed("images/0/mimeType", "text/html"), "is no image"),
         (changed("images/0/bufferView", 99), "the index 99 is not among"),
-        (changed("materials/0/alphaMode", "ODD"), "is no alpha mode"),
+        (changed("materials/0/alphaMode", "ODD"), "is not an alpha mode"),
         (changed("materials", {}), "an array is expected"),
         (changed("meshes/0/primitives/0/attributes/NORMAL", 0), "does not serve as NORMAL"),
         (changed("extensionsRequired", ["KHR_draco_mesh_compression"]), "can't be read"),

@@ -353,7 +353,7 @@ def test_a_missing_instruction_and_scenes_out_of_order_are_refused(tables: Memor
         export_snapshot(without, tmp_path)
     with pytest.raises(StoreError, match="stands after"):
         export_snapshot(changed(tables, "episodes", lambda rows: rows.reverse()), tmp_path)
-    with pytest.raises(StoreError, match="stand twice"):
+    with pytest.raises(StoreError, match="occur twice"):
         export_snapshot(changed(tables, "episodes", lambda rows: rows.append(rows[-1])), tmp_path)
 
 

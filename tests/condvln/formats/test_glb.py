@@ -172,7 +172,7 @@ def test_a_box_is_closed_and_has_its_volume(glb_of_box: Callable[..., bytes]) ->
         ),
         (changed("nodes", to=[{"children": [1, 2]}, {"children": [3]}, {"children": [3]}, {"mesh": 0}]), "two parents"),
         (b"[" * 10_000 + b"]" * 10_000, "10000 levels"),
-        (b'{"asset": 1, "asset": 2}', "'asset' stands twice"),
+        (b'{"asset": 1, "asset": 2}', "'asset' occurs twice"),
         ({}, "no triangles"),
         ([], "an object is expected"),
     ],

@@ -110,8 +110,8 @@ def test_an_unclosed_string_of_escapes_is_refused_in_linear_time() -> None:
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (b'{"a": 1, "a": 1}', "'a' stands twice"),
-        (b'{"x": {"a": 1, "b": 2, "a": 3}}', "'a' stands twice"),
+        (b'{"a": 1, "a": 1}', "'a' occurs twice"),
+        (b'{"x": {"a": 1, "b": 2, "a": 3}}', "'a' occurs twice"),
         (b"[NaN]", "NaN is not allowed"),
         (b"[-Infinity]", "-Infinity is not allowed"),
         (b'{"a": ', "line 1 column"),

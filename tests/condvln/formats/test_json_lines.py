@@ -49,7 +49,7 @@ def test_a_large_file_is_read_from_its_checkpoints(tmp_path: Path, packed: bool)
     assert len(file._checkpoints) >= 4
     for number in (8999, 0, 4500, 4499, 8998, 1, 7000):
         assert file.line(number) == content[number]
-    with pytest.raises(MissingFileError, match="nothing stands in this line"):
+    with pytest.raises(MissingFileError, match="this line is empty"):
         file.line(9000)
 
 

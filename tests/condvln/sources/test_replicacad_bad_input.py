@@ -22,7 +22,7 @@ from tests.condvln.sources.replicacad_reading import faults, read
         ({"translation": "here"}, "an array is expected, not text"),
         ({"translation": [0, 1]}, "3 numbers are expected, not 2"),
         ({"translation": [0, 1, 1e9]}, "beyond ±100000"),
-        ({"rotation": [0, 0, 0, 0]}, "is no rotation"),
+        ({"rotation": [0, 0, 0, 0]}, "is not a rotation"),
         ({"rotation": [1, 0, 0]}, "4 numbers are expected"),
         ({"template_name": 7}, "text is expected, not a number"),
         ({"uniform_scale": 0}, "a scale is zero"),
