@@ -295,7 +295,7 @@ def changed(path: str, value: Any) -> Any:
         (changed("materials/0/pbrMetallicRoughness/baseColorTexture/texCoord", 10**9), "1000000000 is none of 0, 1"),
         (changed("materials/0/pbrMetallicRoughness/metallicFactor", "x"), "a number is expected"),
         (changed("textures/0/source", 3), "the index 3 is not among 1"),
-        (changed("images/0/mimeType", "text/html"), "is no image"),
+        (changed("images/0/mimeType", "text/html"), "is not an image"),
         (changed("images/0/bufferView", 99), "the index 99 is not among"),
         (changed("materials/0/alphaMode", "ODD"), "is not an alpha mode"),
         (changed("materials", {}), "an array is expected"),

@@ -74,5 +74,5 @@ def test_what_can_not_be_read_is_told_apart(root: DatasetRoot) -> None:
     with pytest.raises(MissingFileError):
         root.read("x" * 5000, 5)
     assert not root.has("x" * 5000)
-    with pytest.raises(FormatError, match="no path"):
+    with pytest.raises(FormatError, match="not a path"):
         root.join("", "a\0b")

@@ -176,7 +176,7 @@ LIES: dict[str, tuple[Callable[[bytes], bytes], str]] = {
     "cut in the settings": (lambda data: data[:60], "bytes are left"),
     "cut in the tile": (lambda data: data[:-5], "bytes and .* are there"),
     "one byte more": (lambda data: data + b"\0", "bytes and .* are there"),
-    "false magic": (put(0, "i", 1), "no Habitat navmesh"),
+    "false magic": (put(0, "i", 1), "not a Habitat navmesh"),
     "version 3": (put(4, "i", 3), "version 3"),
     "no tile": (put(8, "i", 0), "0 tiles"),
     "many tiles": (put(8, "i", 2**31 - 1), "tiles"),

@@ -197,5 +197,5 @@ def test_yaws_are_rotations_that_keep_the_grid() -> None:
     assert np.allclose(turned.matrix @ turned.matrix.T, np.eye(3))
     assert np.allclose(turned.turned(quarter).matrix, quarter.matrix @ turned.matrix)
     assert turned.radians == pytest.approx(np.radians(16.260204708))
-    with pytest.raises(ValueError, match="no rotation"):
+    with pytest.raises(ValueError, match="not a rotation"):
         Yaw(24, 8)

@@ -55,5 +55,5 @@ def test_scene_files_put_w_first() -> None:
 
 @pytest.mark.parametrize("bad", [[0, 0, 0, 0], [np.nan, 0, 0, 1], [np.inf, 0, 0, 1]])
 def test_no_rotation_is_refused(bad: list[float]) -> None:
-    with pytest.raises(ValueError, match="no rotation"):
+    with pytest.raises(ValueError, match="not a rotation"):
         to_matrix(bad)

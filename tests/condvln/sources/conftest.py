@@ -3,28 +3,21 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import trimesh
 
 from condvln.navigation.navmesh_file import NavMeshFile, write_navmesh
 from condvln.navigation.polygon_tile import tile_of_polygons
 from condvln.navigation.settings import NavMeshSettings
 from condvln.sources.registry import open_source
 from condvln.sources.source import Source
+from tests.condvln.glb_boxes import box_glb
 
 SCENE = "flat"
 FLOOR = [[0, 0, 0], [6, 0, 0], [6, 0, 4], [0, 0, 4]]
-
-
-def box_glb(size: list[float], centre: list[float] | None = None) -> bytes:
-    """A GLB file of one box."""
-    box = trimesh.creation.box(size, trimesh.transformations.translation_matrix(centre or [0, 0, 0]))
-    return bytes(box.export(file_type="glb"))
 
 
 class MadeDataset:
@@ -126,8 +119,3 @@ class MadeDataset:
 @pytest.fixture
 def made(tmp_path: Path) -> MadeDataset:
     return MadeDataset(tmp_path / "made")
-
-
-@pytest.fixture(scope="session")
-def glb_of_box() -> Callable[..., bytes]:
-    return box_glb
