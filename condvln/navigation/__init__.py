@@ -9,7 +9,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from condvln.compiled import warm_up
     from condvln.navigation.follower import RXR, VLN_CE, ActionSpace, FollowedRoute, Follower
     from condvln.navigation.graph_pathfinder import GraphPathfinder
     from condvln.navigation.habitat_pathfinder import HabitatPathfinder
@@ -54,12 +53,10 @@ __all__ = [
     "visible_points",
     "visible_shares",
     "wall_boxes",
-    "warm_up",
     "write_navmesh",
 ]
 
 _MODULES = {
-    "compiled": ("warm_up",),
     "follower": ("RXR", "VLN_CE", "ActionSpace", "FollowedRoute", "Follower"),
     "graph_pathfinder": ("GraphPathfinder",),
     "habitat_pathfinder": ("HabitatPathfinder",),
@@ -67,10 +64,9 @@ _MODULES = {
     "occluders": ("BoxOccluders", "MeshOccluders", "Occluders", "wall_boxes"),
     "pathfinder": ("HitRecord", "Pathfinder"),
     "polygon_tile": ("tile_of_polygons",),
-    "protocol": ("PathfinderProtocol",),
+    "protocol": ("PathfinderProtocol", "ShortestPath"),
     "recast": ("build_navmesh", "build_scene_navmesh"),
     "settings": ("NavMeshSettings",),
-    "shortest_path": ("ShortestPath",),
     "sight": ("SightTarget", "View", "eyes_at", "first_sights", "visible_points", "visible_shares"),
     "surface_samples": ("box_samples", "mesh_samples"),
 }

@@ -167,7 +167,8 @@ def test_a_scene_that_yields_nothing_says_why(dataset: Path, configured: Callabl
     assert funnel is not None
     for name, flow in funnel.scenes.items():
         assert flow.candidates == 0
-        assert funnel.barren[name].startswith("no_targets: ")
+        # Where nobody can stand nothing is seen, and nothing is asked.
+        assert funnel.barren[name].startswith("nothing_to_ask: ")
 
 
 def published_after(config: Config):

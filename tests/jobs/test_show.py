@@ -123,7 +123,7 @@ def test_what_is_no_export_is_said(export: Path, tmp_path: Path) -> None:
         show_export(export, episode="nowhere")
     (tmp_path / "manifest").mkdir()
     manifest = tmp_path / "manifest" / "train.jsonl"
-    for line, says in ('{"category": 1}', "not a manifest row"), ("[]", "not a manifest row"), ("{", "line 1"):
+    for line, says in ('{"category": 1}', "not a manifest row"), ("[]", "not a JSON object"), ("{", "line 1"):
         manifest.write_text(line + "\n")
         with pytest.raises(FormatError, match=says):
             show_export(tmp_path)
