@@ -9,8 +9,8 @@ from condvln.instructions.degeneracy import REASONS as RULES
 __all__ = ["REASONS", "GivenUp"]
 
 REASONS: Final[dict[str, str]] = {
-    "nothing_to_ask": "no room that can be named has statements of both truths: it is not annotated completely, too bare, "
-    "or what is in it can't be seen from where an agent can stand",
+    "nothing_to_ask": "no room that can be named has statements of both truths: it is not annotated completely, "
+    "too bare, or what is in it can't be seen from where an agent can stand",
     "no_targets": "too few objects that can be named, stood at and told apart in place",
     "no_waypoint": "no further stop lies apart from the leaf's other stops and the other leaves' goals",
     "no_condition": "no statement of the wanted truth is left that breaks no rule",
