@@ -19,9 +19,9 @@ from schemas.errors import CondVLNError
 
 def kill_below(parent: int, part: str) -> None:
     """SIGKILL the first process below `parent` whose command line begins with something that ends in `part`."""
-    rows = [
-        line.split(None, 2) for line in subprocess.check_output(["ps", "-eo", "pid,ppid,args"], text=True).splitlines()
-    ]
+    # Whole lines: ps cuts them at COLUMNS, which a test may have set.
+    listed = subprocess.check_output(["ps", "-ww", "-eo", "pid,ppid,args"], text=True)
+    rows = [line.split(None, 2) for line in listed.splitlines()]
     family, grown = {str(parent)}, True
     while grown:
         found = {row[0] for row in rows if len(row) == 3 and row[1] in family} - family
@@ -31,7 +31,7 @@ def kill_below(parent: int, part: str) -> None:
         if pid in family and args.split()[0].endswith(part):
             os.kill(int(pid), signal.SIGKILL)
             return
-    raise SystemExit(f"nothing below this process ends in {part}")
+    raise RuntimeError(f"nothing below this process ends in {part}")
 
 
 class Assassin(Silence):
