@@ -67,8 +67,9 @@ Hashes = npt.NDArray[np.uint64]
 class ExportPool:
     """One entry an episode, in the order in which the snapshot is read.
 
-    ``source``, ``scene``, ``category``, ``stratum`` and ``unfit`` are indices into names; ``episode``, ``instruction``
-    and ``unit`` are hashes. ``conditions[offsets[i]:offsets[i + 1]]`` are the kinds of condition that the instruction
+    ``source``, ``scene``, ``category``, ``stratum`` and ``unfit`` are indices into names; ``episode``, ``instruction``,
+    ``unit`` and ``start`` (a place of a scene) are hashes.
+    ``conditions[offsets[i]:offsets[i + 1]]`` are the kinds of condition that the instruction
     of episode ``i`` asks (label, room type, bare or with a relation), ``truths`` whether each holds.
     ``reasons[unfit[i]]`` says why an episode can be in no split.
     """
@@ -81,6 +82,7 @@ class ExportPool:
     episode: Hashes
     instruction: Hashes
     unit: Hashes
+    start: Hashes
     grouped: npt.NDArray[np.bool_]
     source: Codes
     scene: Codes
@@ -163,6 +165,7 @@ class PoolBuilder:
             episode=hashes_of((name,) for name in column["episode_id"]),
             instruction=hashes_of((source, name) for name in column["instruction_id"]),
             unit=hashes_of((source, scene, unit) for scene, unit in zip(scenes, units, strict=True)),
+            start=hashes_of((source, scene, *start) for scene, start in zip(scenes, starts, strict=True)),
             grouped=np.array([group is not None for group in column["group_id"]], dtype=bool),
             category=np.array([CATEGORIES.index(name) for name in column["category"]], dtype=np.int8),
             leaf=number["gold_leaf"].astype(np.int8),
@@ -213,6 +216,7 @@ class PoolBuilder:
             episode=columns["episode"],
             instruction=columns["instruction"],
             unit=columns["unit"],
+            start=columns["start"],
             source=codes("source"),
             scene=codes("scene"),
             category=codes("category"),

@@ -25,7 +25,7 @@ __all__ = ["OUT", "VERSION", "Selection", "SelectionCell", "select"]
 OUT: Final = -1
 """Code of an episode that is in no split."""
 
-VERSION: Final = 1
+VERSION: Final = 2
 """Raised when an equal pool and configuration give other episodes than before."""
 
 LOOKAHEAD: Final = 64
@@ -136,7 +136,11 @@ def _place(pool: ExportPool, config: SplitsConfig, left_out: Counter[str]) -> np
     by_group = {"train": SPLITS.index("train"), "val_unseen": SPLITS.index("val_unseen"), "test": SPLITS.index("test")}
     placed = np.array([by_group[group] for group in groups], dtype=np.int8)[pool.scene]
     train = placed == by_group["train"]
-    placed[train & (fractions(pool.unit, config.seed, "val_seen") < config.val_seen_share)] = SPLITS.index("val_seen")
+    # All episodes from one start are in one split: their oracle twins may well have one text. A unit's start is that of
+    # its first episode.
+    _, first, which = np.unique(pool.unit, return_index=True, return_inverse=True)
+    seen = fractions(pool.start[first][which], config.seed, "val_seen") < config.val_seen_share
+    placed[train & seen] = SPLITS.index("val_seen")
     fit = np.flatnonzero(pool.unfit == FIT)
     for code, count in enumerate(np.bincount(pool.unfit, minlength=len(pool.reasons)).tolist()):
         if code != FIT and count:

@@ -115,6 +115,17 @@ def test_truths_are_evened_where_the_pool_gives_a_choice(monkeypatch: pytest.Mon
     assert looking < imbalance() / 3
 
 
+def test_episodes_of_one_start_are_in_one_split(pool: ExportPool) -> None:
+    """Where a scene has eight starts, the episodes of each are all of train or all of val_seen."""
+    start = (pool.scene * 8 + pool.unit % np.uint64(8)).astype(np.uint64)
+    split = select(ExportPool(**{**pool.__dict__, "start": start}), SplitsConfig(val_seen_share=0.5)).split
+    chosen = {int(s): {int(c) for c in split[start == s] if c != OUT} for s in np.unique(start)}
+    assert all(len(splits) <= 1 for splits in chosen.values())
+    taken = [splits for splits in chosen.values() if splits]
+    assert {SPLITS.index("train")} in taken
+    assert {SPLITS.index("val_seen")} in taken
+
+
 def test_axes_are_as_even_as_the_pool_allows(pool: ExportPool) -> None:
     singles = ExportPool(**{**pool.__dict__, "grouped": np.zeros(len(pool), dtype=bool)})
     split = select(singles, SplitsConfig(per_cell=20)).split
