@@ -19,6 +19,7 @@ from condvln.scene.scene import SceneObject
 from schemas.config.constants import (
     INSIDE_SHARE,
     LARGER_THAN_RECEPTACLE,
+    MOST_OBJECTS_PER_ROOM,
     OPEN_SHARE,
     REST_GAP,
     REST_SHARE,
@@ -54,14 +55,18 @@ def with_containment(objects: Sequence[SceneObject], family: str) -> tuple[Scene
     """The objects of one scene, in rooms already, with `parent`, `support` and `hidden`; in their order.
 
     Of several containers the smallest is the parent; any that is shut hides. Structure (floors, walls) holds and
-    supports nothing here. Parents and supports form no cycle.
+    supports nothing here. Parents and supports form no cycle. A scene with a room of more than `MOST_OBJECTS_PER_ROOM`
+    is left as it is: no limit lets it pass.
     """
+    rooms = _rooms(objects)
+    if max(map(len, rooms), default=0) > MOST_OBJECTS_PER_ROOM:
+        return tuple(objects)
     links = _Links()
     of = {item.object_id: item for item in objects}
     for item in objects:
         if item.receptacles is not None:
             _stated(item, of, links)
-    for members in _rooms(objects):
+    for members in rooms:
         _measured(members, links)
     hidden = set() if family in SCANNED else _hidden(of, links)
     parent = {name: min(around)[1] for name, around in links.inside.items()}
@@ -135,7 +140,8 @@ def _measured(members: Sequence[SceneObject], links: _Links) -> None:
             holder = holders[column]
             around = links.inside.setdefault(things[silent[row]].object_id, [])
             around.append((float(volumes[holder]), things[holder].object_id))
-    free = [k for k, item in enumerate(things) if item.object_id not in {**links.inside, **links.upon}]
+    linked = {*links.inside, *links.upon}
+    free = [k for k, item in enumerate(things) if item.object_id not in linked]
     for k, below, share_over in _resting(things, boxes, free):
         links.upon.setdefault(things[k].object_id, []).append((-share_over, things[below].object_id))
 

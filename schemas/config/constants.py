@@ -25,6 +25,7 @@ __all__ = [
     "KEPT_AT_LEAST",
     "LARGER_THAN_RECEPTACLE",
     "LOW_EYE",
+    "MOST_OBJECTS_PER_ROOM",
     "OPEN_SHARE",
     "PATH_SPACING",
     "PREFIX_SAMPLES",
@@ -155,3 +156,7 @@ LARGER_THAN_RECEPTACLE: Final = 2.0
 
 UNKNOWN_EXTENT: Final = 0.4
 """Metres; edges of the cube that stands in the agent's way where an object's own extent is unknown."""
+
+MOST_OBJECTS_PER_ROOM: Final = 5000
+"""Upper bound of ``limits.objects_per_room``. A room of more is refused, and its containers are not looked for, so that
+the refusal does not take minutes."""

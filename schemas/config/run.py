@@ -11,6 +11,7 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field, model_validator
 
+from schemas.config.constants import MOST_OBJECTS_PER_ROOM
 from schemas.config.episodes import AgentConfig, EpisodeConfig, GoalsConfig, PlacesConfig
 from schemas.config.instructions import InstructionsConfig, SamplingConfig, TextConfig
 from schemas.config.relations import Thresholds
@@ -127,7 +128,7 @@ class LimitsConfig(Section):
     Relations grow with the square of the objects in a room: about 2.6 rows and 600 bytes an ordered pair.
     """
 
-    objects_per_room: int = Field(1000, ge=2, description="most objects in one room")
+    objects_per_room: int = Field(1000, ge=2, le=MOST_OBJECTS_PER_ROOM, description="most objects in one room")
     pairs_per_scene: int = Field(
         1_000_000,
         ge=4,
