@@ -32,7 +32,7 @@ SCENES_OTHERWISE = 6
 REAL = {
     "procthor": ["houses60-4?"],
     "ithor": ["FloorPlan2*", "FloorPlan3*"],
-    "replicacad": ["apt_1", "v3_sc0_staging_0[3-5]", "v3_sc3_staging_1?"],
+    "replicacad": ["apt_1", "v3_sc0_staging_0[3-5]", "v3_sc1_staging_1[0-1]"],
     "mp3d": ["YmJkqBEsHnH"],
     "gibson": ["automated/Oyens"],
 }
