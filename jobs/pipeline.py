@@ -83,6 +83,7 @@ def open_configured(config: Config, source: SourceConfig, hash_file: HashFile) -
         houses=source.houses,
         navmesh=source.navmesh,
         hash_file=hash_file,
+        limits=config.limits,
         absence=source.absence,
         connectivity=source.connectivity,
     )

@@ -19,7 +19,6 @@ from condvln.scene.scene import SceneObject
 from schemas.config.constants import (
     INSIDE_SHARE,
     LARGER_THAN_RECEPTACLE,
-    MOST_OBJECTS_PER_ROOM,
     OPEN_SHARE,
     REST_GAP,
     REST_SHARE,
@@ -55,18 +54,14 @@ def with_containment(objects: Sequence[SceneObject], family: str) -> tuple[Scene
     """The objects of one scene, in rooms already, with `parent`, `support` and `hidden`; in their order.
 
     Of several containers the smallest is the parent; any that is shut hides. Structure (floors, walls) holds and
-    supports nothing here. Parents and supports form no cycle. A scene with a room of more than `MOST_OBJECTS_PER_ROOM`
-    is left as it is: no limit lets it pass.
+    supports nothing here. Parents and supports form no cycle.
     """
-    rooms = _rooms(objects)
-    if max(map(len, rooms), default=0) > MOST_OBJECTS_PER_ROOM:
-        return tuple(objects)
     links = _Links()
     of = {item.object_id: item for item in objects}
     for item in objects:
         if item.receptacles is not None:
             _stated(item, of, links)
-    for members in rooms:
+    for members in _rooms(objects):
         _measured(members, links)
     hidden = set() if family in SCANNED else _hidden(of, links)
     parent = {name: min(around)[1] for name, around in links.inside.items()}

@@ -20,7 +20,6 @@ from condvln.formats.json_document import JsonNode
 from condvln.labels import vocabulary
 from condvln.scene import MeshPart, Room, Scene, SceneObject, SceneWarning, round_mm
 from condvln.scene.boxes import placement
-from condvln.scene.containment import with_containment
 from condvln.scene.frames import Z_UP_TO_HABITAT
 from condvln.scene.geometry import SceneGeometry
 from condvln.sources.input_ledger import InputLedger
@@ -91,7 +90,7 @@ class GibsonSource(SceneSource):
             scene_id=scene_id,
             root=self.root,
             rooms=tuple(sorted(rooms, key=lambda r: r.room_id)),
-            objects=with_containment(sorted(placed, key=lambda o: o.object_id), self.family),
+            objects=tuple(sorted(placed, key=lambda o: o.object_id)),
             shipped_navmeshes=navmeshes,
             stage=stage,
             warnings=tuple(sorted(said, key=lambda w: (w.code, w.where, w.message))),

@@ -15,9 +15,9 @@ from condvln.formats.dataset_root import DatasetRoot
 from condvln.labels import vocabulary
 from condvln.scene import MeshPart, OrientedBox, Room, Scene, SceneObject, SceneWarning, round_mm
 from condvln.scene.boxes import aabb_of, box_corners, placement, rounded_box
-from condvln.scene.containment import with_containment
 from condvln.scene.frames import Z_UP_TO_HABITAT
 from condvln.scene.geometry import SceneGeometry
+from condvln.scene.limits import check_limits
 from condvln.sources.house_file import HouseFile, HouseObject, HouseRegion, read_house_file
 from condvln.sources.input_ledger import InputLedger
 from condvln.sources.mesh_geometry import scan_geometry
@@ -73,6 +73,8 @@ class Mp3dSource(SceneSource):
         room_of = {region.index: _room(region, self.family, str(self.root / path)) for region in house.regions}
         rooms = tuple(room_of.values())
         items, warnings = _objects(house, room_of, self.family)
+        # Slices are looked for pair by pair: not in a scene that is too large anyway.
+        check_limits(Scene(self.family, scene_id, self.root, rooms, tuple(items)), self.options.limits)
         items, cut = joined_slices(items, {room.room_id: room for room in rooms}, vocabulary.nameless)
         warnings += cut
         if self.options.regions is not None:
@@ -86,7 +88,7 @@ class Mp3dSource(SceneSource):
             scene_id=scene_id,
             root=self.root,
             rooms=tuple(sorted(rooms, key=lambda r: r.room_id)),
-            objects=with_containment(sorted(items, key=lambda o: o.object_id), self.family),
+            objects=tuple(sorted(items, key=lambda o: o.object_id)),
             shipped_navmeshes=navmeshes,
             stage=stage,
             warnings=tuple(sorted(set(warnings), key=lambda w: (w.code, w.where, w.message))),

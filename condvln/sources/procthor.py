@@ -18,7 +18,6 @@ from condvln.formats.json_lines import MAX_LINE_BYTES, JsonLines
 from condvln.labels import vocabulary
 from condvln.scene import OrientedBox, Room, Scene, SceneObject, SceneWarning, round_mm
 from condvln.scene.boxes import aabb_of, box_corners, rounded_box
-from condvln.scene.containment import with_containment
 from condvln.scene.geometry import SceneGeometry
 from condvln.sources.asset_database import FILE_NAMES, Asset, AssetDatabase
 from condvln.sources.counters import counter_parts
@@ -131,7 +130,7 @@ class ProcthorSource(SceneSource):
             root=self.root,
             # Where a thing has no name, nothing can be said not to be there.
             rooms=tuple(replace(r, complete=r.room_id not in unnamed) for r in sorted(rooms, key=lambda r: r.room_id)),
-            objects=with_containment(sorted(placed, key=lambda o: o.object_id), self.family),
+            objects=tuple(sorted(placed, key=lambda o: o.object_id)),
             shipped_navmeshes=self.shipped_navmeshes(scene_id, ledger),
             warnings=tuple(sorted(warnings, key=lambda w: (w.code, w.where, w.message))),
         )

@@ -17,6 +17,7 @@ from condvln.sources.robothor import RobothorSource
 from condvln.sources.scene_choice import SceneChoice
 from condvln.sources.scene_source import Absence, SceneSource, SourceOptions
 from condvln.sources.source import HashFile, Source, hash_file
+from schemas.config import LimitsConfig
 from schemas.errors import ConfigError
 
 __all__ = ["READERS", "open_source"]
@@ -42,6 +43,7 @@ def open_source(
     regions: str | os.PathLike[str] | None = None,
     houses: str | os.PathLike[str] | None = None,
     hash_file: HashFile = hash_file,
+    limits: LimitsConfig | None = None,
     absence: Absence = "complete",
     connectivity: str | os.PathLike[str] | None = None,
 ) -> Source:
@@ -54,6 +56,7 @@ def open_source(
     regions : side file or folder of user-drawn room zones
     houses : folder of ProcTHOR's house JSON, where `root` is Habitat's scene dataset of them (ai2thor-hab)
     hash_file : size and SHA-256 of a file
+    limits : the largest scene that is read; the configuration's defaults where None
     absence : ``never`` asks incompletely annotated rooms too, and lets no room be said to lack anything
     connectivity : folder of Matterport3D's viewpoint graphs; ``connectivity`` of the dataset where it is None
 
@@ -72,7 +75,8 @@ def open_source(
         )
     choice = SceneChoice(tuple(scenes), tuple(exclude))
     graphs = None if connectivity is None else Path(connectivity)
-    options = SourceOptions(choice, navmesh, None if regions is None else Path(regions), hash_file, absence, graphs)
+    side = None if regions is None else Path(regions)
+    options = SourceOptions(choice, navmesh, side, hash_file, limits or LimitsConfig(), absence, graphs)
     if houses is None:
         return READERS[family](root, options)
     if family != ProcthorHabitatSource.family:

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from condvln.labels import vocabulary
 from condvln.scene import MeshPart, Room, Scene, SceneObject, SceneWarning, round_mm
 from condvln.scene.boxes import aabb_of, oriented_box, rounded_box, transform_points
-from condvln.scene.containment import with_containment
 from condvln.scene.geometry import SceneGeometry
 from condvln.scene.meshes import MeshLibrary
 from condvln.sources.body import Body, BodyReader
@@ -89,7 +88,7 @@ class ReplicaCadSource(SceneSource):
             root=self.root,
             # Where a thing has no name, nothing can be said not to be there.
             rooms=tuple(replace(r, complete=r.room_id not in unnamed) for r in rooms),
-            objects=with_containment(sorted(objects, key=lambda o: o.object_id), self.family),
+            objects=tuple(sorted(objects, key=lambda o: o.object_id)),
             shipped_navmeshes=assembly.navmeshes,
             stage=assembly.stage,
             warnings=tuple(sorted({*assembly.warnings, *lost}, key=lambda w: (w.code, w.where, w.message))),

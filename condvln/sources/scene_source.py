@@ -12,11 +12,14 @@ from typing import ClassVar, Final, Literal
 
 from condvln.formats.dataset_root import DatasetRoot
 from condvln.scene import Scene
+from condvln.scene.containment import with_containment
 from condvln.scene.geometry import SceneGeometry
+from condvln.scene.limits import check_limits
 from condvln.sources.file_listing import FileListing, list_files
 from condvln.sources.input_ledger import InputLedger
 from condvln.sources.scene_choice import SceneChoice
 from condvln.sources.source import HashFile, SceneCounts, SceneHandle, SceneInput
+from schemas.config import LimitsConfig
 from schemas.errors import ConfigError, InputError, MissingFileError
 
 __all__ = ["Absence", "Note", "SceneSource", "SourceOptions"]
@@ -39,6 +42,7 @@ class SourceOptions:
     navmesh: str | None
     regions: Path | None
     hash_file: HashFile
+    limits: LimitsConfig
     absence: Absence = "complete"
     connectivity: Path | None = None
 
@@ -78,11 +82,14 @@ class SceneSource(ABC):
 
     @abstractmethod
     def scene(self, scene_id: str) -> Scene:
-        """One scene as its files have it; see `Source.read`."""
+        """One scene as its files have it: before its limits are looked at, and what follows from its boxes."""
 
     def read(self, scene_id: str) -> Scene:
         """One scene; see `Source.read`. With ``absence: never`` every room is asked, and none is complete."""
         scene = self.scene(scene_id)
+        # What follows costs more than the objects' number: a scene that is too large ends here.
+        check_limits(scene, self.options.limits)
+        scene = replace(scene, objects=with_containment(scene.objects, self.family))
         if self.options.absence == "complete":
             return scene
         return replace(scene, rooms=tuple(replace(room, complete=False, asked=True) for room in scene.rooms))

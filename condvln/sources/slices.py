@@ -54,12 +54,13 @@ def joined_slices(
     floors = {name: shapely.Polygon(room.polygon) for name, room in rooms.items() if room.polygon is not None}
     whole = list(range(len(objects)))
     for members in of_label.values():
+        boxes = np.array([objects[k].aabb for k in members])
         for at, i in enumerate(members):
-            for j in members[at + 1 :]:
-                one, other = objects[i], objects[j]
+            for j in np.flatnonzero(_fit(boxes[at], boxes[at + 1 :])) + at + 1:
+                one, other = objects[i], objects[members[j]]
                 same_level = rooms[one.room_id].level == rooms[other.room_id].level
-                if one.room_id != other.room_id and same_level and _cut(one, other, floors):
-                    _unite(whole, i, j)
+                if one.room_id != other.room_id and same_level and _at_the_border(one, other, floors):
+                    _unite(whole, i, members[j])
     parts: defaultdict[int, list[int]] = defaultdict(list)
     for k in range(len(objects)):
         parts[_root(whole, k)].append(k)
@@ -76,21 +77,19 @@ def joined_slices(
     return found, said
 
 
-def _cut(one: SceneObject, other: SceneObject, floors: Mapping[str, shapely.Polygon]) -> bool:
-    assert one.aabb is not None
-    assert other.aabb is not None
-    low = np.maximum(one.aabb[0], other.aabb[0])
-    high = np.minimum(one.aabb[1], other.aabb[1])
-    shared = high - low  # below zero along an axis on which they are apart
-    if float(shared.min()) < -GAP:
-        return False
+def _fit(box: F64, others: F64) -> NDArray[np.bool_]:
+    """(n,) whether a box (2, 3) and each of others (n, 2, 3) touch with cross-sections that cover each other."""
+    shared = np.minimum(box[1], others[:, 1]) - np.maximum(box[0], others[:, 0])  # below zero where they are apart
     # They lie beside each other on the ground, along the axis on which they share least.
-    across = 0 if shared[0] <= shared[2] else 2
-    section = [axis for axis in (0, 1, 2) if axis != across]
-    sizes = [np.maximum((box[1] - box[0])[section], 1e-3) for box in (one.aabb, other.aabb)]
-    covered = np.maximum(shared[section], 0.0) / np.minimum(*sizes)
-    if float(covered.min()) < COVER:
-        return False
+    along_x = shared[:, 0] <= shared[:, 2]
+    smaller = np.minimum(np.maximum(box[1] - box[0], 1e-3), np.maximum(others[:, 1] - others[:, 0], 1e-3))
+    covered = np.maximum(shared, 0.0) / smaller
+    across = np.where(along_x, covered[:, 2], covered[:, 0])
+    return np.asarray((shared.min(axis=1) >= -GAP) & (np.minimum(covered[:, 1], across) >= COVER))
+
+
+def _at_the_border(one: SceneObject, other: SceneObject, floors: Mapping[str, shapely.Polygon]) -> bool:
+    """Whether each comes near the other's region."""
     return all(_shadow(item).distance(floors[region.room_id]) <= GAP for item, region in ((one, other), (other, one)))
 
 

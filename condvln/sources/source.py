@@ -111,6 +111,7 @@ class Source(Protocol):
         Raises
         ------
         InputError : the scene can't be read; says which file, where in it, and what to do
+        LimitError : the scene is larger than the limits that the source was opened with
         """
         ...
 

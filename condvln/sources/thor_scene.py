@@ -14,7 +14,6 @@ from typing import ClassVar, Final, Literal
 from condvln.formats.json_document import JsonNode, parse_json
 from condvln.labels import vocabulary
 from condvln.scene import Room, Scene
-from condvln.scene.containment import with_containment
 from condvln.scene.geometry import SceneGeometry
 from condvln.sources.input_ledger import InputLedger
 from condvln.sources.regions import in_rooms, side_regions
@@ -87,7 +86,7 @@ class ThorSceneSource(SceneSource):
             scene_id=scene_id,
             root=self.root,
             rooms=rooms or (whole,),
-            objects=with_containment(sorted(placed, key=lambda o: o.object_id), self.family),
+            objects=tuple(sorted(placed, key=lambda o: o.object_id)),
             shipped_navmeshes=navmeshes,
             warnings=tuple(sorted(set(lost), key=lambda w: (w.code, w.where, w.message))),
         )

@@ -21,6 +21,7 @@ from condvln.sources.source import Source
 from factory.unit import Unit
 from schemas.canonical import JSON
 from schemas.config import (
+    LimitsConfig,
     Section,
 )
 
@@ -38,6 +39,9 @@ def navmeshes_table(scene_id: str, data: bytes | None) -> pa.Table:
     return pa.Table.from_pylist(rows, schema=NAVMESHES)
 
 
+DEFAULT_LIMITS: Final = LimitsConfig()
+
+
 @lru_cache(maxsize=8)
 def _source(
     family: str,
@@ -47,19 +51,30 @@ def _source(
     navmesh: str | None,
     graphs: str | None,
     absence: Absence,
+    limits: LimitsConfig,
 ) -> Source:
     """One reader a process and dataset: its shared files are read once."""
     side, house_folder = (None if path is None else Path(path) for path in (regions, houses))
     return open_source(
-        family, Path(root), navmesh=navmesh, regions=side, houses=house_folder, absence=absence, connectivity=graphs
+        family,
+        root,
+        navmesh=navmesh,
+        regions=side,
+        houses=house_folder,
+        absence=absence,
+        connectivity=graphs,
+        limits=limits,
     )
 
 
-def source_of(unit: Unit) -> Source:
+def source_of(unit: Unit, limits: LimitsConfig = DEFAULT_LIMITS) -> Source:
+    """The reader of a unit's dataset; only what reads whole scenes has limits of its own."""
     keys = ("regions", "houses", "navmesh", "connectivity")
     regions, houses, navmesh, graphs = (None if value is None else str(value) for value in map(unit.payload.get, keys))
     absence: Absence = "never" if unit.payload.get("absence") == "never" else "complete"
-    return _source(str(unit.payload["family"]), str(unit.payload["root"]), regions, houses, navmesh, graphs, absence)
+    return _source(
+        str(unit.payload["family"]), str(unit.payload["root"]), regions, houses, navmesh, graphs, absence, limits
+    )
 
 
 def scene_of(unit: Unit, tables: Tables) -> Scene:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 from condvln.navigation.scene_navmesh import with_built_navmesh, with_shipped_navmesh
 from condvln.relations import relate_scene, relation_table
-from condvln.scene.limits import check_limits
 from condvln.scene.meshes import MeshLibrary
 from condvln.scene.tables import scene_tables
 from factory.stage import Stage, StageOutput
@@ -46,9 +45,8 @@ class SceneStage(Stage):
         return {"agent": dump(self.agent), "limits": dump(self.limits)} | sources
 
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
-        source = source_of(unit)
+        source = source_of(unit, self.limits)
         scene = with_shipped_navmesh(source.read(str(unit.payload["scene_id"])), self.agent)
-        check_limits(scene, self.limits)
         built: bytes | None = None
         reason = ""
         skipped = len(scene.objects) < 2

@@ -158,5 +158,4 @@ UNKNOWN_EXTENT: Final = 0.4
 """Metres; edges of the cube that stands in the agent's way where an object's own extent is unknown."""
 
 MOST_OBJECTS_PER_ROOM: Final = 5000
-"""Upper bound of ``limits.objects_per_room``. A room of more is refused, and its containers are not looked for, so that
-the refusal does not take minutes."""
+"""Upper bound of ``limits.objects_per_room``: relations of such a room are 65 million rows."""
