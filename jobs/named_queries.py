@@ -58,7 +58,8 @@ _VIEWS: Final = (
         SELECT source, scene_id, instruction_id, category, position - 1 AS condition,
                conditions[position].label AS label, conditions[position].room.label AS room,
                conditions[position].qualifier.predicate AS predicate,
-               conditions[position].qualifier.anchor_label AS anchor,
+               conditions[position].qualifier.anchors[1].label AS anchor,
+               conditions[position].qualifier.anchors[2].label AS other_anchor,
                conditions[position].truth AS truth, len(conditions[position].witnesses) AS n_witnesses
         FROM instructions, unnest(range(1, len(conditions) + 1)) AS unnested(position)
         """,

@@ -48,6 +48,15 @@ class _NoFacts:
     status: Mapping[str, NDArray[np.int8]]
     margin: Mapping[str, NDArray[np.float64]]
 
+    def between(self, pairs: NDArray[np.intp]) -> tuple[NDArray[np.int8], NDArray[np.float64]]:
+        return np.zeros((0, len(pairs)), np.int8), np.zeros((0, len(pairs)))
+
+    def closest(self, rival: NDArray[np.bool_]) -> tuple[NDArray[np.int8], NDArray[np.float64]]:
+        return np.zeros(rival.shape, np.int8), np.zeros(rival.shape)
+
+    def sizes(self, rival: NDArray[np.bool_]) -> Mapping[str, NDArray[np.int8]]:
+        return {}
+
 
 def scene_yield(scene: Scene, anchor_size: float) -> SceneYield:
     """What a run will make of a scene, as far as its rooms and labels tell.

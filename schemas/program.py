@@ -15,7 +15,10 @@ from schemas.base import Frozen
 
 __all__ = [
     "CATEGORIES",
+    "QUALIFIER_ONLY",
     "SHAPES",
+    "SUPERLATIVES",
+    "Anchor",
     "Branch",
     "Category",
     "Condition",
@@ -26,14 +29,21 @@ __all__ = [
     "Qualifier",
     "RoomRef",
     "Shape",
+    "anchors_of",
+    "asked_in",
 ]
 
 Category = Literal["simple", "nested", "deep_nested", "chain", "long_chain", "nested_chain"]
 
 Predicate = Literal[
+    "on",
+    "under",
+    "in",
     "near",
     "above",
     "below",
+    "between",
+    "closest to",
     "east of",
     "north-east of",
     "north of",
@@ -42,19 +52,81 @@ Predicate = Literal[
     "south-west of",
     "south of",
     "south-east of",
+    "bigger",
+    "smaller",
     "higher than",
     "lower than",
     "far from",
 ]
 """Predicates that may stand in text. ``S north of T`` holds iff S lies north of T."""
 
+SUPERLATIVES: Final = ("bigger", "smaller")
+"""Predicates without an anchor: of two things of one label the one."""
+
+QUALIFIER_ONLY: Final = ("under", "closest to", *SUPERLATIVES)
+"""Predicates that tell a stop from its rivals and that no condition asks for."""
+
+
+_SECTORS: Final = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
+_ASKED_EVERYWHERE: Final = frozenset(("near", "far from", *(f"{sector} of" for sector in _SECTORS)))
+_ASKED_BESIDES: Final = {
+    "ithor": frozenset(("on", "lower than")),
+    "procthor": frozenset(("on", "between", "higher than", "lower than")),
+}
+
+
+def asked_in(family: str) -> frozenset[str]:
+    """Predicates that conditions of a family's scenes may ask for.
+
+    Those of which both truths were counted of at least 20 pairs of labels over at least 5 scenes of the family
+    (docs/predicates.md). With fewer the words would tell the truth, and they only tell stops apart.
+    """
+    return _ASKED_EVERYWHERE | _ASKED_BESIDES.get(family, frozenset())
+
+
+def anchors_of(predicate: Predicate) -> int:
+    """Number of anchors that a predicate has."""
+    return 0 if predicate in SUPERLATIVES else 2 if predicate == "between" else 1
+
+
+class Anchor(Frozen):
+    """An object that a qualifier refers to, unique in its room by canonical label."""
+
+    object_id: str
+    label: str
+
 
 class Qualifier(Frozen):
-    """``near the bed``: a predicate and the anchor object, itself unique in its room by canonical label."""
+    """``near the bed``, ``between the bed and the desk``, ``the bigger``: a predicate and its anchors."""
 
     predicate: Predicate
-    anchor_id: str
-    anchor_label: str
+    anchors: tuple[Anchor, ...] = ()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_anchor_of_before(cls, value: Any) -> Any:
+        # Rows written before a qualifier could have two anchors hold the one as two fields.
+        if isinstance(value, dict) and "anchor_id" in value and "anchors" not in value:
+            rest = {k: v for k, v in value.items() if k not in ("anchor_id", "anchor_label")}
+            return {**rest, "anchors": [{"object_id": value["anchor_id"], "label": value.get("anchor_label")}]}
+        return value
+
+    @model_validator(mode="after")
+    def _has_its_anchors(self) -> Qualifier:
+        wanted = anchors_of(self.predicate)
+        if len({anchor.object_id for anchor in self.anchors}) != wanted or len(self.anchors) != wanted:
+            raise ValueError(f"{self.predicate!r} has {wanted} different anchors, got {len(self.anchors)}")
+        return self
+
+    @property
+    def anchor_ids(self) -> tuple[str, ...]:
+        """Ids of the anchors, in the order in which text names them."""
+        return tuple(anchor.object_id for anchor in self.anchors)
+
+    @property
+    def anchor_labels(self) -> tuple[str, ...]:
+        """Canonical labels of the anchors, in the same order."""
+        return tuple(anchor.label for anchor in self.anchors)
 
 
 class RoomRef(Frozen):
@@ -98,6 +170,8 @@ class Condition(Frozen):
     def _witnessed(self) -> Condition:
         if self.truth != bool(self.witnesses):
             raise ValueError("a condition has witnesses exactly when it is true")
+        if self.qualifier is not None and self.qualifier.predicate in QUALIFIER_ONLY:
+            raise ValueError(f"{self.qualifier.predicate!r} tells stops apart; no condition asks for it")
         if self.definite and self.qualifier is None:
             raise ValueError("only a condition with a relation can be about one definite thing")
         return self

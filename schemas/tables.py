@@ -220,11 +220,16 @@ _ROOM_REF: Final = pa.struct(
         _field("anchor_label", _S, "canonical label of that object"),
     ]
 )
+_ANCHOR: Final = pa.struct(
+    [
+        _field("object_id", _S, "anchor object, unique in its room by its label"),
+        _field("label", _S, "canonical label of the anchor"),
+    ]
+)
 _QUALIFIER: Final = pa.struct(
     [
-        _field("predicate", _S, "relation to the anchor"),
-        _field("anchor_id", _S, "anchor object, unique in its room by its label"),
-        _field("anchor_label", _S, "canonical label of the anchor"),
+        _field("predicate", _S, "relation to the anchors, or `bigger` and `smaller` of two"),
+        _field("anchors", pa.list_(_ANCHOR), "anchors in the order of the text: two of `between`, none of `bigger`"),
     ]
 )
 _OBJECT_REF: Final = pa.struct(

@@ -58,7 +58,9 @@ def made_rows(
         {
             "label": LABELS[rng.integers(len(LABELS))],
             "room": room(),
-            "qualifier": {"predicate": "near", "anchor_id": "a", "anchor_label": "bed"} if rng.integers(2) else None,
+            "qualifier": {"predicate": "near", "anchors": [{"object_id": "a", "label": "bed"}]}
+            if rng.integers(2)
+            else None,
             "truth": truth,
             "witnesses": ["w"] if truth else [],
         }

@@ -95,12 +95,14 @@ class GuesserView:
 
 
 def _asked(condition: Mapping[str, Any]) -> Asked:
-    qualifier = condition["qualifier"] or {"predicate": "", "anchor_label": ""}
+    qualifier = condition["qualifier"] or {"predicate": "", "anchors": ()}
+    # Rows written before a qualifier could have two anchors hold the one's label as a field.
+    anchors = [qualifier["anchor_label"]] if "anchor_label" in qualifier else [a["label"] for a in qualifier["anchors"]]
     return Asked(
         label=condition["label"],
         room=condition["room"]["label"],
         predicate=qualifier["predicate"],
-        anchor=qualifier["anchor_label"],
+        anchor=" + ".join(anchors),
         truth=bool(condition["truth"]),
         definite=bool(condition.get("definite", False)),
     )

@@ -145,7 +145,7 @@ class Observer:
 
     def _needs(self, condition: Condition) -> _Needs:
         room = condition.room.room_id
-        anchor = () if condition.qualifier is None else (("object", condition.qualifier.anchor_id),)
+        anchor = () if condition.qualifier is None else [("object", name) for name in condition.qualifier.anchor_ids]
         if condition.truth:
             return tuple(frozenset({("object", witness), *anchor}) for witness in condition.witnesses)
         whole: _Needs = (frozenset({("floor", room)}),)

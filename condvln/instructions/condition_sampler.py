@@ -14,12 +14,12 @@ from itertools import pairwise
 from condvln.instructions.conditions import ConditionPool, Question
 from condvln.instructions.degeneracy import Claim, Presupposed, clash, repeats_anchor
 from condvln.instructions.predicates import PREDICATE_GROUPS
-from condvln.instructions.referents import Referents
+from condvln.instructions.referents import Referents, qualifier_of
 from condvln.instructions.rejection import GivenUp
 from condvln.labels import Vocabulary
 from condvln.seeding import Draws
 from schemas.config import SamplingConfig
-from schemas.program import Condition, ObjectRef, Predicate, Program, Qualifier, RoomRef
+from schemas.program import Condition, ObjectRef, Predicate, Program, RoomRef
 
 __all__ = ["ConditionSampler"]
 
@@ -166,15 +166,10 @@ class ConditionSampler:
         key = (room, question)
         if key not in self._made:
             qualifier, definite = None, False
-            if question.predicate is not None and question.anchor is not None:
+            if question.predicate is not None:
                 referents = self._rooms[room.room_id].referents
-                arrays = referents.arrays
                 definite = question.label in referents.unique_labels
-                qualifier = Qualifier(
-                    predicate=question.predicate,
-                    anchor_id=arrays.object_ids[question.anchor],
-                    anchor_label=arrays.labels[question.anchor],
-                )
+                qualifier = qualifier_of(referents.arrays, question.predicate, question.anchors)
             self._made[key] = Condition(
                 label=question.label,
                 room=room,

@@ -9,7 +9,7 @@ definite things only, with either truth; a truth only ever claimed there would g
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass
 from itertools import accumulate
 from typing import Final
@@ -17,6 +17,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.instructions.predicates import ASKED
 from condvln.instructions.priors import PriorBits
 from condvln.instructions.referents import Referents
 from condvln.instructions.statements import StatementTruths, statement_truths
@@ -41,13 +42,13 @@ Bools = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """A statement about a room by labels and indices: ``exists(label [predicate anchor])``."""
+    """A statement about a room by labels and indices: ``exists(label [predicate anchors])``."""
 
     label: str
     truth: bool
     witnesses: tuple[str, ...]
     predicate: Predicate | None = None
-    anchor: int | None = None
+    anchors: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +74,7 @@ class RelationPool:
             truth=truth,
             witnesses=tuple(self.object_ids[i] for i in witnesses),
             predicate=self.truths.predicate,
-            anchor=int(self.truths.anchors[column]),
+            anchors=tuple(self.truths.anchors[column].tolist()),
         )
 
 
@@ -98,7 +99,12 @@ class ConditionPool:
 
     @classmethod
     def of(
-        cls, referents: Referents, bits: PriorBits, elsewhere: Iterable[str], vocabulary: Vocabulary
+        cls,
+        referents: Referents,
+        bits: PriorBits,
+        elsewhere: Iterable[str],
+        vocabulary: Vocabulary,
+        asked: Container[str] = ASKED,
     ) -> ConditionPool:
         """The statements about one room.
 
@@ -106,11 +112,12 @@ class ConditionPool:
         ----------
         bits : which labels are plausible in this type of room, and how often its statements are true
         elsewhere : labels that may be claimed absent: those of the scene's other rooms, or of other scenes
+        asked : predicates that may be asked for
         """
         if not referents.room.asked:
             return cls(None, {})
         presence = _presence(referents, bits, elsewhere, vocabulary) if referents.room.complete else None
-        return cls(presence, _relations(referents, bits, vocabulary))
+        return cls(presence, _relations(referents, bits, vocabulary, asked))
 
 
 def _presence(
@@ -138,9 +145,13 @@ def _presence(
     return PresencePool(questions, sums) if all(questions.values()) else None
 
 
-def _relations(referents: Referents, bits: PriorBits, vocabulary: Vocabulary) -> dict[Predicate, RelationPool]:
+def _relations(
+    referents: Referents, bits: PriorBits, vocabulary: Vocabulary, asked: Container[str]
+) -> dict[Predicate, RelationPool]:
     pools: dict[Predicate, RelationPool] = {}
     for truths in statement_truths(referents, vocabulary):
+        if truths.predicate not in asked:
+            continue
         weights = _informative_tables(referents, truths, bits)
         if weights is None:
             weights = balanced_weights(truths.true, truths.false)
@@ -177,7 +188,7 @@ def _informative_tables(referents: Referents, truths: StatementTruths, bits: Pri
     known, evidence = False, bits.evidence(room_type)
     for truth, support in ((True, truths.true), (False, truths.false)):
         for row, column in np.argwhere(support):
-            key = (room_type, truths.labels[row], truths.predicate, own[truths.anchors[column]])
+            key = (room_type, truths.labels[row], truths.predicate, truths.anchor_key(column, own))
             seen = bits.counts.get(key, (0, 0))
             known |= sum(seen) >= evidence
             tables[truth][row, column] = informative_weights(*seen, evidence)[truth]

@@ -42,18 +42,18 @@ REASONS: Final[dict[str, str]] = {
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """What a condition's text asks: a label in a room, perhaps in relation to an anchor."""
+    """What a condition's text asks: a label in a room, perhaps in relation to one or two anchors."""
 
     room_id: str
     room_anchor: str | None
     label: str
-    anchor: str | None
+    anchors: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, condition: Condition) -> Claim:
         """The claim a condition makes."""
-        anchor = condition.qualifier.anchor_label if condition.qualifier else None
-        return cls(condition.room.room_id, condition.room.anchor_label, condition.label, anchor)
+        anchors = condition.qualifier.anchor_labels if condition.qualifier else ()
+        return cls(condition.room.room_id, condition.room.anchor_label, condition.label, anchors)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,9 @@ class Presupposed:
         """What all phrases of `stops` take for granted together."""
         stops = tuple(stops)
         named = {(s.room.room_id, s.label) for s in stops}
-        qualified = [(s.room.room_id, s.label, s.qualifier.anchor_label) for s in stops if s.qualifier]
+        qualified = [
+            (s.room.room_id, s.label, anchor) for s in stops if s.qualifier for anchor in s.qualifier.anchor_labels
+        ]
         rooms = {(s.room.room_id, s.room.anchor_label) for s in stops if s.room.anchor_label}
         things = named | {(room, anchor) for room, _, anchor in qualified} | rooms
         return cls(frozenset(named), frozenset(things), frozenset(qualified))
@@ -82,16 +84,16 @@ class Presupposed:
 def clash(claim: Claim, others: Sequence[Claim], given: Presupposed, vocabulary: Vocabulary) -> str | None:
     """The first rule that a condition breaks beside the `others` and the stops' phrases; None if it may stand."""
     words = vocabulary.overlapping(claim.label)
-    if claim.anchor in words or claim.room_anchor in words:
+    if words.intersection(claim.anchors) or claim.room_anchor in words:
         return "tautology"
     # What is absent here can be a stop only elsewhere; asking presence of no stop anywhere keeps the two truths alike.
-    everywhere = claim.anchor is None
+    everywhere = not claim.anchors
     if any((everywhere or room == claim.room_id) and label in words for room, label in given.stops):
         return "names_stop"
     if everywhere and any(label in words for _, label in given.things):
         return "given_away"
-    if claim.anchor is not None:
-        anchor_words = vocabulary.overlapping(claim.anchor)
+    for claimed in claim.anchors:
+        anchor_words = vocabulary.overlapping(claimed)
         for room, label, anchor in given.pairs:
             if room == claim.room_id and (
                 (label in words and anchor in anchor_words) or (label in anchor_words and anchor in words)
@@ -102,26 +104,24 @@ def clash(claim: Claim, others: Sequence[Claim], given: Presupposed, vocabulary:
         if other.label in words:
             return "implied"
         # "a lamp near the bed" takes the bed for granted.
-        if claim.anchor is None and other.anchor in words:
+        if not claim.anchors and words.intersection(other.anchors):
             return "implied"
-        if other.anchor is None and claim.anchor is not None and claim.anchor in vocabulary.overlapping(other.label):
+        if not other.anchors and vocabulary.overlapping(other.label).intersection(claim.anchors):
             return "implied"
     return "implied" if _closes_cycle(claim, same_room, vocabulary) else None
 
 
 def _closes_cycle(claim: Claim, others: Sequence[Claim], vocabulary: Vocabulary) -> bool:
     """Whether relations form a ring of labels: a north of b, b north of c settles c against a."""
-    if claim.anchor is None:
-        return False
     reached, grown = set(vocabulary.overlapping(claim.label)), True
-    edges = [(o.label, o.anchor) for o in others if o.anchor is not None]
+    edges = [(o.label, anchor) for o in others for anchor in o.anchors]
     while grown:
         grown = False
         for one, two in edges:
             if (one in reached) != (two in reached):
                 reached |= vocabulary.overlapping(one) | vocabulary.overlapping(two)
                 grown = True
-    return claim.anchor in reached
+    return not reached.isdisjoint(claim.anchors)
 
 
 def is_circular(ref: ObjectRef, vocabulary: Vocabulary) -> bool:
@@ -133,7 +133,7 @@ def repeats_anchor(named: ObjectRef | Condition, vocabulary: Vocabulary) -> bool
     """Whether a phrase is like "the chair near the desk in the bedroom with the desk": sound, but clumsy."""
     if named.qualifier is None or named.room.anchor_label is None:
         return False
-    return named.qualifier.anchor_label in vocabulary.overlapping(named.room.anchor_label)
+    return not vocabulary.overlapping(named.room.anchor_label).isdisjoint(named.qualifier.anchor_labels)
 
 
 @cache

@@ -20,7 +20,7 @@ import yaml
 
 from condvln.instructions.predicates import PREDICATES
 from condvln.labels import vocabulary
-from schemas.program import CATEGORIES, SHAPES, Category, Predicate
+from schemas.program import CATEGORIES, SHAPES, SUPERLATIVES, Category, Predicate
 
 __all__ = ["LANGUAGES", "LEAF_LETTERS", "SLOTS", "Language", "Noun", "Piece", "Slot", "Template", "Voice", "language"]
 
@@ -91,6 +91,8 @@ class Language:
 
     slots : all phrases of each slot, over all voices
     connectives : the words that hold clauses together, by what they do
+    predicates : phrases of those with anchors; both : the word between two anchors
+    superlatives : "bigger" and "smaller" by class of noun; superlative_first : before the noun, else behind it
     voices, sums : the voices and their weights, summed up
     """
 
@@ -100,6 +102,9 @@ class Language:
     slots: Mapping[str, tuple[str, ...]]
     connectives: Mapping[str, tuple[str, ...]]
     predicates: Mapping[Predicate, tuple[str, ...]]
+    both: str
+    superlatives: Mapping[Predicate, Mapping[str, str]]
+    superlative_first: bool
     directions: Mapping[str, str]
     templates: Mapping[Category, tuple[Template, ...]]
     articles: Mapping[str, Mapping[str, str]]
@@ -110,6 +115,12 @@ class Language:
     def definite(self, noun: Noun) -> str:
         """ "the lamp"."""
         return f"{self.articles['definite'][noun.kind]} {noun.text}"
+
+    def compared(self, predicate: Predicate, noun: Noun) -> str:
+        """ "the bigger lamp"."""
+        word = self.superlatives[predicate][noun.kind]
+        named = f"{word} {noun.text}" if self.superlative_first else f"{noun.text} {word}"
+        return f"{self.articles['definite'][noun.kind]} {named}"
 
     def filled(self, phrase: str, noun: Noun) -> str:
         """A phrase with its noun: "there's {a}" → "there's a lamp"."""
@@ -147,7 +158,10 @@ def language(code: str = "en") -> Language:
         sums=tuple(accumulate(float(own["weight"]) for own in document["voices"].values())),
         slots={slot: tuple(dict.fromkeys(p for voice in voices for p in voice.slots[slot])) for slot in SLOTS},
         connectives={name: tuple(phrases) for name, phrases in document["connectives"].items()},
-        predicates={p: _predicate(document, p) for p in PREDICATES},
+        predicates={p: _predicate(document, p) for p in PREDICATES if p not in SUPERLATIVES},
+        both=document["both"],
+        superlatives={p: document["superlatives"][p] for p in SUPERLATIVES},
+        superlative_first=document["superlatives"]["before_noun"],
         directions=document["directions"],
         templates=templates,
         articles=document["articles"],

@@ -16,9 +16,10 @@ from lark import Lark, Token, Tree
 from lark.exceptions import LarkError, UnexpectedInput
 
 from condvln.instructions.language import Language, Slot, language
+from condvln.instructions.predicates import PREDICATES
 from condvln.instructions.text_reading import Phrase, Place, Reading
 from schemas.errors import FormatError
-from schemas.program import CATEGORIES, SHAPES, Category, Predicate
+from schemas.program import CATEGORIES, SHAPES, Category, Predicate, anchors_of
 
 __all__ = ["grammar_source", "parse", "parser", "reading_from_tree"]
 
@@ -84,16 +85,20 @@ class _GrammarWriter:
         rules.append(f"there_of: {self._any(w.slots['there_of'])}")
         rules += [f"{name}: {self._any(w.slots[name])}" for name in ANSWERS]
         rules += [f"{_rule(predicate)}: {self._any(phrases)}" for predicate, phrases in w.predicates.items()]
+        rules += [f"{_rule(name)}: {self._any(words.values())}" for name, words in w.superlatives.items()]
         rules += [f"direction_{_rule(name)}: {self._any([text])}" for name, text in w.directions.items()]
+        compared = "_THE superlative _noun" if w.superlative_first else "_THE _noun superlative"
+        one_anchor = " | ".join(_rule(p) for p in w.predicates if anchors_of(p) == 1)
         rules += [
             "start: [_facing direction] [_scope room COMMA] body",
             "direction: (" + " | ".join(f"direction_{_rule(d)}" for d in w.directions) + ") STOP",
             "moves: _go object (_joint object)*",
-            "object: _THE _noun [_where_of] | _THE _noun qualifier [_where]",
+            f"object: _THE _noun [_where_of] | _THE _noun qualifier [_where] | {compared} [_where_of]",
             "_where: _in room | there",
             "_where_of: _of room | there_of",
             "room: _THE (ROOM | BOTH) [_with _THE _noun]",
-            "qualifier: (" + " | ".join(_rule(p) for p in w.predicates) + ") _THE _noun",
+            f"qualifier: ({one_anchor}) _THE _noun | {_rule('between')} _THE _noun {self._terminal(w.both)} _THE _noun",
+            "superlative: " + " | ".join(_rule(p) for p in w.superlatives),
             "asserted: _exists _noun [qualifier] [_where] -> some",
             "    | room _has _noun [qualifier] -> some",
             "    | _THE _noun [_where_of] _is qualifier -> the",
@@ -186,7 +191,7 @@ class _TreeReader:
     def __init__(self, words: Language) -> None:
         self.labels = {noun.text.lower(): label for label, noun in words.nouns.items()}
         self.rooms = {noun.text.lower(): label for label, noun in words.rooms.items()}
-        self.predicates: dict[str, Predicate] = {_rule(p): p for p in words.predicates}
+        self.predicates: dict[str, Predicate] = {_rule(p): p for p in PREDICATES}
         self.words = words
         self.scope: Place | None = None
         self.last_room: Place | None = None
@@ -232,7 +237,8 @@ class _TreeReader:
 
     def _stop(self, tree: Node) -> Phrase:
         """What is named, in the order of its words: a room may stand before the thing, or behind it."""
-        label, qualifier, room = "", None, self.scope
+        label, room = "", self.scope
+        qualifier: tuple[Predicate, tuple[str, ...]] | None = None
         for child in tree.children:
             if isinstance(child, Token):
                 label = self.labels[_plain(child)] if child.type in ("NOUN", "BOTH") else label
@@ -245,7 +251,10 @@ class _TreeReader:
                     room = self.last_room
                 elif child.data == "qualifier":
                     (relation,) = _subtrees(child)
-                    qualifier = self.predicates[str(relation.data)], self._label(child)
+                    qualifier = self.predicates[str(relation.data)], self._labels(child)
+                elif child.data == "superlative":
+                    (relation,) = _subtrees(child)
+                    qualifier = self.predicates[str(relation.data)], ()
         return Phrase(label, qualifier, room)
 
     def _place(self, tree: Node) -> Place:
@@ -253,8 +262,8 @@ class _TreeReader:
         self.last_room = Place(self.rooms[_plain(room)], self.labels[_plain(anchor[0])] if anchor else None)
         return self.last_room
 
-    def _label(self, tree: Node) -> str:
-        return self.labels[_plain(_tokens(tree)[0])]
+    def _labels(self, tree: Node) -> tuple[str, ...]:
+        return tuple(self.labels[_plain(token)] for token in _tokens(tree))
 
 
 def _subtrees(tree: Node) -> list[Node]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from schemas.program import Predicate
+from schemas.program import QUALIFIER_ONLY, Predicate
 
-__all__ = ["COMPASS", "PREDICATES", "PREDICATE_GROUPS"]
+__all__ = ["ASKED", "COMPASS", "GROUP_OF", "PREDICATES", "PREDICATE_GROUPS"]
 
 COMPASS: Final[tuple[Predicate, ...]] = (
     "east of",
@@ -22,12 +22,24 @@ COMPASS: Final[tuple[Predicate, ...]] = (
 """The eight compass predicates, counter-clockwise from east."""
 
 PREDICATE_GROUPS: Final[Mapping[str, tuple[Predicate, ...]]] = {
+    "on": ("on",),
+    "under": ("under",),
+    "inside": ("in",),
     "near": ("near",),
     "vertical": ("above", "below"),
+    "between": ("between",),
+    "closest": ("closest to",),
     "compass": COMPASS,
+    "size": ("bigger", "smaller"),
     "height": ("higher than", "lower than"),
     "far": ("far from",),
 }
 """Predicates that read alike, in the order in which text prefers them; named as the keys of ``sampling.predicates``."""
 
 PREDICATES: Final[tuple[Predicate, ...]] = tuple(p for group in PREDICATE_GROUPS.values() for p in group)
+
+GROUP_OF: Final[Mapping[Predicate, str]] = {p: group for group, those in PREDICATE_GROUPS.items() for p in those}
+"""Group of each predicate."""
+
+ASKED: Final[tuple[Predicate, ...]] = tuple(p for p in PREDICATES if p not in QUALIFIER_ONLY)
+"""Predicates that a condition may ask for."""

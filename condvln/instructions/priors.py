@@ -13,6 +13,7 @@ import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 from typing import Any, Final
 
 import numpy as np
@@ -21,7 +22,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from condvln.instructions.referents import Referents
-from condvln.instructions.statements import statement_truths
+from condvln.instructions.statements import anchor_key, statement_truths
 from condvln.labels import vocabulary
 from condvln.relations import relate_room, text_facts
 from condvln.scene import Room, RoomArrays, Scene, SceneObject
@@ -146,7 +147,8 @@ class LabelPriors:
         types = sorted({room.label for room in scene.rooms})
         seen = sorted({o.label for o in scene.objects})
         held = pc.is_in(self._counts["label"], pa.array([*seen, ""], pa.string()))
-        related = pc.and_(held, pc.is_in(self._counts["anchor"], pa.array([*seen, ""], pa.string())))
+        anchors = [*seen, "", *(anchor_key(pair) for pair in combinations(seen, 2))]
+        related = pc.and_(held, pc.is_in(self._counts["anchor"], pa.array(anchors, pa.string())))
         if scene.single_room:
             related = pc.or_(related, pc.equal(self._counts["predicate"], ""))
         read = pc.and_(pc.is_in(self._counts["room_type"], pa.array(types, pa.string())), related)
@@ -215,10 +217,10 @@ def _of_room(
     if room.complete and len(arrays):
         facts = text_facts(relate_room(arrays, thresholds), thresholds)
         referents = Referents.of(room, arrays, facts, vocabulary, anchor_size)
-        named = np.array(arrays.labels, dtype=object)
         for truths in statement_truths(referents, vocabulary):
             rows, columns = np.nonzero(truths.true | truths.false)
-            labels, anchors = np.array(truths.labels, dtype=object)[rows], named[truths.anchors[columns]]
+            keys = np.array([truths.anchor_key(k, arrays.labels) for k in range(len(truths.anchors))], dtype=object)
+            labels, anchors = np.array(truths.labels, dtype=object)[rows], keys[columns]
             true, false = truths.true[rows, columns], truths.false[rows, columns]
             parts.append(_rows(labels, truths.predicate, anchors, true, false))
     joined = pa.concat_tables(parts)
@@ -287,7 +289,7 @@ def _boxes(rooms: pa.Table, objects: pa.Table) -> Iterator[tuple[str, list[tuple
             complete=row["complete"],
             asked=row["asked"],
         )
-        arrays = RoomArrays.of(room.room_id, held.get((row["scene_id"], row["room_id"]), []))
+        arrays = RoomArrays.of(room.room_id, held.get((row["scene_id"], row["room_id"]), []), room.floor_y)
         scenes.setdefault(row["scene_id"], []).append((room, arrays))
     yield from scenes.items()
 

@@ -22,11 +22,12 @@ from numpy.typing import NDArray
 
 from condvln.instructions.predicates import PREDICATE_GROUPS
 from condvln.labels import Vocabulary
+from condvln.labels.roles import labels_with_role
 from condvln.scene import Room, RoomArrays
 from condvln.scene.sightings import EVERYTHING_SEEN, Sightings
-from schemas.program import ObjectRef, Predicate, Qualifier, RoomRef
+from schemas.program import SUPERLATIVES, Anchor, ObjectRef, Predicate, Qualifier, RoomRef
 
-__all__ = ["ALTERNATIVES", "Facts", "Qualification", "Referents", "object_refs", "room_refs"]
+__all__ = ["ALTERNATIVES", "Facts", "Qualification", "Referents", "object_refs", "qualifier_of", "room_refs"]
 
 ALTERNATIVES: Final = 2
 """Qualifiers kept per object and predicate group, those of largest margin; enough for texts to differ."""
@@ -40,7 +41,9 @@ Bools = NDArray[np.bool_]
 class Facts(Protocol):
     """Which predicates text may use of the objects of one room, in the order of ``RoomArrays.object_ids``.
 
-    status[p][i, j] : +1 where "i p j" holds with margin, −1 where it fails with margin, 0 in the dead zone
+    A status is +1 where a fact holds with margin, −1 where it fails with margin, 0 in the dead zone.
+
+    status[p][i, j] : of "i p j", for predicates with one anchor
     margin[p][i, j] : how far it is from its threshold, comparable within one predicate
     """
 
@@ -50,13 +53,25 @@ class Facts(Protocol):
     @property
     def margin(self) -> Mapping[str, NDArray[np.float64]]: ...
 
+    def between(self, pairs: NDArray[np.intp]) -> tuple[NDArray[np.int8], NDArray[np.float64]]:
+        """Status and margin (n, p) of "between a and b" for pairs (p, 2) of indices."""
+        ...
+
+    def closest(self, rival: NDArray[np.bool_]) -> tuple[NDArray[np.int8], NDArray[np.float64]]:
+        """Status and margin (n, n) of "closest to", among each thing and its rivals."""
+        ...
+
+    def sizes(self, rival: NDArray[np.bool_]) -> Mapping[str, NDArray[np.int8]]:
+        """Status (n,) of "the bigger" and "the smaller", of a thing and its one rival."""
+        ...
+
 
 @dataclass(frozen=True, slots=True)
 class Qualification:
-    """A qualifier by indices: `anchor` into the room's objects."""
+    """A qualifier by indices: `anchors` into the room's objects."""
 
     predicate: Predicate
-    anchor: int
+    anchors: tuple[int, ...]
     margin: float
 
 
@@ -66,8 +81,9 @@ class Referents:
 
     rival (n, n) : j can be seen and could be meant by i's label
     nameable (n,) : can be seen, the label is fit for text, and no word for it might mean a thing in doubt
-    unique (n,) : nameable without rivals; anchor (n,) : unique and of known extent; small (n,) : shorter than the
-    anchor size
+    unique (n,) : nameable without rivals; small (n,) : shorter than the anchor size
+    anchors (a,) : indices of what something may be found by: unique, of known extent, neither small nor portable
+    suits (n, n) : j may be the anchor of i: it is fixed, or the larger of the two
     may_be (n,) : labels that a thing may bear without being called so, of those that may be some things only
     open (n,) : the same of all things whose extent is known, also of those that may be anything
     blocked : labels that can't be said to be absent, since something nameless may bear them
@@ -80,8 +96,9 @@ class Referents:
     rival: Bools
     nameable: Bools
     unique: Bools
-    anchor: Bools
     small: Bools
+    anchors: NDArray[np.intp]
+    suits: Bools
     may_be: tuple[frozenset[str], ...]
     open: tuple[frozenset[str], ...]
     blocked: frozenset[str]
@@ -105,7 +122,29 @@ class Referents:
     @cached_property
     def qualifications(self) -> tuple[tuple[Qualification, ...], ...]:
         """Per object the ways to make it unique, best first; none where it needs none or has none."""
-        return _qualifications(self.facts, self.rival, self.nameable, self.unique, self.anchor, self.small)
+        return _qualifications(self)
+
+    @cached_property
+    def anchor_pairs(self) -> NDArray[np.intp]:
+        """(p, 2) all pairs of anchors, in the order of their ids."""
+        one, other = np.triu_indices(len(self.anchors), k=1)
+        return np.stack([self.anchors[one], self.anchors[other]], axis=1).astype(np.intp)
+
+    def related(self, predicate: Predicate) -> tuple[NDArray[np.intp], NDArray[np.int8], NDArray[np.float64], Bools]:
+        """Of a predicate with anchors: the anchors (a, k), and status, margin and `suits` (n, a) of all objects."""
+        columns = self.anchor_pairs if predicate == "between" else self.anchors[:, None]
+        if predicate == "between":
+            status, margin = self.facts.between(columns)
+        elif predicate == "closest to":
+            status, margin = self._closest[0][:, self.anchors], self._closest[1][:, self.anchors]
+        else:
+            status = self.facts.status[predicate][:, self.anchors]
+            margin = self.facts.margin[predicate][:, self.anchors]
+        return columns, status, margin, np.asarray(self.suits[:, columns].all(axis=2))
+
+    @cached_property
+    def _closest(self) -> tuple[NDArray[np.int8], NDArray[np.float64]]:
+        return self.facts.closest(self.rival)
 
     @cached_property
     def unique_labels(self) -> frozenset[str]:
@@ -141,6 +180,9 @@ class Referents:
         np.fill_diagonal(rival, False)
         unique = nameable & ~rival.any(axis=1)
         small = np.asarray(_longest_side(arrays) < anchor_size)
+        fixed, portable = (np.isin(arrays.labels, sorted(labels_with_role(role))) for role in ("fixed", "portable"))
+        sizes = arrays.aabb_max - arrays.aabb_min
+        anchors = np.flatnonzero(unique & ~portable & (fixed | ~small) & ~np.isnan(sizes).any(axis=1))
         return cls(
             room=room,
             arrays=arrays,
@@ -148,8 +190,9 @@ class Referents:
             rival=rival,
             nameable=nameable,
             unique=unique,
-            anchor=unique & np.array([o.geometry != "none" for o in arrays.objects], dtype=bool),
             small=small,
+            anchors=anchors,
+            suits=_suits(sizes, np.asarray(fixed)),
             may_be=may_be,
             open=open_,
             blocked=blocked,
@@ -198,6 +241,14 @@ def _nameless(
     return may_be, placed, none.union(*found), unplaced
 
 
+def _suits(sizes: NDArray[np.float64], fixed: Bools) -> Bools:
+    """(n, n) whether j may be the anchor of i, by sizes (n, 3): the larger on the ground or in volume, or the fixed."""
+    area, volume = sizes[:, 0] * sizes[:, 2], sizes.prod(axis=1)
+    suits = fixed[None, :] | (area[None, :] >= area[:, None]) | (volume[None, :] >= volume[:, None])
+    np.fill_diagonal(suits, False)
+    return np.asarray(suits)
+
+
 def _longest_side(arrays: RoomArrays) -> NDArray[np.float64]:
     """(n,) longest side in metres; infinite where no extent is known, so that it counts as large."""
     sides = np.max(arrays.aabb_max - arrays.aabb_min, axis=1, initial=-np.inf)
@@ -205,31 +256,29 @@ def _longest_side(arrays: RoomArrays) -> NDArray[np.float64]:
     return np.where(np.isnan(sides), np.inf, sides)
 
 
-def _qualifications(
-    facts: Facts, rival: Bools, nameable: Bools, unique: Bools, anchor: Bools, small: Bools
-) -> tuple[tuple[Qualification, ...], ...]:
-    n = len(nameable)
-    rows, anchors = np.flatnonzero(nameable & ~unique), np.flatnonzero(anchor)
-    found: list[list[Qualification]] = [[] for _ in range(n)]
-    if not len(rows) or not len(anchors):
-        return tuple(() for _ in range(n))
-    rivals = rival[rows].astype(np.float32)
+def _qualifications(referents: Referents) -> tuple[tuple[Qualification, ...], ...]:
+    sizes, rows = referents.facts.sizes(referents.rival), np.flatnonzero(referents.nameable & ~referents.unique)
+    found: list[list[Qualification]] = [[] for _ in referents.nameable]
+    rivals = referents.rival[rows].astype(np.float32)
     for group, predicates in PREDICATE_GROUPS.items():
-        ways: list[list[tuple[bool, float, int, Predicate]]] = [[] for _ in range(len(rows))]
+        ways: list[list[tuple[float, tuple[int, ...], Predicate]]] = [[] for _ in rows]
         for predicate in predicates:
-            status = facts.status[predicate][:, anchors]
+            if predicate in SUPERLATIVES:
+                for k in np.flatnonzero(sizes[predicate][rows] == 1).tolist():
+                    ways[k].append((0.0, (), predicate))
+                continue
+            anchors, status, margin, suits = referents.related(predicate)
             # Rivals that the loose threshold does not exclude; a matrix product counts them for all anchors at once.
             left = rivals @ (status != -1).astype(np.float32)
-            margin = facts.margin[predicate]
-            for r, a in zip(*np.nonzero((status[rows] == 1) & (left == 0)), strict=True):
-                by = int(anchors[a])
-                ways[r].append((bool(small[by]), -float(margin[rows[r], by]), by, predicate))
+            for r, a in zip(*np.nonzero((status[rows] == 1) & (left == 0) & suits[rows]), strict=True):
+                ways[r].append((-float(margin[rows[r], a]), tuple(anchors[a].tolist()), predicate))
         for r, options in enumerate(ways):
             kept = found[int(rows[r])]
             if (group == "height" and len(kept) >= ALTERNATIVES) or (group == "far" and kept):
                 continue
             kept.extend(
-                Qualification(predicate, by, -negated) for _, negated, by, predicate in sorted(options)[:ALTERNATIVES]
+                Qualification(predicate, anchors, -negated)
+                for negated, anchors, predicate in sorted(options)[:ALTERNATIVES]
             )
     return tuple(tuple(kept) for kept in found)
 
@@ -259,9 +308,7 @@ def room_refs(referents: Sequence[Referents], vocabulary: Vocabulary) -> dict[st
 def _anchored(one: Referents, others: Sequence[Referents], vocabulary: Vocabulary) -> tuple[RoomRef, ...]:
     size = _longest_side(one.arrays)
     anchors = [
-        i
-        for i in np.flatnonzero(one.anchor)
-        if not one.small[i] and all(other.lacks(one.arrays.labels[i], vocabulary) for other in others)
+        i for i in one.anchors.tolist() if all(other.lacks(one.arrays.labels[i], vocabulary) for other in others)
     ]
     # The largest first: what tells a room apart should be seen from its door.
     anchors.sort(key=lambda i: (-size[i], one.arrays.object_ids[i]))
@@ -287,9 +334,15 @@ def object_refs(referents: Referents, index: int, room: RoomRef) -> tuple[Object
             object_id=name,
             label=label,
             room=room,
-            qualifier=Qualifier(
-                predicate=q.predicate, anchor_id=arrays.object_ids[q.anchor], anchor_label=arrays.labels[q.anchor]
-            ),
+            qualifier=qualifier_of(arrays, q.predicate, q.anchors),
         )
         for q in referents.qualifications[index]
+    )
+
+
+def qualifier_of(arrays: RoomArrays, predicate: Predicate, anchors: Sequence[int]) -> Qualifier:
+    """A qualifier from the indices of its anchors."""
+    return Qualifier(
+        predicate=predicate,
+        anchors=tuple(Anchor(object_id=arrays.object_ids[a], label=arrays.labels[a]) for a in anchors),
     )

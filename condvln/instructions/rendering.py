@@ -15,7 +15,7 @@ from condvln.instructions.predicates import COMPASS
 from condvln.seeding import Draws, generator, stable_hash
 from schemas.config.constants import HEADING_TOLERANCE
 from schemas.errors import UsageError
-from schemas.program import Condition, Leaf, ObjectRef, Program, Qualifier, RoomRef
+from schemas.program import SUPERLATIVES, Condition, Leaf, ObjectRef, Program, Qualifier, RoomRef
 
 __all__ = [
     "HEADINGS",
@@ -202,9 +202,12 @@ class _Renderer:
         qualifier: Qualifier | None = named.qualifier
         if qualifier is None:
             return ""
+        if qualifier.predicate in SUPERLATIVES:
+            return ""
         phrases = self.words.predicates[qualifier.predicate]
         relation = phrases[0] if len(phrases) == 1 else self.draws.choice(phrases)
-        return f" {relation} {self.words.definite(self.words.nouns[qualifier.anchor_label])}"
+        anchors = [self.words.definite(self.words.nouns[label]) for label in qualifier.anchor_labels]
+        return f" {relation} {f' {self.words.both} '.join(anchors)}"
 
     # -- places --------------------------------------------------------------------------------------------------------
 
@@ -218,9 +221,13 @@ class _Renderer:
         return "".join(texts)
 
     def _stop(self, ref: ObjectRef) -> str:
-        noun = self.words.definite(self.words.nouns[ref.label])
-        # Behind a relation, "of the bedroom" would go with the anchor.
-        kind = "_of" if ref.qualifier is None else ""
+        named = self.words.nouns[ref.label]
+        noun, kind = self.words.definite(named), "_of"
+        if ref.qualifier is not None and ref.qualifier.predicate in SUPERLATIVES:
+            noun = self.words.compared(ref.qualifier.predicate, named)
+        elif ref.qualifier is not None:
+            # Behind a relation, "of the bedroom" would go with the anchor.
+            kind = ""
         return f"{noun}{self._relation(ref)}{self._where(ref.room, kind)}"
 
     def _where(self, room: RoomRef, kind: str = "") -> str:

@@ -18,6 +18,7 @@ from condvln.instructions.condition_sampler import ConditionSampler
 from condvln.instructions.conditions import ConditionPool
 from condvln.instructions.counterfactuals import Group, counterfactual_group
 from condvln.instructions.degeneracy import idle_conditions, is_circular, outcomes, repeats_anchor
+from condvln.instructions.predicates import GROUP_OF
 from condvln.instructions.priors import PriorBits
 from condvln.instructions.programs import composition, instruction_id
 from condvln.instructions.referents import ALTERNATIVES, Facts, Referents, object_refs, room_refs
@@ -30,7 +31,7 @@ from condvln.scene.sightings import EVERYTHING_SEEN, Sightings
 from condvln.seeding import Draws, generator
 from schemas.config import InstructionCell, InstructionsConfig, SamplingConfig
 from schemas.episode import Composition
-from schemas.program import CATEGORIES, SHAPES, Category, Leaf, ObjectRef, Program, RoomRef
+from schemas.program import CATEGORIES, SHAPES, Category, Leaf, ObjectRef, Program, RoomRef, asked_in
 
 __all__ = ["ProgramSampler"]
 
@@ -109,7 +110,7 @@ class ProgramSampler:
             elsewhere = set(bits.plausible.get(referents.room.label, ()))
         else:
             elsewhere = {o.label for o in self.scene.objects if o.room_id != room_id and not o.hidden}
-        return ConditionPool.of(referents, bits, elsewhere, self.words)
+        return ConditionPool.of(referents, bits, elsewhere, self.words, asked_in(self.scene.family))
 
     @cached_property
     def _held(self) -> dict[str, int]:
@@ -342,7 +343,14 @@ class ProgramSampler:
             self._refs[key] = tuple(ref for ref in sound if not repeats_anchor(ref, self.words)) or sound
         if not self._refs[key]:
             raise GivenUp("circular")
-        return draws.choice(self._refs[key])
+        refs = self._refs[key]
+        return draws.weighted(refs, self._preferences(refs))
+
+    def _preferences(self, refs: Sequence[ObjectRef]) -> list[float]:
+        """Weights of the ways to name an object, those of its predicates; one of weight 0 serves where it is alone."""
+        groups = ["" if ref.qualifier is None else GROUP_OF[ref.qualifier.predicate] for ref in refs]
+        weights = [getattr(self.sampling.predicates, group, 1.0) / groups.count(group) for group in groups]
+        return weights if any(weights) else [1.0] * len(refs)
 
 
 def _unseen(program: Program, seen: set[Program]) -> Program:

@@ -23,13 +23,13 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Phrase:
-    """A noun phrase: label, qualifier as (predicate, anchor label), and the room; None where the text names none.
+    """A noun phrase: label, qualifier as (predicate, anchors' labels), and the room; None where the text names none.
 
     definite : of a condition, whether it is about one definite thing ("the lamp is near the bed")
     """
 
     label: str
-    qualifier: tuple[Predicate, str] | None = None
+    qualifier: tuple[Predicate, tuple[str, ...]] | None = None
     room: Place | None = None
     definite: bool = False
 
@@ -59,7 +59,7 @@ def reading_of(program: Program, heading: str | None = None) -> Reading:
 
 def _phrase(named: Condition | ObjectRef) -> Phrase:
     qualifier = named.qualifier
-    stated = None if qualifier is None else (qualifier.predicate, qualifier.anchor_label)
+    stated = None if qualifier is None else (qualifier.predicate, qualifier.anchor_labels)
     return Phrase(named.label, stated, _place(named.room), isinstance(named, Condition) and named.definite)
 
 

@@ -42,7 +42,11 @@ def _object(item: ObjectRef) -> str:
 
 
 def _qualified(qualifier: Qualifier | None) -> str:
-    return "" if qualifier is None else f" {qualifier.predicate} {_noun(qualifier.anchor_label)}"
+    if qualifier is None:
+        return ""
+    if not qualifier.anchors:
+        return f", the {qualifier.predicate}"
+    return f" {qualifier.predicate} {' and '.join(map(_noun, qualifier.anchor_labels))}"
 
 
 def _room(room: RoomRef) -> str:

@@ -6,14 +6,16 @@ from condvln.relations.metrics import PairMetrics, pair_metrics
 from condvln.relations.room import SEMANTIC, RoomRelations, relate_room, relate_scene
 from condvln.relations.surface import MeshOf, surface_distances
 from condvln.relations.table import CONTAINS, relation_table
-from condvln.relations.text import TEXT_PREDICATES, TextFacts, text_facts
+from condvln.relations.text import PAIR_PREDICATES, SIZE_PREDICATES, TEXT_PREDICATES, TextFacts, text_facts
 
 __all__ = [
     "CANONICAL",
     "COMPASS",
     "CONTAINS",
+    "PAIR_PREDICATES",
     "SECTORS",
     "SEMANTIC",
+    "SIZE_PREDICATES",
     "TEXT_PREDICATES",
     "MeshOf",
     "PairMetrics",

@@ -9,58 +9,103 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.labels import vocabulary
+from condvln.relations.comparison import between_facts, closest_facts, size_facts
 from condvln.relations.compass import COMPASS, sector_deviation
 from condvln.relations.metrics import CENTRE
 from condvln.relations.room import RoomRelations
+from condvln.relations.stacking import Stacking, exact_mm, stacking_of
+from condvln.scene import RoomArrays
 from schemas.config import SECTOR_HALF_WIDTH, Thresholds
 
-__all__ = ["TEXT_PREDICATES", "TextFacts", "text_facts"]
+__all__ = ["PAIR_PREDICATES", "SIZE_PREDICATES", "TEXT_PREDICATES", "TextFacts", "text_facts"]
 
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Status = NDArray[np.int8]
 
-TEXT_PREDICATES: Final = ("near", "above", "below", *COMPASS, "higher than", "lower than", "far from")
-"""Predicates that may stand in text, in order of preference."""
+PAIR_PREDICATES: Final = (
+    "on",
+    "under",
+    "in",
+    "near",
+    "above",
+    "below",
+    *COMPASS,
+    "higher than",
+    "lower than",
+    "far from",
+)
+"""Predicates of a thing and one anchor."""
+
+SIZE_PREDICATES: Final = ("bigger", "smaller")
+"""Predicates of a thing beside the only other one of its label."""
+
+TEXT_PREDICATES: Final = (*PAIR_PREDICATES, "between", "closest to", *SIZE_PREDICATES)
+"""All predicates that may stand in text."""
 
 
 @dataclass(frozen=True, eq=False)
 class TextFacts:
-    """Three-valued facts about all ordered pairs of a room; the subject is the row, the target the column.
+    """Three-valued facts about the objects of a room, in the order of ``RoomArrays.object_ids``.
 
-    status : per predicate of `TEXT_PREDICATES` (n, n): 1 usable as true, −1 usable as false, 0 never used (dead zone,
-        or nothing to decide by; the diagonal too)
-    margin : per predicate (n, n): distance from the threshold at which the edge is emitted, in widths of the dead
-        zone on that side, so that usable facts have about 1 or more and larger is safer. The worst of the conditions
-        of a true fact, the best of the reasons of a false one. Meaningful where status is not 0
+    A status is 1 where the fact is usable as true, −1 where it is usable as false, and 0 where it is never used (dead
+    zone, or nothing to decide by; the diagonal too).
+
+    status : per predicate of `PAIR_PREDICATES` (n, n), the subject by row and the anchor by column
+    margin : per such predicate (n, n): how far it is from the threshold, 1 or more where status is not 0 and larger
+        where it is safer; comparable within one predicate only
     """
 
-    status: Mapping[str, NDArray[np.int8]]
+    status: Mapping[str, Status]
     margin: Mapping[str, F64]
+    _arrays: RoomArrays
+    _stacking: Stacking
+    _thresholds: Thresholds
+
+    def between(self, pairs: NDArray[np.intp]) -> tuple[Status, F64]:
+        """Status and margin (n, p) of "between a and b" for p pairs (p, 2) of anchors."""
+        return between_facts(self._arrays.centers, self._stacking, pairs, self._thresholds)
+
+    def closest(self, rival: Mask) -> tuple[Status, F64]:
+        """Status and margin (n, n) of "closest to", where j could be meant by i's label as `rival` (n, n) says."""
+        return closest_facts(self._stacking, rival, self._thresholds)
+
+    def sizes(self, rival: Mask) -> dict[str, Status]:
+        """Per predicate of `SIZE_PREDICATES` its status (n,), with the same `rival`."""
+        return size_facts(self._arrays, rival, self._thresholds)
 
 
 def text_facts(relations: RoomRelations, thresholds: Thresholds) -> TextFacts:
-    """What text may say of a room's pairs."""
-    t, metrics, dy = thresholds, relations.metrics, relations.subject_above_target
+    """What text may say of a room's things."""
+    t, metrics, arrays = thresholds, relations.metrics, relations.objects
+    stacking = stacking_of(arrays, t)
     facts = {
+        "on": _on(stacking, t),
+        "under": _under(stacking, t),
+        "in": _in(stacking, np.array([vocabulary.container(x) == "open" for x in arrays.labels], dtype=np.bool_), t),
         "near": _near(relations, t),
         "far from": _far(metrics.used, t),
-        "higher than": _higher(dy, t),
-        "lower than": _higher(-dy, t),
-        "above": _above(dy, metrics.horizontal, metrics.footprint_overlap, t),
-        "below": _above(-dy, metrics.horizontal, metrics.footprint_overlap, t),
+        "higher than": _higher(stacking, t),
+        "above": _above(stacking, metrics.horizontal, metrics.footprint_overlap, t),
     }
+    facts["lower than"] = _turned(facts["higher than"])
+    facts["below"] = _turned(facts["above"])
     clear = (np.abs(metrics.elevation) < t.level) & (metrics.horizontal >= t.sector_horizontal_true)
     clearance = _rising(metrics.horizontal, 0.0, t.sector_horizontal_true)
     for sector, predicate in enumerate(COMPASS):
         facts[predicate] = _compass(sector_deviation(metrics.azimuth, sector), clear, clearance, t)
 
     return TextFacts(
-        status={predicate: facts[predicate][0] for predicate in TEXT_PREDICATES},
-        margin={predicate: facts[predicate][1] for predicate in TEXT_PREDICATES},
+        status={predicate: facts[predicate][0] for predicate in PAIR_PREDICATES},
+        margin={predicate: facts[predicate][1] for predicate in PAIR_PREDICATES},
+        _arrays=arrays,
+        _stacking=stacking,
+        _thresholds=t,
     )
 
 
-_Fact = tuple[NDArray[np.int8], F64]
+_Fact = tuple[Status, F64]
 """Status and margin."""
 
 
@@ -70,6 +115,12 @@ def _fact(true: Mask, false: Mask, when_true: F64, when_false: F64) -> _Fact:
     np.fill_diagonal(status, 0)
     # Where a fact is usable on one side, the margin of the other is far below.
     return status, np.fmax(when_true, when_false, out=when_true)
+
+
+def _turned(fact: _Fact) -> _Fact:
+    """The fact with subject and anchor exchanged: "below" from "above"."""
+    status, margin = fact
+    return np.ascontiguousarray(status.T), np.ascontiguousarray(margin.T)
 
 
 def _rising(value: F64, emitted: float, text: float) -> F64:
@@ -100,28 +151,65 @@ def _far(used: F64, t: Thresholds) -> _Fact:
     )
 
 
-def _higher(dy: F64, t: Thresholds) -> _Fact:
-    return _fact(
-        dy >= t.height_true,
-        dy <= t.height_false,
-        _rising(dy, t.height, t.height_true),
-        _rising(dy, t.height, t.height_false),
+def _on(s: Stacking, t: Thresholds) -> _Fact:
+    """Bottom at the anchor's top. Below the box's top nothing is decided: headboards and arm rests are part of it."""
+    true = (
+        (np.abs(s.gap) <= exact_mm(t.on_gap_true))
+        & (s.covered >= t.on_footprint_true)
+        & (s.area[None, :] > s.area[:, None])
+        & (s.rise > 0.0)
     )
+    false = s.known & ((s.apart > 0.0) | (s.gap >= exact_mm(t.on_gap_false)))
+    when_false = np.maximum(1.0 + s.apart / 1000.0, _rising(s.gap, 0.0, exact_mm(t.on_gap_false)))
+    return _fact(true, false, np.where(true, 0.5 + s.covered, -np.inf), when_false)
 
 
-def _above(dy: F64, horizontal: F64, footprint_overlap: F64, t: Thresholds) -> _Fact:
-    true = (dy >= t.height_true) & (horizontal <= t.over_horizontal_true) & (footprint_overlap >= t.over_footprint_true)
-    false = (dy <= t.height_false) | (horizontal >= t.over_horizontal_false)
+def _under(s: Stacking, t: Thresholds) -> _Fact:
+    """On the floor below an anchor that hangs or stands clear of it; its box's bottom bounds its underside."""
+    floor = s.off_floor[:, None] <= exact_mm(t.on_floor)
+    true = floor & (s.gap.T >= 0.0) & (s.covered >= t.under_footprint_true)
+    apart = exact_mm(t.over_apart_false)
+    return _fact(true, s.apart >= apart, np.where(true, 0.2 + s.covered, -np.inf), s.apart / apart)
+
+
+def _in(s: Stacking, container: Mask, t: Thresholds) -> _Fact:
+    """Inside an open container; of other anchors it is never said."""
+    true = container[None, :] & (s.inside >= t.in_share_true)
+    false = container[None, :] & (s.distance > 0.0)
+    return _fact(true, false, np.where(true, 0.2 + s.inside, -np.inf), 1.0 + s.distance / 1000.0)
+
+
+def _higher(s: Stacking, t: Thresholds) -> _Fact:
+    """By centres and tops, of things off the floor of which neither carries the other."""
+    fit = (s.off_floor >= exact_mm(t.off_floor)) & ~np.isnan(s.off_floor)
+    fit = fit[:, None] & fit[None, :] & ~s.carries & ~s.carries.T
+    rise, tops = (exact_mm(t.height_false), exact_mm(t.height_true)), (exact_mm(t.top_false), exact_mm(t.top_true))
+    true = fit & (s.rise >= rise[1]) & (s.top_rise >= tops[1])
+    false = fit & (s.rise <= rise[0]) & (s.top_rise <= tops[0])
+    middle = exact_mm(t.height)
+    return _fact(true, false, _rising(s.rise, middle, rise[1]), _rising(s.rise, middle, rise[0]))
+
+
+def _above(s: Stacking, horizontal: F64, footprint_overlap: F64, t: Thresholds) -> _Fact:
+    """With air in between: what rests on a thing is on it."""
+    rise, air = exact_mm(t.height_true), exact_mm(t.over_gap_true)
+    true = (
+        (s.rise >= rise)
+        & (horizontal <= t.over_horizontal_true)
+        & (footprint_overlap >= t.over_footprint_true)
+        & (s.gap >= air)
+        & ~s.may_rest
+    )
+    low, apart = exact_mm(t.height_false), exact_mm(t.over_apart_false)
+    false = s.known & ((s.rise <= low) | (s.apart >= apart)) & ~s.may_rest
     when_true = np.minimum(
+        np.minimum(_rising(s.rise, exact_mm(t.height), rise), s.gap / air),
         np.minimum(
-            _rising(dy, t.height, t.height_true), _rising(horizontal, t.over_horizontal, t.over_horizontal_true)
+            _rising(horizontal, t.over_horizontal, t.over_horizontal_true),
+            _rising(footprint_overlap, 0.0, t.over_footprint_true),
         ),
-        _rising(footprint_overlap, 0.0, t.over_footprint_true),
     )
-    when_false = np.maximum(
-        _rising(dy, t.height, t.height_false), _rising(horizontal, t.over_horizontal, t.over_horizontal_false)
-    )
-    return _fact(true, false, when_true, when_false)
+    return _fact(true, false, when_true, np.maximum(_rising(s.rise, exact_mm(t.height), low), s.apart / apart))
 
 
 def _compass(deviation: F64, clear: Mask, clearance: F64, t: Thresholds) -> _Fact:

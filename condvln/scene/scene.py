@@ -160,6 +160,7 @@ class RoomArrays:
 
     centers (n, 3); aabb_min, aabb_max (n, 3), from centre and size where not given; radius (n,). NaN where unknown.
     hidden (n,) : inside something shut
+    floor_y : height of the room's floor in metres; NaN where unknown
     """
 
     room_id: str
@@ -171,12 +172,13 @@ class RoomArrays:
     radius: F64
     hidden: NDArray[np.bool_]
     objects: tuple[SceneObject, ...] = field(repr=False)
+    floor_y: float = float("nan")
 
     def __len__(self) -> int:
         return len(self.object_ids)
 
     @classmethod
-    def of(cls, room_id: str, objects: Iterable[SceneObject]) -> RoomArrays:
+    def of(cls, room_id: str, objects: Iterable[SceneObject], floor_y: float = float("nan")) -> RoomArrays:
         """Arrays of `objects`, sorted by id so that pair order never depends on the file's."""
         ordered = tuple(sorted(objects, key=lambda o: o.object_id))
         n = len(ordered)
@@ -192,6 +194,7 @@ class RoomArrays:
             radius=np.array([np.nan if o.radius is None else o.radius for o in ordered], dtype=np.float64),
             hidden=np.array([o.hidden for o in ordered], dtype=np.bool_),
             objects=ordered,
+            floor_y=floor_y,
         )
 
 
@@ -234,4 +237,5 @@ class Scene:
 
     def arrays(self, room_id: str) -> RoomArrays:
         """The objects of one room as arrays."""
-        return RoomArrays.of(room_id, (o for o in self.objects if o.room_id == room_id))
+        held = (o for o in self.objects if o.room_id == room_id)
+        return RoomArrays.of(room_id, held, self.room_of[room_id].floor_y if room_id in self.room_of else float("nan"))

@@ -71,7 +71,7 @@ def _told(program: Program) -> str:
 
 def _ids(named: Condition | ObjectRef) -> tuple[str | None, ...]:
     qualifier = named.qualifier
-    of_qualifier = (None, None) if qualifier is None else (qualifier.predicate, qualifier.anchor_id)
+    of_qualifier = (None, ()) if qualifier is None else (qualifier.predicate, qualifier.anchor_ids)
     return (named.room.room_id, named.room.anchor_id, *of_qualifier)
 
 

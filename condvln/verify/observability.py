@@ -134,7 +134,7 @@ def _ways(row: ManifestEpisode, eye_height: float) -> list[F64]:
 
 
 def _proofs(condition: Condition, referents: SceneReferents) -> Proofs:
-    anchor: list[Sought] = [] if condition.qualifier is None else [("thing", condition.qualifier.anchor_id)]
+    anchor: list[Sought] = [("thing", name) for name in condition.qualifier.anchor_ids] if condition.qualifier else []
     if condition.truth:
         return [[("thing", witness), *anchor] for witness in condition.witnesses]
     proofs: Proofs = [[("floor", condition.room.room_id)]]

@@ -80,6 +80,12 @@ def phrasebook(code: str = "en") -> Phrasebook:
         direction = document["directions"].get(predicate.removesuffix(" of"), "")
         for phrase in phrases:
             book.add(phrase.replace("{direction}", direction), "predicate", predicate, book.classes)
+    book.add(document["both"], "both", "", book.classes)
+    superlatives: Mapping[str, Any] = document["superlatives"]
+    place = "superlative" if superlatives["before_noun"] else "superlative_behind"
+    for predicate in ("bigger", "smaller"):
+        for noun_class, word in superlatives[predicate].items():
+            book.add(word, place, predicate, (noun_class,))
     for name, word in document["directions"].items():
         book.add(word, "direction", name, book.classes)
     for text, classes in _with_articles("{the}", {**articles, "{the}": articles["definite"]}):

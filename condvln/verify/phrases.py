@@ -21,18 +21,18 @@ class Named(NamedTuple):
 
 
 class Phrase(NamedTuple):
-    """A thing as named: label, (predicate, label of the anchor), and the room; None where the text names none.
+    """A thing as named: label, (predicate, labels of the anchors), and the room; None where the text names none.
 
     known : of a condition, whether it speaks of one thing that is known to be there ("the lamp is near the bed")
     """
 
     label: str
-    qualifier: tuple[str, str] | None
+    qualifier: tuple[str, tuple[str, ...]] | None
     room: Named | None
     known: bool = False
 
     def __str__(self) -> str:
-        qualifier = "" if self.qualifier is None else " {} {}".format(*self.qualifier)
+        qualifier = "" if self.qualifier is None else f" {self.qualifier[0]} {' and '.join(self.qualifier[1])}"
         room = "" if self.room is None else f" in {self.room.label}"
         anchor = "" if self.room is None or self.room.anchor is None else f" with {self.room.anchor}"
         return f"{'the ' if self.known else ''}{self.label}{qualifier}{room}{anchor}"
@@ -42,8 +42,13 @@ Moves = tuple[Phrase, ...]
 
 
 _Match = tuple[int, str, frozenset[str]]
+_Qualifier = tuple[str, tuple[str, ...]]
+"""A predicate and the labels of its anchors."""
 _Place = tuple[int, Named | None]
 """A place in the text, and the room named last before it."""
+
+PAIRED: Final = frozenset({"between"})
+"""Predicates with two anchors."""
 
 _STOPS: Final = frozenset(".;:")
 """Marks that end a clause which says where to go."""
@@ -125,12 +130,28 @@ class PhraseReader:
                 for stop, anchor in self._definite(after, "noun"):
                     yield stop, Named(label, anchor)
 
-    def _related(self, at: int) -> Iterator[tuple[int, tuple[str, str]]]:
+    def _related(self, at: int) -> Iterator[tuple[int, _Qualifier]]:
         for end, predicate, _ in self._of(at, "predicate"):
             for stop, anchor in self._definite(end, "noun"):
-                yield stop, (predicate, anchor)
+                if predicate not in PAIRED:
+                    yield stop, (predicate, (anchor,))
+                    continue
+                for after, _, _ in self._of(stop, "both"):
+                    for place, other in self._definite(after, "noun"):
+                        yield place, (predicate, (anchor, other))
 
-    def _qualified(self, at: int) -> Iterator[tuple[int, tuple[str, str] | None]]:
+    def _compared(self, at: int) -> Iterator[tuple[int, str, _Qualifier]]:
+        """(end, label, qualifier) of "the bigger lamp", where its adjective stands before or behind the noun."""
+        for start, _, article in self._of(at, "the"):
+            for middle, predicate, ending in self._of(start, "superlative"):
+                for end, label in self._agreeing(middle, "noun", article & ending):
+                    yield end, label, (predicate, ())
+            for middle, label, own in self._of(start, "noun"):
+                for end, predicate, ending in self._of(middle, "superlative_behind"):
+                    if own & article & ending:
+                        yield end, label, (predicate, ())
+
+    def _qualified(self, at: int) -> Iterator[tuple[int, _Qualifier | None]]:
         yield at, None
         yield from self._related(at)
 
@@ -155,6 +176,9 @@ class PhraseReader:
             for stop, qualifier in self._qualified(end):
                 for after, room, named in self._where(stop, last, belonging=qualifier is None):
                     yield after, Phrase(label, qualifier, room), named
+        for end, label, compared in self._compared(at):
+            for after, room, named in self._where(end, last, belonging=True):
+                yield after, Phrase(label, compared, room), named
 
     # -- conditions ----------------------------------------------------------------------------------------------------
 

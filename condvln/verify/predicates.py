@@ -7,17 +7,17 @@ words can mean are asked.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Final, NamedTuple
+from collections.abc import Sequence
+from typing import Final
 
-from condvln.scene import SceneObject
+from condvln.verify.comparisons import compare_sizes, is_closest, lies_between
+from condvln.verify.judgement import FALSE, TRUE, UNDECIDED, Judgement, judged
+from condvln.verify.supports import is_above, is_higher, is_in, is_on, is_under
 from condvln.verify.surfaces import SurfaceGauge
+from condvln.verify.surroundings import Surroundings, Thing, whole_mm
 from schemas.config import Thresholds
 
-__all__ = ["FALSE", "TRUE", "UNDECIDED", "Judge", "Judgement", "Thing"]
-
-TRUE, FALSE, UNDECIDED = 1, -1, 0
+__all__ = ["DIRECTIONS", "FALSE", "TRUE", "UNDECIDED", "Judge", "Judgement", "Thing"]
 
 DIRECTIONS: Final = {
     "east of": (1, 0),
@@ -32,92 +32,62 @@ DIRECTIONS: Final = {
 """(east, north) of the centre of each sector."""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Thing:
-    """An object by its numbers: centre and box corners (low, high) in whole millimetres, None where not known."""
-
-    item: SceneObject
-    label: str
-    centre: tuple[int, int, int]
-    box: tuple[tuple[int, int, int], tuple[int, int, int]] | None
-
-    @classmethod
-    def of(cls, item: SceneObject, label: str) -> Thing:
-        """A thing from its record."""
-        box = item.box
-        corners = None if box is None else (_whole(box[0]), _whole(box[1]))
-        return cls(item, label, _whole(item.center), corners)
-
-    @property
-    def object_id(self) -> str:
-        """Its id in the scene."""
-        return self.item.object_id
-
-
-class Judgement(NamedTuple):
-    """A verdict, and the metres and degrees that it rests on."""
-
-    verdict: int
-    numbers: Mapping[str, float | None]
-
-
 class Judge:
     """Predicates under one set of thresholds."""
 
     def __init__(self, thresholds: Thresholds, gauge: SurfaceGauge) -> None:
         self._t = thresholds
         self._gauge = gauge
-        self._within = _mm(thresholds.surface_within)
+        self._within = whole_mm(thresholds.surface_within)
 
-    def __call__(self, predicate: str, subject: Thing, anchor: Thing) -> Judgement:
-        """Does "`subject` `predicate` `anchor`" hold?"""
-        if predicate == "near":
-            return self._near(subject, anchor)
-        if predicate == "far from":
-            return self._far(subject, anchor)
-        up = subject.centre[1] - anchor.centre[1]
-        if predicate == "higher than":
-            return self._higher(up)
-        if predicate == "lower than":
-            return self._higher(-up)
-        if predicate == "above":
-            return self._above(up, subject, anchor)
-        if predicate == "below":
-            return self._above(-up, subject, anchor)
-        return self._beside(predicate, up, subject, anchor)
+    def __call__(
+        self,
+        predicate: str,
+        subject: Thing,
+        anchors: Sequence[Thing],
+        room: Surroundings,
+        rivals: Sequence[Thing] = (),
+    ) -> Judgement:
+        """Does "`subject` `predicate` `anchors`" hold?
+
+        rivals : the other things that the subject's label might mean; "closest to" and "the bigger" compare with them
+        """
+        if predicate in ("bigger", "smaller"):
+            return compare_sizes(subject, rivals, self._t, 1 if predicate == "bigger" else -1)
+        if predicate == "between":
+            return lies_between(subject, anchors, room, self._t)
+        (anchor,) = anchors
+        if predicate == "closest to":
+            return is_closest(subject, anchor, rivals, self._t)
+        if predicate in ("near", "far from"):
+            return self._near(subject, anchor) if predicate == "near" else self._far(subject, anchor)
+        if predicate in ("on", "under", "in"):
+            by_support = {"on": is_on, "under": is_under, "in": is_in}[predicate]
+            return by_support(subject, anchor, room, self._t)
+        if predicate in ("lower than", "below"):
+            subject, anchor = anchor, subject
+        if predicate in ("higher than", "lower than"):
+            return is_higher(subject, anchor, room, self._t)
+        if predicate in ("above", "below"):
+            return is_above(subject, anchor, room, self._t)
+        return self._beside(predicate, subject.centre[1] - anchor.centre[1], subject, anchor)
 
     def _near(self, one: Thing, other: Thing) -> Judgement:
         used, is_bound = _used(one, other)
-        close, far = used <= _mm(self._t.near_true), used >= _mm(self._t.near_false)
+        close, far = used <= whole_mm(self._t.near_true), used >= whole_mm(self._t.near_false)
         surface = None
         # Between the two the surfaces can't help.
         if one.box is not None and other.box is not None and (close or (far and used <= self._within)):
             surface = self._gauge.millimetres(one.item, other.item)
         # Boxes and bounding spheres hold their things, so that things are never closer than those; centres say nothing.
         least = surface if surface is not None else used if is_bound else None
-        true = close and surface is not None and surface <= _mm(self._t.near_true)
-        false = far and least is not None and least >= _mm(self._t.near_false)
-        return _judgement(true, false, distance=used, surface=surface)
+        true = close and surface is not None and surface <= whole_mm(self._t.near_true)
+        false = far and least is not None and least >= whole_mm(self._t.near_false)
+        return judged(true, false, distance=used, surface=surface)
 
     def _far(self, one: Thing, other: Thing) -> Judgement:
         used, _ = _used(one, other)
-        return _judgement(used >= _mm(self._t.far_true), used <= _mm(self._t.far_false), distance=used)
-
-    def _higher(self, up: int) -> Judgement:
-        return _judgement(up >= _mm(self._t.height_true), up <= _mm(self._t.height_false), height=up)
-
-    def _above(self, up: int, one: Thing, other: Thing) -> Judgement:
-        apart = math.hypot(one.centre[0] - other.centre[0], one.centre[2] - other.centre[2])
-        shared = _shared_footprint(one, other)
-        true = (
-            up >= _mm(self._t.height_true)
-            and apart <= _mm(self._t.over_horizontal_true)
-            and shared is not None
-            and shared >= self._t.over_footprint_true
-        )
-        false = up <= _mm(self._t.height_false) or apart >= _mm(self._t.over_horizontal_false)
-        judgement = _judgement(true, false, height=up, horizontal=apart)
-        return judgement._replace(numbers={**judgement.numbers, "footprint_overlap": shared})
+        return judged(used >= whole_mm(self._t.far_true), used <= whole_mm(self._t.far_false), distance=used)
 
     def _beside(self, predicate: str, up: int, one: Thing, other: Thing) -> Judgement:
         east, north = one.centre[0] - other.centre[0], other.centre[2] - one.centre[2]
@@ -128,16 +98,12 @@ class Judge:
         cross = east * towards[1] - north * towards[0]
         off = math.degrees(math.atan2(abs(cross), east * towards[0] + north * towards[1]))
         elevation = math.degrees(math.atan2(abs(up), apart))
-        true = off <= self._t.sector_true and elevation < self._t.level and apart >= _mm(self._t.sector_horizontal_true)
-        judgement = _judgement(true, off > self._t.sector_false, horizontal=apart)
+        clear = elevation < self._t.level and apart >= whole_mm(self._t.sector_horizontal_true)
+        true = off <= self._t.sector_true and clear
+        judgement = judged(true, off > self._t.sector_false, horizontal=apart)
         return judgement._replace(
             numbers={**judgement.numbers, "degrees_off": round(off, 3), "elevation": round(elevation, 3)}
         )
-
-
-def _judgement(true: bool, false: bool, **millimetres: float | None) -> Judgement:
-    verdict = TRUE if true else FALSE if false else UNDECIDED
-    return Judgement(verdict, {k: None if v is None else round(v / 1000.0, 3) for k, v in millimetres.items()})
 
 
 def _used(one: Thing, other: Thing) -> tuple[float, bool]:
@@ -149,25 +115,3 @@ def _used(one: Thing, other: Thing) -> tuple[float, bool]:
     if one.item.radius is not None and other.item.radius is not None:
         return max(centres - 1000.0 * (one.item.radius + other.item.radius), 0.0), True
     return centres, False
-
-
-def _shared_footprint(one: Thing, other: Thing) -> float | None:
-    """Shared ground area over the smaller of both; None where unknown or flat."""
-    if one.box is None or other.box is None:
-        return None
-    shared, areas = 1, [1, 1]
-    for k in (0, 2):
-        low, high = max(one.box[0][k], other.box[0][k]), min(one.box[1][k], other.box[1][k])
-        shared *= max(high - low, 0)
-        areas = [areas[0] * (one.box[1][k] - one.box[0][k]), areas[1] * (other.box[1][k] - other.box[0][k])]
-    return shared / min(areas) if min(areas) > 0 else None
-
-
-def _mm(metres: float) -> float:
-    # 1.15 · 1000 is not a whole number in binary; a millionth of a millimetre decides nothing.
-    return round(metres * 1000.0, 6)
-
-
-def _whole(point: object) -> tuple[int, int, int]:
-    x, y, z = (round(float(value) * 1000.0) for value in point)  # type: ignore[attr-defined]
-    return x, y, z

@@ -114,7 +114,7 @@ def _rivals(category: Category, k: int) -> tuple[tuple[int, int], ...]:
 def _settled(condition: Condition) -> bool:
     """Whether a condition's own words decide it: a bed near the bed, a piano in the room with the piano."""
     own = words().meant_by(condition.label)
-    anchors = (condition.qualifier.anchor_label if condition.qualifier else None, condition.room.anchor_label)
+    anchors = (*(condition.qualifier.anchor_labels if condition.qualifier else ()), condition.room.anchor_label)
     return any(anchor in own for anchor in anchors)
 
 
@@ -125,4 +125,4 @@ def _follows(one: Condition, other: Condition) -> bool:
     own = words().meant_by(one.label)
     if other.label in own:
         return True
-    return one.qualifier is None and other.qualifier is not None and other.qualifier.anchor_label in own
+    return one.qualifier is None and other.qualifier is not None and not own.isdisjoint(other.qualifier.anchor_labels)

@@ -108,16 +108,16 @@ def prove_scene(
     try:
         navmesh = find_navmesh(scene, folder, rows[0].manifest.navmesh)
     except InputError as error:
-        _check_words(rows, certificates, SceneReferents(scene, rules.thresholds, shapes), rules)
+        _check_words(rows, certificates, SceneReferents(scene, rules.thresholds, rules.anchor_size, shapes), rules)
         for certificate in certificates:
             certificate.holds("navmesh", False, rows[0].manifest.navmesh, str(error))
         return
     obstacles = Obstacles(scene, navmesh.pathfinder, rules.agent.max_climb)
     # What is a wall or a floor goes by labels alone, before anything is known of what can be seen.
-    labels = SceneReferents(scene, rules.thresholds, shapes)
+    labels = SceneReferents(scene, rules.thresholds, rules.anchor_size, shapes)
     sight = sight_of(scene, surfaces, labels.is_structure, labels.is_frame, navmesh.pathfinder, obstacles, rules)
     onlookers = Onlookers(scene, sight, navmesh.pathfinder, rules.places, labels.hidden)
-    referents = SceneReferents(scene, rules.thresholds, shapes, onlookers.see)
+    referents = SceneReferents(scene, rules.thresholds, rules.anchor_size, shapes, onlookers.see)
     _check_words(rows, certificates, referents, rules)
     for row, certificate in zip(rows, certificates, strict=True):
         check_seen(row.manifest.program, onlookers, certificate)

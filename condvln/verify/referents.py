@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Set
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -11,6 +12,7 @@ from condvln.verify.containment import shut_away
 from condvln.verify.phrases import Named, Phrase
 from condvln.verify.predicates import FALSE, TRUE, Judge, Judgement, Thing
 from condvln.verify.surfaces import Shapes, SurfaceGauge
+from condvln.verify.surroundings import Surroundings, whole_mm
 from condvln.verify.words import Words, words
 from schemas.config import Thresholds
 
@@ -30,7 +32,7 @@ class Referent(NamedTuple):
 
     object_id: str
     room_id: str
-    anchor_id: str | None
+    anchor_ids: tuple[str, ...]
     room_anchor_id: str | None
 
 
@@ -44,7 +46,7 @@ class Answer(NamedTuple):
     definite: bool
     witnesses: frozenset[str]
     room_id: str
-    anchor_id: str | None
+    anchor_ids: tuple[str, ...]
     room_anchor_id: str | None
     numbers: Mapping[str, float | None]
 
@@ -64,6 +66,7 @@ class RoomView:
         meaning: Words,
         hidden: Set[str],
         can_be_seen: Callable[[str], bool],
+        thresholds: Thresholds,
     ) -> None:
         self.room = room
         self.label = label
@@ -72,6 +75,7 @@ class RoomView:
         things = [Thing.of(item, meaning.label(item.raw_label, family, _model(item))) for item in ordered]
         self.things = tuple(thing for thing in things if thing.object_id not in hidden)
         self._all = tuple(things)
+        self.surroundings = Surroundings(things, room.floor_y, thresholds)
         self._meaning = meaning
         self._meant: dict[str, tuple[Thing, ...]] = {}
         self._open: dict[str, frozenset[str]] = {}
@@ -120,16 +124,21 @@ class RoomView:
 
 
 class SceneReferents:
-    """The phrases of all texts of one scene; what one phrase means is found once."""
+    """The phrases of all texts of one scene; what one phrase means is found once.
+
+    anchor_size : metres; what is shorter and not fixed is nothing to find others by
+    """
 
     def __init__(
         self,
         scene: Scene,
         thresholds: Thresholds,
+        anchor_size: float,
         shapes: Shapes,
         can_be_seen: Callable[[str], bool] = lambda object_id: True,
     ) -> None:
         self.scene = scene
+        self._anchor_size = anchor_size
         self.meaning = words()
         self.judge = Judge(thresholds, SurfaceGauge(shapes))
         held: dict[str, list[SceneObject]] = {room.room_id: [] for room in scene.rooms}
@@ -150,13 +159,14 @@ class SceneReferents:
                 self.meaning,
                 self.hidden,
                 can_be_seen,
+                thresholds,
             )
             for room in scene.rooms
         }
         self._rooms: dict[Named | None, tuple[RoomView, str | None] | Problem] = {}
         self._things: dict[Phrase, Referent | Problem] = {}
         self._claims: dict[Phrase, Answer | Problem] = {}
-        self._related: dict[tuple[str, str, str, str], list[tuple[Thing, Judgement]]] = {}
+        self._related: dict[tuple[str, str, str, tuple[str, ...]], list[tuple[Thing, Judgement]]] = {}
 
     @property
     def single_room(self) -> bool:
@@ -210,26 +220,61 @@ class SceneReferents:
         if anchor is None or having[0].label != named.label:
             found = {view.room.room_id: len(view.meant(named.anchor)) for view in having}
             return Problem("room_unique", f"one {named.label} with one {named.anchor}", found)
+        if not self._marks(anchor):
+            return Problem("anchor_fit", "something large or fixed", anchor.object_id)
         others = [view for view in candidates if view is not having[0]]
         unsure = [view.room.room_id for view in others if not view.knows_absence(named.anchor)]
         if unsure:
             return Problem("absence_known", f"rooms known to have no {named.anchor}", unsure)
         return having[0], anchor.object_id
 
-    def _anchor(self, view: RoomView, label: str) -> Thing | Problem:
-        found = view.only(label)
-        if found is not None and found.item.geometry == "none":
-            return Problem("anchor_extent", f"a {label} of known extent", found.object_id)
-        if found is None:
-            return Problem("anchor_unique", f"one {label}", [thing.object_id for thing in view.meant(label)])
-        return found
+    def _anchors(self, view: RoomView, labels: Sequence[str]) -> tuple[Thing, ...] | Problem:
+        found: list[Thing] = []
+        for label in labels:
+            anchor = view.only(label)
+            if anchor is not None and anchor.item.geometry == "none":
+                return Problem("anchor_extent", f"a {label} of known extent", anchor.object_id)
+            if anchor is None or anchor in found:
+                return Problem("anchor_unique", f"one {label}", [thing.object_id for thing in view.meant(label)])
+            if not self._marks(anchor):
+                return Problem("anchor_fit", "something large or fixed", anchor.object_id)
+            found.append(anchor)
+        return tuple(found)
 
-    def _relations(self, view: RoomView, label: str, predicate: str, anchor: Thing) -> list[tuple[Thing, Judgement]]:
-        """Each thing that `label` might mean, in sight or not, and whether it is so related to the anchor."""
-        key = (view.room.room_id, label, predicate, anchor.object_id)
+    def _marks(self, anchor: Thing) -> bool:
+        """Whether others may be found by a thing: it has a size, and is fixed or too large to be carried about."""
+        roles = self.meaning.roles
+        if anchor.box is None or anchor.label in roles["portable"]:
+            return False
+        longest = max(high - low for low, high in zip(*anchor.box, strict=True))
+        return anchor.label in roles["fixed"] or longest >= whole_mm(self._anchor_size)
+
+    def _carries_the_phrase(self, anchors: Iterable[Thing], things: Iterable[Thing]) -> bool:
+        """Whether each anchor is fixed, or larger than each of the things, on the ground or in volume."""
+        things = tuple(things)
+        for anchor in anchors:
+            if anchor.label in self.meaning.roles["fixed"]:
+                continue
+            for thing in things:
+                if thing.box is None or not (
+                    math.prod(anchor.ground_sides()) >= math.prod(thing.ground_sides())
+                    or _volume(anchor) >= _volume(thing)
+                ):
+                    return False
+        return True
+
+    def _relations(
+        self, view: RoomView, label: str, predicate: str, anchors: tuple[Thing, ...]
+    ) -> list[tuple[Thing, Judgement]]:
+        """Each thing that `label` might mean, in sight or not, and whether it is so related to the anchors."""
+        key = (view.room.room_id, label, predicate, tuple(anchor.object_id for anchor in anchors))
         if key not in self._related:
-            others = [thing for thing in (*view.meant(label), *view.unknown(label)) if thing is not anchor]
-            self._related[key] = [(thing, self.judge(predicate, thing, anchor)) for thing in others]
+            meant = view.meant(label)
+            others = [thing for thing in (*meant, *view.unknown(label)) if thing not in anchors]
+            self._related[key] = [
+                (x, self.judge(predicate, x, anchors, view.surroundings, [rival for rival in meant if rival is not x]))
+                for x in others
+            ]
         return self._related[key]
 
     def _thing(self, phrase: Phrase) -> Referent | Problem:
@@ -242,19 +287,21 @@ class SceneReferents:
             only = view.only(phrase.label)
             if only is None:
                 return Problem("referent_unique", f"one {phrase.label}", [thing.object_id for thing in meant])
-            return Referent(only.object_id, view.room.room_id, None, room_anchor)
-        predicate, anchor_label = phrase.qualifier
-        anchor = self._anchor(view, anchor_label)
-        if isinstance(anchor, Problem):
-            return anchor
+            return Referent(only.object_id, view.room.room_id, (), room_anchor)
+        predicate, labels = phrase.qualifier
+        anchors = self._anchors(view, labels)
+        if isinstance(anchors, Problem):
+            return anchors
         if len(meant) < 2:
             return Problem("qualifier_needed", f"several things like a {phrase.label}", len(meant))
-        related = [(x, how) for x, how in self._relations(view, phrase.label, predicate, anchor) if x in meant]
+        related = [(x, how) for x, how in self._relations(view, phrase.label, predicate, anchors) if x in meant]
         fitting = [thing for thing, how in related if how.verdict == TRUE and thing.label == phrase.label]
         open_ones = [thing.object_id for thing, how in related if how.verdict != FALSE]
         if len(fitting) != 1 or len(open_ones) != 1:
-            return Problem("qualifier_sufficient", f"one {phrase.label} {predicate} the {anchor_label}", open_ones)
-        return Referent(fitting[0].object_id, view.room.room_id, anchor.object_id, room_anchor)
+            return Problem("qualifier_sufficient", f"one {phrase}", open_ones)
+        if not self._carries_the_phrase(anchors, fitting):
+            return Problem("anchor_fit", f"an anchor larger than {fitting[0].object_id}", _ids(anchors))
+        return Referent(fitting[0].object_id, view.room.room_id, _ids(anchors), room_anchor)
 
     def _claim(self, phrase: Phrase) -> Answer | Problem:
         room = self.room(phrase.room)
@@ -262,42 +309,43 @@ class SceneReferents:
             return room
         view, room_anchor = room
         if phrase.qualifier is None:
-            anchor = None
+            anchors: tuple[Thing, ...] = ()
             numbers: Mapping[str, float | None] = {}
             possible = (*view.meant(phrase.label), *view.unknown(phrase.label))
             sure = [thing for thing in view.meant(phrase.label) if thing.label == phrase.label]
             found: Any = [thing.object_id for thing in possible]
         else:
-            predicate, anchor_label = phrase.qualifier
-            anchored = self._anchor(view, anchor_label)
+            predicate, labels = phrase.qualifier
+            anchored = self._anchors(view, labels)
             if isinstance(anchored, Problem):
                 return anchored
+            if not self._carries_the_phrase(anchored, [x for x in view.meant(phrase.label) if x.label == phrase.label]):
+                return Problem("anchor_fit", f"an anchor larger than any {phrase.label}", _ids(anchored))
             related = self._relations(view, phrase.label, predicate, anchored)
             seen = [(thing, how) for thing, how in related if view.is_seen(thing)]
             sure = [thing for thing, how in seen if how.verdict == TRUE and thing.label == phrase.label]
             possible = tuple(thing for thing, how in related if how.verdict != FALSE)
-            anchor, numbers = anchored.object_id, _deciding(seen, sure)
+            anchors, numbers = anchored, _deciding(seen, sure)
             found = {thing.object_id: dict(how.numbers) for thing, how in related}
         if not sure and possible:
             return Problem("condition_decided", f"surely a {phrase.label} or surely none", found)
         # That the one thing of a label is elsewhere is seen; that there is no such thing must be known.
         definite = phrase.qualifier is not None and view.only(phrase.label) is not None
-        if not sure and not definite and (doubt := self._doubt(view, phrase, anchor)) is not None:
+        if not sure and not definite and (doubt := self._doubt(view, phrase, anchors)) is not None:
             return Problem("absence_known", f"a room known to have no other {phrase.label}", doubt)
-        if not sure and anchor is None and not self._elsewhere(phrase.label, view):
+        if not sure and not anchors and not self._elsewhere(phrase.label, view):
             return Problem("absent_is_elsewhere", f"a {phrase.label} in another room", "none in the scene")
         witnesses = frozenset(thing.object_id for thing in sure)
-        return Answer(bool(sure), definite, witnesses, view.room.room_id, anchor, room_anchor, numbers)
+        return Answer(bool(sure), definite, witnesses, view.room.room_id, _ids(anchors), room_anchor, numbers)
 
-    def _doubt(self, view: RoomView, phrase: Phrase, anchor_id: str | None) -> str | None:
+    def _doubt(self, view: RoomView, phrase: Phrase, anchors: Sequence[Thing]) -> str | None:
         """What keeps the absence of a thing from being known: the room, or a nameless thing that may be one."""
         if not view.room.complete:
             return view.room.room_id
         for thing in view.nameless(phrase.label):
             if phrase.qualifier is None or thing.box is None:
                 return thing.object_id
-            anchor = next(other for other in view.things if other.object_id == anchor_id)
-            if self.judge(phrase.qualifier[0], thing, anchor).verdict != FALSE:
+            if self.judge(phrase.qualifier[0], thing, anchors, view.surroundings).verdict != FALSE:
                 return thing.object_id
         return None
 
@@ -311,6 +359,15 @@ def _deciding(related: list[tuple[Thing, Judgement]], sure: list[Thing]) -> Mapp
         if not sure or thing is sure[0]:
             return how.numbers
     return {}
+
+
+def _ids(things: Iterable[Thing]) -> tuple[str, ...]:
+    return tuple(thing.object_id for thing in things)
+
+
+def _volume(thing: Thing) -> int:
+    assert thing.box is not None
+    return math.prod(high - low for low, high in zip(*thing.box, strict=True))
 
 
 def _side(thing: Thing) -> float | None:

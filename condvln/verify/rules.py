@@ -10,6 +10,7 @@ from schemas.config import (
     EpisodeConfig,
     GoalsConfig,
     PlacesConfig,
+    SamplingConfig,
     TextConfig,
     Thresholds,
 )
@@ -27,6 +28,7 @@ class VerifierRules:
     episodes: EpisodeConfig = field(default_factory=EpisodeConfig)
     text: TextConfig = field(default_factory=TextConfig)
     agent: AgentConfig = field(default_factory=AgentConfig)
+    anchor_size: float = SamplingConfig().anchor_size
 
     @classmethod
     def of(cls, config: Config) -> VerifierRules:
@@ -38,4 +40,5 @@ class VerifierRules:
             config.episodes,
             config.text,
             config.agent,
+            config.sampling.anchor_size,
         )

@@ -14,7 +14,7 @@ from condvln.verify.rules import VerifierRules
 from condvln.verify.text_reader import TextReading, Unreadable, read
 from schemas.config.constants import HEADING_TOLERANCE
 from schemas.evaluation import ManifestEpisode
-from schemas.program import Condition, ObjectRef, Program
+from schemas.program import Condition, ObjectRef, Program, asked_in
 
 __all__ = ["check_meaning"]
 
@@ -107,6 +107,9 @@ def _check_claims(
             certificate.holds(answer.fact, False, answer.needed, answer.found, f"{name} ({reading.conditions[place]})")
             continue
         certificate.holds("condition_decided", True, None, None)
+        if condition.qualifier is not None:
+            asked = asked_in(referents.scene.family)
+            certificate.holds("predicate_asked", condition.qualifier.predicate in asked, "asked", "not asked", name)
         certificate.same("condition_definite", condition.definite, answer.definite, name)
         certificate.same("condition_truth", condition.truth, answer.truth, name)
         certificate.same("witnesses", sorted(condition.witnesses), sorted(answer.witnesses), name)
@@ -140,7 +143,7 @@ def _check_stops(
 
 def _phrase(named: Condition | ObjectRef, single_room: bool) -> Phrase:
     """A part of the program as its text must name it."""
-    qualifier = None if named.qualifier is None else (named.qualifier.predicate, named.qualifier.anchor_label)
+    qualifier = None if named.qualifier is None else (named.qualifier.predicate, named.qualifier.anchor_labels)
     room = None if single_room else Named(named.room.label, named.room.anchor_label)
     return Phrase(named.label, qualifier, room, isinstance(named, Condition) and named.definite)
 
@@ -151,9 +154,9 @@ def _unplaced(phrase: Phrase, single_room: bool) -> Phrase:
 
 
 def _ids(named: Condition | ObjectRef) -> tuple[str | None, ...]:
-    anchor = None if named.qualifier is None else named.qualifier.anchor_id
-    return named.room.room_id, anchor, named.room.anchor_id
+    anchors = () if named.qualifier is None else named.qualifier.anchor_ids
+    return named.room.room_id, named.room.anchor_id, *anchors
 
 
 def _found_ids(found: Answer | Referent) -> tuple[str | None, ...]:
-    return found.room_id, found.anchor_id, found.room_anchor_id
+    return found.room_id, found.room_anchor_id, *found.anchor_ids

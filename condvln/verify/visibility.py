@@ -80,10 +80,10 @@ def check_seen(program: Program, onlookers: Onlookers, certificate: Certificate)
     named: set[str | None] = set()
     for condition in program.conditions:
         named |= {*condition.witnesses, condition.room.anchor_id}
-        named.add(None if condition.qualifier is None else condition.qualifier.anchor_id)
+        named |= {*(condition.qualifier.anchor_ids if condition.qualifier else ())}
     for leaf in program.leaves:
         for move in leaf.moves:
             named |= {move.object_id, move.room.anchor_id}
-            named.add(None if move.qualifier is None else move.qualifier.anchor_id)
+            named |= {*(move.qualifier.anchor_ids if move.qualifier else ())}
     out_of_sight = sorted(name for name in named if name is not None and not onlookers.see(name))
     certificate.holds("seeable", not out_of_sight, "seen from where an agent can stand", out_of_sight)

@@ -66,6 +66,7 @@ class Words:
     objects : all other labels but the catch-alls, each with the bounds of its longest side in metres
     containers : by label of what holds things inside, ``shut`` (a door or lid may hide them) or ``open``
     frames : labels of what one sees through
+    roles : labels that are fixed or portable, by the name of the role
     """
 
     confusable: Mapping[str, frozenset[str]]
@@ -79,6 +80,7 @@ class Words:
     _unnamed: Mapping[tuple[str, str], frozenset[str]]
     containers: Mapping[str, str]
     frames: frozenset[str]
+    roles: Mapping[str, frozenset[str]]
     _labels: Mapping[tuple[str, str], str]
     _room_types: Mapping[tuple[str, str], str]
     _by_word: Mapping[str, str]
@@ -165,11 +167,19 @@ def words() -> Words:
         },
         containers=_containers(labels),
         frames=_frames(labels),
+        roles=_roles(),
         _labels=_raw_table("raw_labels.csv"),
         _room_types=_raw_table("raw_rooms.csv"),
         _by_word=_unambiguous(said),
         _room_by_word=_unambiguous(room_words),
     )
+
+
+def _roles() -> dict[str, frozenset[str]]:
+    found: dict[str, set[str]] = {}
+    for row in _rows("roles.csv"):
+        found.setdefault(row["role"], set()).add(row["label"])
+    return {role: frozenset(labels) for role, labels in found.items()}
 
 
 def _rows(name: str) -> Iterator[dict[str, str]]:

@@ -69,7 +69,7 @@ class RelationStage(Stage):
 
     thresholds: Thresholds
     name: str = "relations"
-    version: int = 2
+    version: int = 3
     tables: tuple[str, ...] = ("relations",)
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects")
     reads_inputs: bool = True

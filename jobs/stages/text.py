@@ -34,7 +34,7 @@ class TextStage(Stage):
     max_steps: int
     seed: int
     name: str = "text"
-    version: int = 4
+    version: int = 5
     tables: tuple[str, ...] = ("instructions", "episodes")
     reads: tuple[str, ...] | None = ("candidates", "placements", "unplaced", "rooms")
 

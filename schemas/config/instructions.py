@@ -147,13 +147,19 @@ class CompositionWeights(Section):
 
 
 class PredicateWeights(Section):
-    """How often each group of predicates is asked about; 0 = only where nothing else serves."""
+    """How often each group of predicates is used; 0 = only where nothing else serves."""
 
-    # Nearness is what people say most; heights are correct but stilted.
-    near: Weight = Field(0.45, description="weight of near")
-    vertical: Weight = Field(0.15, description="weight of above and below")
-    compass: Weight = Field(0.30, description="weight of the eight compass words")
-    height: Weight = Field(0.10, description="weight of higher than and lower than")
+    # What people say most comes first; heights are correct but stilted.
+    on: Weight = Field(0.20, description="weight of on")
+    under: Weight = Field(0.10, description="weight of under, which only tells stops apart")
+    inside: Weight = Field(0.10, description="weight of in")
+    near: Weight = Field(0.40, description="weight of near")
+    vertical: Weight = Field(0.10, description="weight of above and below")
+    between: Weight = Field(0.15, description="weight of between")
+    closest: Weight = Field(0.20, description="weight of closest to, which only tells stops apart")
+    compass: Weight = Field(0.25, description="weight of the eight compass words")
+    size: Weight = Field(0.20, description="weight of the bigger and the smaller, which only tell stops apart")
+    height: Weight = Field(0.05, description="weight of higher than and lower than")
     far: Weight = Field(0.0, description="weight of far from")
 
 
@@ -172,7 +178,7 @@ class SamplingConfig(Section):
     compositions: CompositionWeights = Field(default_factory=CompositionWeights)
     predicates: PredicateWeights = Field(default_factory=PredicateWeights)
     anchor_size: Metres = Field(
-        0.3, description="an anchor whose longest side is shorter is taken only where there is no larger one"
+        0.3, description="what can be moved is no anchor, and names no room, where its longest side is shorter"
     )
     small_target_weight: Weight = Field(
         0.25, description="weight, as targets, of labels whose objects are all shorter than anchor_size"

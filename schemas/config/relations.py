@@ -37,12 +37,45 @@ class Thresholds(Section):
     over_horizontal_true: Metres = Field(
         0.42, description="text may say “above” and “below” up to this horizontal distance"
     )
-    over_horizontal_false: Metres = Field(
-        0.65, description="text may deny “above” and “below” from this horizontal distance"
-    )
     over_footprint_true: Share = Field(
         0.2,
         description="text may say “above” and “below” where this share of the smaller footprint lies over the other",
+    )
+    over_gap_true: Metres = Field(
+        0.10, description="text may say “above” and “below” where this much air is between the two; less is a support"
+    )
+    over_apart_false: Metres = Field(
+        0.30, description="text may deny “above”, “below” and “under” where footprints are this far apart"
+    )
+    top_true: Metres = Field(0.15, description="text may say higher and lower where tops differ by this, the same way")
+    top_false: Metres = Field(0.05, description="text may deny higher and lower where tops differ by at most this")
+    off_floor: Metres = Field(0.30, description="higher and lower are said of things whose bottoms are this far up")
+    on_gap_true: Metres = Field(0.03, description="text may say “on” where bottom and top differ by at most this")
+    on_gap_false: Metres = Field(0.15, description="text may deny “on” where the bottom is this far above the top")
+    on_footprint_true: Share = Field(
+        0.5, description="text may say “on” where this share of the thing's footprint lies over the other's"
+    )
+    on_floor: Metres = Field(0.10, description="things stand on the floor whose bottoms are at most this far above it")
+    under_footprint_true: Share = Field(
+        0.8, description="text may say “under” where this share of the thing's footprint lies under the other"
+    )
+    in_share_true: Share = Field(0.8, description="text may say “in” where this share of the thing's box is inside")
+    between_true: Share = Field(
+        0.3, description="text may say “between” from this part of the line of centres to the same before its end"
+    )
+    between_false: Share = Field(
+        0.1, description="text may deny “between” before this part of the line, and after the same before its end"
+    )
+    between_off_true: Metres = Field(0.4, description="text may say “between” up to this distance off the line")
+    between_off_false: Metres = Field(0.8, description="text may deny “between” from this distance off the line")
+    between_length: Metres = Field(4.0, description="“between” is used of things whose centres are no farther apart")
+    between_anchor: Metres = Field(0.5, description="“between” is used of things whose longest side is at least this")
+    closest_ratio: float = Field(
+        1.5, gt=1, description="text may say “closest to” where every rival is this many times farther"
+    )
+    closest_gap: Metres = Field(0.5, description="and where every rival is farther by this")
+    size_ratio: float = Field(
+        1.5, gt=1, description="text may say “the bigger” of two where the volume of its box is this many times larger"
     )
     sector_true: Degrees = Field(15.0, description="text may use a compass word up to this angle off its direction")
     sector_false: Degrees = Field(30.0, description="text may deny a compass word beyond this angle off its direction")
@@ -61,13 +94,22 @@ class Thresholds(Section):
             (self.near_true, self.near, self.near_false, "near"),
             (self.far_false, self.far, self.far_true, "far"),
             (self.height_false, self.height, self.height_true, "height"),
-            (self.over_horizontal_true, self.over_horizontal, self.over_horizontal_false, "over_horizontal"),
             (self.sector_true, SECTOR_HALF_WIDTH, self.sector_false, "sector"),
         ):
             if not low < middle < high:
                 raise ValueError(
                     f"{name}: {middle:g} must lie between its thresholds in text, got {low:g} and {high:g}"
                 )
+        for true, false, name in (
+            (self.over_horizontal_true, self.over_horizontal, "over_horizontal"),
+            (self.top_false, self.top_true, "top"),
+            (self.on_gap_true, self.on_gap_false, "on_gap"),
+            (self.between_false, self.between_true, "between"),
+            (self.between_true, 0.5, "between_true"),
+            (self.between_off_true, self.between_off_false, "between_off"),
+        ):
+            if not true < false:
+                raise ValueError(f"{name}: {true:g} must be below {false:g}")
         if self.surface_within < self.near_false:
             raise ValueError(
                 f"surface_within: {self.surface_within:g} must be at least near_false, {self.near_false:g}"

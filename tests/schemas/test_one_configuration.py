@@ -41,7 +41,7 @@ TECHNICAL = {
     "verify/visibility.py": {"POINTS", "FEW", "SEEN_SHARE"},
     "verify/files.py": {"_BLOCK"},
     "verify/completeness.py": {"_BLOCK"},
-    "verify/predicates.py": {"TRUE", "FALSE", "UNDECIDED"},
+    "verify/judgement.py": {"TRUE", "FALSE", "UNDECIDED"},
     "verify/text_reader.py": {"MAX_CONDITIONS", "_CASES", "_ALWAYS"},
     # Order of work and memory; the result is the same whatever they are.
     "instructions/priors.py": {"MERGE_ROWS"},

@@ -26,7 +26,7 @@ from condvln.sources.registry import open_source
 from condvln.sources.source import Source
 from schemas.config import EpisodeConfig, PlacesConfig
 from schemas.config.constants import FLOOR_LIFT, FLOOR_POINTS, PREFIX_STRAY
-from schemas.program import SHAPES, Condition, Leaf, ObjectRef, Program, Qualifier, RoomRef
+from schemas.program import SHAPES, Anchor, Condition, Leaf, ObjectRef, Program, Qualifier, RoomRef
 from tests.condvln.episodes.floors import box, box_triangles, grid_floor, inside, surfaces_of
 
 PLACES, RULES = PlacesConfig(), EpisodeConfig()
@@ -71,7 +71,7 @@ def floor_of(scene: Scene) -> Pathfinder:
 
 
 def present(label: str, room: RoomRef, *witnesses: str, near: str | None = None) -> Condition:
-    qualifier = None if near is None else Qualifier(predicate="near", anchor_id=near, anchor_label=near)
+    qualifier = None if near is None else Qualifier(predicate="near", anchors=(Anchor(object_id=near, label=near),))
     return Condition(label=label, room=room, qualifier=qualifier, truth=bool(witnesses), witnesses=witnesses)
 
 

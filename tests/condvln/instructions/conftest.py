@@ -12,9 +12,9 @@ from condvln.instructions import LabelPriors, ProgramSampler
 from condvln.instructions.degeneracy import degeneracies
 from condvln.labels import vocabulary
 from condvln.relations import TextFacts, relate_scene, text_facts
-from condvln.scene import Room, Scene, SceneObject, round_mm
+from condvln.scene import Room, RoomArrays, Scene, SceneObject, round_mm
 from schemas.config import Thresholds
-from schemas.program import CATEGORIES, Condition, ObjectRef, Program, RoomRef
+from schemas.program import CATEGORIES, Condition, ObjectRef, Program, Qualifier, RoomRef
 from tests.condvln.instructions.made_sampler import made_sampler
 
 T = Thresholds()
@@ -149,6 +149,24 @@ def _room_fits(ref: RoomRef, scene: Scene) -> list[str]:
     return [r for r in rooms if any(o.room_id == r and o.label in _words(ref.anchor_label) for o in scene.objects)]
 
 
+def status_of(qualifier: Qualifier, arrays: RoomArrays, facts: TextFacts):
+    """(n,) status of a qualifier for each object of the room; its anchors are alone in their labels."""
+    seen = [x for x, item in zip(arrays.labels, arrays.objects, strict=True) if not item.hidden]
+    for label in qualifier.anchor_labels:
+        assert sum(x in _words(label) for x in seen) == 1
+    anchors = [arrays.object_ids.index(name) for name in qualifier.anchor_ids]
+    rival = np.array([[x in _words(y) or y in _words(x) for x in arrays.labels] for y in arrays.labels])
+    rival &= ~arrays.hidden & ~arrays.hidden[:, None]
+    np.fill_diagonal(rival, False)
+    if not anchors:
+        return facts.sizes(rival)[qualifier.predicate]
+    if qualifier.predicate == "closest to":
+        return facts.closest(rival)[0][:, anchors[0]]
+    if len(anchors) == 2:
+        return facts.between(np.array([anchors]))[0][:, 0]
+    return facts.status[qualifier.predicate][:, anchors[0]]
+
+
 def _object_fits(ref: ObjectRef, scene: Scene, facts) -> list[str]:
     """Ids of the objects in sight that a name may fit, anything in the dead zone included."""
     arrays = scene.arrays(ref.room.room_id)
@@ -156,9 +174,7 @@ def _object_fits(ref: ObjectRef, scene: Scene, facts) -> list[str]:
     fits = [i for i, label in seen if label in _words(ref.label)]
     if ref.qualifier is not None:
         assert len(fits) > 1, "a qualifier must be needed"
-        anchors = [i for i, label in seen if label in _words(ref.qualifier.anchor_label)]
-        assert [arrays.object_ids[i] for i in anchors] == [ref.qualifier.anchor_id]
-        status = facts[ref.room.room_id].status[ref.qualifier.predicate][:, anchors[0]]
+        status = status_of(ref.qualifier, arrays, facts[ref.room.room_id])
         assert status[arrays.object_ids.index(ref.object_id)] == 1
         fits = [i for i in fits if status[i] != -1]
     return [arrays.object_ids[i] for i in fits]
@@ -171,10 +187,7 @@ def _truth_of(condition: Condition, scene: Scene, facts) -> tuple[bool | None, t
     exact = [i for i in meant if arrays.labels[i] == condition.label and not arrays.objects[i].hidden]
     true, false = exact, not meant
     if condition.qualifier is not None:
-        anchor = arrays.object_ids.index(condition.qualifier.anchor_id)
-        named = [i for i, x in enumerate(arrays.labels) if x in _words(condition.qualifier.anchor_label)]
-        assert [i for i in named if not arrays.objects[i].hidden] == [anchor]
-        status = facts[condition.room.room_id].status[condition.qualifier.predicate][:, anchor]
+        status = status_of(condition.qualifier, arrays, facts[condition.room.room_id])
         true = [i for i in exact if status[i] == 1]
         false = bool(exact) and all(status[i] == -1 for i in meant)
     return (True if true else False if false else None), tuple(arrays.object_ids[i] for i in true)

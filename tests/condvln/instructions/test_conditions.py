@@ -31,13 +31,17 @@ def holds(question: Question, referents: Referents) -> bool | None:
     exact = [i for i in meant if labels[i] == question.label and not referents.arrays.hidden[i]]
     if question.predicate is None:
         return bool(exact) if exact or not meant else None
-    status = referents.facts.status[question.predicate]
-    witnesses = [i for i in exact if status[i, question.anchor] == 1]
+    if question.predicate == "between":
+        status = referents.facts.between(np.array([question.anchors]))[0][:, 0]
+    else:
+        (anchor,) = question.anchors
+        status = referents.facts.status[question.predicate][:, anchor]
+    witnesses = [i for i in exact if status[i] == 1]
     if witnesses:
         assert not question.truth or question.witnesses == tuple(ids[i] for i in witnesses)
         return True
     assert question.truth or not question.witnesses
-    return False if exact and all(status[i, question.anchor] == -1 for i in meant) else None
+    return False if exact and all(status[i] == -1 for i in meant) else None
 
 
 def questions_of(pool: ConditionPool) -> list[Question]:
@@ -71,9 +75,13 @@ def test_statements_hold(make_scene, facts_maker, seed: int, rich: bool, each_hi
             assert bool(question.witnesses) == question.truth
             assert not any(scene.object_of[name].hidden for name in question.witnesses)
             kinds.add((question.truth, question.predicate is None))
-            if question.anchor is not None:
-                assert referents.unique[question.anchor]
-                assert referents.arrays.labels[question.anchor] not in vocabulary.overlapping(question.label)
+            if question.anchors:
+                named = [x == question.label for x in referents.arrays.labels]
+                exact = np.flatnonzero(named & ~referents.arrays.hidden)
+                for anchor in question.anchors:
+                    assert referents.unique[anchor]
+                    assert referents.arrays.labels[anchor] not in vocabulary.overlapping(question.label)
+                    assert all(referents.suits[i, anchor] for i in exact), "the anchor is the larger, or fixed"
             elif not question.truth:
                 assert question.label in elsewhere
                 assert question.label in bits.plausible[room.label]

@@ -11,6 +11,7 @@ from condvln.labels import vocabulary
 from schemas.program import (
     CATEGORIES,
     SHAPES,
+    Anchor,
     Category,
     Condition,
     Leaf,
@@ -27,7 +28,7 @@ KITCHEN = RoomRef(room_id="r1", label="kitchen")
 
 
 def related(predicate: Predicate, anchor: str) -> Qualifier:
-    return Qualifier(predicate=predicate, anchor_id=f"the {anchor}", anchor_label=anchor)
+    return Qualifier(predicate=predicate, anchors=(Anchor(object_id=f"the {anchor}", label=anchor),))
 
 
 def asks(label: str, anchor: str = "", room: RoomRef = BEDROOM, predicate: Predicate = "near") -> Condition:

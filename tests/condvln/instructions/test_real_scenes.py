@@ -58,7 +58,7 @@ def cues(program: Program) -> dict[str, int]:
     """What an agent that can read but not see has to go by."""
     found = {}
     for k, c in enumerate(program.conditions):
-        relation = (c.qualifier.predicate, c.qualifier.anchor_label) if c.qualifier else ("", "")
+        relation = (c.qualifier.predicate, " + ".join(c.qualifier.anchor_labels)) if c.qualifier else ("", "")
         found.update(
             {f"{k} {c.label}": 1, f"{k} {relation[0]}": 1, f"{k} {relation[1]}": 1, f"{k} {c.label} {relation}": 1}
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -10,11 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from condvln.instructions.predicates import PREDICATE_GROUPS, PREDICATES
+from condvln.instructions.predicates import PREDICATE_GROUPS
 from condvln.instructions.referents import Referents, object_refs, room_refs
 from condvln.labels import vocabulary
+from condvln.labels.roles import labels_with_role
+from condvln.relations import PAIR_PREDICATES
 from condvln.scene import Room, RoomArrays, SceneObject
-from schemas.program import RoomRef
+from schemas.program import SUPERLATIVES, RoomRef
+
+ONE_ANCHOR = (*PAIR_PREDICATES, "closest to")
 
 LABELS = ("chair", "armchair", "lamp", "floor lamp", "bed", "sofa", "wall", "table", "desk", "no such thing")
 
@@ -23,6 +28,20 @@ LABELS = ("chair", "armchair", "lamp", "floor lamp", "bed", "sofa", "wall", "tab
 class MadeFacts:
     status: dict[str, NDArray[np.int8]]
     margin: dict[str, NDArray[np.float64]]
+    size: dict[str, NDArray[np.int8]] | None = None
+    middle: NDArray[np.int8] | None = None  # (n, n, n): i between a and b
+
+    def closest(self, rival: NDArray[np.bool_]) -> tuple[NDArray[np.int8], NDArray[np.float64]]:
+        return self.status["closest to"], self.margin["closest to"]
+
+    def sizes(self, rival: NDArray[np.bool_]) -> dict[str, NDArray[np.int8]]:
+        return {p: np.zeros(len(rival), np.int8) for p in SUPERLATIVES} if self.size is None else self.size
+
+    def between(self, pairs: NDArray[np.intp]) -> tuple[NDArray[np.int8], NDArray[np.float64]]:
+        n = len(self.status["near"])
+        middle = np.full((n, n, n), -1, np.int8) if self.middle is None else self.middle
+        found = middle[:, pairs[:, 0], pairs[:, 1]]
+        return found, np.ones(found.shape)
 
 
 def made_room(
@@ -53,7 +72,9 @@ def made_room(
 
 
 def no_facts(n: int) -> MadeFacts:
-    return MadeFacts({p: np.full((n, n), -1, np.int8) for p in PREDICATES}, {p: np.zeros((n, n)) for p in PREDICATES})
+    status = {p: np.full((n, n), -1, np.int8) for p in ONE_ANCHOR}
+    size = {p: np.zeros(n, np.int8) for p in SUPERLATIVES}
+    return MadeFacts(status, {p: np.zeros((n, n)) for p in ONE_ANCHOR}, size, np.full((n, n, n), -1, np.int8))
 
 
 @st.composite
@@ -62,13 +83,16 @@ def rooms_with_facts(draw: st.DrawFn) -> Referents:
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
     n = len(labels)
     # Mostly false, as in real rooms; else no qualifier would ever exclude all rivals.
-    status = {p: rng.choice([-1, -1, -1, 0, 1], size=(n, n)).astype(np.int8) for p in PREDICATES}
-    margin = {p: rng.uniform(0.5, 2.0, size=(n, n)) for p in PREDICATES}
+    values = [-1, -1, -1, 0, 1]
+    status = {p: rng.choice(values, size=(n, n)).astype(np.int8) for p in ONE_ANCHOR}
+    margin = {p: rng.uniform(0.5, 2.0, size=(n, n)) for p in ONE_ANCHOR}
+    size = {p: rng.choice([-1, 0, 0, 1], size=n).astype(np.int8) for p in SUPERLATIVES}
+    middle = rng.choice(values, size=(n, n, n)).astype(np.int8)
     for table in status.values():
         np.fill_diagonal(table, 0)
     some = st.lists(st.integers(0, n - 1), max_size=2).map(tuple)
     room, arrays = made_room("r", "bedroom", labels, hidden=draw(some), without_extent=draw(some))
-    return Referents.of(room, arrays, MadeFacts(status, margin), vocabulary, 0.3)
+    return Referents.of(room, arrays, MadeFacts(status, margin, size, middle), vocabulary, 0.3)
 
 
 def rivals_of(referents: Referents, i: int) -> list[int]:
@@ -82,24 +106,32 @@ def rivals_of(referents: Referents, i: int) -> list[int]:
     ]
 
 
-def ways_of(referents: Referents, i: int) -> set[tuple[str, int]]:
-    """All (predicate, anchor) that make i unique, by definition."""
-    labels, status = referents.arrays.labels, referents.facts.status
-    objects = referents.arrays.objects
+def ways_of(referents: Referents, i: int) -> set[tuple[str, tuple[int, ...]]]:
+    """All (predicate, anchors) that make i unique, by definition."""
+    labels, facts = referents.arrays.labels, referents.facts
+    objects, n = referents.arrays.objects, len(labels)
     rivals = rivals_of(referents, i)
     if not vocabulary.fit_for_text(labels[i]) or not rivals or objects[i].hidden:
         return set()
-    return {
-        (p, a)
-        for p in PREDICATES
-        for a in range(len(labels))
+    # All things are of one size, if any, so that each is an anchor of the others unless it is carried about.
+    anchors = [
+        a
+        for a in range(n)
         if vocabulary.fit_for_text(labels[a])
         and not objects[a].hidden
         and objects[a].box is not None
         and not rivals_of(referents, a)
-        and status[p][i, a] == 1
-        and all(status[p][j, a] == -1 for j in rivals)
+        and labels[a] not in labels_with_role("portable")
+        and a != i
+        and (objects[i].box is not None or labels[a] in labels_with_role("fixed"))
+    ]
+    ways = {(p, (a,)): [facts.status[p][j, a] for j in [i, *rivals]] for p in ONE_ANCHOR for a in anchors}
+    ways |= {
+        ("between", pair): [facts.between(np.array([pair]))[0][j, 0] for j in [i, *rivals]]
+        for pair in combinations(anchors, 2)
     }
+    found = {way for way, (own, *others) in ways.items() if own == 1 and all(status == -1 for status in others)}
+    return found | {(p, ()) for p in SUPERLATIVES if facts.size[p][i] == 1}
 
 
 @given(rooms_with_facts())
@@ -108,7 +140,7 @@ def test_names_fit_one_object_only(referents: Referents) -> None:
         seen = not referents.arrays.objects[i].hidden
         unique = seen and vocabulary.fit_for_text(label) and not rivals_of(referents, i)
         ways = ways_of(referents, i)
-        taken = [(q.predicate, q.anchor) for q in referents.qualifications[i]]
+        taken = [(q.predicate, q.anchors) for q in referents.qualifications[i]]
         assert referents.unique[i] == unique
         assert set(taken) <= ways, "a qualifier must be necessary and sufficient"
         assert len(set(taken)) == len(taken)
@@ -145,29 +177,37 @@ def test_qualifiers_come_in_order_of_preference_and_margin(referents: Referents)
         for group, predicates in PREDICATE_GROUPS.items():
             kept = [q.margin for q in taken if q.predicate in predicates]
             passed_over = [
-                referents.facts.margin[p][i, a]
+                referents.facts.margin[p][i, a[0]] if p in ONE_ANCHOR else 1.0 if a else 0.0
                 for p, a in ways_of(referents, i)
-                if p in predicates and (p, a) not in {(q.predicate, q.anchor) for q in taken}
+                if p in predicates and (p, a) not in {(q.predicate, q.anchors) for q in taken}
             ]
             assert kept == sorted(kept, reverse=True)
             if kept and passed_over:
                 assert min(kept) >= max(passed_over), group
 
 
-def test_small_anchors_only_for_want_of_larger_ones() -> None:
+def test_small_and_portable_things_are_never_anchors() -> None:
     room = Room("r", "bedroom", "bedroom", 0, 0.0, 2.5, None, "dataset", True)
-    sizes = {"a": ("lamp", 0.4), "b": ("lamp", 0.4), "c": ("book", 0.1), "d": ("bed", 2.0)}
+    sizes = {
+        "a": ("lamp", 0.4),
+        "b": ("lamp", 0.4),
+        "c": ("ashtray", 0.1),
+        "d": ("desk", 2.0),
+        "e": ("stool", 0.35),
+        "f": ("bicycle", 1.5),
+        "g": ("sink", 0.2),
+    }
     objects = [
         SceneObject(k, "r", x, x, np.zeros(3), aabb=np.array([np.full(3, -s / 2), np.full(3, s / 2)]))
         for k, (x, s) in sizes.items()
     ]
-    facts = no_facts(4)
-    facts.status["near"][0, [2, 3]] = 1
-    facts.margin["near"][0, 2] = 9.0
-    anchors = [
-        q.anchor for q in Referents.of(room, RoomArrays.of("r", objects), facts, vocabulary, 0.3).qualifications[0]
-    ]
-    assert anchors == [3, 2], "the bed before the book, whatever the margins"
+    facts = no_facts(7)
+    facts.status["near"][0, 2:] = 1
+    referents = Referents.of(room, RoomArrays.of("r", objects), facts, vocabulary, 0.3)
+    assert referents.anchors.tolist() == [3, 4, 6], "the desk, the stool, and the sink, which is fixed"
+    assert referents.suits[0].tolist() == [False, True, False, True, False, True, True], "the larger, or the fixed"
+    near = {q.anchors for q in referents.qualifications[0] if q.predicate == "near"}
+    assert near == {(3,), (6,)}
 
 
 @given(rooms_with_facts())
@@ -181,9 +221,9 @@ def test_refs_say_what_the_qualification_says(referents: Referents) -> None:
             assert (ref.object_id, ref.label, ref.room) == (ids[i], labels[i], name)
             assert (ref.qualifier is None) == referents.unique[i]
             if ref.qualifier is not None:
-                anchor = ids.index(ref.qualifier.anchor_id)
-                assert ref.qualifier.anchor_label == labels[anchor]
-                assert referents.unique[anchor]
+                anchors = [ids.index(name) for name in ref.qualifier.anchor_ids]
+                assert ref.qualifier.anchor_labels == tuple(labels[anchor] for anchor in anchors)
+                assert all(referents.unique[anchor] for anchor in anchors)
 
 
 def named(*rooms: tuple[str, list[str], bool]) -> dict[str, tuple[RoomRef, ...]]:

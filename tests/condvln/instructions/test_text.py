@@ -24,7 +24,7 @@ from condvln.instructions.rendering import HEADINGS
 from condvln.instructions.text_reading import Phrase, Place
 from condvln.scene import Scene
 from schemas.errors import FormatError
-from schemas.program import SHAPES, Condition, Leaf, ObjectRef, Program, Qualifier, RoomRef
+from schemas.program import SHAPES, Anchor, Condition, Leaf, ObjectRef, Program, Qualifier, RoomRef
 
 
 @pytest.fixture(scope="module", params=LANGUAGES)
@@ -167,7 +167,7 @@ ROOM = RoomRef(room_id="r", label="bedroom", anchor_id="p", anchor_label="piano"
 LAMP = Condition(
     label="lamp",
     room=ROOM,
-    qualifier=Qualifier(predicate="north-east of", anchor_id="b", anchor_label="bed"),
+    qualifier=Qualifier(predicate="north-east of", anchors=(Anchor(object_id="b", label="bed"),)),
     truth=False,
 )
 PROGRAM = Program(

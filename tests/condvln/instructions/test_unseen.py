@@ -66,15 +66,15 @@ def test_a_relation_is_true_by_what_is_seen_and_false_by_all(rooms) -> None:
     for truths in statement_truths(partly, vocabulary):
         seen = of_seen[truths.predicate]
         assert truths.labels == seen.labels
-        anchors = [ids[a] for a in truths.anchors]
-        assert anchors == [without.arrays.object_ids[a] for a in seen.anchors]
+        anchors = [tuple(ids[a] for a in those) for those in truths.anchors]
+        assert anchors == [tuple(without.arrays.object_ids[a] for a in those) for those in seen.anchors]
         np.testing.assert_array_equal(truths.true, seen.true)
         assert not (truths.false & ~seen.false).any()
         if truths.predicate not in of_all:
             continue  # with all things seen none is alone under its label
         every = of_all[truths.predicate]
         rows = [every.labels.index(label) for label in truths.labels]
-        known = {whole.arrays.object_ids[a]: k for k, a in enumerate(every.anchors)}
+        known = {tuple(whole.arrays.object_ids[a] for a in those): k for k, those in enumerate(every.anchors)}
         for column, anchor in enumerate(anchors):
             if anchor in known:
                 np.testing.assert_array_equal(truths.false[:, column], every.false[rows, known[anchor]])

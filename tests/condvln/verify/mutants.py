@@ -5,6 +5,7 @@ from __future__ import annotations
 import mutants_of_files
 import mutants_of_names
 import mutants_of_places
+import mutants_of_predicates
 import mutants_of_sight
 import mutants_of_texts
 import mutants_of_truths
@@ -15,6 +16,7 @@ __all__ = ["MODULES", "MUTATORS", "Files", "World"]
 MODULES = (
     mutants_of_truths,
     mutants_of_names,
+    mutants_of_predicates,
     mutants_of_texts,
     mutants_of_places,
     mutants_of_sight,

@@ -7,6 +7,7 @@ import copy
 import numpy as np
 from mutation import Document, Files, World, mutator, pick
 
+from condvln.scene import SceneObject
 from condvln.verify.words import words
 
 
@@ -103,18 +104,32 @@ def change_room_anchor(files: Files, rng: np.random.Generator, world: World) -> 
 
 
 def _qualified(files: Files) -> list[Document]:
+    """Conditions and stops with anchors."""
     named = [*files.conditions, *(move for leaf in files.leaves for move in leaf["moves"])]
-    return [one for one in named if one["qualifier"]]
+    return [one for one in named if one["qualifier"] and one["qualifier"]["anchors"]]
 
 
-PREDICATES = ("near", "above", "below", "higher than", "lower than", "far from", "east of", "north-west of", "south of")
+PREDICATES = (
+    "on",
+    "near",
+    "above",
+    "below",
+    "higher than",
+    "lower than",
+    "far from",
+    "east of",
+    "north-west of",
+    "south of",
+)
 
 
 @mutator
 def change_qualifier(files: Files, rng: np.random.Generator, world: World) -> bool:
     if not (named := _qualified(files)):
         return False
-    qualifier = pick(rng, named)["qualifier"]
+    qualifier = pick(rng, [one["qualifier"] for one in named if len(one["qualifier"]["anchors"]) == 1] or [None])
+    if qualifier is None:
+        return False
     qualifier["predicate"] = pick(rng, {*PREDICATES} - {qualifier["predicate"]})
     return True
 
@@ -123,8 +138,8 @@ def change_qualifier(files: Files, rng: np.random.Generator, world: World) -> bo
 def change_anchor(files: Files, rng: np.random.Generator, world: World) -> bool:
     if not (named := _qualified(files)):
         return False
-    qualifier = pick(rng, named)["qualifier"]
-    qualifier["anchor_label"] = pick(rng, {*words().nouns} - {qualifier["anchor_label"]})
+    anchor = pick(rng, pick(rng, named)["qualifier"]["anchors"])
+    anchor["label"] = pick(rng, {*words().nouns} - {anchor["label"]})
     return True
 
 
@@ -134,7 +149,8 @@ def change_anchor_object(files: Files, rng: np.random.Generator, world: World) -
         return False
     one = pick(rng, named)
     here = [o.object_id for o in world.scene.objects if o.room_id == one["room"]["room_id"]]
-    one["qualifier"]["anchor_id"] = pick(rng, {*here} - {one["qualifier"]["anchor_id"]})
+    anchor = pick(rng, one["qualifier"]["anchors"])
+    anchor["object_id"] = pick(rng, {*here} - {other["object_id"] for other in one["qualifier"]["anchors"]})
     return True
 
 
@@ -143,21 +159,24 @@ def change_qualifier_as_said(files: Files, rng: np.random.Generator, world: Worl
     """Text and program agree on another relation, which the scene does not have with the margin that it takes."""
     if not (named := _qualified(files)):
         return False
+    named = [one for one in named if len(one["qualifier"]["anchors"]) == 1]
+    if not named:
+        return False
     one = pick(rng, named)
-    wanted = {*PREDICATES} - {one["qualifier"]["predicate"]}
-    wrong = []
-    for predicate in sorted(wanted):
-        room, anchor = one["room"]["room_id"], one["qualifier"]["anchor_id"]
-        own = [one["object_id"]] if "object_id" in one else world.objects_like(room, one["label"])
-        statuses = [world.status(room, predicate, name, anchor) for name in own if name != anchor]
-        still = all(s == -1 for s in statuses) if one.get("truth") is False else 1 in statuses
-        if not still:
-            wrong.append(predicate)
+    wrong = [p for p in PREDICATES if p != one["qualifier"]["predicate"] and not _still(one, p, world)]
     if not wrong:
         return False
     one["qualifier"]["predicate"] = pick(rng, wrong)
     files.word()
     return True
+
+
+def _still(one: Document, predicate: str, world: World) -> bool:
+    """Whether what is said of a stop or a condition holds with another predicate to the same anchor."""
+    room, anchor = one["room"]["room_id"], one["qualifier"]["anchors"][0]["object_id"]
+    own = [one["object_id"]] if "object_id" in one else world.objects_like(room, one["label"])
+    statuses = [world.status(room, predicate, name, anchor) for name in own if name != anchor]
+    return all(s == -1 for s in statuses) if one.get("truth") is False else 1 in statuses
 
 
 @mutator
@@ -171,6 +190,10 @@ def drop_a_qualifier_as_said(files: Files, rng: np.random.Generator, world: Worl
     return True
 
 
+def _anchor(item: SceneObject) -> Document:
+    return {"object_id": item.object_id, "label": item.label}
+
+
 @mutator
 def add_a_needless_qualifier(files: Files, rng: np.random.Generator, world: World) -> bool:
     stops = [move for leaf in files.leaves for move in leaf["moves"] if not move["qualifier"]]
@@ -181,7 +204,7 @@ def add_a_needless_qualifier(files: Files, rng: np.random.Generator, world: Worl
         anchors = [o for o in alone if o.object_id != stop["object_id"]]
         if anchors:
             anchor = pick(rng, anchors)
-            stop["qualifier"] = {"predicate": "near", "anchor_id": anchor.object_id, "anchor_label": anchor.label}
+            stop["qualifier"] = {"predicate": "near", "anchors": [_anchor(anchor)]}
             files.word()
             return True
     return False

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import combinations, permutations
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from condvln.relations import TEXT_PREDICATES, relate_room, text_facts
+from condvln.relations import PAIR_PREDICATES, SIZE_PREDICATES, relate_room, text_facts
 from condvln.scene import OrientedBox, RoomArrays, SceneObject, round_mm
 from condvln.scene.quaternions import rotation_y
 from condvln.verify.predicates import FALSE, TRUE, UNDECIDED, Judge, Thing
 from condvln.verify.surfaces import Shapes, SurfaceGauge
+from condvln.verify.surroundings import Surroundings
+from condvln.verify.words import words
 from schemas.config import Thresholds
 
 
@@ -27,23 +31,40 @@ def judge() -> Judge:
     return Judge(Thresholds(), SurfaceGauge(Shapes(Path())))
 
 
-def verdict(predicate: str, one: SceneObject, other: SceneObject) -> int:
-    return judge()(predicate, Thing.of(one, one.label), Thing.of(other, other.label)).verdict
+def verdict(predicate: str, one: SceneObject, *others: SceneObject, floor: float = 0.0) -> int:
+    things = [Thing.of(item, item.label) for item in (one, *others)]
+    return judge()(predicate, things[0], things[1:], Surroundings(things, floor, Thresholds())).verdict
 
 
-def compare(objects: list[SceneObject]) -> int:
+def compare(objects: list[SceneObject], floor: float = 0.0) -> int:
     """Every predicate of every pair, by both; the number of them that are not undecided."""
-    arrays = RoomArrays.of("room", objects)
+    arrays = RoomArrays.of("room", objects, floor)
     facts = text_facts(relate_room(arrays, Thresholds()), Thresholds())
     decide, things = judge(), [Thing.of(item, item.label) for item in arrays.objects]
+    room, meaning = Surroundings(things, floor, Thresholds()), words()
+    rivals = [[x for x in things if x is not one and x.label in meaning.meant_by(one.label)] for one in things]
+    rival = np.array([[other in those for other in things] for those in rivals])
+    closest, sizes = facts.closest(rival)[0], facts.sizes(rival)
     decided = 0
-    for predicate in TEXT_PREDICATES:
-        for i, one in enumerate(things):
-            for j, other in enumerate(things):
-                if i != j:
-                    found = decide(predicate, one, other)
-                    assert found.verdict == facts.status[predicate][i, j], (predicate, one, other, found.numbers)
-                    decided += found.verdict != UNDECIDED
+
+    def check(predicate: str, i: int, anchors: Sequence[int], status: int) -> None:
+        nonlocal decided
+        found = decide(predicate, things[i], [things[k] for k in anchors], room, rivals[i])
+        assert found.verdict == status, (predicate, things[i], [things[k] for k in anchors], found.numbers)
+        decided += found.verdict != UNDECIDED
+
+    for i, j in permutations(range(len(things)), 2):
+        for predicate in PAIR_PREDICATES:
+            check(predicate, i, [j], facts.status[predicate][i, j])
+        check("closest to", i, [j], closest[i, j])
+    for i in range(len(things)):
+        for predicate in SIZE_PREDICATES:
+            check(predicate, i, [], sizes[predicate][i])
+    pairs = np.array(list(combinations(range(len(things)), 2))).reshape(-1, 2)
+    between, _ = facts.between(pairs)
+    for i, k in np.ndindex(between.shape):
+        if i not in pairs[k]:
+            check("between", i, pairs[k], between[i, k])
     return decided
 
 
@@ -100,10 +121,10 @@ def test_near_at_its_margins(millimetres: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("up", "expected"), [(449, UNDECIDED), (450, TRUE), (150, FALSE), (151, UNDECIDED), (-900, FALSE)]
+    ("up", "expected"), [(449, UNDECIDED), (450, TRUE), (50, FALSE), (51, UNDECIDED), (-900, FALSE)]
 )
 def test_higher_at_its_margins(up: int, expected: int) -> None:
-    one, other = made("a", [3, 1 + up / 1000, 0]), made("b", [0, 1, 0])
+    one, other = made("a", [3, 2 + up / 1000, 0], [0.1] * 3), made("b", [0, 2, 0], [0.1] * 3)
     assert verdict("higher than", one, other) == verdict("lower than", other, one) == expected
 
 
@@ -129,7 +150,7 @@ def test_a_direction_needs_distance_and_level() -> None:
 def test_thresholds_are_those_of_the_configuration() -> None:
     wide = Judge(Thresholds(near_true=0.5, near=2.0, near_false=3.0, surface_within=3.0), SurfaceGauge(Shapes(Path())))
     one, other = (Thing.of(made(n, [x, 0, 0], [0.1, 0.1, 0.1]), n) for n, x in (("a", 0.0), ("b", 1.0)))
-    assert wide("near", one, other).verdict == UNDECIDED
+    assert wide("near", one, [other], Surroundings([one, other], 0.0, Thresholds())).verdict == UNDECIDED
     facts = text_facts(
         relate_room(
             RoomArrays.of("room", [one.item, other.item]),

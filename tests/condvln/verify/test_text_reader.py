@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import product
 
 import pytest
@@ -16,18 +17,21 @@ from condvln.verify.words import words
 from schemas.program import (
     CATEGORIES,
     SHAPES,
+    Anchor,
     Condition,
     Leaf,
     ObjectRef,
+    Predicate,
     Program,
     Qualifier,
     RoomRef,
+    anchors_of,
 )
 
 KITCHEN, BEDROOM = Named("kitchen", None), Named("bedroom", "piano")
-LAMP = Phrase("lamp", ("near", "bed"), None)
+LAMP = Phrase("lamp", ("near", ("bed",)), None)
 SOFA = Phrase("sofa", None, KITCHEN)
-DESK = Phrase("desk", ("north of", "sink"), BEDROOM)
+DESK = Phrase("desk", ("north of", ("sink",)), BEDROOM)
 
 
 def goes(reading: TextReading) -> dict[tuple[bool, ...], list[str]]:
@@ -65,7 +69,7 @@ def test_a_definite_thing() -> None:
     reading = read(
         "Is the lamp in the kitchen near the bed? If it is, go to the sofa there. If it isn't, go to the bed there."
     )
-    assert reading.conditions == (Phrase("lamp", ("near", "bed"), KITCHEN, known=True),)
+    assert reading.conditions == (Phrase("lamp", ("near", ("bed",)), KITCHEN, known=True),)
     assert reading.moves[1] == (SOFA,)
 
 
@@ -163,7 +167,9 @@ def test_not_a_text_of_the_language(text: str) -> None:
 
 NOUNS = sorted(words().nouns)
 ROOMS = sorted(words().rooms)
-PREDICATES = ("near", "above", "south-east of", "higher than", "far from")
+PREDICATES: tuple[Predicate, ...] = ("near", "above", "on", "in", "between", "south-east of", "higher than", "far from")
+"""Predicates that conditions and stops may have; `COMPARED` those that only stops have."""
+COMPARED: tuple[Predicate, ...] = ("bigger", "smaller", "closest to", "under")
 
 
 @st.composite
@@ -182,16 +188,19 @@ def programs(draw: st.DrawFn) -> Program:
     ]
     some_room = st.sampled_from(rooms)
 
-    def qualifier() -> Qualifier | None:
+    def qualifier(predicates: Sequence[Predicate]) -> Qualifier | None:
         if not draw(st.booleans()):
             return None
-        return Qualifier(predicate=draw(st.sampled_from(PREDICATES)), anchor_id="a", anchor_label=next(named))
+        predicate = draw(st.sampled_from(predicates))
+        anchors = tuple(Anchor(object_id=f"a{k}", label=next(named)) for k in range(anchors_of(predicate)))
+        return Qualifier(predicate=predicate, anchors=anchors)
 
     def stop(k: int) -> ObjectRef:
-        return ObjectRef(object_id=f"o{k}", label=next(named), room=draw(some_room), qualifier=qualifier())
+        told_apart = qualifier((*PREDICATES, *COMPARED))
+        return ObjectRef(object_id=f"o{k}", label=next(named), room=draw(some_room), qualifier=told_apart)
 
     def condition(truth: bool) -> Condition:
-        relation = qualifier()
+        relation = qualifier(PREDICATES)
         return Condition(
             label=next(named),
             room=draw(some_room),
@@ -221,7 +230,7 @@ def test_every_rendered_text_reads_as_its_program(program: Program, seed: int) -
     assert parse(text) == reading_of(program)
 
     def phrase(named: Condition | ObjectRef) -> Phrase:
-        qualifier = named.qualifier and (named.qualifier.predicate, named.qualifier.anchor_label)
+        qualifier = named.qualifier and (named.qualifier.predicate, named.qualifier.anchor_labels)
         definite = isinstance(named, Condition) and named.definite
         return Phrase(named.label, qualifier, Named(named.room.label, named.room.anchor_label), definite)
 

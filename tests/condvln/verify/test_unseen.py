@@ -57,7 +57,7 @@ def _used(row: Row) -> set[str]:
     for condition in program.conditions:
         found |= set(condition.witnesses)
         if condition.qualifier is not None:
-            found.add(condition.qualifier.anchor_id)
+            found |= {*condition.qualifier.anchor_ids}
     return found
 
 

@@ -92,7 +92,7 @@ def test_real_scenes_are_labelled_alike(real_data: Path, family: str) -> None:
         pytest.skip(f"no scenes of {family} here: {error}")
     for handle in handles:
         scene = source.read(handle.scene_id)
-        views = SceneReferents(scene, Thresholds(), Shapes(scene.root)).rooms
+        views = SceneReferents(scene, Thresholds(), 0.3, Shapes(scene.root)).rooms
         for room in scene.rooms:
             assert views[room.room_id].label == room.label
         things = [thing for view in views.values() for thing in view._all]

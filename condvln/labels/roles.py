@@ -1,0 +1,23 @@
+"""What labels are good for as an anchor: fixed things and portable ones."""
+
+from __future__ import annotations
+
+import csv
+from functools import cache
+from importlib.resources import files
+from typing import Literal
+
+__all__ = ["Role", "labels_with_role"]
+
+Role = Literal["fixed", "portable"]
+
+
+@cache
+def labels_with_role(role: Role) -> frozenset[str]:
+    """Canonical labels of a role.
+
+    fixed : built in or too heavy to move, so that smaller or larger things are said to be near it
+    portable : carried about, so that nothing is found by it, whatever its size
+    """
+    text = files("condvln.labels").joinpath("roles.csv").read_text(encoding="utf-8")
+    return frozenset(row["label"] for row in csv.DictReader(text.splitlines()) if row["role"] == role)

@@ -1,0 +1,102 @@
+"""Facts that compare things: the closest of several, the bigger of two, and what lies between two others."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.relations.metrics import millimetres
+from condvln.relations.stacking import Stacking, exact_mm
+from condvln.scene import RoomArrays, SceneObject
+from schemas.config import Thresholds
+
+__all__ = ["between_facts", "closest_facts", "size_facts"]
+
+F64 = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Status = NDArray[np.int8]
+
+
+def closest_facts(s: Stacking, rival: Mask, t: Thresholds) -> tuple[Status, F64]:
+    """Status and margin (n, n) of "closest to": the subject among all that its label might mean.
+
+    rival (n, n) : j could be meant by i's label; without rivals nothing is said
+    """
+    n = len(rival)
+    nearest, all_known = np.full((n, n), np.nan), np.zeros((n, n), dtype=np.bool_)
+    for i in np.flatnonzero(rival.any(axis=1)):
+        others = s.distance[rival[i]]
+        nearest[i] = np.fmin.reduce(others, axis=0)
+        all_known[i] = ~np.isnan(others).any(axis=0)
+    gap = exact_mm(t.closest_gap)
+    own = s.distance
+    true = all_known & (nearest >= t.closest_ratio * own) & (nearest >= own + gap)
+    false = (own >= t.closest_ratio * nearest) & (own >= nearest + gap)
+    status = true.astype(np.int8) - false.astype(np.int8)
+    status[rival] = 0
+    np.fill_diagonal(status, 0)
+    margin: F64 = np.abs(nearest - own) / gap
+    return status, margin
+
+
+def size_facts(arrays: RoomArrays, rival: Mask, t: Thresholds) -> dict[str, Status]:
+    """Status (n,) of "the bigger" and "the smaller" of two things of one label, of which the room has no third.
+
+    By the volumes of their boxes. Where their largest sides say otherwise, as of pictures of different depth, nothing
+    is decided.
+    """
+    labels = np.array(arrays.labels, dtype=object)
+    measured = [_sizes(item) for item in arrays.objects]
+    bigger = np.zeros(len(arrays), dtype=np.int8)
+    for i in np.flatnonzero(rival.sum(axis=1) == 1):
+        j = int(np.flatnonzero(rival[i])[0])
+        one, other = measured[i], measured[j]
+        if rival[j].sum() != 1 or labels[i] != labels[j] or one is None or other is None or one[0] != other[0]:
+            continue
+        _, volume, side = one
+        _, other_volume, other_side = other
+        if min(volume, other_volume) > 0.0:
+            true = volume >= t.size_ratio * other_volume and side > other_side
+            false = other_volume >= t.size_ratio * volume and other_side > side
+            bigger[i] = int(true) - int(false)
+    return {"bigger": bigger, "smaller": -bigger}
+
+
+def _sizes(item: SceneObject) -> tuple[str, float, float] | None:
+    """Kind of box, its volume in mm³ and its largest side's area in mm²; None without a box."""
+    if item.obb is not None:
+        kind, extents = "oriented", millimetres(2.0 * item.obb.half_extents)
+    elif item.box is not None:
+        kind, extents = "aligned", millimetres(item.box[1]) - millimetres(item.box[0])
+    else:
+        return None
+    small, middle, large = sorted(extents.tolist())
+    return kind, small * middle * large, middle * large
+
+
+def between_facts(centers: F64, s: Stacking, pairs: NDArray[np.intp], t: Thresholds) -> tuple[Status, F64]:
+    """Status and margin (n, p) of "between a and b".
+
+    centers (n, 3) : metres; pairs (p, 2) : indices of the anchors
+    """
+    ground = millimetres(centers[:, [0, 2]])
+    a, b = pairs[:, 0], pairs[:, 1]
+    along = ground[b] - ground[a]  # (p, 2)
+    squared = along[:, 0] * along[:, 0] + along[:, 1] * along[:, 1]
+    away = ground[:, None] - ground[a][None]  # (n, p, 2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        part = (away[..., 0] * along[:, 0] + away[..., 1] * along[:, 1]) / squared
+        off = np.abs(away[..., 0] * along[:, 1] - away[..., 1] * along[:, 0]) / np.sqrt(squared)
+    long = s.length >= exact_mm(t.between_anchor)
+    fit = long[a] & long[b] & (squared > 0.0) & (squared <= exact_mm(t.between_length) ** 2)
+    clear = (s.shared[:, a] == 0.0) & (s.shared[:, b] == 0.0)
+    floor = s.off_floor <= exact_mm(t.on_floor)
+    inner = np.minimum(part, 1.0 - part)
+    true = fit & clear & floor[:, None] & (part >= t.between_true) & (part <= 1.0 - t.between_true)
+    true &= off <= exact_mm(t.between_off_true)
+    false = fit & ((part < t.between_false) | (part > 1.0 - t.between_false) | (off >= exact_mm(t.between_off_false)))
+    status = true.astype(np.int8) - false.astype(np.int8)
+    status[a, np.arange(len(pairs))] = 0
+    status[b, np.arange(len(pairs))] = 0
+    margin: F64 = np.where(true, inner / t.between_true, 1.0 + off / 1000.0)
+    return status, margin

@@ -1,0 +1,118 @@
+"""How the boxes of a room stand over, on and beside each other.
+
+All lengths are whole millimetres, in which sums, products and square roots are the same wherever they are computed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.relations.metrics import millimetres
+from condvln.scene import RoomArrays
+from schemas.config import Thresholds
+
+__all__ = ["Stacking", "exact_mm", "stacking_of"]
+
+F64 = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_GROUND: Final = [0, 2]
+
+
+def exact_mm(metres: float) -> float:
+    """A threshold in millimetres. 1.15 · 1000 is not a whole number in binary; a nanometre decides nothing."""
+    return round(metres * 1000.0, 6)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Stacking:
+    """Boxes over ordered pairs, subject by row and target by column. NaN, and False, where a box is unknown.
+
+    rise, top_rise : (n, n) by how much the subject's centre, and its top, lie higher than the target's
+    gap : (n, n) by how much the subject's bottom lies above the target's top
+    apart : (n, n) horizontal distance of the footprints, 0 where they meet
+    distance : (n, n) distance of the boxes
+    shared : (n, n) ground area that both footprints cover, mm²
+    covered : (n, n) shared area as a part of the subject's footprint
+    inside : (n, n) part of the subject's volume in the target's box
+    area : (n,) of the footprint; length : (n,) its longer side; off_floor : (n,) bottom above the room's floor
+    known : (n, n) both have a box
+    may_rest : (n, n) the subject may rest on the target itself, as far as boxes say
+    carries : (n, n) the target may carry the subject, perhaps by things in between
+    """
+
+    rise: F64
+    top_rise: F64
+    gap: F64
+    apart: F64
+    distance: F64
+    shared: F64
+    covered: F64
+    inside: F64
+    area: F64
+    length: F64
+    off_floor: F64
+    known: Mask
+    may_rest: Mask
+    carries: Mask
+
+
+def stacking_of(arrays: RoomArrays, thresholds: Thresholds) -> Stacking:
+    """How the n boxes of a room are stacked."""
+    low, high, centre = millimetres(arrays.aabb_min), millimetres(arrays.aabb_max), millimetres(arrays.centers)
+    gaps = [np.maximum(low[:, None, k] - high[None, :, k], low[None, :, k] - high[:, None, k]) for k in range(3)]
+    lengths = [
+        np.maximum(np.minimum(high[:, None, k], high[None, :, k]) - np.maximum(low[:, None, k], low[None, :, k]), 0.0)
+        for k in range(3)
+    ]
+    beyond = [np.maximum(gap, 0.0) for gap in gaps]
+    size = high - low
+    area = size[:, 0] * size[:, 2]
+    shared = lengths[0] * lengths[2]
+    apart = np.sqrt(beyond[0] * beyond[0] + beyond[2] * beyond[2])
+    gap = low[:, None, 1] - high[None, :, 1]
+    bottom_rise = low[:, None, 1] - low[None, :, 1]
+    own = area[:, None]
+    known = ~np.isnan(gap)
+    may_rest = (
+        (apart == 0.0)
+        & (bottom_rise > exact_mm(thresholds.on_gap_true))
+        & (gap < exact_mm(thresholds.on_gap_false))
+        & ~np.eye(len(arrays), dtype=np.bool_)
+    )
+    return Stacking(
+        rise=centre[:, None, 1] - centre[None, :, 1],
+        top_rise=high[:, None, 1] - high[None, :, 1],
+        gap=gap,
+        apart=apart,
+        distance=np.sqrt(sum(gap * gap for gap in beyond)),
+        shared=shared,
+        covered=_parts(shared, np.broadcast_to(own, shared.shape)),
+        inside=_parts(shared * lengths[1], np.broadcast_to(own * size[:, None, 1], shared.shape)),
+        area=area,
+        length=size[:, _GROUND].max(axis=1, initial=-np.inf),
+        off_floor=low[:, 1] - millimetres(arrays.floor_y),
+        known=known,
+        may_rest=may_rest,
+        carries=_closure(may_rest),
+    )
+
+
+def _parts(some: F64, whole: F64) -> F64:
+    """some / whole; NaN where there is nothing to be a part of."""
+    return np.divide(some, whole, out=np.full_like(some, np.nan), where=whole > 0)
+
+
+def _closure(direct: Mask) -> Mask:
+    """Pairs that are linked by a chain of one or more links."""
+    found = direct
+    while True:
+        steps = found.astype(np.float32)
+        longer = found | (steps @ steps > 0)
+        if (longer == found).all():
+            return found
+        found = longer

@@ -1,0 +1,68 @@
+"""Whether a thing is the closest of several, the bigger of two, or between two others."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from condvln.verify.judgement import UNDECIDED, Judgement, judged
+from condvln.verify.surroundings import Surroundings, Thing, box_gap, shared_sides, whole_mm
+from schemas.config import Thresholds
+
+__all__ = ["compare_sizes", "is_closest", "lies_between"]
+
+
+def is_closest(subject: Thing, anchor: Thing, rivals: Sequence[Thing], t: Thresholds) -> Judgement:
+    """All rivals are much farther from the anchor, or one is much nearer."""
+    if subject.box is None or anchor.box is None or anchor in rivals:
+        return Judgement(UNDECIDED, {"box": None})
+    own, gap = box_gap(subject, anchor), whole_mm(t.closest_gap)
+    others = [None if rival.box is None else box_gap(rival, anchor) for rival in rivals]
+    known = [away for away in others if away is not None]
+    if not known:
+        return Judgement(UNDECIDED, {"rivals": 0.0})
+    nearest = min(known)
+    true = len(known) == len(others) and nearest >= t.closest_ratio * own and nearest >= own + gap
+    false = own >= t.closest_ratio * nearest and own >= nearest + gap
+    return judged(true, false, distance=own, nearest_rival=nearest)
+
+
+def compare_sizes(subject: Thing, rivals: Sequence[Thing], t: Thresholds, sign: int) -> Judgement:
+    """Of two things of one label, whether this is the bigger (`sign` 1) or the smaller (−1)."""
+    if len(rivals) != 1 or rivals[0].label != subject.label:
+        return Judgement(UNDECIDED, {"rivals": float(len(rivals))})
+    one, other = subject.sides(), rivals[0].sides()
+    if not one or not other or (subject.item.obb is None) != (rivals[0].item.obb is None):
+        return Judgement(UNDECIDED, {"box": None})
+    volumes, faces = [a * b * c for a, b, c in (one, other)], [b * c for _, b, c in (one, other)]
+    if min(volumes) <= 0.0:
+        return Judgement(UNDECIDED, {"box": None})
+    bigger = volumes[0] >= t.size_ratio * volumes[1] and faces[0] > faces[1]
+    smaller = volumes[1] >= t.size_ratio * volumes[0] and faces[1] > faces[0]
+    true, false = (bigger, smaller) if sign > 0 else (smaller, bigger)
+    return judged(true, false, {"volume_ratio": volumes[0] / volumes[1]})
+
+
+def lies_between(subject: Thing, anchors: Sequence[Thing], room: Surroundings, t: Thresholds) -> Judgement:
+    """It is on the floor, near the line of the anchors' centres and about half way along it."""
+    a, b = anchors
+    if a.box is None or b.box is None or subject in anchors:
+        return Judgement(UNDECIDED, {"box": None})
+    line = (b.centre[0] - a.centre[0], b.centre[2] - a.centre[2])
+    away = (subject.centre[0] - a.centre[0], subject.centre[2] - a.centre[2])
+    squared = line[0] * line[0] + line[1] * line[1]
+    long = min(max(a.ground_sides()), max(b.ground_sides())) >= whole_mm(t.between_anchor)
+    if not squared or squared > whole_mm(t.between_length) ** 2 or not long:
+        return judged(False, False, anchors_apart=math.sqrt(squared))
+    part = (away[0] * line[0] + away[1] * line[1]) / squared
+    off = abs(away[0] * line[1] - away[1] * line[0]) / math.sqrt(squared)
+    lift = room.off_floor(subject)
+    true = (
+        lift is not None
+        and lift <= whole_mm(t.on_floor)
+        and not any(x * z for x, _, z in (shared_sides(subject, a), shared_sides(subject, b)))
+        and t.between_true <= part <= 1.0 - t.between_true
+        and off <= whole_mm(t.between_off_true)
+    )
+    false = part < t.between_false or part > 1.0 - t.between_false or off >= whole_mm(t.between_off_false)
+    return judged(true, false, {"part": round(part, 3)}, off_line=off, anchors_apart=math.sqrt(squared))

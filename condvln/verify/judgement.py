@@ -1,0 +1,26 @@
+"""A verdict on one statement, and the numbers that it rests on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+__all__ = ["FALSE", "TRUE", "UNDECIDED", "Judgement", "judged"]
+
+TRUE, FALSE, UNDECIDED = 1, -1, 0
+
+
+class Judgement(NamedTuple):
+    """A verdict, and the metres, degrees and shares that it rests on."""
+
+    verdict: int
+    numbers: Mapping[str, float | None]
+
+
+def judged(
+    true: bool, false: bool, shares: Mapping[str, float | None] | None = None, **millimetres: float | None
+) -> Judgement:
+    """A judgement; `shares` are kept as they are, millimetres become metres."""
+    verdict = TRUE if true else FALSE if false else UNDECIDED
+    metres = {k: None if v is None else round(v / 1000.0, 3) for k, v in millimetres.items()}
+    return Judgement(verdict, {**metres, **(shares or {})})

@@ -1,0 +1,103 @@
+"""Whether a thing is on, in, under, above another, or higher than it: by boxes, and by what may carry what."""
+
+from __future__ import annotations
+
+import math
+
+from condvln.verify.judgement import UNDECIDED, Judgement, judged
+from condvln.verify.surroundings import Surroundings, Thing, box_gap, footprint_gap, shared_sides, whole_mm
+from condvln.verify.words import words
+from schemas.config import Thresholds
+
+__all__ = ["is_above", "is_higher", "is_in", "is_on", "is_under"]
+
+_UNKNOWN = Judgement(UNDECIDED, {"box": None})
+
+
+def is_on(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -> Judgement:
+    """Its bottom is at the top of the anchor, whose footprint is the larger and holds most of its own."""
+    if subject.box is None or anchor.box is None:
+        return _UNKNOWN
+    step = subject.box[0][1] - anchor.box[1][1]
+    apart, covered = footprint_gap(subject, anchor), _covered(subject, anchor)
+    true = (
+        abs(step) <= whole_mm(t.on_gap_true)
+        and covered is not None
+        and covered >= t.on_footprint_true
+        and math.prod(anchor.ground_sides()) > math.prod(subject.ground_sides())
+        and subject.centre[1] > anchor.centre[1]
+    )
+    false = apart > 0.0 or step >= whole_mm(t.on_gap_false)
+    return judged(true, false, {"covered": covered}, step=step, footprints_apart=apart)
+
+
+def is_under(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -> Judgement:
+    """It is on the floor below the anchor's underside."""
+    if subject.box is None or anchor.box is None:
+        return _UNKNOWN
+    lift, air, covered = room.off_floor(subject), anchor.box[0][1] - subject.box[1][1], _covered(subject, anchor)
+    apart = footprint_gap(subject, anchor)
+    true = (
+        lift is not None
+        and lift <= whole_mm(t.on_floor)
+        and air >= 0
+        and covered is not None
+        and covered >= t.under_footprint_true
+    )
+    false = apart >= whole_mm(t.over_apart_false)
+    return judged(true, false, {"covered": covered}, off_floor=lift, air=air, footprints_apart=apart)
+
+
+def is_in(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -> Judgement:
+    """Most of it is inside a container that is open at the top."""
+    if subject.box is None or anchor.box is None or words().containers.get(anchor.label) != "open":
+        return _UNKNOWN
+    volume = math.prod(high - low for low, high in zip(*subject.box, strict=True))
+    inside = math.prod(shared_sides(subject, anchor)) / volume if volume > 0 else None
+    apart = box_gap(subject, anchor)
+    true = inside is not None and inside >= t.in_share_true
+    return judged(true, apart > 0.0, {"inside": inside}, apart=apart)
+
+
+def is_above(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -> Judgement:
+    """It is over the anchor, with air in between."""
+    if subject.box is None or anchor.box is None:
+        return _UNKNOWN
+    up, air = subject.centre[1] - anchor.centre[1], subject.box[0][1] - anchor.box[1][1]
+    away = math.hypot(subject.centre[0] - anchor.centre[0], subject.centre[2] - anchor.centre[2])
+    apart, rests = footprint_gap(subject, anchor), room.may_rest(subject, anchor)
+    areas = [math.prod(thing.ground_sides()) for thing in (subject, anchor)]
+    x, _, z = shared_sides(subject, anchor)
+    shared = x * z / min(areas) if min(areas) > 0 else None
+    true = (
+        up >= whole_mm(t.height_true)
+        and away <= whole_mm(t.over_horizontal_true)
+        and shared is not None
+        and shared >= t.over_footprint_true
+        and air >= whole_mm(t.over_gap_true)
+        and not rests
+    )
+    false = (up <= whole_mm(t.height_false) or apart >= whole_mm(t.over_apart_false)) and not rests
+    return judged(
+        true, false, {"footprint_overlap": shared}, height=up, horizontal=away, air=air, footprints_apart=apart
+    )
+
+
+def is_higher(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -> Judgement:
+    """Its centre and its top are higher; both hang or rest well above the floor, and neither carries the other."""
+    lifts = [room.off_floor(thing) for thing in (subject, anchor)]
+    if subject.box is None or anchor.box is None or None in lifts:
+        return _UNKNOWN
+    up, tops = subject.centre[1] - anchor.centre[1], subject.box[1][1] - anchor.box[1][1]
+    fit = min(lift for lift in lifts if lift is not None) >= whole_mm(t.off_floor)
+    fit = fit and not (room.may_carry(anchor, subject) or room.may_carry(subject, anchor))
+    true = fit and up >= whole_mm(t.height_true) and tops >= whole_mm(t.top_true)
+    false = fit and up <= whole_mm(t.height_false) and tops <= whole_mm(t.top_false)
+    return judged(true, false, height=up, tops=tops)
+
+
+def _covered(subject: Thing, anchor: Thing) -> float | None:
+    """Part of the subject's footprint that the anchor's covers; None of a footprint without area."""
+    area = math.prod(subject.ground_sides())
+    x, _, z = shared_sides(subject, anchor)
+    return x * z / area if area > 0 else None

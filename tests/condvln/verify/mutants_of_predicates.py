@@ -1,0 +1,136 @@
+"""Faults in what text says of things: a support said as above, a rival that fits as well, a wrong comparison."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+from mutation import Document, Files, World, mutator
+
+from condvln.relations import PAIR_PREDICATES
+from condvln.verify.words import words
+
+
+def _qualified(files: Files, *predicates: str) -> list[Document]:
+    """Conditions and stops with one of the predicates."""
+    named = [*files.conditions, *(move for leaf in files.leaves for move in leaf["moves"])]
+    return [one for one in named if one["qualifier"] and one["qualifier"]["predicate"] in predicates]
+
+
+def _stops(files: Files) -> list[Document]:
+    return [move for leaf in files.leaves for move in leaf["moves"] if move["qualifier"]]
+
+
+def _alone(world: World, room: str, beside: str) -> list[Document]:
+    """Anchors of a room that are alone in their label, and not of the label `beside`."""
+    here = [o for o in world.scene.objects if o.room_id == room and o.label in words().nouns]
+    return [
+        {"object_id": o.object_id, "label": o.label}
+        for o in here
+        if len(world.objects_like(room, o.label)) == 1 and o.label not in words().meant_by(beside)
+    ]
+
+
+@mutator
+def say_a_support_as_above(files: Files, rng: np.random.Generator, world: World) -> bool:
+    """A stop or a true condition is about a thing that rests on another, and says that it is above it."""
+    ways = []
+    named = [*files.conditions, *(move for leaf in files.leaves for move in leaf["moves"])]
+    for one in named:
+        room = one["room"]["room_id"]
+        own = [one["object_id"]] if "object_id" in one else one["witnesses"]
+        for anchor in _alone(world, room, one["label"]):
+            if any(world.status(room, "on", name, anchor["object_id"]) == 1 for name in own):
+                ways.append((one, anchor))
+    if not ways:
+        return False
+    one, anchor = ways[int(rng.integers(len(ways)))]
+    one["qualifier"] = {"predicate": "above", "anchors": [anchor]}
+    files.word()
+    return True
+
+
+@mutator
+def say_what_a_rival_fits(files: Files, rng: np.random.Generator, world: World) -> bool:
+    """A stop is named by a relation that it has, and that another thing of its label has, or may have, too."""
+    ways = []
+    for stop in _stops(files):
+        room, name = stop["room"]["room_id"], stop["object_id"]
+        rivals = [x for x in world.objects_like(room, stop["label"]) if x != name]
+        for anchor in _alone(world, room, stop["label"]):
+            for predicate in PAIR_PREDICATES:
+                own = world.status(room, predicate, name, anchor["object_id"])
+                if own == 1 and any(world.status(room, predicate, x, anchor["object_id"]) != -1 for x in rivals):
+                    ways.append((stop, predicate, anchor))
+    if not ways:
+        return False
+    stop, predicate, anchor = ways[int(rng.integers(len(ways)))]
+    stop["qualifier"] = {"predicate": predicate, "anchors": [anchor]}
+    files.word()
+    return True
+
+
+@mutator
+def say_between_wrong_anchors(files: Files, rng: np.random.Generator, world: World) -> bool:
+    """A stop that is told from its rivals is said to be between two things; it is not, or not clearly."""
+    ways = []
+    for stop in _stops(files):
+        room = stop["room"]["room_id"]
+        order = {name: k for k, name in enumerate(world.scene.arrays(room).object_ids)}
+        for pair in combinations(_alone(world, room, stop["label"]), 2):
+            if stop["object_id"] not in {anchor["object_id"] for anchor in pair}:
+                places = np.array([[order[anchor["object_id"]] for anchor in pair]])
+                if world.facts[room].between(places)[0][order[stop["object_id"]], 0] != 1:
+                    ways.append((stop, pair))
+    if not ways:
+        return False
+    stop, pair = ways[int(rng.integers(len(ways)))]
+    stop["qualifier"] = {"predicate": "between", "anchors": list(pair)}
+    files.word()
+    return True
+
+
+@mutator
+def turn_a_superlative(files: Files, rng: np.random.Generator, world: World) -> bool:
+    """The bigger is said to be the smaller; the closest to one thing is said to be the closest to another."""
+    ways: list[tuple[Document, Document]] = []
+    for one in _qualified(files, "bigger", "smaller"):
+        other = "smaller" if one["qualifier"]["predicate"] == "bigger" else "bigger"
+        ways.append((one, {"predicate": other, "anchors": []}))
+    for one in _qualified(files, "closest to"):
+        room = one["room"]["room_id"]
+        ids = world.scene.arrays(room).object_ids
+        order = {name: k for k, name in enumerate(ids)}
+        rivals = np.zeros((len(ids), len(ids)), dtype=bool)
+        mine = order[one["object_id"]]
+        rivals[mine, [order[x] for x in world.objects_like(room, one["label"]) if x != one["object_id"]]] = True
+        status = world.facts[room].closest(rivals)[0][mine]
+        ways += [
+            (one, {"predicate": "closest to", "anchors": [anchor]})
+            for anchor in _alone(world, room, one["label"])
+            if status[order[anchor["object_id"]]] != 1
+        ]
+    if not ways:
+        return False
+    one, qualifier = ways[int(rng.integers(len(ways)))]
+    one["qualifier"] = qualifier
+    files.word()
+    return True
+
+
+@mutator
+def find_by_a_small_thing(files: Files, rng: np.random.Generator, world: World) -> bool:
+    """A stop is named by something that is carried about, however truly."""
+    ways = []
+    for stop in _stops(files):
+        room, name = stop["room"]["room_id"], stop["object_id"]
+        for anchor in _alone(world, room, stop["label"]):
+            if anchor["label"] in words().roles["portable"]:
+                true = [p for p in PAIR_PREDICATES if world.status(room, p, name, anchor["object_id"]) == 1]
+                ways += [(stop, predicate, anchor) for predicate in true]
+    if not ways:
+        return False
+    stop, predicate, anchor = ways[int(rng.integers(len(ways)))]
+    stop["qualifier"] = {"predicate": predicate, "anchors": [anchor]}
+    files.word()
+    return True
