@@ -15,7 +15,7 @@ from schemas.snapshot import Pin
 
 __all__ = ["add_bias", "priors_behind"]
 
-_COLUMNS = ("guesser", "source", "category", "episodes", "right", "low", "high", "chance", "p (Holm)")
+_COLUMNS = ("guesser", "source", "part", "episodes", "right", "low", "high", "chance", "p (Holm)")
 
 
 def add_bias(

@@ -1,5 +1,8 @@
 """The gate: all guessers on all episodes of an export, and what they get right beyond chance.
 
+Each guesser is tested on everything, on each source, on each category of a source, and on the episodes whose conditions
+ask for one predicate; all tests together are corrected for their number.
+
 Of a counterfactual group one episode is guessed at, drawn by the hash of its id: its members mirror each other, so
 that they would hide a lean of the others, and their guesses are not independent. The evenness of gold leaves is
 counted over all episodes.
@@ -22,7 +25,7 @@ from numpy.typing import NDArray
 from condvln.bias.guesser_view import GuesserView
 from condvln.bias.guessers import FIXED
 from condvln.bias.learners import LEARNED, NO_GUESS
-from condvln.bias.report import ALL, BiasReport, Finding, Uniformity
+from condvln.bias.report import ALL, PRESENCE, BiasReport, Finding, Uniformity
 from condvln.bias.significance import binomial_tail, holm, interval, p_by_scenes, p_uniform
 from condvln.manifest import manifest_lines, manifest_paths
 from schemas.errors import MissingFileError
@@ -34,7 +37,7 @@ CELL_CAP: Final = 5_000
 """Episodes of a source and category that are guessed at, those of the least hashes of ids: a lean of 3 % shows with
 as many, and an export of any size fits in memory."""
 LEAST_EPISODES: Final = 30
-"""Guesses below which a source and category has no tests of its own; they count in those over all."""
+"""Guesses below which a category or predicate of a source has no test of its own; they count in those over all."""
 UNIFORM_FROM: Final = 200
 """Episodes from which the gold leaves of a source and category must be even."""
 
@@ -67,7 +70,7 @@ def judge(rows: Iterable[Mapping[str, Any]]) -> BiasReport:
         if sum(counts) >= UNIFORM_FROM
     ]
     corrected = holm([*(f.p for f in findings), *(cell.p for cell in cells)])
-    tested = {(f.source, f.category) for f in findings}
+    tested = {(f.source, f.category) for f in findings if f.predicate == ALL}
     return BiasReport(
         episodes=len(views),
         groups=len(sample.groups),
@@ -124,8 +127,9 @@ def _findings(views: Sequence[GuesserView]) -> Iterator[Finding]:
     scene = np.unique([view.scene for view in views], return_inverse=True)[1]
     source = np.array([view.source for view in views])
     category = np.array([CATEGORIES.index(view.category) for view in views])
+    asked = _asked(views)
     for name, guess in _guesses(views, source).items():
-        for where, what, inside in _parts(source, category, guess != NO_GUESS):
+        for where, what, predicate, inside in _parts(source, category, asked, guess != NO_GUESS):
             right = guess[inside] == gold[inside]
             own, scenes = chance[inside], scene[inside]
             low, high = interval(right, scenes)
@@ -140,6 +144,7 @@ def _findings(views: Sequence[GuesserView]) -> Iterator[Finding]:
                 low=low,
                 high=high,
                 p=max(binomial_tail(int(right.sum()), Counter(own.tolist())), p_by_scenes(right - own, scenes)),
+                predicate=predicate,
             )
 
 
@@ -154,19 +159,38 @@ def _guesses(views: Sequence[GuesserView], source: NDArray[np.str_]) -> dict[str
     return found
 
 
+def _asked(views: Sequence[GuesserView]) -> dict[str, NDArray[np.bool_]]:
+    """By predicate which episodes have a condition that asks for it."""
+    found: dict[str, NDArray[np.bool_]] = {}
+    for k, view in enumerate(views):
+        for asked in view.asked:
+            found.setdefault(asked.predicate or PRESENCE, np.zeros(len(views), dtype=np.bool_))[k] = True
+    return dict(sorted(found.items()))
+
+
 def _parts(
-    source: NDArray[np.str_], category: NDArray[np.int64], guessed: NDArray[np.bool_]
-) -> Iterator[tuple[str, str, NDArray[np.int64]]]:
-    """(source, category, indices of its guesses): everything, each source, each category of a source."""
+    source: NDArray[np.str_],
+    category: NDArray[np.int64],
+    asked: Mapping[str, NDArray[np.bool_]],
+    guessed: NDArray[np.bool_],
+) -> Iterator[tuple[str, str, str, NDArray[np.int64]]]:
+    """(source, category, predicate, indices of its guesses): everything, each source, each category of a source, and
+    each predicate of everything and of a source.
+
+    What a condition asks for stands in the text, so that chance is the same for the episodes that ask for it.
+    """
     families = np.unique(source).tolist()
-    parts = [(ALL, ALL, guessed)] if len(families) > 1 else []
-    for family in families:
-        inside = guessed & (source == family)
-        parts.append((family, ALL, inside))
-        parts += [(family, name, inside & (category == k)) for k, name in enumerate(CATEGORIES)]
-    for where, what, chosen in parts:
-        if chosen.sum() >= LEAST_EPISODES:
-            yield where, what, np.flatnonzero(chosen)
+    everything = [(ALL, np.ones(len(source), dtype=np.bool_))] if len(families) > 1 else []
+    for where, member in [*everything, *((family, source == family) for family in families)]:
+        inside = guessed & member
+        parts = [(ALL, ALL, inside)]
+        if where != ALL:
+            parts += [(name, ALL, inside & (category == k)) for k, name in enumerate(CATEGORIES)]
+        # Where all episodes ask for a predicate, its test would be that of the source once more.
+        parts += [(ALL, name, inside & own) for name, own in asked.items() if (inside & ~own).any()]
+        for what, predicate, chosen in parts:
+            if chosen.sum() >= LEAST_EPISODES:
+                yield where, what, predicate, np.flatnonzero(chosen)
 
 
 def _manifest_rows(folder: Path) -> Iterator[Mapping[str, Any]]:

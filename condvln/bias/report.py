@@ -6,17 +6,21 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
-__all__ = ["ALL", "ALPHA", "BiasReport", "Finding", "Uniformity"]
+__all__ = ["ALL", "ALPHA", "PRESENCE", "BiasReport", "Finding", "Uniformity"]
 
 ALPHA: Final = 0.01
 """Probability at which a fair dataset is called biased by any of all tests together."""
 ALL: Final = "all"
-"""Stands for the source or category of a test over all of them."""
+"""Stands for the source, category or predicate of a test over all of them."""
+MOST_NAMED: Final = 6
+"""Findings that the verdict names; the table has them all."""
+PRESENCE: Final = "presence"
+"""Stands for the predicate of a condition that asks for no relation."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One guesser on one part of the episodes.
+    """One guesser on one part of the episodes: of a source, a category, and one predicate that conditions ask for.
 
     chance : mean of 1 ÷ leaves; low, high : 95 % interval of the accuracy; p : one-sided; p_holm : corrected
     """
@@ -32,6 +36,12 @@ class Finding:
     high: float
     p: float
     p_holm: float = 1.0
+    predicate: str = ALL
+
+    @property
+    def part(self) -> str:
+        """Its category, or the predicate that some condition of its episodes asks for."""
+        return self.category if self.predicate == ALL else f"asks: {self.predicate}"
 
     @property
     def beats_chance(self) -> bool:
@@ -96,7 +106,10 @@ class BiasReport:
         said = f"{self.tests} tests on {self.episodes:,} episodes, α = {ALPHA:g} corrected for their number (Holm)"
         if self.passed:
             return f"no guesser beats chance: {said}"
-        found = [_told(finding) for finding in self.beaten]
+        surest = self.beaten
+        found = [_told(finding) for finding in surest[:MOST_NAMED]]
+        if len(surest) > MOST_NAMED:
+            found.append(f"{len(surest) - MOST_NAMED} more in the table")
         found += [
             f"gold leaves of {cell.source} {cell.category} are uneven: {list(cell.counts)}" for cell in self.uneven
         ]
@@ -117,21 +130,19 @@ class BiasReport:
         }
 
     def overview(self) -> list[tuple[str | int | float, ...]]:
-        """A row a guesser and source over all categories, and one for each cell in which chance is beaten.
+        """A row a guesser and source over all, and one for each category and predicate in which chance is beaten.
 
-        (guesser, source, category, episodes, right, low, high, chance, corrected p)
+        (guesser, source, category or predicate, episodes, right, low, high, chance, corrected p)
         """
         names = dict.fromkeys(finding.guesser for finding in self.findings)
         order = {name: k for k, name in enumerate(names)}
-        shown = [f for f in self.findings if f.category == ALL or f.beats_chance]
-        shown.sort(key=lambda f: (f.source != ALL, f.source, f.category != ALL, f.category, order[f.guesser]))
-        return [
-            (f.guesser, f.source, f.category, f.episodes, f.accuracy, f.low, f.high, f.chance, f.p_holm) for f in shown
-        ]
+        shown = [f for f in self.findings if f.part == ALL or f.beats_chance]
+        shown.sort(key=lambda f: (f.source != ALL, f.source, f.part != ALL, f.part, order[f.guesser]))
+        return [(f.guesser, f.source, f.part, f.episodes, f.accuracy, f.low, f.high, f.chance, f.p_holm) for f in shown]
 
 
 def _told(finding: Finding) -> str:
-    where = f"{finding.source} {finding.category}"
+    where = f"{finding.source} {finding.part}"
     return f"{finding.guesser} {finding.accuracy:.3f} where chance is {finding.chance:.3f} ({where})"
 
 

@@ -176,11 +176,11 @@ def _bias(report: ExportReport) -> str:
         f"Verdict: {report.bias.verdict()}.",
     ]
     if report.bias.findings:
-        lines += ["", "| guesser | source | category | episodes | right | 95 % | chance | p |"]
+        lines += ["", "| guesser | source | part | episodes | right | 95 % | chance | p |"]
         lines.append("|---|---|---|---:|---:|---:|---:|---:|")
-        for guesser, source, category, episodes, right, low, high, chance, p in report.bias.overview():
+        for guesser, source, part, episodes, right, low, high, chance, p in report.bias.overview():
             shares = (f"{right:.3f}", f"{low:.3f}–{high:.3f}", f"{chance:.3f}", f"{p:.3g}")
-            lines.append(_row([str(guesser), str(source), str(category), f"{episodes:,}", *shares]))
+            lines.append(_row([str(guesser), str(source), str(part), f"{episodes:,}", *shares]))
     return "\n".join(lines)
 
 

@@ -70,6 +70,53 @@ def test_a_leaf_that_is_gold_too_often_is_found(made_rows) -> None:
     assert "uneven: [80, 40, 80]" in report.verdict()
 
 
+def asking(row: dict[str, Any], rng: np.random.Generator) -> bool:
+    """Makes each condition ask for a relation, an eighth of the episodes for "on"; says whether this one does."""
+    asks = rng.random() < 0.125
+    for k, condition in enumerate(row["program"]["conditions"]):
+        predicate = "on" if asks and k == 0 else ("near", "north of", "")[rng.integers(3)]
+        anchors = [{"object_id": "a", "label": "desk"}]
+        condition["qualifier"] = {"predicate": predicate, "anchors": anchors} if predicate else None
+    return bool(asks)
+
+
+def test_a_leak_of_one_predicate_is_found_in_its_own_part(made_rows) -> None:
+    """An eighth of the episodes leaks: too few to show in the whole, and all that ask for one predicate."""
+
+    def leak(row: dict[str, Any], rng: np.random.Generator) -> None:
+        if asking(row, rng) and rng.random() < 0.9:
+            row["leaves"][row["gold_leaf"]]["geodesic_distance"] = 1.0
+
+    report = judge(made_rows(0, scenes=24, leak=leak))
+    assert [(f.guesser, f.predicate, f.part) for f in report.beaten] == [("nearest target", "on", "asks: on")]
+    assert "(made asks: on)" in report.verdict()
+    assert ("nearest target", "made", "asks: on") in [row[:3] for row in report.overview()]
+    (found,) = report.beaten
+    assert found.category == ALL
+    rows = made_rows(0, scenes=24, leak=leak)
+    holding = [
+        r for r in rows if any((c["qualifier"] or {}).get("predicate") == "on" for c in r["program"]["conditions"])
+    ]
+    assert found.episodes == len(holding)
+    assert not any(f.beats_chance for f in judge([r for r in rows if r not in holding]).findings)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_fair_rows_pass_for_each_predicate(made_rows, seed: int) -> None:
+    report = judge(made_rows(seed, leak=asking))
+    assert report.passed, report.verdict()
+    tested = {f.predicate for f in report.findings}
+    assert tested == {ALL, "near", "north of", "on", "presence"}
+    # All tests count in the correction: the least p-value is multiplied by their number.
+    least = min(report.findings, key=lambda f: f.p)
+    assert least.p_holm == pytest.approx(min(1.0, least.p * report.tests))
+
+
+def test_a_predicate_that_all_ask_for_is_not_tested_twice(made_rows) -> None:
+    report = judge(made_rows(0, categories=("simple",)))
+    assert {f.predicate for f in report.findings} == {ALL}
+
+
 def test_one_scene_that_leaks_is_not_the_dataset(made_rows) -> None:
     """Guesses of one scene stand and fall together: only the scenes' own test knows."""
 
@@ -78,7 +125,7 @@ def test_one_scene_that_leaks_is_not_the_dataset(made_rows) -> None:
             row["leaves"][row["gold_leaf"]]["geodesic_distance"] = 1.0
 
     report = judge(made_rows(0, each=20, scenes=10, categories=("simple",), leak=leak))
-    (found,) = [f for f in report.findings if f.guesser == "nearest target" and f.category == ALL]
+    (found,) = [f for f in report.findings if f.guesser == "nearest target" and f.part == ALL]
     assert found.accuracy > 0.55
     assert found.p > 0.01
 
@@ -114,7 +161,7 @@ def test_small_cells_count_in_the_whole(made_rows) -> None:
     rows = [*made_rows(0, categories=("simple",)), *made_rows(0, categories=("chain",))[: LEAST_EPISODES - 1]]
     report = judge(rows)
     assert report.untested == (("made", "chain", LEAST_EPISODES - 1),)
-    (whole,) = [f for f in report.findings if f.guesser == "nearest target" and f.category == ALL]
+    (whole,) = [f for f in report.findings if f.guesser == "nearest target" and f.part == ALL]
     assert whole.episodes == len(rows)
     assert whole.chance == pytest.approx((160 / 2 + 29 / 3) / 189)
 

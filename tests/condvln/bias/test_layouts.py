@@ -81,7 +81,7 @@ def test_what_a_layout_foretells_is_found(scenes, over_all: LabelPriors, rows_of
     rows = sampled(scenes, over_all, rows_of)
     report = judge(rows)
     assert {finding.guesser for finding in report.beaten} == {"statement in its layout"}
-    (found,) = [f for f in report.beaten if f.category == ALL]
+    (found,) = [f for f in report.beaten if f.part == ALL]
     assert found.accuracy > found.chance + 0.15
     # By other names the same scenes are no stagings, and who mixes them up learns nothing.
     assert judge([{**row, "scene_id": f"{row['scene_id']} b"} for row in rows]).passed
@@ -94,7 +94,7 @@ def test_few_stagings_are_enough_to_know_what_varies(rows_of) -> None:
     priors = LabelPriors.merged(LabelPriors.of_scene(scene, T, 0.3) for scene in made)
     report = judge(sampled(scenes, priors, rows_of))
     assert report.passed, report.verdict()
-    (found,) = [f for f in report.findings if f.guesser == "statement in its layout" and f.category == ALL]
+    (found,) = [f for f in report.findings if f.guesser == "statement in its layout" and f.part == ALL]
     assert found.accuracy < found.chance + 0.02
 
 
