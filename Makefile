@@ -7,7 +7,7 @@ WORKERS ?= 2
 # fresh, or the seed that an earlier run printed
 DRAWS  ?= fresh
 
-.PHONY: help setup demo test soak lint bench
+.PHONY: help setup demo test soak lint bench docs
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
@@ -39,3 +39,7 @@ soak: $(VENV)/.ready  ## full fuzzing, fault and determinism matrices
 
 bench: $(VENV)/.ready  ## side-by-side measurements, ratios in one run
 	$(BIN)/python -m benchmarks
+
+docs: $(VENV)/.ready  ## the documentation site, built strictly and offline into out/site
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo "open out/site/index.html"
