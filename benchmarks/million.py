@@ -99,7 +99,7 @@ def main() -> None:
     scenes = int(os.environ.get("CONDVLN_BENCH_SCENES", "12"))
     warm_up(lambda message: None)
     table = Table(
-        title=f"a million episodes, scaled from what was measured (this machine: {slowness():.2f} × the reference's time)"
+        title=f"a million episodes, scaled from these scenes (this machine: {slowness():.2f} × the reference's time)"
     )
     for column in (
         "family",
