@@ -1,4 +1,4 @@
-"""What a million episodes cost: CPU seconds, memory and disk for each family, measured on some of its scenes and scaled.
+"""What a million episodes cost: CPU seconds, memory and disk, measured on some scenes of each family and scaled.
 
 Each family's real scenes (CONDVLN_REAL_DATA, or ``shared/data`` beside the checkout; made apartments where there are
 none) run inline from an empty store, kernels warm; CONDVLN_BENCH_SCENES bounds them (12, spread evenly). They are then
