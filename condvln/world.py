@@ -177,6 +177,7 @@ class World:
             walkable,
             sightings,
             instructions=instructions,
+            sampling=sampling,
             places=places,
             rules=episodes,
             preamble=text.preamble,

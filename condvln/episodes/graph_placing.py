@@ -20,6 +20,7 @@ from condvln.instructions.stops import Stops
 from condvln.navigation.graph_pathfinder import GraphPathfinder
 from condvln.scene import Room, Scene, SceneObject
 from condvln.seeding import generator
+from schemas.config import EpisodeConfig
 from schemas.program import Program
 
 __all__ = ["REASONS", "GraphLeaf", "GraphPlacement", "GraphPlacer", "NotOnGraph", "viewpoint_stops"]
@@ -37,11 +38,14 @@ UNEVEN: Final = 0.5
 BORDER: Final = 0.3
 """Metres between the outlines of regions that touch: a region without cameras is seen from those around it."""
 
+RULES: Final = EpisodeConfig()
+"""Bounds of a route past its stops: the defaults of placing on a navmesh."""
+
 REASONS: Final = {
     "object_without_viewpoint": "no viewpoint of its room, or around a room without any, lies within 3 m of the object",
     "leaves_too_close": "two leaves lie less than 3 m apart on the graph",
     "one_viewpoint": "two stops that follow each other stand at one viewpoint",
-    "no_start_in_range": "no viewpoint has every leaf 3 to 30 m away and no other leaf on the way",
+    "no_start_in_range": "no viewpoint has every leaf 3 to 30 m away, no other leaf on the way and no detour",
 }
 """Why a program can't be placed on a graph."""
 
@@ -128,7 +132,10 @@ class GraphPlacer:
             path = (start, *(name for one, other in legs for name in self._graph.viewpoint_path(one, other)[1:]))
             if any(other in path for other in goals if other != goal):
                 return None
-            found.append(GraphLeaf(route, path, metres, sum(between(one, other) for one, other in legs)))
+            length = sum(between(one, other) for one, other in legs)
+            if not self._scene.single_room and length > RULES.detour_factor * metres + RULES.detour_slack:
+                return None
+            found.append(GraphLeaf(route, path, metres, length))
         return tuple(found)
 
     def _stop(self, object_id: str) -> str:

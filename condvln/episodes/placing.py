@@ -242,6 +242,9 @@ class Placer:
         possible = self._starts_in_range(program)
         if not len(possible):
             raise Rejected("no_start_in_range")
+        possible = self._starts_without_detour(program, possible)
+        if not len(possible):
+            raise Rejected("detour")
         if lengths is not None:
             possible = self._starts_not_too_far(program, possible, lengths)
             if not len(possible):
@@ -270,6 +273,19 @@ class Placer:
             for move in leaf.moves:
                 good &= self.field.nearest(rows, move.object_id) > 2 * self.tau
         return np.flatnonzero(good)
+
+    def _starts_without_detour(self, program: Program, possible: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Those of `possible` from which no leaf's route is longer than its distance allows."""
+        if self.scene.single_room:
+            return possible
+        rows = self._start_rows[possible]
+        good = np.ones(len(rows), dtype=bool)
+        for leaf in program.leaves:
+            if len(leaf.moves) > 1:
+                direct = self.field.nearest(rows, leaf.goal.object_id)
+                route = self.field.route_lengths(rows, [move.object_id for move in leaf.moves])
+                good &= route <= self.rules.detour_factor * direct + self.rules.detour_slack
+        return possible[good]
 
     def _starts_not_too_far(
         self, program: Program, possible: NDArray[np.int64], lengths: tuple[float, float]

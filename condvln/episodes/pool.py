@@ -13,7 +13,7 @@ from condvln.episodes.label_share import allowed_share, most_leaves, over_share
 from condvln.episodes.observability import FIRST_VIEW, Observation, Observer
 from condvln.episodes.placing import Fit, Outlook, Placement, Placer, Rejected
 from schemas.config import InstructionCell
-from schemas.program import SHAPES, Program
+from schemas.program import SHAPES, Category, Program
 
 __all__ = ["EpisodePool", "PooledEpisode", "fill_pool"]
 
@@ -22,6 +22,9 @@ QUARTERS: Final = tuple(k * math.pi / 2 for k in range(4))
 
 PASSING: Final = frozenset({"quota_full", "gold_leaf_full", "label_over_cap", "program_placed"})
 """Reasons that may pass when other episodes are dropped."""
+
+LATER: Final = "later"
+"""In place of a reason: the cell has enough leaves of as many moves, so that this is tried after all others."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -75,6 +78,7 @@ def fill_pool(
     names_compass: Callable[[Program], bool],
     observer: Observer | None = None,
     groups: int = 0,
+    move_shares: Callable[[Category], Sequence[float]] | None = None,
 ) -> EpisodePool:
     """Place candidates in their order until every cell has what is wanted.
 
@@ -88,6 +92,8 @@ def fill_pool(
     cells, groups : all that is wanted of the scene
     names_compass : whether a program's text names the start heading
     observer : tells observability; without it none is told, and none may be asked for
+    move_shares : shares of leaves with 1, 2, … moves that a category should have. Long routes find a place less often,
+        so that no number of moves gets more than its share of a cell while other candidates are left
     """
     queue = list(candidates)
     members: defaultdict[str, list[Candidate]] = defaultdict(list)
@@ -101,7 +107,7 @@ def fill_pool(
     labels = {leaf.goal.label for candidate in queue for leaf in candidate.program.leaves}
     most_of_label = most_leaves(allowed_share(label_cap, len(labels)), wanted)
     tries = [_Try(group) for group in members.values()] + [_Try([c]) for c in queue if c.cell is not None]
-    filling = _Filling(placer, groups, names_compass, observer)
+    filling = _Filling(placer, groups, names_compass, observer, move_shares)
     filling.fill(tries, most_of_label)
     filling.trim(tries, label_cap)
     return filling.pool(tries)
@@ -118,6 +124,7 @@ class _Try:
         self.cell = members[0].cell
         self.gold = members[0].program.gold_leaf()
         self.labels = [Counter(leaf.goal.label for leaf in member.program.leaves) for member in members]
+        self.moves = Counter(len(leaf.moves) for leaf in members[0].program.leaves)
         self.targets = sum(self.labels, Counter[str]())
         self.refused: str | None = None
         self.placement: Placement | None = None
@@ -130,7 +137,10 @@ class _Filling:
         groups: int,
         names_compass: Callable[[Program], bool],
         observer: Observer | None,
+        move_shares: Callable[[Category], Sequence[float]] | None,
     ) -> None:
+        self._move_shares = move_shares
+        self._moves: defaultdict[InstructionCell, Counter[int]] = defaultdict(Counter)
         self._placer, self._names_compass, self._observer = placer, names_compass, observer
         self._groups_wanted, self._groups = groups, 0
         self._taken: Counter[InstructionCell] = Counter()
@@ -139,11 +149,16 @@ class _Filling:
         self._seen: set[Program] = set()
 
     def fill(self, tries: Sequence[_Try], most_of_label: int) -> None:
-        """Place what can be, in its order."""
+        """Place what can be, in its order; then, where a cell is short, what was turned away for its moves."""
         for one in tries:
-            one.refused = self._turned_away(one, most_of_label) or self._unplaceable(one)
+            one.refused = self._turned_away(one, most_of_label) or self._over_its_moves(one) or self._unplaceable(one)
             if one.refused is None:
                 self._count(one, 1)
+        for one in tries:
+            if one.refused == LATER:
+                one.refused = self._turned_away(one, most_of_label) or self._unplaceable(one)
+                if one.refused is None:
+                    self._count(one, 1)
 
     def trim(self, tries: Sequence[_Try], label_cap: float) -> None:
         """Drop what is over the share of its labels, and fill its places with what was turned away for want of room."""
@@ -202,6 +217,16 @@ class _Filling:
             return "label_over_cap"
         return None
 
+    def _over_its_moves(self, one: _Try) -> str | None:
+        """Whether the cell has enough leaves with as many moves as these have."""
+        cell = one.cell
+        if self._move_shares is None or cell is None or cell.moves is not None:
+            return None
+        wanted = cell.count * SHAPES[cell.category].leaves
+        shares, taken = self._move_shares(cell.category), self._moves[cell]
+        over = any(taken[n] + count > math.ceil(shares[n - 1] * wanted) for n, count in one.moves.items())
+        return LATER if over else None
+
     def _unplaceable(self, one: _Try) -> str | None:
         """Why these can't be placed from one start, if they can't; this does not pass."""
         if one.placement is not None:
@@ -225,6 +250,8 @@ class _Filling:
         else:
             self._taken[one.cell] += by
             self._golds[one.cell][one.gold] += by
+            for n, count in one.moves.items():
+                self._moves[one.cell][n] += by * count
         programs = {member.program for member in one.members}
         if by > 0:
             self._labels += one.targets

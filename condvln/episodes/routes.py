@@ -121,6 +121,24 @@ class GoalField:
             at = point
         return Route(np.array(stops), np.concatenate(pieces), length)
 
+    def route_lengths(self, rows: F64, moves: Sequence[str]) -> F64:
+        """Lengths (s,) of the routes past `moves` from each of `rows` (s, P), as `route` takes them."""
+        span = rows[:, self._span[moves[0]]]
+        ends = np.argmin(span, axis=1)
+        onward = {k: self._onward(self.goals[moves[0]][k], moves[1:]) for k in np.unique(ends).tolist()}
+        lengths: F64 = span[np.arange(len(rows)), ends] + np.array([onward[k] for k in ends.tolist()])
+        return lengths
+
+    def _onward(self, at: F64, moves: Sequence[str]) -> float:
+        """Metres from a point past all of `moves`."""
+        length = 0.0
+        for name in moves:
+            away = self.distances(at, name)
+            best = int(np.argmin(away))
+            length += float(away[best])
+            at = self.goals[name][best]
+        return length
+
     def ordered_goals(self, route: Route, object_id: str) -> F64:
         """Goal points (k, 3) of a leaf, the one its route ends at first, then as they come."""
         points = self.goals[object_id]

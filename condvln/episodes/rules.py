@@ -12,6 +12,8 @@ REASONS: Final[dict[str, str]] = {
     "moves_too_close": "two stops of one leaf lie less than 2τ apart",
     "no_start_in_range": "no start has every leaf within the distance range and every stop outside 2τ",
     "unreachable": "no path between two stops",
+    "detour": "from no start in range is the route to every leaf within detour_factor times its distance, plus "
+    "detour_slack",
     "path_enters_other_leaf": "on the way to one leaf the path enters another leaf's τ ball",
     "path_through_furniture": "the navmesh leads through an object that stands there",
     "over_step_budget": "twice the ground-truth actions exceed the step ceiling",

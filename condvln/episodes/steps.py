@@ -166,6 +166,7 @@ def place_programs(
     sightings: Sightings,
     *,
     instructions: InstructionsConfig,
+    sampling: SamplingConfig,
     places: PlacesConfig,
     rules: EpisodeConfig,
     preamble: bool,
@@ -182,6 +183,7 @@ def place_programs(
         lambda program: preamble and names_compass(program),
         observer,
         instructions.counterfactual_groups,
+        sampling.move_shares,
     )
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from itertools import product
+from itertools import groupby, product
 from typing import Final
 
 from condvln.labels import Vocabulary
@@ -25,6 +25,7 @@ __all__ = [
     "is_circular",
     "outcomes",
     "repeats_anchor",
+    "returns_to_room",
 ]
 
 REASONS: Final[dict[str, str]] = {
@@ -35,6 +36,7 @@ REASONS: Final[dict[str, str]] = {
     "circular": "a phrase names an object by its room and that room by the same object",
     "one_target": "two leaves have the same goal",
     "repeated_stop": "an object is visited twice in one leaf",
+    "zigzag": "a leaf's stops leave a room and come back to it",
     "idle_condition": "under no assignment of the others does this condition change the goal",
 }
 """Every rule and what it forbids."""
@@ -136,6 +138,12 @@ def repeats_anchor(named: ObjectRef | Condition, vocabulary: Vocabulary) -> bool
     return not vocabulary.overlapping(named.room.anchor_label).isdisjoint(named.qualifier.anchor_labels)
 
 
+def returns_to_room(moves: Sequence[ObjectRef]) -> bool:
+    """Whether the stops of a leaf leave a room and come back to it: bedroom, kitchen, bedroom."""
+    visited = [room for room, _ in groupby(move.room.room_id for move in moves)]
+    return len(set(visited)) < len(visited)
+
+
 @cache
 def outcomes(category: Category) -> dict[tuple[bool, ...], int]:
     """The leaf that each assignment of truths leads to."""
@@ -171,6 +179,8 @@ def degeneracies(program: Program, vocabulary: Vocabulary) -> tuple[str, ...]:
         found.add("one_target")
     if any(len({m.object_id for m in leaf.moves}) < len(leaf.moves) for leaf in program.leaves):
         found.add("repeated_stop")
+    if any(returns_to_room(leaf.moves) for leaf in program.leaves):
+        found.add("zigzag")
     if idle_conditions(program.category, goals):
         found.add("idle_condition")
     moves = [move for leaf in program.leaves for move in leaf.moves]

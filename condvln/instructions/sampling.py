@@ -250,7 +250,7 @@ class ProgramSampler:
         n_leaves = SHAPES[category].leaves
         if cell.moves is not None:
             return _Shape(wanted, (cell.moves,) * n_leaves)
-        shares = tuple(accumulate(self.sampling.moves))
+        shares = tuple(accumulate(self.sampling.move_shares(category)))
         return _Shape(wanted, tuple(1 + draws.cumulative(shares) for _ in range(n_leaves)))
 
     def _roomy(self, category: Category) -> tuple[str, ...]:
@@ -321,6 +321,8 @@ class ProgramSampler:
                 raise GivenUp("no_waypoint")
             stops.append(self.targets[position])
             allowed &= stops[-1].apart & ~self._members[stops[-1].label]
+        if len(stops) == 2 and stops[0].room_id == goal.room_id != stops[1].room_id:
+            stops.reverse()  # a room is left once
         return [*stops, goal]
 
     def _room_names(self, room_id: str, visited: Sequence[Target]) -> Sequence[RoomRef]:

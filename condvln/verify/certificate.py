@@ -40,6 +40,8 @@ FACTS: Final[Mapping[str, str]] = {
     # program
     "axes": "depth, chain, composition, moves; evidence has places for what the gold route asks, the worst decides",
     "distinct_goals": "no two leaves have one goal, no leaf visits a thing twice",
+    "most_moves": "no leaf has more than two moves where a program has four leaves",
+    "room_order": "no leaf's stops leave a room and come back to it",
     "condition_matters": "under some truths of the others, each condition changes the goal",
     "independent_conditions": "no condition's truth follows from its own words or from another's",
     # places
@@ -57,6 +59,7 @@ FACTS: Final[Mapping[str, str]] = {
     "route_length": "metres from the start by the subgoals to the first goal",
     "reference_path": "corners of the shortest way by the subgoals",
     "distance_range": "the distance from the start to every leaf is in the range",
+    "detour": "where there are several rooms, no leaf's route is much longer than the distance to it",
     "start_apart": "the start lies outside twice the success distance of every stop",
     "leaves_apart": "leaves lie two success distances and the gap apart",
     "path_apart": "no leaf's path enters another leaf's success ball",

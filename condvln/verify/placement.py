@@ -130,6 +130,7 @@ class _Checker:
         self.goals, self.island_radius = rules.goals, rules.places.island_radius
         self.success = rules.places.success(single)
         self.range = rules.episodes.range(single)
+        self.single, self.detour = single, (rules.episodes.detour_factor, rules.episodes.detour_slack)
         self.separation = rules.places.leaf_separation(single)
         self.walks = Geodesics()
         self.reach = Reach(scene)
@@ -267,6 +268,9 @@ class _Checker:
         certificate.holds("reference_path", agreed, leaf.reference_path, corners, name)
         low, high = self.range
         certificate.holds("distance_range", low <= direct <= high, (low, high), direct, name)
+        if not self.single:
+            most = self.detour[0] * direct + self.detour[1]
+            certificate.holds("detour", leaf.route_length <= most + MILLIMETRE, most, leaf.route_length, name)
         nearest = min(direct, *walks.metres(placed.first)) if placed.first else direct
         certificate.holds("start_apart", nearest > 2 * self.success, 2 * self.success, nearest, name)
 

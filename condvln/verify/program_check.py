@@ -7,6 +7,7 @@ from itertools import product
 
 from condvln.verify.certificate import Certificate
 from condvln.verify.words import words
+from schemas.config.constants import MOST_MOVES_OF_FOUR_LEAVES
 from schemas.evaluation import ManifestEpisode
 from schemas.program import SHAPES, Category, Condition, Program
 
@@ -26,6 +27,13 @@ def check_program(row: ManifestEpisode, certificate: Certificate) -> None:
     certificate.holds("distinct_goals", len(set(goals)) == len(goals), "different goals", goals)
     for k, stops in enumerate(visited):
         certificate.holds("distinct_goals", len(set(stops)) == len(stops), "different stops", stops, f"leaf {k}")
+    for k, leaf in enumerate(program.leaves):
+        if len(program.leaves) == 4:
+            count = len(leaf.moves)
+            certificate.holds("most_moves", count <= MOST_MOVES_OF_FOUR_LEAVES, "two moves", count, f"leaf {k}")
+        rooms = [move.room.room_id for move in leaf.moves]
+        back = [room for at, room in enumerate(rooms) if room in rooms[:at] and rooms[at - 1] != room]
+        certificate.holds("room_order", not back, "rooms left once", rooms, f"leaf {k}")
     for k in range(len(program.conditions)):
         matters = any(goals[one] != goals[other] for one, other in _rivals(program.category, k))
         certificate.holds("condition_matters", matters, "another goal", "none", f"condition {k}")

@@ -25,6 +25,7 @@ from schemas.config import (
     EpisodeConfig,
     InstructionsConfig,
     PlacesConfig,
+    SamplingConfig,
 )
 
 __all__ = ["EpisodeStage"]
@@ -36,12 +37,13 @@ class EpisodeStage(Stage):
 
     places: PlacesConfig
     instructions: InstructionsConfig
+    sampling: SamplingConfig
     rules: EpisodeConfig
     max_climb: float
     preamble: bool
     seed: int
     name: str = "episodes"
-    version: int = 10
+    version: int = 11
     tables: tuple[str, ...] = ("placements", "unplaced", "rejections", "funnel")
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "visibility", "stops", "candidates")
     reads_inputs: bool = True
@@ -50,6 +52,7 @@ class EpisodeStage(Stage):
         return {
             "places": dump(self.places),
             "instructions": dump(self.instructions),
+            "sampling": self.sampling.model_dump(mode="json", include={"moves", "moves_four_leaves"}),
             "episodes": dump(self.rules),
             "agent": {"max_climb": self.max_climb},
             "text": {"preamble": self.preamble},
@@ -71,6 +74,7 @@ class EpisodeStage(Stage):
             walkable,
             sightings_from_table(upstream["visibility"]),
             instructions=self.instructions,
+            sampling=self.sampling,
             places=self.places,
             rules=self.rules,
             preamble=self.preamble,

@@ -25,6 +25,7 @@ __all__ = [
     "KEPT_AT_LEAST",
     "LARGER_THAN_RECEPTACLE",
     "LOW_EYE",
+    "MOST_MOVES_OF_FOUR_LEAVES",
     "MOST_OBJECTS_PER_ROOM",
     "OPEN_SHARE",
     "PATH_SPACING",
@@ -156,6 +157,9 @@ LARGER_THAN_RECEPTACLE: Final = 2.0
 
 UNKNOWN_EXTENT: Final = 0.4
 """Metres; edges of the cube that stands in the agent's way where an object's own extent is unknown."""
+
+MOST_MOVES_OF_FOUR_LEAVES: Final = 2
+"""Moves of a leaf at most where a program has four leaves: more make a text too long to remember."""
 
 MOST_OBJECTS_PER_ROOM: Final = 5000
 """Upper bound of ``limits.objects_per_room``: relations of such a room are 65 million rows."""

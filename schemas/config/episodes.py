@@ -63,6 +63,14 @@ class EpisodeConfig(Section):
         (1.0, 10.0), description="[least, most] geodesic from start to any leaf where the scene is one room"
     )
     distance: Range = Field((2.0, 30.0), description="[least, most] geodesic from start to any leaf in other scenes")
+    detour_factor: float = Field(
+        2.0,
+        ge=1,
+        allow_inf_nan=False,
+        description="where a scene has several rooms, the route to any leaf past its stops is at most so many times "
+        "the geodesic distance to the leaf, plus detour_slack",
+    )
+    detour_slack: Metres = Field(4.0, description="metres that such a route may be longer than that")
     starts: int = Field(96, ge=1, le=100_000, description="starts drawn a scene, shared by its programs")
     starts_per_program: int = Field(24, ge=1, description="starts tried before a program is given up")
     max_steps: int = Field(500, ge=1, description="ceiling of the step budget (VLN-CE's)")

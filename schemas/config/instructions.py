@@ -7,9 +7,10 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import Field, field_validator, model_validator
 
 from schemas.base import Finite
+from schemas.config.constants import MOST_MOVES_OF_FOUR_LEAVES
 from schemas.config.section import Metres, Section, Share
 from schemas.episode import Composition
-from schemas.program import CATEGORIES, Category
+from schemas.program import CATEGORIES, SHAPES, Category
 
 __all__ = [
     "CompositionWeights",
@@ -60,6 +61,13 @@ class InstructionCell(Section):
         if isinstance(value, list | tuple) and any(isinstance(bound, bool) for bound in value):
             raise ValueError("true and false are not allowed as bounds; write [least, most]")
         return value
+
+    @model_validator(mode="after")
+    def _moves_fit_the_leaves(self) -> InstructionCell:
+        most = MOST_MOVES_OF_FOUR_LEAVES
+        if self.moves is not None and self.moves > most and SHAPES[self.category].leaves == 4:
+            raise ValueError(f"moves: {self.category} has four leaves, of at most {most} moves each, got {self.moves}")
+        return self
 
     @model_validator(mode="after")
     def _bounds_are_ranges(self) -> InstructionCell:
@@ -169,7 +177,12 @@ class SamplingConfig(Section):
     candidates_per_episode: int = Field(
         8, ge=1, le=1000, description="candidates drawn for each episode wanted, since placing rejects some"
     )
-    moves: tuple[Share, Share, Share] = Field((0.4, 0.4, 0.2), description="shares of leaves with 1, 2, 3 moves")
+    moves: tuple[Share, Share, Share] = Field(
+        (0.4, 0.4, 0.2), description="shares of leaves with 1, 2, 3 moves where a program has two or three leaves"
+    )
+    moves_four_leaves: tuple[Share, Share] = Field(
+        (0.6, 0.4), description="shares of leaves with 1, 2 moves where a program has four leaves"
+    )
     presence_false_share: Share = Field(
         0.2, description="most label-only conditions among the false ones where a scene is one room"
     )
@@ -190,9 +203,15 @@ class SamplingConfig(Section):
 
     @model_validator(mode="after")
     def _shares_sum_to_one(self) -> SamplingConfig:
-        if abs(sum(self.moves) - 1.0) > 1e-9:
-            raise ValueError(f"moves: the three shares must sum to 1, got {sum(self.moves):g}")
+        for name, count in (("moves", "three"), ("moves_four_leaves", "two")):
+            total = sum(getattr(self, name))
+            if abs(total - 1.0) > 1e-9:
+                raise ValueError(f"{name}: the {count} shares must sum to 1, got {total:g}")
         return self
+
+    def move_shares(self, category: Category) -> tuple[float, ...]:
+        """Shares of leaves with 1, 2, … moves in programs of a category."""
+        return self.moves_four_leaves if SHAPES[category].leaves == 4 else self.moves
 
     def candidates(self, cell: InstructionCell) -> int:
         """Candidates drawn of a cell; more where placing may miss what it asks for."""

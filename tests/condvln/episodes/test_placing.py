@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -16,7 +17,7 @@ from condvln.episodes.table import goals_from_table, stops_table
 from condvln.episodes.view import SceneView
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.sight import View, eyes_at
-from condvln.scene import Scene
+from condvln.scene import Room, Scene
 from condvln.scene.geometry import STRUCTURE
 from schemas.config import EpisodeConfig, GoalsConfig, InstructionCell, PlacesConfig
 from schemas.program import Program
@@ -277,6 +278,40 @@ def test_reasons(objects, leaves, changed, reason) -> None:
     with pytest.raises(Rejected) as caught:
         placer.place(program(*leaves), "i", compass=False)
     assert caught.value.reason == reason
+
+
+def test_long_detours_are_refused_where_there_are_several_rooms() -> None:
+    """A hall of 40 m with a at one end: from a start near c the way past a is much longer than the way to c."""
+    objects = box("a", 1, 1), box("b", 38, 2), box("c", 20, 10)
+    one = apartment(*objects)
+    pathfinder = grid_floor(40, 12, lambda x, z: any(inside(o, x, z) for o in one.objects))
+    room = Room("other", "kitchen", "kitchen", 0, 0.0, 2.5, None, "dataset", True)
+    several = replace(one, rooms=(*one.rooms, room))
+    assert one.single_room
+    assert not several.single_room
+    made, wide = program(("a", "c"), ("b",)), EpisodeConfig(distance=(2.0, 40.0), distance_single_room=(2.0, 40.0))
+    for scene in (one, several):
+        placer = placer_of(scene, pathfinder, wide, seed=0)
+        lengths = []
+        for k in range(12):
+            leaf, _ = placer.place(made, f"{k}", compass=False).leaves
+            lengths.append((leaf.route.length, leaf.geodesic_distance))
+        kept = [route <= 2 * direct + 4 for route, direct in lengths]
+        assert all(kept) == (scene is several)
+    tight = wide.model_copy(update={"detour_factor": 1.0, "detour_slack": 0.5})
+    with pytest.raises(Rejected) as caught:
+        placer_of(several, pathfinder, tight, seed=0).place(made, "i", compass=False)
+    assert caught.value.reason == "detour"
+
+
+def test_route_lengths_are_those_of_routes(flat) -> None:
+    scene, pathfinder = flat
+    placer = placer_of(scene, pathfinder)
+    rows = placer.field.rows(placer.starts)
+    for moves in (("sofa",), ("table", "lamp"), ("bed", "sink", "sofa")):
+        routes = [placer.field.route(start, moves) for start in placer.starts]
+        expected = [np.inf if route is None else route.length for route in routes]
+        np.testing.assert_allclose(placer.field.route_lengths(rows, moves), expected, rtol=0, atol=1e-9)
 
 
 def test_a_corridor_past_one_leaf_to_the_other_is_refused() -> None:

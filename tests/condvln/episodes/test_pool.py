@@ -283,6 +283,33 @@ def test_a_scene_of_one_crowded_label_keeps_what_it_has() -> None:
     assert shares(pool)["sofa"] == 20
 
 
+def test_numbers_of_moves_keep_their_shares_where_long_routes_find_no_place() -> None:
+    """Three of four candidates have leaves of one move; among what is kept they are as many as asked."""
+    cell = simple(count=10)
+    things = [f"thing {k}" for k in range(80)]
+    short = [asking(things[k], things[k + 1], "w", k % 4 == 0) for k in range(0, 60, 2)]
+    long = [_with_waypoint(asking(things[k], things[k + 1], "w", k % 4 == 0), "w") for k in range(60, 80, 2)]
+    candidates = [Candidate(f"{k}", program, cell) for k, program in enumerate([*short, *long])]
+
+    def moves(candidates: list[Candidate], shares: tuple[float, ...]) -> Counter[int]:
+        pool = fill_pool(candidates, Anywhere(), (cell,), 1.0, lambda _: False, None, 0, lambda _: shares)
+        assert len(pool.episodes) == 10
+        assert set(pool.rejections) <= {(cell, "quota_full"), (cell, "gold_leaf_full")}
+        return Counter(len(leaf.moves) for e in pool.episodes for leaf in e.program.leaves)
+
+    assert moves(candidates, (0.4, 0.6, 0.0)) == {1: 8, 2: 12}
+    assert moves(candidates, (0.6, 0.4, 0.0)) == {1: 12, 2: 8}
+    # Where there are no others, the cell is filled with what there is.
+    assert moves(candidates[: len(short)], (0.4, 0.6, 0.0)) == {1: 20}
+
+
+def _with_waypoint(program: Program, name: str) -> Program:
+    way = ObjectRef(object_id=name, label=name, room=ZONE)
+    return program.model_copy(
+        update={"leaves": tuple(leaf.model_copy(update={"moves": (way, *leaf.moves)}) for leaf in program.leaves)}
+    )
+
+
 few = st.integers(0, 5).map("abcdef".__getitem__)
 
 

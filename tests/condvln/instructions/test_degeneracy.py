@@ -103,6 +103,12 @@ CASES = [
         (),
     ),
     ("one target", simple(asks("lamp"), [stop("sink")], [stop("sink")]), ("idle_condition", "one_target")),
+    (
+        "a room entered twice",
+        simple(asks("lamp"), [stop("sink"), stop("desk", room=BEDROOM), stop("table")]),
+        ("zigzag",),
+    ),
+    ("two stops in each room", simple(asks("lamp"), [stop("sink"), stop("table"), stop("desk", room=BEDROOM)]), ()),
     ("a stop seen twice", simple(asks("lamp"), [stop("sink"), stop("stove"), stop("sink")]), ("repeated_stop",)),
 ]
 

@@ -64,9 +64,21 @@ def test_the_gold_leaf_is_even(sampled) -> None:
 
 
 def test_numbers_of_moves_are_the_mix_asked_for(sampled) -> None:
-    moves = Counter(len(leaf.moves) for _, _, _, programs in sampled for p in programs for leaf in p.leaves)
-    total = sum(moves.values())
-    assert [moves[k] / total for k in (1, 2, 3)] == pytest.approx([0.4, 0.4, 0.2], abs=0.03)
+    leaves = [(len(p.leaves), len(leaf.moves)) for _, _, _, programs in sampled for p in programs for leaf in p.leaves]
+    for four, shares in ((False, [0.4, 0.4, 0.2]), (True, [0.6, 0.4, 0.0])):
+        moves = Counter(n for count, n in leaves if (count == 4) == four)
+        assert [moves[k] / moves.total() for k in (1, 2, 3)] == pytest.approx(shares, abs=0.03)
+
+
+def test_no_leaf_comes_back_to_a_room(sampled) -> None:
+    routes = [
+        tuple(move.room.room_id for move in leaf.moves)
+        for _, _, _, programs in sampled
+        for p in programs
+        for leaf in p.leaves
+        if len({move.room.room_id for move in leaf.moves}) == 2 < len(leaf.moves)
+    ]
+    assert {(a == b, b == c) for a, b, c in routes} == {(True, False), (False, True)}
 
 
 def test_conditions_off_the_gold_route_are_fair_coins(sampled) -> None:
@@ -280,6 +292,7 @@ def test_two_cells_of_one_category_share_no_program(make_scene, facts_maker) -> 
     [
         [{"category": "simple", "count": 0}],
         [{"category": "simple", "count": 1, "moves": 4}],
+        [{"category": "long_chain", "count": 1, "moves": 3}],
         [{"category": "simple", "count": 1, "observability": "O3"}],
         [{"category": "simple", "count": 1, "moves": 2}, {"category": "simple", "count": 5, "moves": 2}],
     ],

@@ -65,6 +65,30 @@ def another_success_distance(files: Files, rng: np.random.Generator, world: Worl
 
 
 @mutator
+def come_back_to_a_room(files: Files, rng: np.random.Generator, world: World) -> bool:
+    """The first two stops of a leaf change places, in the program and where they lie; the text says so."""
+    for k, leaf in enumerate(files.manifest["program"]["leaves"]):
+        rooms = [move["room"]["room_id"] for move in leaf["moves"]]
+        if len(rooms) == 3 and rooms[0] != rooms[1] == rooms[2]:
+            leaf["moves"][:2] = leaf["moves"][1::-1]
+            subgoals = files.manifest["leaves"][k]["subgoals"]
+            subgoals[:2] = subgoals[1::-1]
+            files.word()
+            files.take_leaf(files.manifest["gold_leaf"])
+            return True
+    return False
+
+
+@mutator
+def walk_a_detour(files: Files, rng: np.random.Generator, world: World) -> bool:
+    """A leaf's way goes on past its distance's bound, as far as the numbers say."""
+    leaf = pick(rng, files.manifest["leaves"])
+    leaf["route_length"] = 2 * leaf["geodesic_distance"] + 4 + float(rng.uniform(0.01, 3.0))
+    files.take_leaf(files.manifest["gold_leaf"])
+    return True
+
+
+@mutator
 def another_budget(files: Files, rng: np.random.Generator, world: World) -> bool:
     files.manifest["max_steps"] -= int(rng.integers(1, 50))
     files.record["info"]["max_steps"] = files.manifest["max_steps"]
