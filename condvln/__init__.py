@@ -8,6 +8,7 @@ Scenes                    ``make_samples`` ``open_source`` ``open_world`` ``Worl
 Relations                 ``World.relation_graph`` ``relate_scene`` ``Thresholds``
 Instructions              ``Program`` ``parse`` ``render`` ``program_tree`` ``label_priors`` ``InstructionsConfig``
 Navigation                ``Pathfinder`` ``NavMeshSettings`` ``Follower`` ``AgentConfig``
+Cameras                   ``World.look`` ``open_renderer`` ``Renderer`` ``CameraConfig`` ``cameras_of``
 Episodes                  ``World.episodes`` ``ManifestEpisode`` ``open_export`` ``Export`` ``read_manifest``
 Agents and scores         ``task_of`` ``walk`` ``Observation`` ``Policy`` ``Prediction`` ``score`` ``evaluate``
 Checks                    ``judge_export`` (bias gate) ``prove_export`` (independent proof)
@@ -36,10 +37,11 @@ if TYPE_CHECKING:
     from condvln.relations import relate_scene
     from condvln.samples import make_samples
     from condvln.scene import Room, Scene, SceneObject
+    from condvln.sensors import Renderer, cameras_of, open_renderer
     from condvln.sources.registry import open_source
     from condvln.verify import prove_export
     from condvln.world import World, label_priors, open_world
-    from schemas.config import AgentConfig, Config, InstructionsConfig, SamplingConfig, Thresholds
+    from schemas.config import AgentConfig, CameraConfig, Config, InstructionsConfig, SamplingConfig, Thresholds
     from schemas.errors import CondVLNError
     from schemas.evaluation import ManifestEpisode
     from schemas.program import Program
@@ -47,6 +49,7 @@ if TYPE_CHECKING:
 __all__ = [
     "AGENTS",
     "AgentConfig",
+    "CameraConfig",
     "CondVLNError",
     "Config",
     "Evaluation",
@@ -61,6 +64,7 @@ __all__ = [
     "Policy",
     "Prediction",
     "Program",
+    "Renderer",
     "Room",
     "SamplingConfig",
     "Scene",
@@ -72,11 +76,13 @@ __all__ = [
     "World",
     "agent_named",
     "build_navmesh",
+    "cameras_of",
     "evaluate",
     "judge_export",
     "label_priors",
     "make_samples",
     "open_export",
+    "open_renderer",
     "open_source",
     "open_world",
     "parse",
@@ -111,10 +117,11 @@ _MODULES = {
     "condvln.relations": ("relate_scene",),
     "condvln.samples": ("make_samples",),
     "condvln.scene": ("Room", "Scene", "SceneObject"),
+    "condvln.sensors": ("Renderer", "cameras_of", "open_renderer"),
     "condvln.sources.registry": ("open_source",),
     "condvln.verify": ("prove_export",),
     "condvln.world": ("World", "label_priors", "open_world"),
-    "schemas.config": ("AgentConfig", "Config", "InstructionsConfig", "SamplingConfig", "Thresholds"),
+    "schemas.config": ("AgentConfig", "CameraConfig", "Config", "InstructionsConfig", "SamplingConfig", "Thresholds"),
     "schemas.errors": ("CondVLNError",),
     "schemas.evaluation": ("ManifestEpisode",),
     "schemas.program": ("Program",),

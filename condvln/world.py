@@ -12,6 +12,7 @@ from functools import cached_property
 from pathlib import Path
 
 import networkx as nx
+import numpy.typing as npt
 
 from condvln.episodes.candidates import Candidate
 from condvln.episodes.picture import draw_episode
@@ -37,9 +38,11 @@ from condvln.relations import RoomRelations, TextFacts, relate_scene, text_facts
 from condvln.scene import Scene
 from condvln.scene.geometry import SceneGeometry
 from condvln.scene.meshes import MeshLibrary
+from condvln.sensors import Frame, Renderer, open_renderer
 from condvln.sources.source import Source
 from schemas.config import (
     AgentConfig,
+    CameraConfig,
     EpisodeConfig,
     GoalsConfig,
     InstructionsConfig,
@@ -101,6 +104,27 @@ class World:
     def view(self) -> SceneView:
         """What can be seen from where."""
         return SceneView(self.scene, self.geometry)
+
+    @cached_property
+    def renderer(self) -> Renderer:
+        """What cameras see of the scene; see `open_renderer`.
+
+        Raises
+        ------
+        InputError : a mesh can't be read
+        """
+        return open_renderer(self.scene, self.geometry)
+
+    def look(self, position: npt.ArrayLike, heading: float = 0.0, camera: CameraConfig | None = None) -> Frame:
+        """What an agent sees that stands at a position (3,), metres, with a heading, radians counter-clockwise from −Z.
+
+        camera : VLN-CE's depth camera where None
+
+        Raises
+        ------
+        InputError : a mesh can't be read
+        """
+        return self.renderer.look(camera or CameraConfig(), position, heading)
 
     def relations(self, thresholds: Thresholds | None = None) -> dict[str, RoomRelations]:
         """Distances, directions and predicates of all ordered pairs of objects, by room."""

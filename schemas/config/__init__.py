@@ -26,12 +26,14 @@ from schemas.config.run import (
     SplitsConfig,
 )
 from schemas.config.section import Section
+from schemas.config.sensors import CameraConfig
 
 __all__ = [
     "MOVED",
     "REMOVED",
     "SECTOR_HALF_WIDTH",
     "AgentConfig",
+    "CameraConfig",
     "CompositionWeights",
     "Config",
     "EpisodeConfig",

@@ -8,17 +8,16 @@ Habitat's frame, is built of the very file that was written.
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.export.compose.part import GlbPart, read_part
 from condvln.export.compose.writer import GlbWriter
 from condvln.formats.dataset_root import DatasetRoot
 from condvln.formats.glb import MAX_GLB_BYTES
+from condvln.formats.glb_part import GlbPart, read_part
 from condvln.formats.triangles import Z_UP, glb_triangles
 from condvln.navigation.navmesh_file import NavMeshFile
 from condvln.navigation.recast import build_navmesh
@@ -27,19 +26,15 @@ from condvln.scene import MeshPart, Scene
 from condvln.scene.boxes import placement
 from condvln.scene.frames import Z_UP_TO_HABITAT
 from condvln.scene.geometry import STRUCTURE, SceneGeometry
+from condvln.scene.palette import FLOOR_COLOUR, WALL_COLOUR, label_colour
 from schemas.config import AgentConfig
 from schemas.errors import InputError
 
 __all__ = ["ComposedScene", "compose_scene"]
 
 F64 = NDArray[np.float64]
-Colour = tuple[float, float, float]
 
 STAGE: Final = "stage"
-FLOOR_COLOUR: Final[Colour] = (0.62, 0.55, 0.47)
-WALL_COLOUR: Final[Colour] = (0.88, 0.87, 0.84)
-PALE: Final = 0.35
-"""Least brightness of an object's colour; the rest follows from its label."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,18 +139,13 @@ def _draw(writer: GlbWriter, scene: Scene, geometry: SceneGeometry) -> None:
     for number, item in enumerate(scene.objects):
         rows = order[starts[number] : starts[number + 1]]
         if len(rows):
-            writer.surface(item.object_id, [(*_own(geometry, rows), _colour(item.label))])
+            writer.surface(item.object_id, [(*_own(geometry, rows), label_colour(item.label))])
 
 
 def _own(geometry: SceneGeometry, rows: NDArray[np.int64]) -> tuple[F64, NDArray[np.int64]]:
     """Vertices and faces of some faces alone, in their order."""
     used, corners = np.unique(geometry.faces[rows], return_inverse=True)
     return geometry.vertices[used], corners.reshape(-1, 3).astype(np.int64)
-
-
-def _colour(label: str) -> Colour:
-    red, green, blue = (PALE + (1 - PALE) * b / 255 for b in hashlib.sha256(label.encode()).digest()[:3])
-    return round(red, 3), round(green, 3), round(blue, 3)
 
 
 def _navmesh(glb: bytes, scene: Scene, agent: AgentConfig) -> NavMeshFile:

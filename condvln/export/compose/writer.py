@@ -12,9 +12,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.export.compose.material import shifted
-from condvln.export.compose.part import Accessor, GlbPart, Primitive
 from condvln.formats.glb import MAX_GLB_BYTES
+from condvln.formats.glb_material import shifted
+from condvln.formats.glb_part import Accessor, GlbPart, Primitive
 from schemas.errors import InputError
 
 __all__ = ["GENERATOR", "GlbWriter", "is_composed"]

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from condvln.export.compose import ComposedScene, compose_scene
-from condvln.export.compose.part import GlbPart, read_part
 from condvln.export.compose.writer import GlbWriter
 from condvln.formats.glb import glb_chunks, read_glb
+from condvln.formats.glb_part import GlbPart, read_part
 from condvln.formats.triangles import Z_UP, glb_triangles
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.scene_navmesh import with_built_navmesh, with_shipped_navmesh

@@ -12,8 +12,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.export.compose.material import MaterialReader
 from condvln.formats.glb import glb_chunks
+from condvln.formats.glb_material import MaterialReader
 from condvln.formats.gltf_tree import geometry_tree
 from condvln.formats.json_document import JsonNode
 
@@ -93,7 +93,7 @@ def read_part(data: bytes, where: str) -> GlbPart:
 
 
 class _Copier:
-    """Geodesics the default scene again; that its nodes and triangles are sound is known by now."""
+    """Walks the default scene again; that its nodes and triangles are sound is known by now."""
 
     def __init__(self, root: JsonNode, binary: bytes, tree: dict[str, Any]) -> None:
         self.root, self.binary = root, binary

@@ -1,0 +1,137 @@
+"""A scene as a camera sees it: its meshes as they are textured, or walls and boxes in a colour for each label."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.formats.dataset_root import DatasetRoot
+from condvln.formats.glb import MAX_GLB_BYTES
+from condvln.formats.glb_part import read_part
+from condvln.labels import Vocabulary, vocabulary
+from condvln.scene import MeshPart, OrientedBox, Scene
+from condvln.scene.geometry import STRUCTURE, SceneGeometry
+from condvln.scene.palette import FLOOR_COLOUR, WALL_COLOUR, Colour, label_colour
+from condvln.sensors.gltf_faces import DrawnFile, drawn_file
+from condvln.sensors.surfaces import Material, SurfaceBuilder, Surfaces
+from condvln.sources.solids import floor, joined, object_boxes
+
+__all__ = ["BOXES", "MARGIN", "NO_STAGE", "NO_WALLS", "OWNERS_BY_BOX", "scene_surfaces"]
+
+BOXES: Final = "drawn: walls, doors and boxes in a colour for each label stand in for surfaces"
+NO_STAGE: Final = "incomplete: the mesh of the building is not there, so that no floor or wall is seen"
+NO_WALLS: Final = "incomplete: walls are not known, so that one sees through them"
+OWNERS_BY_BOX: Final = "instances: the scan names no objects; a surface is that of the smallest box around it"
+SIDES: Final = (0.86, 1.0, 0.72)
+"""Brightness of the faces of a drawn box that look along x, y and z, so that its edges are seen."""
+MARGIN: Final = 0.05
+"""Metres that a box of a scan may end before the surface that it is drawn around: about a triangle's length."""
+
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+
+def scene_surfaces(scene: Scene, geometry: SceneGeometry | None, words: Vocabulary = vocabulary) -> Surfaces:
+    """All that is seen of a scene.
+
+    Parameters
+    ----------
+    geometry : the scene's surfaces, as its source gives them
+
+    Raises
+    ------
+    InputError : a mesh can't be read
+    """
+    if geometry is not None and geometry.approximate:
+        return _drawn(scene, geometry, (BOXES,))
+    if scene.stage or any(item.mesh for item in scene.objects):
+        return _assembled(scene, words)
+    things = [(k, o) for k, o in enumerate(scene.objects) if not _is_structure(o.label, words)]
+    floors = [floor(room.polygon, room.floor_y) for room in scene.rooms if room.polygon is not None]
+    return _drawn(scene, joined([*floors, object_boxes(things)], approximate=True), (BOXES, NO_WALLS))
+
+
+def _assembled(scene: Scene, words: Vocabulary) -> Surfaces:
+    files = DatasetRoot(scene.root)
+    builder = SurfaceBuilder()
+    known: dict[str, DrawnFile] = {}
+
+    def place(part: MeshPart, owner: int) -> None:
+        if part.path not in known:
+            read = read_part(files.read(part.path, MAX_GLB_BYTES), str(files.folder / part.path))
+            known[part.path] = drawn_file(read, builder)
+        known[part.path].place(builder, owner, part.transform)
+
+    for part in scene.stage:
+        place(part, STRUCTURE)
+    for number, item in enumerate(scene.objects):
+        for part in item.mesh:
+            place(part, number)
+    unread = sum(file.unread for file in known.values())
+    notes = [] if scene.stage else [NO_STAGE]
+    if unread:
+        notes.append(f"textures: {unread} can't be read, and their surfaces have the colour of their material")
+    scan = not any(item.mesh for item in scene.objects)
+    surfaces = builder.surfaces([*notes, OWNERS_BY_BOX] if scan else notes)
+    return replace(surfaces, owner=_owners_by_box(surfaces, scene, words)) if scan else surfaces
+
+
+def _owners_by_box(surfaces: Surfaces, scene: Scene, words: Vocabulary) -> NDArray[np.int32]:
+    """(m,) the object whose box holds a triangle; of several the smallest box."""
+    corners = surfaces.corners + surfaces.origin
+    along = np.argsort(corners[:, 0, 0], kind="stable")
+    sorted_x = corners[along, 0, 0]
+    owner = np.full(len(corners), STRUCTURE, np.int32)
+    boxes = [
+        (float(np.prod(half)), number, centre, half, axes)
+        for number, item in enumerate(scene.objects)
+        if not _is_structure(item.label, words)
+        for centre, half, axes in _boxes(item.obb, item.box)
+    ]
+    for _, number, centre, half, axes in sorted(boxes, key=lambda box: (-box[0], box[1])):
+        reach = float(np.abs(axes[0]) @ half) + MARGIN
+        first, last = np.searchsorted(sorted_x, [centre[0] - reach, centre[0] + reach])
+        near = along[first:last]
+        inside = (np.abs((corners[near] - centre) @ axes) <= half + MARGIN).all(axis=(1, 2))
+        owner[near[inside]] = number
+    return owner
+
+
+def _boxes(obb: OrientedBox | None, box: F64 | None) -> list[tuple[F64, F64, F64]]:
+    """Centre, half extents and axes of the tighter box that is known."""
+    if obb is not None:
+        return [(obb.center, obb.half_extents, obb.rotation)]
+    return [] if box is None else [(box.mean(axis=0), (box[1] - box[0]) / 2, np.eye(3))]
+
+
+def _drawn(scene: Scene, geometry: SceneGeometry, notes: Sequence[str]) -> Surfaces:
+    builder = SurfaceBuilder()
+    corners = geometry.vertices[geometry.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    flat = (normals[:, 1] > 0) & (np.ptp(corners[:, :, 1], axis=1) == 0)
+    light = (normals**2 @ np.array(SIDES)) / np.maximum((normals**2).sum(axis=1), 1e-30)
+    for owner in np.unique(geometry.owner):
+        rows = np.flatnonzero(geometry.owner == owner)
+        if owner == STRUCTURE:
+            upright = np.flatnonzero(~flat[rows])
+            floors = int(upright[0]) if len(upright) else len(rows)  # floors come first; walls have level tops, too
+            for part, colour in ((rows[:floors], FLOOR_COLOUR), (rows[floors:], WALL_COLOUR)):
+                _add(builder, corners, part, light, STRUCTURE, colour)
+        else:
+            _add(builder, corners, rows, light, int(owner), label_colour(scene.objects[int(owner)].label))
+    return builder.surfaces(notes)
+
+
+def _add(builder: SurfaceBuilder, corners: F64, rows: I64, light: F64, owner: int, colour: Colour) -> None:
+    if len(rows):
+        tint = np.round(light[rows, None, None] * 255).astype(np.uint8)
+        tints = np.broadcast_to(tint, (len(rows), 3, 3))
+        builder.add(corners[rows], owner, builder.material(Material(colour)), colours=tints)
+
+
+def _is_structure(label: str, words: Vocabulary) -> bool:
+    return label in words.labels and words.entry(label).kind == "structure"

@@ -1,0 +1,109 @@
+"""Where a camera stands, where it looks, and the cameras that published agents have."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from numpy.typing import NDArray
+
+from condvln.scene.quaternions import rotation_x, rotation_y
+from schemas.config import CameraConfig
+from schemas.errors import UsageError
+
+__all__ = ["PRESETS", "camera_pose", "cameras_of", "half_extents", "panorama", "pixel_rays"]
+
+F64 = NDArray[np.float64]
+
+_STREAMVLN: Final = CameraConfig(width=640, height=480, hfov=79.0)
+PANORAMA_ROWS: Final = (30.0, 0.0, -30.0)
+"""Degrees that the three rows of a panorama look down: view 0 is in the lowest row, as in the R2R simulator."""
+PANORAMA_STEP: Final = 30.0
+"""Degrees between two views of a row, to the right."""
+_PANORAMA_HFOV: Final = math.degrees(2 * math.atan(math.tan(math.radians(60.0) / 2) * 640 / 480))
+"""The R2R simulator gives the vertical angle, 60°."""
+
+
+def panorama(width: int = 640, height: int = 480, eye_height: float = 1.25) -> dict[str, CameraConfig]:
+    """The 36 views of the R2R simulator, ``rgb_00`` to ``rgb_35``: three rows of twelve, the lowest row first, each to
+    the right from straight ahead. The simulator's views are those of an agent that faces north.
+
+    Depths are metres without a limit.
+    """
+    return {
+        f"rgb_{12 * row + column:02d}": CameraConfig(
+            width=width,
+            height=height,
+            hfov=_PANORAMA_HFOV,
+            eye_height=eye_height,
+            look_down=down,
+            turn=-PANORAMA_STEP * column,
+            max_depth=None,
+            normalized=False,
+        )
+        for row, down in enumerate(PANORAMA_ROWS)
+        for column in range(12)
+    }
+
+
+PRESETS: Final[Mapping[str, Mapping[str, CameraConfig]]] = {
+    "vlnce": {
+        "rgb": CameraConfig(width=224, height=224),
+        "depth": CameraConfig(width=256, height=256),
+    },
+    "streamvln": {"rgb": _STREAMVLN, "depth": _STREAMVLN},
+    "internvla-n1": {
+        "rgb": _STREAMVLN.model_copy(update={"max_depth": None, "normalized": False}),
+        "depth": _STREAMVLN.model_copy(update={"max_depth": None, "normalized": False}),
+        "rgb_look_down": _STREAMVLN.model_copy(update={"look_down": 30.0, "max_depth": None, "normalized": False}),
+        "depth_look_down": _STREAMVLN.model_copy(update={"look_down": 30.0, "max_depth": None, "normalized": False}),
+    },
+    "panorama": panorama(),
+}
+"""Cameras by the name of what they give, which begins with ``rgb``, ``depth``, ``instance`` or ``label``."""
+
+
+def cameras_of(preset: str) -> Mapping[str, CameraConfig]:
+    """The cameras of a preset.
+
+    Raises
+    ------
+    UsageError : there is none of this name
+    """
+    if preset not in PRESETS:
+        raise UsageError(f"there is no camera preset {preset!r}", remedy=f"Choose one of {', '.join(sorted(PRESETS))}")
+    return PRESETS[preset]
+
+
+def camera_pose(camera: CameraConfig, position: npt.ArrayLike, heading: float) -> tuple[F64, F64]:
+    """Where a camera is and how it is turned.
+
+    Parameters
+    ----------
+    position : (3,) of the agent's feet, metres, Habitat frame
+    heading : radians counter-clockwise from −Z, as in :class:`condvln.evaluation.walker.Observation`
+
+    Returns
+    -------
+    eye (3,) metres; rotation (3, 3), its columns the camera's right, up and back in the scene's frame
+    """
+    eye = np.asarray(position, np.float64) + np.array([0.0, camera.eye_height, 0.0])
+    rotation = rotation_y(heading + math.radians(camera.turn)) @ rotation_x(-math.radians(camera.look_down))
+    return eye, np.asarray(rotation, np.float64)
+
+
+def pixel_rays(camera: CameraConfig) -> tuple[F64, F64]:
+    """x of each column's centre (w,) and y of each row's (h,) at depth 1, in the camera's frame; rows go down."""
+    tan_x, tan_y = half_extents(camera)
+    columns = (2 * np.arange(camera.width) + 1 - camera.width) / camera.width * tan_x
+    rows = (camera.height - 1 - 2 * np.arange(camera.height)) / camera.height * tan_y
+    return columns, rows
+
+
+def half_extents(camera: CameraConfig) -> tuple[float, float]:
+    """Half the width and half the height of what is seen at depth 1; pixels are square."""
+    tan_x = math.tan(math.radians(camera.hfov) / 2)
+    return tan_x, tan_x * camera.height / camera.width

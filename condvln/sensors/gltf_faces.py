@@ -1,0 +1,183 @@
+"""The triangles of a GLB file with their materials, as a camera needs them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.formats.glb_material import MaterialReader
+from condvln.formats.glb_part import Accessor, GlbPart, Primitive
+from condvln.scene.boxes import placement, transform_points
+from condvln.scene.quaternions import to_matrix
+from condvln.sensors.kernels.shading import CLAMP
+from condvln.sensors.surfaces import Material, SurfaceBuilder
+from condvln.sensors.textures import READABLE, read_picture
+
+__all__ = ["DrawnFile", "drawn_file"]
+
+_NUMBERS: Final = {5121: np.uint8, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
+_WIDTHS: Final = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+_STRIP: Final = 5
+_WRAPS: Final = {10497: 0, 33071: 1, 33648: 2}
+"""glTF's numbers of repeat, clamp to edge and mirrored repeat, as `Material.wrap` has them."""
+_WEBP: Final = "EXT_texture_webp"
+_TRANSFORM: Final = "KHR_texture_transform"
+
+F64 = NDArray[np.float64]
+Floats = NDArray[np.float32]
+Bytes = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class DrawnFile:
+    """Triangles of one file in its root frame, metres; see `Surfaces` for what the arrays hold.
+
+    unread : textures whose images are of a kind that is not read, are damaged, or stand in no file
+    """
+
+    corners: F64
+    coordinates: Floats
+    colours: Bytes
+    material: NDArray[np.int32]
+    unread: int
+
+    def place(self, builder: SurfaceBuilder, owner: int, transform: F64) -> None:
+        """Hand the triangles to a builder, taken to the scene's frame by a (4, 4) transform."""
+        corners = transform_points(transform, self.corners.reshape(-1, 3)).reshape(-1, 3, 3)
+        # A mirroring transform turns triangles inside out.
+        turn = slice(None, None, -1 if np.linalg.det(transform[:3, :3]) < 0 else 1)
+        builder.add(corners[:, turn], owner, self.material, self.coordinates[:, turn], self.colours[:, turn])
+
+
+def drawn_file(part: GlbPart, builder: SurfaceBuilder) -> DrawnFile:
+    """The triangles of a file; its materials and textures go to the builder."""
+    painter = _Painter(part.look, builder)
+    meshes = [[_faces(part, primitive, painter) for primitive in primitives] for primitives in part.meshes]
+    world = _world(part)
+    found: list[tuple[F64, Floats, Bytes, NDArray[np.int32]]] = []
+    for number, node in enumerate(part.nodes):
+        for corners, coordinates, colours, material in meshes[node.mesh] if node.mesh is not None else ():
+            placed = transform_points(world[number], corners.reshape(-1, 3)).reshape(-1, 3, 3)
+            turn = slice(None, None, -1 if np.linalg.det(world[number][:3, :3]) < 0 else 1)
+            own = np.full(len(corners), material, np.int32)
+            found.append((placed[:, turn], coordinates[:, turn], colours[:, turn], own))
+    # A file without triangles was refused when it was read.
+    return DrawnFile(
+        np.concatenate([piece[0] for piece in found]),
+        np.concatenate([piece[1] for piece in found]),
+        np.concatenate([piece[2] for piece in found]),
+        np.concatenate([piece[3] for piece in found]),
+        painter.unread,
+    )
+
+
+def _world(part: GlbPart) -> list[F64]:
+    """(4, 4) from each node's own frame to the root's; parents come before their children."""
+    world = [_local(node.transform) for node in part.nodes]
+    for number, node in enumerate(part.nodes):
+        for child in node.children:
+            world[child] = world[number] @ world[child]
+    return world
+
+
+def _local(transform: dict[str, list[float]]) -> F64:
+    if "matrix" in transform:
+        matrix: F64 = np.array(transform["matrix"], np.float64).reshape(4, 4).T
+        return matrix
+    rotation = to_matrix(transform["rotation"]) if "rotation" in transform else None
+    return placement(rotation, transform.get("translation"), transform.get("scale"))
+
+
+def _faces(part: GlbPart, own: Primitive, painter: _Painter) -> tuple[F64, Floats, Bytes, int]:
+    """Corners (n, 3, 3), texture coordinates (n, 3, 2), colours (n, 3, 3) and the material of a primitive."""
+
+    def vertices(name: str) -> NDArray[Any] | None:
+        at = own.attributes.get(name)
+        return None if at is None else _numbers(part.accessors[at])
+
+    points = np.asarray(vertices("POSITION"), np.float64)
+    order = np.arange(len(points)) if own.indices is None else _numbers(part.accessors[own.indices])[:, 0]
+    triangles = _strip(order) if own.mode == _STRIP else order[: len(order) // 3 * 3].reshape(-1, 3)
+    triangles = triangles.astype(np.int64)
+    material, wrap, name, moved = painter.material(own.material)
+    places = vertices(name)
+    coordinates = np.zeros((len(points), 2)) if places is None else np.asarray(places, np.float64)
+    coordinates = coordinates @ moved[:2, :2].T + moved[:2, 2]
+    places_of = np.nan_to_num(coordinates[triangles], nan=0.0, posinf=0.0, neginf=0.0)
+    # Whole repeats are taken off, two at a time because of mirrors, so that float32 keeps the digits that count.
+    endless = np.array(wrap) != CLAMP
+    places_of -= np.where(endless, 2 * np.floor(places_of.min(axis=1, keepdims=True) / 2), 0.0)
+    tints = vertices("COLOR_0")
+    colours = np.full((len(points), 3), 255, np.uint8)
+    if tints is not None:
+        colours = np.round(np.clip(np.nan_to_num(tints[:, :3]), 0, 1) * 255).astype(np.uint8)
+    return points[triangles], places_of.astype(np.float32), colours[triangles], material
+
+
+def _strip(order: NDArray[Any]) -> NDArray[Any]:
+    """The triangles of a strip; every second one is turned round."""
+    rows = np.column_stack([order[:-2], order[1:-1], order[2:]])
+    rows[1::2] = rows[1::2][:, [1, 0, 2]]
+    return rows
+
+
+def _numbers(own: Accessor) -> NDArray[Any]:
+    """(count, width) numbers; normalized integers as 0 to 1."""
+    dtype = np.dtype(_NUMBERS[own.component])
+    rows = np.frombuffer(own.data, dtype.newbyteorder("<")).reshape(own.count, _WIDTHS[own.kind])
+    return rows / (256**dtype.itemsize - 1) if own.normalized else rows
+
+
+class _Painter:
+    """Materials of one file, each handed to the builder once."""
+
+    def __init__(self, look: MaterialReader | None, builder: SurfaceBuilder) -> None:
+        self._look, self._builder = look, builder
+        self._textures: dict[int, int] = {}
+        self.unread = look.lost if look is not None else 0
+
+    def material(self, index: int | None) -> tuple[int, tuple[int, int], str, F64]:
+        """Number of a material, how it wraps, the attribute of its texture coordinates, and their (3, 3) transform."""
+        if index is None or self._look is None:
+            return self._builder.material(Material()), (0, 0), "TEXCOORD_0", np.eye(3)
+        shine = self._look.materials[index].get("pbrMetallicRoughness", {})
+        red, green, blue = (min(max(float(v), 0.0), 1.0) for v in shine.get("baseColorFactor", [1.0] * 4)[:3])
+        slot = shine.get("baseColorTexture")
+        texture, wrap = (-1, (0, 0)) if slot is None else self._texture(int(slot["index"]))
+        number = self._builder.material(Material((red, green, blue), texture, wrap))
+        if slot is None:
+            return number, wrap, "TEXCOORD_0", np.eye(3)
+        moved = slot.get("extensions", {}).get(_TRANSFORM, {})
+        return number, wrap, f"TEXCOORD_{moved.get('texCoord', slot.get('texCoord', 0))}", _moved(moved)
+
+    def _texture(self, index: int) -> tuple[int, tuple[int, int]]:
+        assert self._look is not None
+        own = self._look.textures[index]
+        sampler = self._look.samplers[own["sampler"]] if "sampler" in own else {}
+        wrap = _WRAPS[sampler.get("wrapS", 10497)], _WRAPS[sampler.get("wrapT", 10497)]
+        images = [own.get("source"), own.get("extensions", {}).get(_WEBP, {}).get("source")]
+        known = [image for image in images if image is not None and self._look.images[image].mime in READABLE]
+        if not known:
+            self.unread += 1
+            return -1, (0, 0)
+        if known[0] not in self._textures:
+            image = self._look.images[known[0]]
+            levels = read_picture(image.data, image.mime)
+            self.unread += levels is None
+            self._textures[known[0]] = -1 if levels is None else self._builder.texture(levels)
+        return self._textures[known[0]], wrap
+
+
+def _moved(transform: dict[str, Any]) -> F64:
+    """(3, 3) of KHR_texture_transform: scaled, turned counter-clockwise as the image is seen, then moved."""
+    angle = float(transform.get("rotation", 0.0))
+    cosine, sine = math.cos(angle), math.sin(angle)
+    across, down = transform.get("scale", (1.0, 1.0))
+    matrix = np.eye(3)
+    matrix[:2, :2] = np.array([[cosine, sine], [-sine, cosine]]) @ np.diag([across, down])
+    matrix[:2, 2] = transform.get("offset", (0.0, 0.0))
+    return matrix

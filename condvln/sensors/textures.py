@@ -1,0 +1,100 @@
+"""Images of materials, each in several sizes, in one array of bytes."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    from PIL.Image import Image as Picture
+
+__all__ = ["MAX_EDGE", "READABLE", "Texels", "read_picture", "stored"]
+
+MAX_EDGE: Final = 1024
+"""Texels of a texture's longer side that are kept. A camera of 640 columns that stands a metre before a surface of four
+square metres resolves fewer."""
+MAX_TEXELS: Final = 1 << 28
+"""Texels of a scene's textures; beyond that the largest are halved. 0.75 GiB."""
+MAX_PICTURE: Final = 1 << 28
+"""Pixels of an image that are decoded: 16,384 by 16,384."""
+READABLE: Final = {"image/png": "PNG", "image/jpeg": "JPEG", "image/webp": "WEBP"}
+
+Bytes = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Texels:
+    """Textures of a scene; a texture's levels follow each other, each of half the size of the one before.
+
+    data : (t,) red, green and blue of each texel, row by row from the top
+    first_level, levels : (k,) of each texture
+    offsets, widths, heights : (l,) of each level
+    """
+
+    data: Bytes
+    first_level: NDArray[np.int32]
+    levels: NDArray[np.int32]
+    offsets: NDArray[np.int64]
+    widths: NDArray[np.int32]
+    heights: NDArray[np.int32]
+
+
+def read_picture(data: bytes, mime: str, edge: int = MAX_EDGE) -> list[Bytes] | None:
+    """The levels (h, w, 3) of an encoded image, the largest first; None where it can't be decoded.
+
+    edge : texels of the longer side of the largest level at most
+    """
+    from PIL import Image
+
+    if mime not in READABLE:
+        return None
+    try:
+        with Image.open(io.BytesIO(data), formats=(READABLE[mime],)) as picture:
+            if picture.width * picture.height > MAX_PICTURE:
+                return None
+            picture.draft("RGB", (edge, edge))
+            return list(_levels(picture.convert("RGB"), edge))
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
+        return None
+
+
+def _levels(picture: Picture, edge: int) -> Iterator[Bytes]:
+    from PIL import Image
+
+    scale = min(1.0, edge / max(picture.size))
+    size = max(1, round(picture.width * scale)), max(1, round(picture.height * scale))
+    while True:
+        if picture.size != size:
+            picture = picture.resize(size, Image.Resampling.BOX)
+        yield np.asarray(picture)
+        if max(size) == 1:
+            return
+        size = max(1, size[0] // 2), max(1, size[1] // 2)
+
+
+def stored(pictures: Sequence[list[Bytes]]) -> Texels:
+    """Textures, by their levels, as one array."""
+    kept = [list(levels) for levels in pictures]
+    while sum(level.size for levels in kept for level in levels) > 3 * MAX_TEXELS:
+        largest = max(kept, key=lambda levels: levels[0].size)
+        del largest[0]
+    flat = [level for levels in kept for level in levels]
+    counts = np.array([len(levels) for levels in kept], dtype=np.int32)
+    ends = np.cumsum([0, *(level.size for level in flat)])
+
+    def numbers(values: ArrayLike) -> NDArray[np.int32]:
+        return np.array(values, dtype=np.int32).reshape(-1)
+
+    return Texels(
+        data=np.concatenate([np.zeros(0, np.uint8), *(level.reshape(-1) for level in flat)]),
+        first_level=numbers(np.cumsum([0, *counts])[:-1]),
+        levels=counts,
+        offsets=ends[:-1].astype(np.int64),
+        widths=numbers([level.shape[1] for level in flat]),
+        heights=numbers([level.shape[0] for level in flat]),
+    )

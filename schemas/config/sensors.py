@@ -1,0 +1,50 @@
+"""Cameras: size, angle, place, and what their depth images hold."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from schemas.base import Finite
+from schemas.config.section import Metres, Section
+
+__all__ = ["CameraConfig"]
+
+Pixels = Annotated[int, Field(ge=1, le=8192, json_schema_extra={"unit": "px"})]
+
+
+class CameraConfig(Section):
+    """A pinhole camera on an agent, with Habitat's conventions; the defaults are VLN-CE's depth camera.
+
+    It stands straight above the agent's feet and looks where the agent does. The vertical angle follows from the
+    horizontal one and the shape of the image. Depth is measured along the optical axis.
+    """
+
+    width: Pixels = Field(256, description="columns of the image")
+    height: Pixels = Field(256, description="rows of the image")
+    hfov: Annotated[float, Field(gt=0, lt=180, json_schema_extra={"unit": "°"})] = Field(
+        90.0, description="horizontal field of view"
+    )
+    eye_height: Annotated[Finite, Field(ge=0, json_schema_extra={"unit": "m"})] = Field(
+        1.25, description="height of the camera above the agent's feet"
+    )
+    look_down: Annotated[Finite, Field(ge=-90, le=90, json_schema_extra={"unit": "°"})] = Field(
+        0.0, description="angle by which the camera looks below the horizon; negative looks up"
+    )
+    turn: Annotated[Finite, Field(ge=-360, le=360, json_schema_extra={"unit": "°"})] = Field(
+        0.0, description="angle by which the camera looks to the left of where the agent does"
+    )
+    min_depth: Annotated[Finite, Field(ge=0, json_schema_extra={"unit": "m"})] = Field(
+        0.0, description="smaller depths are raised to this"
+    )
+    max_depth: Metres | None = Field(10.0, description="larger depths are lowered to this; null for no limit")
+    normalized: bool = Field(True, description="depths go from 0 at min_depth to 1 at max_depth, and are not metres")
+
+    @model_validator(mode="after")
+    def _depths_rise(self) -> CameraConfig:
+        if self.max_depth is None and self.normalized:
+            raise ValueError("normalized: depths without a max_depth cannot be normalized")
+        if self.max_depth is not None and not self.min_depth < self.max_depth:
+            raise ValueError(f"max_depth: {self.max_depth:g} must be above min_depth, {self.min_depth:g}")
+        return self

@@ -1,0 +1,131 @@
+"""Materials of GLB files: what a camera straight before a textured square sees is the image itself."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from condvln.formats.glb_part import read_part
+from condvln.sensors.gltf_faces import drawn_file
+from condvln.sensors.renderer import Renderer
+from condvln.sensors.surfaces import SurfaceBuilder
+from condvln.sensors.textures import read_picture
+from schemas.config import CameraConfig
+from tests.condvln.sensors.glb_pictures import encoded, square_glb
+
+Bytes = NDArray[np.uint8]
+
+# Red grows to the right, green downwards, blue marks the upper left quarter.
+IMAGE: Bytes = np.zeros((64, 64, 3), np.uint8)
+IMAGE[..., 0] = 4 * np.arange(64)
+IMAGE[..., 1] = 4 * np.arange(64)[:, None]
+IMAGE[:32, :32, 2] = 200
+
+
+def seen(glb: bytes, size: int = 64, distance: float = 1.0) -> Bytes:
+    """What a camera on the +Z axis sees of it; at distance 1 the square fills the image."""
+    builder = SurfaceBuilder()
+    file = drawn_file(read_part(glb, "square.glb"), builder)
+    file.place(builder, 0, np.eye(4))
+    camera = CameraConfig(width=size, height=size, hfov=90.0, eye_height=0.0)
+    return Renderer(builder.surfaces()).look(camera, [0, 0, distance]).rgb
+
+
+@pytest.mark.parametrize(("kind", "mime"), [("PNG", "image/png"), ("WEBP", "image/webp")])
+def test_the_image_is_seen_as_it_is(kind: str, mime: str) -> None:
+    image = encoded(IMAGE, kind)
+    texture = {"extensions": {"EXT_texture_webp": {"source": 0}}} if kind == "WEBP" else None
+    np.testing.assert_array_equal(seen(square_glb(image, mime, texture=texture)), IMAGE)
+    np.testing.assert_array_equal(seen(square_glb(image, mime, texture=texture, strip=True)), IMAGE)
+
+
+def test_a_jpeg_is_seen_about_as_it_is() -> None:
+    smooth = IMAGE.copy()
+    smooth[..., 2] = 0
+    difference = seen(square_glb(encoded(smooth, "JPEG"), "image/jpeg")).astype(int) - smooth
+    assert np.abs(difference).mean() < 3
+
+
+def test_factor_and_vertex_colours_multiply_the_image() -> None:
+    factor = [0.5, 1.0, 0.25, 1.0]
+    np.testing.assert_allclose(seen(square_glb(encoded(IMAGE), factor=factor)), IMAGE * factor[:3], atol=0.51)
+    tint = np.array([[255, 0, 128, 255]] * 4, np.uint8)
+    expected = IMAGE * (np.array(factor[:3]) * tint[0, :3] / 255)
+    np.testing.assert_allclose(seen(square_glb(encoded(IMAGE), factor=factor, colours=tint)), expected, atol=0.51)
+    # Without an image the two remain, and colours run linearly between vertices.
+    ramp = np.array([[0, 0, 1], [1, 0, 1], [0, 0, 1], [1, 0, 1]], np.float32)
+    plain = seen(square_glb(factor=factor, colours=ramp))
+    np.testing.assert_allclose(plain[..., 0], np.tile(127.5 * (np.arange(64) + 0.5) / 64, (64, 1)), atol=0.6)
+    assert (plain[..., 1] == 0).all()
+    np.testing.assert_allclose(plain[..., 2], 64, atol=0.5)
+
+
+def rolled(**transform: Any) -> Bytes:
+    slot = {"extensions": {"KHR_texture_transform": transform}}
+    return seen(square_glb(encoded(IMAGE), slot=slot))
+
+
+def test_texture_transforms() -> None:
+    """Scaled, then turned, then moved; a rotation counter-clockwise turns the image clockwise."""
+    np.testing.assert_array_equal(rolled(offset=[0.25, 0.0]), np.roll(IMAGE, -16, axis=1))
+    np.testing.assert_array_equal(rolled(offset=[0.0, 0.5]), np.roll(IMAGE, -32, axis=0))
+    flipped = rolled(scale=[-1.0, 1.0])
+    np.testing.assert_array_equal(flipped, IMAGE[:, ::-1])
+    quarter = rolled(rotation=math.pi / 2, offset=[0.0, 1.0])
+    np.testing.assert_array_equal(quarter, np.rot90(IMAGE, k=-1))
+    both = rolled(rotation=math.pi / 2, offset=[0.0, 1.0], scale=[-1.0, 1.0])
+    np.testing.assert_array_equal(both, np.rot90(IMAGE, k=-1)[:, ::-1])
+
+
+def test_wrapping() -> None:
+    """The coordinates run from −1 to 2: the image is in the middle third."""
+    places = np.array([[-1, 2], [2, 2], [-1, -1], [2, -1]], np.float32)
+
+    def wrapped(mode: int) -> Bytes:
+        sampler = {"wrapS": mode, "wrapT": mode}
+        return seen(square_glb(encoded(IMAGE), sampler=sampler, places=places), size=192)
+
+    np.testing.assert_array_equal(wrapped(10497), np.tile(IMAGE, (3, 3, 1)))
+    np.testing.assert_array_equal(wrapped(33071), np.pad(IMAGE, ((64, 64), (64, 64), (0, 0)), mode="edge"))
+    np.testing.assert_array_equal(wrapped(33648), np.pad(IMAGE, ((64, 64), (64, 64), (0, 0)), mode="symmetric"))
+
+
+def test_far_textures_are_averaged() -> None:
+    """A chessboard of single texels is grey from afar, not a pattern of its own."""
+    chess = np.zeros((256, 256, 3), np.uint8)
+    chess[np.indices((256, 256)).sum(axis=0) % 2 == 0] = 255
+    far = seen(square_glb(encoded(chess)), size=32, distance=2.0)
+    inner = far[10:22, 10:22]
+    assert np.abs(inner.astype(int) - 127).max() <= 2
+
+
+def test_large_images_are_reduced() -> None:
+    levels = read_picture(encoded(np.zeros((300, 600, 3), np.uint8)), "image/png", edge=100)
+    assert levels is not None
+    assert [level.shape[:2] for level in levels] == [(50, 100), (25, 50), (12, 25), (6, 12), (3, 6), (1, 3), (1, 1)]
+
+
+@pytest.mark.parametrize(
+    ("image", "mime"),
+    [
+        (b"nothing", "image/png"),
+        (encoded(IMAGE)[:100], "image/png"),
+        (encoded(IMAGE), "image/jpeg"),
+        (b"KTX", "image/ktx2"),
+    ],
+)
+def test_what_cant_be_read_leaves_the_colour_of_the_material(image: bytes, mime: str) -> None:
+    glb = square_glb(image, mime, factor=[1.0, 0.0, 0.0, 1.0])
+    assert (seen(glb) == [255, 0, 0]).all()
+    assert drawn_file(read_part(glb, "x"), SurfaceBuilder()).unread == 1
+
+
+def test_a_mirroring_node_keeps_its_front() -> None:
+    mirrored = seen(square_glb(encoded(IMAGE), node={"scale": [-1.0, 1.0, 1.0]}))
+    np.testing.assert_array_equal(mirrored, IMAGE[:, ::-1])
+    turned = seen(square_glb(encoded(IMAGE), node={"rotation": [0.0, 1.0, 0.0, 0.0]}))
+    assert not turned.any(), "the square is seen from behind"
