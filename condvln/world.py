@@ -50,6 +50,7 @@ from schemas.config import (
     SamplingConfig,
     TextConfig,
     Thresholds,
+    WordingConfig,
 )
 from schemas.errors import InputError
 from schemas.evaluation import ManifestEpisode
@@ -207,7 +208,7 @@ class World:
             preamble=text.preamble,
             seed=seed,
         )
-        return self._published(pool, drawn.candidates, episodes, text, seed)
+        return self._published(pool, drawn.candidates, episodes, text, instructions.wording, seed)
 
     def draw(self, episode: ManifestEpisode, path: str | os.PathLike[str]) -> Path:
         """A top-down picture of an episode as a PNG file: floor, furniture, start, the path to every leaf."""
@@ -220,14 +221,20 @@ class World:
         return {room_id: text_facts(found, thresholds) for room_id, found in self.relations(thresholds).items()}
 
     def _published(
-        self, pool: EpisodePool, candidates: Sequence[Candidate], rules: EpisodeConfig, text: TextConfig, seed: int
+        self,
+        pool: EpisodePool,
+        candidates: Sequence[Candidate],
+        rules: EpisodeConfig,
+        text: TextConfig,
+        wording: WordingConfig,
+        seed: int,
     ) -> list[ManifestEpisode]:
         scene = self.scene
         assert scene.navmesh is not None
         programs = {candidate.instruction_id: candidate.program for candidate in candidates}
         compositions = {name: composition(program) for name, program in programs.items()}
         placements = placements_table(scene.scene_id, pool, compositions, scene.navmesh.sha256)
-        _, texts = published_texts(programs, placements.to_pylist(), text, seed)
+        _, texts = published_texts(programs, placements.to_pylist(), text, wording, seed)
         placed = {episode.instruction_id: programs[episode.instruction_id] for episode in pool.episodes}
         instruction_of = {
             row["instruction_id"]: row for row in rows_of(instruction_table(scene.scene_id, placed.items()))

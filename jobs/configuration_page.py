@@ -116,7 +116,8 @@ def configuration_page() -> str:
         "*Makes stale* names the stages that read the key: a run after a change does these again for every scene, and "
         "later stages only where their input changed. Stages in their order: `scene`, `relations`, `visibility`, "
         "`programs`, `episodes`, `text`; `priors` are counts over all scenes, made after `scene`. `programs` read "
-        "`text.preamble` only where a cell bounds `words`. The export is written again after each run.",
+        "`text.preamble` and the wording (`instructions.language`, `voices`, `length`) only where a cell bounds "
+        "`words`. The export is written again after each run.",
     ]
     at = ""
     rows: list[str] = []

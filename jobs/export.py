@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Final, TypedDict
+from typing import Final
 
 from condvln.export.contents import ORIGIN, exported_snapshot
 from condvln.export.graph_episodes import GraphEpisodes
@@ -25,7 +25,7 @@ from jobs.oracle import linear_text
 from jobs.pipeline import built_navmeshes
 from jobs.report import Report, Section
 from jobs.workspace import graph_folders, published, snapshot_folder
-from schemas.config import Config
+from schemas.config import Config, WordingConfig
 from schemas.errors import CondVLNError, ConfigError, CorruptShardError, SmallerExportError, StoreError
 from schemas.program import Program
 
@@ -34,13 +34,6 @@ __all__ = ["export_snapshot_of", "graphs_of", "run_export", "write_export"]
 
 _COMPARED: Final = ("episodes", "instructions", "scenes")
 _PROGRAM: Final = ("category", "conditions", "branches", "leaves")
-
-
-class _Texts(TypedDict):
-    """What decides the words of an instruction besides its program."""
-
-    seed: int
-    preamble: bool
 
 
 def run_export(config: Config, *, allow_shrink: bool = False) -> Report:
@@ -90,7 +83,8 @@ def write_export(config: Config, *, allow_shrink: bool = False, renewed: bool = 
         viewpoints = _write_viewpoints(config, snapshot, new)
         report.files |= viewpoints.files
 
-    texts = _Texts(seed=config.seed, preamble=config.text.preamble)
+    wording = config.instructions.wording
+    texts = {"seed": config.seed, "preamble": config.text.preamble, **wording.model_dump(mode="json")}
     done = export_snapshot(
         FolderTables(snapshot_folder(config.store, snapshot)),
         config.export,
@@ -98,7 +92,7 @@ def write_export(config: Config, *, allow_shrink: bool = False, renewed: bool = 
             splits=config.splits,
             texts=texts,
         ),
-        oracle_texts=_linear_text(**texts),
+        oracle_texts=_linear_text(config.seed, config.text.preamble, wording),
         navmeshes=built_navmeshes(config, snapshot),
         graphs=graphs_of(config),
         former=_former(config, snapshot),
@@ -212,7 +206,8 @@ def _write_viewpoints(config: Config, snapshot: Snapshot, new: Path) -> Viewpoin
     if not graphs:
         return ViewpointReport()
     tables = FolderTables(snapshot_folder(config.store, snapshot))
-    episodes = GraphEpisodes(tables, graphs, config.splits, config.seed, config.text.preamble)
+    said = config.instructions.wording
+    episodes = GraphEpisodes(tables, graphs, config.splits, config.seed, config.text.preamble, said)
     return write_viewpoints(new, episodes, snapshot.snapshot_id, episodes.left_out)
 
 
@@ -225,11 +220,11 @@ def _add_viewpoints(report: Report, config: Config, done: ViewpointReport) -> No
         report.lines.append(f"on viewpoints alone, in {config.export / FOLDER}: {made}; left out: {refused}")
 
 
-def _linear_text(seed: int, preamble: bool) -> Callable[[Row, Row], str]:
+def _linear_text(seed: int, preamble: bool, wording: WordingConfig) -> Callable[[Row, Row], str]:
     def text(episode: Row, instruction: Row) -> str:
         program = Program.model_validate({name: instruction[name] for name in _PROGRAM})
         heading = episode["start_heading_degrees"]
-        return linear_text(program, episode["instruction_id"], heading, seed=seed, preamble=preamble)
+        return linear_text(program, episode["instruction_id"], heading, wording, seed=seed, preamble=preamble)
 
     return text
 

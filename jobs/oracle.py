@@ -16,6 +16,7 @@ from condvln.instructions import oracle_linear, render_moves, with_preamble
 from condvln.instructions.predicates import COMPASS
 from condvln.manifest import manifest_path, read_manifest
 from jobs.report import Report
+from schemas.config import WordingConfig
 from schemas.errors import UsageError
 from schemas.evaluation import ManifestEpisode
 from schemas.program import Program
@@ -26,7 +27,15 @@ _SHARDS: Final = "content"
 _TRUTH: Final = "_gt.json.gz"
 
 
-def linear_text(program: Program, instruction_id: str, heading_degrees: float, *, seed: int, preamble: bool) -> str:
+def linear_text(
+    program: Program,
+    instruction_id: str,
+    heading_degrees: float,
+    wording: WordingConfig | str = "en",
+    *,
+    seed: int,
+    preamble: bool,
+) -> str:
     """The gold branch of an instruction as a plain one, told with the same choices of words.
 
     Parameters
@@ -35,9 +44,9 @@ def linear_text(program: Program, instruction_id: str, heading_degrees: float, *
     preamble : open with the start heading where compass words are used
     """
     moves = oracle_linear(program)
-    told = render_moves(moves, seed, instruction_id)
+    told = render_moves(moves, seed, instruction_id, wording)
     compass = any(move.qualifier is not None and move.qualifier.predicate in COMPASS for move in moves)
-    return with_preamble(told, heading_degrees, seed, instruction_id) if preamble and compass else told
+    return with_preamble(told, heading_degrees, seed, instruction_id, wording) if preamble and compass else told
 
 
 def oracle_split(
@@ -64,10 +73,11 @@ def oracle_split(
     rendering = _rendering(export)
     seed = int(rendering.get("seed", 0)) if seed is None else seed
     preamble = bool(rendering.get("preamble", True))
+    wording = WordingConfig.model_validate({k: v for k, v in rendering.items() if k in WordingConfig.model_fields})
 
     def text_of(row: ManifestEpisode) -> str:
         heading = -math.degrees(heading_of(row.start_rotation)) % 360.0
-        return linear_text(row.program, row.instruction_id, heading, seed=seed, preamble=preamble)
+        return linear_text(row.program, row.instruction_id, heading, wording, seed=seed, preamble=preamble)
 
     done = rewrite_split(document, manifest, target, text_of)
     files = [target]

@@ -73,7 +73,7 @@ def build_pipeline(config: Config) -> Pipeline:
                 preamble,
                 config.seed,
             ),
-            TextStage(config.text, config.episodes.max_steps, config.seed),
+            TextStage(config.text, config.instructions.wording, config.episodes.max_steps, config.seed),
         ),
         aggregates=(PriorsAggregate(config.thresholds, config.sampling.anchor_size),),
         tables={name: TableSpec(TABLES[name], SORT_KEYS[name], _STAGE_OF[name]) for name in TABLES},

@@ -33,6 +33,7 @@ from schemas.config import (
     PlacesConfig,
     SamplingConfig,
     TextConfig,
+    WordingConfig,
 )
 from schemas.program import Program
 
@@ -188,18 +189,22 @@ def place_programs(
 
 
 def published_texts(
-    programs: Mapping[str, Program], placements: Sequence[Mapping[str, Any]], text: TextConfig, seed: int
+    programs: Mapping[str, Program],
+    placements: Sequence[Mapping[str, Any]],
+    text: TextConfig,
+    wording: WordingConfig,
+    seed: int,
 ) -> tuple[dict[str, str], dict[str, str]]:
     """Text of each program by instruction id, and of each episode by episode id, which may open with the heading.
 
     placements : rows of PLACEMENTS
     """
-    bodies = {name: render(program, seed, name) for name, program in programs.items()}
+    bodies = {name: render(program, seed, name, wording) for name, program in programs.items()}
     texts = {}
     for row in placements:
         name = row["instruction_id"]
         said = bodies[name]
         if text.preamble and names_compass(programs[name]):
-            said = with_preamble(said, row["start_heading_degrees"], seed, name)
+            said = with_preamble(said, row["start_heading_degrees"], seed, name, wording)
         texts[row["episode_id"]] = said
     return bodies, texts

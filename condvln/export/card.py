@@ -58,7 +58,7 @@ def _front_matter(report: ExportReport, name: str) -> str:
     filled = [split for split in SPLITS if report.episodes.get(split)]
     fields = {
         "pretty_name": name,
-        "language": ["en"],
+        "language": [report.language],
         "license": "other",
         "license_name": "terms-of-the-sources",
         "task_categories": ["robotics"],

@@ -15,6 +15,7 @@ import yaml
 
 from condvln.export.report import ExportReport
 from condvln.export.splits import SPLITS
+from condvln.export.variants import RXR_LANGUAGES
 from condvln.sources.family import composed_datasets
 
 __all__ = ["LINK", "consumer_files"]
@@ -40,7 +41,7 @@ def consumer_files(report: ExportReport) -> dict[str, str]:
     files = {
         "configs/vlnce/condvln_task.yaml": _vlnce("vlnce", "VLN-CE-v1", split, radius, steps),
         "configs/vlnce/condvln_oracle_task.yaml": _vlnce("oracle", "VLN-CE-v1", split, radius, steps),
-        "configs/vlnce/condvln_rxr_task.yaml": _rxr(split, radius, steps),
+        "configs/vlnce/condvln_rxr_task.yaml": _rxr(split, radius, steps, RXR_LANGUAGES[report.language]),
         "configs/habitat_lab/condvln.yaml": _habitat_lab(split, radius, steps),
         "configs/open_nav/condvln_task.yaml": _ansr(split, radius, _OPEN_NAV),
         "configs/open_nav/condvln_experiment.yaml": _experiment("open_nav", split),
@@ -152,7 +153,7 @@ def _ansr(split: str, radius: float, agent: _AnsrAgent) -> dict[str, Any]:
     return document
 
 
-def _rxr(split: str, radius: float, steps: int) -> dict[str, Any]:
+def _rxr(split: str, radius: float, steps: int, language: str) -> dict[str, Any]:
     document = _vlnce("rxr", "RxR-VLN-CE-v1", split, radius, steps)
     folder = f"{LINK}/rxr"
     document["TASK"]["NDTW"]["GT_PATH"] = document["TASK"]["SDTW"]["GT_PATH"] = (
@@ -161,7 +162,7 @@ def _rxr(split: str, radius: float, steps: int) -> dict[str, Any]:
     document["TASK"] |= {"SENSORS": ["RXR_INSTRUCTION_SENSOR"], "INSTRUCTION_SENSOR_UUID": "rxr_instruction"}
     document["DATASET"] |= {
         "ROLES": ["guide"],
-        "LANGUAGES": ["en-US"],
+        "LANGUAGES": [language],
         "DATA_PATH": folder + "/{split}/{split}_{role}.json.gz",
     }
     return document

@@ -28,7 +28,7 @@ from condvln.instructions import names_compass, programs_from_table, with_preamb
 from condvln.navigation.graph_pathfinder import GraphPathfinder
 from condvln.scene import Scene, round_mm
 from condvln.scene.tables import scene_from_tables
-from schemas.config import SplitsConfig
+from schemas.config import SplitsConfig, WordingConfig
 from schemas.errors import MissingFileError
 from schemas.program import Program
 from schemas.tables import TABLES
@@ -56,7 +56,7 @@ class GraphEpisodes:
     ----------
     graphs : connectivity by scan
     seed : of the starts
-    preamble : texts with compass words open with the start heading
+    preamble : texts with compass words open with the start heading, said as `wording` says
     left_out : counts by reason, filled while iterating
     """
 
@@ -65,6 +65,7 @@ class GraphEpisodes:
     splits: SplitsConfig
     seed: int = 0
     preamble: bool = True
+    wording: WordingConfig = field(default_factory=WordingConfig)
     left_out: Counter[str] = field(default_factory=Counter)
 
     def __iter__(self) -> Iterator[GraphEpisode]:
@@ -98,7 +99,7 @@ class GraphEpisodes:
             return None
         heading = heading_degrees(placement.yaw)
         text = (
-            with_preamble(instruction["text"], heading, self.seed, instruction["instruction_id"])
+            with_preamble(instruction["text"], heading, self.seed, instruction["instruction_id"], self.wording)
             if compass
             else instruction["text"]
         )

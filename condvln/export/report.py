@@ -53,6 +53,11 @@ class ExportReport:
     """By path below the export's folder."""
 
     @property
+    def language(self) -> str:
+        """Code of the language of the texts."""
+        return str(self.texts.get("language", "en"))
+
+    @property
     def shortfalls(self) -> list[SelectionCell]:
         """Cells with fewer episodes than were wanted."""
         return [cell for cell in self.cells if cell.shortfall]

@@ -56,7 +56,7 @@ class ExportConfig:
     name: str = "CondVLN"
     """Title of the dataset card."""
     texts: Mapping[str, Any] = field(default_factory=dict)
-    """What the texts were rendered with: ``seed``, ``preamble``."""
+    """What the texts were rendered with: ``seed``, ``preamble``, ``language``, ``voices``, ``length``."""
 
 
 def export_snapshot(

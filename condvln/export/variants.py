@@ -17,6 +17,7 @@ from condvln.export.vlnce import encode, gold
 
 __all__ = [
     "ORACLE_COLUMNS",
+    "RXR_LANGUAGES",
     "OracleText",
     "ansr_bytes",
     "numeric_id",
@@ -46,14 +47,18 @@ def numeric_id(episode_id: str) -> int:
     return int.from_bytes(hashlib.sha256(episode_id.encode()).digest()[:8], "big") >> (64 - _BITS)
 
 
-def rxr_episode(stock: dict[str, Any], row: Row, split: str) -> dict[str, Any]:
+RXR_LANGUAGES: Final = {"en": "en-US", "es": "es-ES"}
+"""RxR's name of a language."""
+
+
+def rxr_episode(stock: dict[str, Any], row: Row, split: str, language: str = "en") -> dict[str, Any]:
     """The guide's episode of a stock one: the text under RxR's keys, no tokens (agents bring their own encoder)."""
     return {
         **stock,
         "instruction": {
             "instruction_id": str(numeric_id(row["episode_id"])),
             "instruction_text": row["instruction_text"],
-            "language": "en-US",
+            "language": RXR_LANGUAGES[language],
             "annotator_id": "0",
             "edit_distance": 0.0,
             "timed_instruction": [],

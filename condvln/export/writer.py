@@ -179,7 +179,7 @@ class ExportWriter:
         encoded = encode(stock)
         documents["vlnce"].add(encoded)
         documents["ansr"].add(ansr_bytes(encoded, row))
-        documents["rxr"].add(encode(rxr_episode(stock, row, files.name)))
+        documents["rxr"].add(encode(rxr_episode(stock, row, files.name, self._report.language)))
         if self._oracle_texts is not None:
             linear = oracle_text_of(self._oracle_texts, row, instruction)
             twin = oracle_episode(stock, linear, self._vocabulary.padded(linear, length))

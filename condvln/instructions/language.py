@@ -13,7 +13,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from itertools import accumulate
 from typing import Any, Final, Literal
 
 import yaml
@@ -39,6 +38,11 @@ SLOTS: Final = (
 """Phrase slots of every voice, beside one per predicate."""
 
 Form = Literal["asserted", "denied", "question", "see", "yes", "no", "leaf"]
+
+_WORDS_OF: Final[Mapping[Form, int]] = {
+    "asserted": 8, "denied": 8, "question": 8, "see": 9, "yes": 2, "no": 2, "leaf": 0,
+}  # fmt: skip
+"""Words that a slot makes, about."""
 
 _SLOT: Final = re.compile(r"\{([^}]*)\}")
 _FORMS: Final[Mapping[str, Form]] = {"see ": "see", "yes ": "yes", "no ": "no", "-": "denied", "": "asserted"}
@@ -71,18 +75,27 @@ class Template:
     pieces: tuple[Piece, ...]
     voices: frozenset[str]
 
+    @property
+    def length(self) -> int:
+        """About how many words it makes, its leaves left out, which are the same in all."""
+        own = sum(len(piece.split()) for piece in self.pieces if isinstance(piece, str))
+        return own + sum(_WORDS_OF[piece.form] for piece in self.pieces if isinstance(piece, Slot))
+
 
 @dataclass(frozen=True, eq=False)
 class Voice:
     """Phrases that go together.
 
+    weight : how often it is drawn beside the others
     slots : phrases by slot; the text takes one of them for its whole length
-    templates : by category, those of this voice
+    templates : by category, those of this voice; short_templates : those of them that make the fewest words
     """
 
     name: str
+    weight: float
     slots: Mapping[str, tuple[str, ...]]
     templates: Mapping[Category, tuple[Template, ...]]
+    short_templates: Mapping[Category, tuple[Template, ...]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,12 +106,11 @@ class Language:
     connectives : the words that hold clauses together, by what they do
     predicates : phrases of those with anchors; both : the word between two anchors
     superlatives : "bigger" and "smaller" by class of noun; superlative_first : before the noun, else behind it
-    voices, sums : the voices and their weights, summed up
+    voices : those that an instruction may be said in
     """
 
     code: str
     voices: tuple[Voice, ...]
-    sums: tuple[float, ...]
     slots: Mapping[str, tuple[str, ...]]
     connectives: Mapping[str, tuple[str, ...]]
     predicates: Mapping[Predicate, tuple[str, ...]]
@@ -155,7 +167,6 @@ def language(code: str = "en") -> Language:
     return Language(
         code=code,
         voices=voices,
-        sums=tuple(accumulate(float(own["weight"]) for own in document["voices"].values())),
         slots={slot: tuple(dict.fromkeys(p for voice in voices for p in voice.slots[slot])) for slot in SLOTS},
         connectives={name: tuple(phrases) for name, phrases in document["connectives"].items()},
         predicates={p: _predicate(document, p) for p in PREDICATES if p not in SUPERLATIVES},
@@ -188,7 +199,12 @@ def _voice(
     lacking = [c for c, those in usable.items() if not those]
     if lacking:
         raise AssertionError(f"voice {name} has no template of {', '.join(lacking)}")
-    return Voice(name, slots, usable)
+    return Voice(name, float(own["weight"]), slots, usable, {c: _shortest(those) for c, those in usable.items()})
+
+
+def _shortest(templates: tuple[Template, ...]) -> tuple[Template, ...]:
+    least = min(template.length for template in templates)
+    return tuple(template for template in templates if template.length == least)
 
 
 def _nouns(code: str) -> dict[str, Noun]:

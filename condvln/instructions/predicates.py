@@ -7,7 +7,7 @@ from typing import Final
 
 from schemas.program import QUALIFIER_ONLY, Predicate
 
-__all__ = ["ASKED", "COMPASS", "GROUP_OF", "PREDICATES", "PREDICATE_GROUPS"]
+__all__ = ["ASKED", "COMPASS", "GROUP_OF", "PREDICATES", "PREDICATE_GROUPS", "sayable"]
 
 COMPASS: Final[tuple[Predicate, ...]] = (
     "east of",
@@ -43,3 +43,8 @@ GROUP_OF: Final[Mapping[Predicate, str]] = {p: group for group, those in PREDICA
 
 ASKED: Final[tuple[Predicate, ...]] = tuple(p for p in PREDICATES if p not in QUALIFIER_ONLY)
 """Predicates that a condition may ask for."""
+
+
+def sayable(directions: str) -> frozenset[Predicate]:
+    """Predicates that text may use under a value of ``instructions.directions``."""
+    return frozenset(PREDICATES) - (frozenset() if directions == "compass" else frozenset(COMPASS))

@@ -12,7 +12,7 @@ that might mean it is used.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, Protocol
@@ -20,7 +20,7 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.instructions.predicates import PREDICATE_GROUPS
+from condvln.instructions.predicates import PREDICATE_GROUPS, PREDICATES
 from condvln.labels import Vocabulary
 from condvln.labels.roles import labels_with_role
 from condvln.scene import Room, RoomArrays
@@ -86,6 +86,7 @@ class Referents:
     suits (n, n) : j may be the anchor of i: it is fixed, or the larger of the two
     may_be (n,) : labels that a thing may bear without being called so, of those that may be some things only
     open (n,) : the same of all things whose extent is known, also of those that may be anything
+    sayable : predicates that a qualifier may have
     blocked : labels that can't be said to be absent, since something nameless may bear them
     unplaced : those among them that something of unknown extent may bear, so that it may be near to anything
     """
@@ -99,6 +100,7 @@ class Referents:
     small: Bools
     anchors: NDArray[np.intp]
     suits: Bools
+    sayable: Container[str]
     may_be: tuple[frozenset[str], ...]
     open: tuple[frozenset[str], ...]
     blocked: frozenset[str]
@@ -166,6 +168,7 @@ class Referents:
         anchor_size: float,
         family: str | None = None,
         sightings: Sightings = EVERYTHING_SEEN,
+        sayable: Container[str] = PREDICATES,
     ) -> Referents:
         """Names of all objects of a room.
 
@@ -193,6 +196,7 @@ class Referents:
             small=small,
             anchors=anchors,
             suits=_suits(sizes, np.asarray(fixed)),
+            sayable=sayable,
             may_be=may_be,
             open=open_,
             blocked=blocked,
@@ -263,6 +267,8 @@ def _qualifications(referents: Referents) -> tuple[tuple[Qualification, ...], ..
     for group, predicates in PREDICATE_GROUPS.items():
         ways: list[list[tuple[float, tuple[int, ...], Predicate]]] = [[] for _ in rows]
         for predicate in predicates:
+            if predicate not in referents.sayable:
+                continue
             if predicate in SUPERLATIVES:
                 for k in np.flatnonzero(sizes[predicate][rows] == 1).tolist():
                     ways[k].append((0.0, (), predicate))

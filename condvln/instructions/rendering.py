@@ -8,11 +8,14 @@ one of its label in its room is definite ("if the bike is next to the sofa"). A 
 from __future__ import annotations
 
 from bisect import bisect_right
+from functools import lru_cache
+from itertools import accumulate
 from typing import Final
 
 from condvln.instructions.language import Language, Slot, Voice, language
 from condvln.instructions.predicates import COMPASS
 from condvln.seeding import Draws, generator, stable_hash
+from schemas.config import WordingConfig
 from schemas.config.constants import HEADING_TOLERANCE
 from schemas.errors import UsageError
 from schemas.program import SUPERLATIVES, Condition, Leaf, ObjectRef, Program, Qualifier, RoomRef
@@ -63,11 +66,24 @@ def heading_name(heading_degrees: float) -> str:
     return HEADINGS[round(steps) % len(HEADINGS)]
 
 
-def voice_of(seed: int, instruction_id: str, code: str = "en") -> Voice:
-    """The voice in which an instruction is said."""
-    words = language(code)
-    share = stable_hash("voice", seed, instruction_id, code) / 2**256
-    return words.voices[min(bisect_right(words.sums, share * words.sums[-1]), len(words.sums) - 1)]
+def voice_of(seed: int, instruction_id: str, wording: WordingConfig | str = "en") -> Voice:
+    """The voice in which an instruction is said, one of those allowed; a language's code alone allows all."""
+    said = _wording(wording)
+    voices, sums = _allowed(said)
+    share = stable_hash("voice", seed, instruction_id, said.language) / 2**256
+    return voices[min(bisect_right(sums, share * sums[-1]), len(sums) - 1)]
+
+
+@lru_cache
+def _allowed(said: WordingConfig) -> tuple[tuple[Voice, ...], tuple[float, ...]]:
+    """The voices that may be used, in the language's order, and their weights, summed up."""
+    voices = tuple(voice for voice in language(said.language).voices if voice.name in said.voices)
+    return voices, tuple(accumulate(voice.weight for voice in voices))
+
+
+@lru_cache
+def _wording(wording: WordingConfig | str) -> WordingConfig:
+    return WordingConfig.model_validate({"language": wording}) if isinstance(wording, str) else wording
 
 
 def preamble(heading_degrees: float, voice: Voice, code: str = "en") -> str:
@@ -76,46 +92,64 @@ def preamble(heading_degrees: float, voice: Voice, code: str = "en") -> str:
     return _sentences(words, f"{voice.slots['facing'][0]} {words.directions[heading_name(heading_degrees)]}.")
 
 
-def with_preamble(text: str, heading_degrees: float, seed: int, instruction_id: str, code: str = "en") -> str:
+def with_preamble(
+    text: str, heading_degrees: float, seed: int, instruction_id: str, wording: WordingConfig | str = "en"
+) -> str:
     """`text` after the sentence that states the start heading, in the voice of the instruction."""
-    return f"{preamble(heading_degrees, voice_of(seed, instruction_id, code), code)} {text}"
+    voice = voice_of(seed, instruction_id, wording)
+    return f"{preamble(heading_degrees, voice, _wording(wording).language)} {text}"
 
 
-def render(program: Program, seed: int, instruction_id: str, code: str = "en") -> str:
-    """One rendering of `program`, decided by (seed, instruction id, language)."""
+def render(program: Program, seed: int, instruction_id: str, wording: WordingConfig | str = "en") -> str:
+    """One rendering of `program`, decided by (seed, instruction id, wording); a language's code alone allows all.
+
+    With the length "short" it has the shortest phrases and templates of its voice.
+    """
+    said = _wording(wording)
+    code = said.language
+    words, voice = language(code), voice_of(seed, instruction_id, said)
     draws = Draws(generator(seed, "text", instruction_id, code))
-    return _Renderer(language(code), voice_of(seed, instruction_id, code), draws).program(program)
+    return _Renderer(words, voice, draws, short=said.length == "short").program(program)
 
 
-def word_count(program: Program, seed: int, instruction_id: str, *, preamble: bool) -> int:
+def word_count(
+    program: Program, seed: int, instruction_id: str, wording: WordingConfig | str = "en", *, preamble: bool
+) -> int:
     """Words of the published text of `program`, known before it is placed: every heading has a name of one word.
 
     preamble : whether texts that use compass words open with the start heading
     """
-    text = render(program, seed, instruction_id)
+    text = render(program, seed, instruction_id, wording)
     if preamble and names_compass(program):
-        text = with_preamble(text, 0.0, seed, instruction_id)
+        text = with_preamble(text, 0.0, seed, instruction_id, wording)
     return len(text.split())
 
 
-def render_moves(moves: tuple[ObjectRef, ...], seed: int, instruction_id: str, code: str = "en") -> str:
+def render_moves(
+    moves: tuple[ObjectRef, ...], seed: int, instruction_id: str, wording: WordingConfig | str = "en"
+) -> str:
     """A bare sequence of moves as one sentence: what an oracle-linear twin says."""
+    code = _wording(wording).language
     words = language(code)
     draws = Draws(generator(seed, "text", instruction_id, code))
-    renderer = _Renderer(words, voice_of(seed, instruction_id, code), draws)
+    short = _wording(wording).length == "short"
+    renderer = _Renderer(words, voice_of(seed, instruction_id, wording), draws, short=short)
     return _sentences(words, f"{renderer.moves(Leaf(moves=moves))}.")
 
 
 class _Renderer:
-    def __init__(self, words: Language, voice: Voice, draws: Draws) -> None:
-        self.words, self.voice, self.draws = words, voice, draws
+    """short : of phrases that mean the same one of fewest words is taken, and "there" wherever it can be said"""
+
+    def __init__(self, words: Language, voice: Voice, draws: Draws, *, short: bool = False) -> None:
+        self.words, self.voice, self.draws, self.short = words, voice, draws, short
         self.scope: RoomRef | None = None
         self.last_room: RoomRef | None = None
         self._chosen: dict[str, str] = {}
 
     def program(self, program: Program) -> str:
         opening = self._scope(program)
-        template = self.draws.choice(self.voice.templates[program.category])
+        templates = (self.voice.short_templates if self.short else self.voice.templates)[program.category]
+        template = self.draws.choice(templates)
         texts = [piece if isinstance(piece, str) else self._slot(piece, program) for piece in template.pieces]
         body = "".join(texts)
         return _sentences(self.words, f"{opening}{body[:1].lower()}{body[1:]}" if opening else body)
@@ -124,8 +158,11 @@ class _Renderer:
         """The phrase that this text has for a slot."""
         found = self._chosen.get(slot)
         if found is None:
-            found = self._chosen[slot] = self.draws.choice(self.voice.slots[slot])
+            found = self._chosen[slot] = self._choice(self.voice.slots[slot])
         return found
+
+    def _choice(self, phrases: tuple[str, ...]) -> str:
+        return self.draws.choice(_shortest(phrases) if self.short else phrases)
 
     def _chance(self, share: float) -> bool:
         return self.draws.uniform() < share
@@ -205,7 +242,7 @@ class _Renderer:
         if qualifier.predicate in SUPERLATIVES:
             return ""
         phrases = self.words.predicates[qualifier.predicate]
-        relation = phrases[0] if len(phrases) == 1 else self.draws.choice(phrases)
+        relation = phrases[0] if len(phrases) == 1 else self._choice(phrases)
         anchors = [self.words.definite(self.words.nouns[label]) for label in qualifier.anchor_labels]
         return f" {relation} {f' {self.words.both} '.join(anchors)}"
 
@@ -234,7 +271,7 @@ class _Renderer:
         """The room as a place ("in the bedroom"); with `kind` "_of" as what a thing belongs to ("del dormitorio")."""
         if self._elided(room):
             return ""
-        if room == self.last_room and self._chance(THERE_SHARE):
+        if room == self.last_room and (self.short or self._chance(THERE_SHARE)):
             return f" {self._phrase(f'there{kind}')}"
         return f" {self._phrase('of' if kind else 'in')} {self._room(room)}"
 
@@ -252,6 +289,13 @@ def _sentences(words: Language, text: str) -> str:
     for mark in (". ", "? "):
         text = mark.join(_capital(part) for part in text.split(mark))
     return text
+
+
+@lru_cache
+def _shortest(phrases: tuple[str, ...]) -> tuple[str, ...]:
+    """Those of fewest words."""
+    least = min(phrase.count(" ") for phrase in phrases)
+    return tuple(phrase for phrase in phrases if phrase.count(" ") == least)
 
 
 def _capital(sentence: str) -> str:

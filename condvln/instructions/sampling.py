@@ -18,7 +18,7 @@ from condvln.instructions.condition_sampler import ConditionSampler
 from condvln.instructions.conditions import ConditionPool
 from condvln.instructions.counterfactuals import Group, counterfactual_group
 from condvln.instructions.degeneracy import idle_conditions, is_circular, outcomes, repeats_anchor
-from condvln.instructions.predicates import GROUP_OF
+from condvln.instructions.predicates import GROUP_OF, sayable
 from condvln.instructions.priors import PriorBits
 from condvln.instructions.programs import composition, instruction_id
 from condvln.instructions.referents import ALTERNATIVES, Facts, Referents, object_refs, room_refs
@@ -94,6 +94,7 @@ class ProgramSampler:
                 sampling.anchor_size,
                 scene.family,
                 sightings,
+                sayable(wanted.directions),
             )
             for room in sorted(scene.rooms, key=lambda r: r.room_id)
             if room.room_id in facts
@@ -110,7 +111,9 @@ class ProgramSampler:
             elsewhere = set(bits.plausible.get(referents.room.label, ()))
         else:
             elsewhere = {o.label for o in self.scene.objects if o.room_id != room_id and not o.hidden}
-        return ConditionPool.of(referents, bits, elsewhere, self.words, asked_in(self.scene.family))
+        return ConditionPool.of(
+            referents, bits, elsewhere, self.words, asked_in(self.scene.family) & sayable(self.wanted.directions)
+        )
 
     @cached_property
     def _held(self) -> dict[str, int]:
@@ -190,7 +193,8 @@ class ProgramSampler:
         if cell.words is not None:
             name = instruction_id(self.scene.family, self.scene.scene_id, program)
             least, most = cell.words
-            if not least <= word_count(program, self.seed, name, preamble=self.preamble) <= most:
+            said = word_count(program, self.seed, name, self.wanted.wording, preamble=self.preamble)
+            if not least <= said <= most:
                 raise GivenUp("words_missed")
         return program
 

@@ -16,6 +16,7 @@ FACTS: Final[Mapping[str, str]] = {
     "text_branches": "in every case the text sends the agent where the program does",
     "heading": "the heading that the text states is the start's",
     "heading_stated": "a text with compass words states the start's heading",
+    "directions": "a text says where things lie by compass words only where the configuration allows them",
     "words": "number of words of the text",
     # scene
     "room_named": "a room goes by the type that the scene has for it",

@@ -29,6 +29,8 @@ class VerifierRules:
     text: TextConfig = field(default_factory=TextConfig)
     agent: AgentConfig = field(default_factory=AgentConfig)
     anchor_size: float = SamplingConfig().anchor_size
+    language: str = "en"
+    directions: str = "compass"
 
     @classmethod
     def of(cls, config: Config) -> VerifierRules:
@@ -41,4 +43,6 @@ class VerifierRules:
             config.text,
             config.agent,
             config.sampling.anchor_size,
+            config.instructions.language,
+            config.instructions.directions,
         )

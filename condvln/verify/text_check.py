@@ -26,7 +26,7 @@ def check_meaning(
     certificate.same("words", row.words, len(row.instruction_text.split()))
     _check_rooms(row.program, referents, certificate)
     try:
-        reading = read(row.instruction_text)
+        reading = read(row.instruction_text, rules.language)
     except Unreadable as fault:
         certificate.holds("text_reading", False, "one reading", str(fault))
         return
@@ -55,7 +55,9 @@ def _check_rooms(program: Program, referents: SceneReferents, certificate: Certi
 
 def _check_heading(row: ManifestEpisode, reading: TextReading, rules: VerifierRules, certificate: Certificate) -> None:
     phrases = [*reading.conditions, *(stop for moves in reading.moves for stop in moves)]
-    directed = any(phrase.qualifier is not None and phrase.qualifier[0] in DIRECTIONS for phrase in phrases)
+    said = {phrase.qualifier[0] for phrase in phrases if phrase.qualifier is not None}
+    directed = not said.isdisjoint(DIRECTIONS)
+    certificate.holds("directions", not directed or rules.directions == "compass", rules.directions, sorted(said))
     if directed and rules.text.preamble:
         certificate.holds("heading_stated", reading.heading is not None, "compass words", "no heading")
     yaw = yaw_of(row.start_rotation)

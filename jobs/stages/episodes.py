@@ -19,7 +19,7 @@ from condvln.episodes.visibility import sightings_from_table
 from condvln.scene import Scene
 from factory.stage import Stage, StageOutput
 from factory.unit import Unit
-from jobs.stages.inputs import Tables, dump, scene_of, walkable_of
+from jobs.stages.inputs import Tables, asked_of, dump, scene_of, walkable_of
 from schemas.canonical import JSON
 from schemas.config import (
     EpisodeConfig,
@@ -51,7 +51,7 @@ class EpisodeStage(Stage):
     def parameters(self, unit: Unit) -> JSON:
         return {
             "places": dump(self.places),
-            "instructions": dump(self.instructions),
+            "instructions": asked_of(self.instructions),
             "sampling": self.sampling.model_dump(mode="json", include={"moves", "moves_four_leaves"}),
             "episodes": dump(self.rules),
             "agent": {"max_climb": self.max_climb},

@@ -21,11 +21,23 @@ from condvln.sources.source import Source
 from factory.unit import Unit
 from schemas.canonical import JSON
 from schemas.config import (
+    InstructionsConfig,
     LimitsConfig,
     Section,
+    WordingConfig,
 )
 
-__all__ = ["NAVMESHES", "Tables", "dump", "navmeshes_table", "pathfinder_of", "scene_of", "source_of", "walkable_of"]
+__all__ = [
+    "NAVMESHES",
+    "Tables",
+    "asked_of",
+    "dump",
+    "navmeshes_table",
+    "pathfinder_of",
+    "scene_of",
+    "source_of",
+    "walkable_of",
+]
 
 
 Tables = Mapping[str, pa.Table]
@@ -97,6 +109,12 @@ def walkable_of(unit: Unit, scene: Scene, tables: Tables, max_climb: float) -> W
     return Walkable(pathfinder_of(scene, tables), view, max_climb)
 
 
-def dump(section: Section) -> JSON:
-    document: JSON = section.model_dump(mode="json")
+def dump(section: Section) -> dict[str, JSON]:
+    document: dict[str, JSON] = section.model_dump(mode="json")
     return document
+
+
+def asked_of(instructions: InstructionsConfig) -> dict[str, JSON]:
+    """What is wanted of a scene, whatever its wording."""
+    said = InstructionsConfig.model_fields.keys() & WordingConfig.model_fields.keys()
+    return {key: value for key, value in dump(instructions).items() if key not in said}

@@ -23,7 +23,7 @@ from condvln.relations import RoomRelations, text_facts
 from condvln.scene import Scene
 from factory.stage import Aggregate, Stage, StageOutput
 from factory.unit import Unit
-from jobs.stages.inputs import Tables, dump, scene_of, source_of, walkable_of
+from jobs.stages.inputs import Tables, asked_of, dump, scene_of, source_of, walkable_of
 from jobs.stages.text import TextStage
 from schemas.canonical import JSON
 from schemas.config import (
@@ -79,13 +79,15 @@ class ProgramStage(Stage):
 
     def parameters(self, unit: Unit) -> JSON:
         wording: dict[str, JSON] = {}
+        wanted = asked_of(self.instructions)
         if any(cell.words for cell in self.instructions.cells):
             # The number of words is decided by the wording, which is another stage's to change.
             wording = {"text": {"preamble": self.preamble}, "wording": TextStage.version}
+            wanted |= dump(self.instructions.wording)
         return wording | {
             "thresholds": dump(self.thresholds),
             "places": dump(self.places),
-            "instructions": dump(self.instructions),
+            "instructions": wanted,
             "sampling": dump(self.sampling),
             "goals": dump(self.goals),
             "agent": {"max_climb": self.max_climb},

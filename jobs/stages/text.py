@@ -21,6 +21,7 @@ from jobs.stages.inputs import Tables, dump
 from schemas.canonical import JSON
 from schemas.config import (
     TextConfig,
+    WordingConfig,
 )
 
 __all__ = ["TextStage"]
@@ -31,6 +32,7 @@ class TextStage(Stage):
     """Placed programs → their words: instructions and episodes as they are published."""
 
     text: TextConfig
+    wording: WordingConfig
     max_steps: int
     seed: int
     name: str = "text"
@@ -41,6 +43,7 @@ class TextStage(Stage):
     def parameters(self, unit: Unit) -> JSON:
         return {
             "text": dump(self.text),
+            "instructions": dump(self.wording),
             "episodes": {"max_steps": self.max_steps},
             "seed": self.seed,
         }
@@ -54,7 +57,7 @@ class TextStage(Stage):
         programs = dict(programs_from_table(kept))
         groups = dict(zip(*(placements[c].to_pylist() for c in ("instruction_id", "group_id")), strict=True))
         rows = placements.select(["episode_id", "instruction_id", "start_heading_degrees"]).to_pylist()
-        bodies, texts = published_texts(programs, rows, self.text, self.seed)
+        bodies, texts = published_texts(programs, rows, self.text, self.wording, self.seed)
         return StageOutput(
             tables={
                 "instructions": instruction_table(str(unit.payload["scene_id"]), programs.items(), bodies, groups),

@@ -12,6 +12,8 @@ from schemas.config.instructions import (
     PredicateWeights,
     SamplingConfig,
     TextConfig,
+    VoiceName,
+    WordingConfig,
 )
 from schemas.config.relations import SECTOR_HALF_WIDTH, Thresholds
 from schemas.config.run import (
@@ -52,4 +54,6 @@ __all__ = [
     "SplitsConfig",
     "TextConfig",
     "Thresholds",
+    "VoiceName",
+    "WordingConfig",
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, get_args
 
 from pydantic import Field, field_validator, model_validator
 
@@ -19,7 +19,12 @@ __all__ = [
     "PredicateWeights",
     "SamplingConfig",
     "TextConfig",
+    "VoiceName",
+    "WordingConfig",
 ]
+
+VoiceName = Literal["brief", "check", "question", "otherwise", "formal", "list"]
+"""Ways to say an instruction; ``condvln/instructions/grammar`` holds their phrases."""
 
 Wanted = Annotated[int, Field(ge=0, le=10_000)]
 """Episodes wanted of one scene: no scene has room for more, and candidates of all of them are held in memory."""
@@ -103,9 +108,38 @@ def _span(bounds: tuple[float, float]) -> str:
     return f"{least}-{most}"
 
 
-class InstructionsConfig(Section):
-    """What is wanted of each scene."""
+class WordingConfig(Section):
+    """How a program is said: the text stage alone reads it, unless a cell bounds the number of words."""
 
+    language: Literal["en", "es"] = Field("en", description="language of the texts: English or Spanish")
+    voices: tuple[VoiceName, ...] = Field(
+        get_args(VoiceName), min_length=1, description="ways of speaking that texts are drawn from; one voice a text"
+    )
+    length: Literal["any", "short"] = Field(
+        "any", description="any: a wording is drawn from all of a voice; short: the shortest of a voice's templates"
+    )
+
+    @model_validator(mode="after")
+    def _voices_differ(self) -> WordingConfig:
+        twice = sorted({name for name in self.voices if self.voices.count(name) > 1})
+        if twice:
+            raise ValueError(f"voices: {', '.join(twice)} is there twice")
+        return self
+
+    @property
+    def wording(self) -> WordingConfig:
+        """These keys alone."""
+        return WordingConfig(language=self.language, voices=self.voices, length=self.length)
+
+
+class InstructionsConfig(WordingConfig):
+    """What is wanted of each scene, and how it is said."""
+
+    directions: Literal["compass", "none"] = Field(
+        "compass",
+        description="compass: texts may say where a thing lies by compass words, and then open with the start heading; "
+        "none: they don't",
+    )
     per_category: dict[Category, Wanted] = Field(
         default_factory=lambda: dict.fromkeys(CATEGORIES, 20), description="episodes wanted a scene, by category"
     )

@@ -91,6 +91,10 @@ CHANGED: dict[str, Any] = {
     "instructions.cells.0.count": 1,
     "instructions.counterfactual_groups": 0,
     "instructions.label_cap": 0.01,
+    "instructions.directions": "none",
+    "instructions.language": "es",
+    "instructions.voices": ["formal"],
+    "instructions.length": "short",
     "sampling.candidates_per_episode": 2,
     "sampling.moves": [0.0, 0.0, 1.0],
     "sampling.moves_four_leaves": [0.0, 1.0],
@@ -157,6 +161,9 @@ ELSEWHERE = {
 
 QUOTING = {"origin.json", "export.json"}
 """Files of an export that repeat the configuration, or hashes of those that do."""
+
+WORDING = {"text.preamble", "instructions.language", "instructions.voices", "instructions.length"}
+"""Keys that programs read only where a cell bounds the number of words."""
 
 EXEMPT = {"store", "export", "ray", "keep"}
 """Where things lie and how work is spread: they change no row and no file."""
@@ -234,7 +241,9 @@ def test_a_key_makes_stale_what_its_page_says(stock, path: str) -> None:
         assert said(path) == set(), "other scenes, and no other stage of one"
         return
     document = stock("nowhere")
-    if path == "text.preamble":
+    if path in WORDING:
+        alone, changed_alone = read(document), read(changed(document, path))
+        assert {name for name in alone if alone[name] != changed_alone[name]} - {"episodes"} == {"text"}
         document["instructions"]["cells"][0]["words"] = [1, 200]
     before, after = read(document), read(changed(document, path))
     assert {name for name in before if before[name] != after[name]} == said(path)
