@@ -69,7 +69,8 @@ def oracle_split(
     target = out or export / "oracle" / split / f"{split}.json.gz"
     if target.resolve() == document.resolve():
         raise UsageError("the twin would take its original's place", where=target, remedy="Name another file: --out")
-    manifest = {row.episode_id: row for row in read_manifest(manifest_path(export, split))}
+    rows = read_manifest(manifest_path(export, split))
+    manifest = {name: row for row in rows for name in (str(row.episode_id), row.episode_hash)}
     rendering = _rendering(export)
     seed = int(rendering.get("seed", 0)) if seed is None else seed
     preamble = bool(rendering.get("preamble", True))

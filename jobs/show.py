@@ -91,11 +91,15 @@ def _chosen(snapshot: Snapshot, name: str | None, sample: int) -> list[dict[str,
 
 def _named(snapshot: Snapshot, episodes: pa.Table, name: str) -> list[dict[str, Any]]:
     """Episodes whose id begins so; where there are none, those of such an instruction, or itself if it has none."""
-    rows: list[dict[str, Any]] = []
-    if episodes.num_rows:
-        rows = episodes.filter(pc.starts_with(episodes["episode_id"], name)).to_pylist()
-    if rows:
-        return rows
+    for column in ("episode_id", "episode_hash"):
+        if column not in episodes.column_names:  # a snapshot of a former release, whose ids are hashes
+            continue
+        ids = pc.cast(episodes[column], pa.string())
+        for matches in (pc.equal, pc.starts_with):
+            rows: list[dict[str, Any]] = episodes.filter(matches(ids, name)).to_pylist()
+            if rows:
+                return rows
+    rows = []
     for source in sorted(snapshot.manifest.tables["instructions"].partitions):
         table = _instructions(snapshot, source)
         found = table.filter(pc.starts_with(table["instruction_id"], name)) if table.num_rows else table

@@ -8,7 +8,7 @@ from __future__ import annotations
 from bisect import insort
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from condvln.episodes.picture import draw_episode
 from condvln.instructions.tree import program_tree
@@ -23,6 +23,9 @@ from schemas.errors import FormatError, UsageError
 __all__ = ["show_export"]
 
 Row = dict[str, Any]
+
+ID_WIDTH: Final = 16
+"""Characters that ids are brought to with blanks, so that integers sort by their value."""
 
 
 def show_export(
@@ -74,23 +77,28 @@ def show_export(
 def _chosen(export: Path, episode: str | None, sample: int) -> list[ManifestLine]:
     """Lines of the manifests; those of a sample have the first ids of each category and source."""
     found: list[ManifestLine] = []
+    exact: list[ManifestLine] = []
     first: dict[tuple[str, str], list[tuple[str, ManifestLine]]] = {}
     for line in _lines(export):
         fields = line.fields()
-        names = [fields.get(key) for key in ("category", "source", "episode_id")]
-        if not all(isinstance(name, str) for name in names):
+        names = [fields.get(key) for key in ("category", "source")]
+        own = fields.get("episode_id")
+        if not all(isinstance(name, str) for name in names) or not isinstance(own, str | int):
             raise FormatError(
                 "not a manifest row", where=line.path, place=f"line {line.number}", remedy="Export the split again"
             )
-        category, source, name = map(str, names)
+        (category, source), name = map(str, names), str(own)
+        hashed = str(fields.get("episode_hash") or name)
         if episode is not None:
-            if name.startswith(episode):
+            if episode in (name, hashed):
+                exact.append(line)
+            elif name.startswith(episode) or hashed.startswith(episode):
                 found.append(line)
             continue
         kept = first.setdefault((category, source), [])
-        insort(kept, (name, line))
+        insort(kept, (name.rjust(ID_WIDTH), line))
         del kept[sample:]
-    return found if episode is not None else [line for _, line in spread(first, sample)]
+    return exact or found if episode is not None else [line for _, line in spread(first, sample)]
 
 
 def _lines(export: Path) -> Iterator[ManifestLine]:

@@ -88,7 +88,7 @@ def _faults_of_snapshot(config: Config, export_dir: Path) -> Iterator[Fault]:
                 f"{config.name!r}; run condvln export",
             )
             return
-        known: set[str] = set()
+        known: set[int | str] = set()
         for source in snapshot.manifest.tables["episodes"].partitions:
             known.update(snapshot.table("episodes", ["episode_id"], source).column("episode_id").to_pylist())
     except (StoreError, FileNotFoundError) as error:
@@ -140,7 +140,7 @@ class _Tally:
         self.proven: Counter[str] = Counter()
         self.checked: Counter[str] = Counter()
         self.disagreed: Counter[str] = Counter()
-        self.examples: list[tuple[str, str]] = []
+        self.examples: list[tuple[int | str, str]] = []
         self.faults: list[Fault] = []
         """What is wrong with the export as a whole."""
 

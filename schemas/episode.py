@@ -49,7 +49,8 @@ class EpisodeRecord(Document):
     """One row of the episodes table; its program stands in the instructions table under ``instruction_id``."""
 
     scene_id: str
-    episode_id: str
+    episode_id: int = Field(ge=0, lt=2**53, description="made from `episode_hash`; stock loaders call int() on it")
+    episode_hash: str = Field(description="hash of scene, instruction and start pose")
     instruction_id: str
     group_id: str | None = None
     category: Category

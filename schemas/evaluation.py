@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from schemas.base import Finite, Vec3, VersionedDocument
 from schemas.episode import Composition, EpisodeLeaf, Evidence, Observability
@@ -14,7 +14,8 @@ __all__ = ["ManifestEpisode"]
 class ManifestEpisode(VersionedDocument):
     """One row of ``manifest/<split>.jsonl``."""
 
-    episode_id: str
+    episode_id: int | str = Field(description="an integer below 2^53; in exports of former releases the hash itself")
+    episode_hash: str = Field("", description="hash of scene, instruction and start pose; empty where it is the id")
     instruction_id: str
     group_id: str | None = None
     source: str
@@ -43,3 +44,8 @@ class ManifestEpisode(VersionedDocument):
     navmesh: str = Field(description="path of the navmesh, as the export or the source ships it")
     navmesh_sha256: str
     snapshot: str
+
+    @model_validator(mode="after")
+    def _with_hash(self) -> ManifestEpisode:
+        self.episode_hash = self.episode_hash or str(self.episode_id)
+        return self

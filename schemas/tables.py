@@ -322,7 +322,8 @@ _EVIDENCE: Final = pa.struct(
 EPISODES: Final = pa.schema(
     [
         _SCENE_ID,
-        _required("episode_id", _S, "content hash of scene, instruction and start pose"),
+        _required("episode_id", pa.int64(), "id in every file, below 2^53, made from `episode_hash`"),
+        _required("episode_hash", _S, "content hash of scene, instruction and start pose"),
         _INSTRUCTION_ID,
         _field("group_id", _S, _GROUP),
         _required("category", _S, _CATEGORY),

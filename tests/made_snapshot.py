@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from condvln.episodes.identity import numeric_id
 from condvln.export.densify import densify
 from condvln.export.tables import MemoryTables
 from schemas.program import CATEGORIES, SHAPES, Category
@@ -94,7 +95,8 @@ def made_rows(
     instruction_id = f"{scene}-i{number:06d}"
     episode = {
         "scene_id": scene,
-        "episode_id": f"{scene}-e{number:06d}",
+        "episode_id": numeric_id(f"{scene}-e{number:06d}"),
+        "episode_hash": f"{scene}-e{number:06d}",
         "instruction_id": instruction_id,
         "group_id": group,
         "category": category,

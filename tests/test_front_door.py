@@ -118,7 +118,7 @@ def test_an_own_agent_is_walked_and_scored(
     example(repository, "own_agent").main(str(tmp_path / "export"), split, str(tmp_path / "scenes"))
     assert "success" in capsys.readouterr().out
     read = list(condvln.read_predictions(str(tmp_path / "wanderer.json")))
-    assert {p.episode_id for p in read} == {e.episode_id for e in export.episodes(split)}
+    assert {p.episode_id for p in read} == {str(e.episode_id) for e in export.episodes(split)}
 
 
 @pytest.mark.ray

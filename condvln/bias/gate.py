@@ -92,7 +92,7 @@ class _Sample:
         """One more episode."""
         counts = self.gold.setdefault((view.source, view.category), [0] * len(view.leaves))
         counts[view.gold] += 1
-        rank = _rank(view.episode_id)
+        rank = _rank(view.episode_hash)
         if view.group is None:
             self._keep(rank, view)
             return
@@ -103,7 +103,7 @@ class _Sample:
 
     def _keep(self, rank: int, view: GuesserView) -> None:
         cell = self._cells.setdefault((view.source, view.category), [])
-        entry = (-rank, view.episode_id, view)
+        entry = (-rank, view.episode_hash, view)
         if len(cell) < CELL_CAP:
             heapq.heappush(cell, entry)
         else:
@@ -114,11 +114,11 @@ class _Sample:
         for rank, view in self.groups.values():
             self._keep(rank, view)
         found = [view for cell in self._cells.values() for _, _, view in cell]
-        return sorted(found, key=lambda g: (g.source, g.category, g.scene, g.episode_id))
+        return sorted(found, key=lambda g: (g.source, g.category, g.scene, g.episode_hash))
 
 
-def _rank(episode_id: str) -> int:
-    return int.from_bytes(hashlib.blake2b(episode_id.encode(), digest_size=8).digest(), "big")
+def _rank(episode_hash: str) -> int:
+    return int.from_bytes(hashlib.blake2b(episode_hash.encode(), digest_size=8).digest(), "big")
 
 
 def _findings(views: Sequence[GuesserView]) -> Iterator[Finding]:

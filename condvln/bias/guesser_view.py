@@ -49,7 +49,7 @@ class GuesserView:
     layout : name of what its scene is a staging of, which words may well tell; empty where it is none
     """
 
-    episode_id: str
+    episode_hash: str
     source: str
     scene: str
     layout: str
@@ -71,7 +71,7 @@ class GuesserView:
         try:
             program = row["program"]
             view = cls(
-                episode_id=row["episode_id"],
+                episode_hash=str(row.get("episode_hash") or row["episode_id"]),
                 source=row["source"],
                 scene=f"{row['source']}/{row['scene_id']}",
                 layout=layout_of(row["scene_id"]),

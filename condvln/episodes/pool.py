@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 from condvln.episodes.candidates import Candidate
+from condvln.episodes.identity import colliding, content_hash, numeric_id
 from condvln.episodes.label_share import allowed_share, most_leaves, over_share
 from condvln.episodes.observability import FIRST_VIEW, Observation, Observer
 from condvln.episodes.placing import Fit, Outlook, Placement, Placer, Rejected
@@ -63,6 +64,19 @@ class EpisodePool:
         key = (candidate.cell, reason)
         self.rejections[key] += 1
         self.examples.setdefault(key, candidate.instruction_id)
+
+    def reject_collisions(self, scene_id: str) -> None:
+        """Drop the episodes whose id another one of the scene has, with their counterfactual groups."""
+        hashes = [content_hash(scene_id, e.instruction_id, e.placement.start, e.placement.yaw) for e in self.episodes]
+        lost = {self.episodes[k].instruction_id for k in colliding([numeric_id(name) for name in hashes], hashes)}
+        groups = {e.candidate.group_id for e in self.episodes if e.instruction_id in lost} - {None}
+        kept = []
+        for episode in self.episodes:
+            if episode.instruction_id in lost or episode.candidate.group_id in groups:
+                self.reject(episode.candidate, "id_collision")
+            else:
+                kept.append(episode)
+        self.episodes = kept
 
     @property
     def placed(self) -> Counter[InstructionCell | None]:

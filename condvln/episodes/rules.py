@@ -24,6 +24,7 @@ REASONS: Final[dict[str, str]] = {
     "label_over_cap": "a target's label already has its share of the scene's leaves",
     "quota_full": "the cell has all the episodes asked for",
     "gold_leaf_full": "the cell has its share of episodes whose gold leaf is this one",
+    "id_collision": "its integer id is that of another episode, whose hash is smaller",
     "no_navmesh": "the scene has no navmesh to place episodes on",
     "no_start": "no navigable start on an island wide enough",
 }

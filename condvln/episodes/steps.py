@@ -176,7 +176,7 @@ def place_programs(
     """The episodes that candidates become, and why the others failed."""
     placer = Placer(scene, walkable.pathfinder, goals, places, rules, seed, max_climb=walkable.max_climb)
     observer = Observer(scene, walkable.view, walkable.pathfinder, places, rules, placer.obstacles, sightings=sightings)
-    return fill_pool(
+    pool = fill_pool(
         candidates,
         placer,
         instructions.wanted,
@@ -186,6 +186,8 @@ def place_programs(
         instructions.counterfactual_groups,
         sampling.move_shares,
     )
+    pool.reject_collisions(scene.scene_id)
+    return pool
 
 
 def published_texts(
@@ -194,13 +196,13 @@ def published_texts(
     text: TextConfig,
     wording: WordingConfig,
     seed: int,
-) -> tuple[dict[str, str], dict[str, str]]:
+) -> tuple[dict[str, str], dict[int, str]]:
     """Text of each program by instruction id, and of each episode by episode id, which may open with the heading.
 
     placements : rows of PLACEMENTS
     """
     bodies = {name: render(program, seed, name, wording) for name, program in programs.items()}
-    texts = {}
+    texts: dict[int, str] = {}
     for row in placements:
         name = row["instruction_id"]
         said = bodies[name]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, Final
@@ -12,6 +11,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from condvln.episodes.candidates import cell_name
+from condvln.episodes.identity import content_hash, numeric_id
 from condvln.episodes.observability import Observation
 from condvln.episodes.placing import PlacedLeaf, heading_degrees, yaw_quaternion
 from condvln.episodes.pool import EpisodePool, PooledEpisode
@@ -24,7 +24,6 @@ __all__ = [
     "PLACEMENTS",
     "STOPS",
     "TEXT_COLUMNS",
-    "episode_id",
     "funnel_table",
     "goals_from_table",
     "placements_table",
@@ -45,15 +44,6 @@ STOPS: Final = pa.schema(
     ]
 )
 """Goal points of every object that can be stood at, best first; kept in the unit, not published."""
-
-ID_DIGITS: Final = 16
-"""Hex digits of an episode id: 64 bits, a collision in a million episodes has odds of 1 in 10⁷."""
-
-
-def episode_id(scene_id: str, instruction_id: str, start: NDArray[np.float64], yaw: float) -> str:
-    """Stable id from content: the scene, the instruction and the pose it starts from."""
-    pose = ",".join(f"{value:.3f}" for value in start) + f",{yaw:.6f}"
-    return hashlib.sha256("\x1f".join([scene_id, instruction_id, pose]).encode()).hexdigest()[:ID_DIGITS]
 
 
 def stops_table(scene_id: str, goals: Mapping[str, NDArray[np.float64]]) -> pa.Table:
@@ -85,9 +75,11 @@ def _row(scene_id: str, pooled: PooledEpisode, composition: str, navmesh_sha256:
     program, placement = pooled.program, pooled.placement
     gold = program.gold_leaf()
     leaf = placement.leaves[gold]
+    name = content_hash(scene_id, pooled.instruction_id, placement.start, placement.yaw)
     return {
         "scene_id": scene_id,
-        "episode_id": episode_id(scene_id, pooled.instruction_id, placement.start, placement.yaw),
+        "episode_id": numeric_id(name),
+        "episode_hash": name,
         "instruction_id": pooled.instruction_id,
         "group_id": pooled.candidate.group_id,
         "category": program.category,
@@ -142,14 +134,14 @@ def _point(values: NDArray[np.float64]) -> dict[str, float]:
     return {"x": x, "y": y, "z": z}
 
 
-def with_text(placements: pa.Table, texts: Mapping[str, str], max_steps: int, steps_per_word: int) -> pa.Table:
+def with_text(placements: pa.Table, texts: Mapping[int, str], max_steps: int, steps_per_word: int) -> pa.Table:
     """EPISODES rows: each placement with its text (by episode id), word count and step budget.
 
     The budget is min(ceiling, max(steps a word × words, 2 × ground-truth actions)); in a counterfactual group the words
     are those of its longest text, so that all have one budget.
     """
     rows = placements.to_pylist()
-    longest: dict[str, int] = {}
+    longest: dict[str | int, int] = {}
     for row in rows:
         row["instruction_text"] = texts[row["episode_id"]]
         row["words"] = len(row["instruction_text"].split())

@@ -82,7 +82,11 @@ def nearest(task: Task, pathfinder: Pathfinder, seed: int) -> Prediction:
 
 def coin_flip(task: Task, pathfinder: Pathfinder, seed: int) -> Prediction:
     """Answers every condition it meets by a coin: shallow leaves are then likelier than deep ones."""
-    truths = generator(seed, "coin-flip", task.episode_id).integers(0, 2, len(task.program.conditions)).astype(bool)
+    truths = (
+        generator(seed, "coin-flip", task.episode_hash or task.episode_id)
+        .integers(0, 2, len(task.program.conditions))
+        .astype(bool)
+    )
     return walk_to_leaf(task, pathfinder, task.program.gold_leaf(truths.tolist()))
 
 
@@ -129,4 +133,4 @@ def predict_all(
 
 
 def _draw(seed: int, purpose: str, task: Task, count: int) -> int:
-    return int(generator(seed, purpose, task.episode_id).integers(count))
+    return int(generator(seed, purpose, task.episode_hash or task.episode_id).integers(count))

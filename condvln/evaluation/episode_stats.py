@@ -138,14 +138,18 @@ def evaluation_of_stats(
     ------
     FormatError : results of an episode that is not in the split
     """
-    known = {task.episode_id for task in tasks}
-    unknown = [name for name in stats if name not in known]
-    if unknown:
-        raise FormatError(
-            f"no episode {unknown[0]!r} in this split", where=where or None, remedy="Name the split they are of"
-        )
+    known = {name: task.episode_id for task in tasks for name in (task.episode_id, *task.aliases)}
+    results: dict[str, Mapping[str, float]] = {}
+    for name, measures in stats.items():
+        if name not in known:
+            raise FormatError(
+                f"no episode {name!r} in this split", where=where or None, remedy="Name the split they are of"
+            )
+        if known[name] in results:
+            raise FormatError(f"two results of episode {name!r}", where=where or None, remedy="Keep one of the two")
+        results[known[name]] = measures
     names = [item.name for item in fields(Score)]
-    rows = [_row(task, stats.get(task.episode_id)) for task in tasks]
+    rows = [_row(task, results.get(task.episode_id)) for task in tasks]
     return Evaluation(
         agent,
         ScoreRules(),

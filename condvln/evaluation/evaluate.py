@@ -13,7 +13,6 @@ from condvln.evaluation.goal_distances import Nearness
 from condvln.evaluation.predictions import Prediction
 from condvln.evaluation.score import Score, ScoreRules, score
 from condvln.evaluation.task import Task
-from condvln.export.variants import numeric_id
 from condvln.navigation.protocol import PathfinderProtocol
 from schemas.errors import FormatError
 
@@ -111,7 +110,7 @@ def evaluate(
     """
     rules = rules or ScoreRules()
     numbers = {task.episode_id: number for number, task in enumerate(tasks)}
-    aliases = {str(numeric_id(name)): name for name in numbers}
+    aliases = {alias: task.episode_id for task in tasks for alias in task.aliases}
     scores: list[Score | None] = [None] * len(tasks)
     swept: dict[float, list[Score | None]] = {radius: [None] * len(tasks) for radius in radii}
 

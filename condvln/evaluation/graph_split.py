@@ -27,7 +27,6 @@ from condvln.evaluation.measures import NO_LEAF, first_divergence
 from condvln.evaluation.predictions import GraphPrediction
 from condvln.evaluation.score import Score, ScoreRules
 from condvln.evaluation.task import Task
-from condvln.export.variants import numeric_id
 from condvln.navigation.graph_pathfinder import GraphPathfinder
 from schemas.errors import MissingFileError
 
@@ -73,7 +72,7 @@ class GraphSplit:
     """
 
     def __init__(self, file: Path, tasks: Iterable[Task], graphs: Mapping[str, GraphPathfinder]) -> None:
-        known = {str(numeric_id(task.episode_id)): task for task in tasks}
+        known = {name: task for task in tasks for name in (task.episode_id, *task.aliases)}
         episodes = read_graph_episodes(file)
         lacking = sorted({episode.scan for episode in episodes} - set(graphs))
         if lacking:

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import ValidationError
 
+from condvln.episodes.identity import numeric_id
 from condvln.export.axes import observability_class, route_class, words_class
 from condvln.export.densify import densify
 from condvln.formats.json_entries import entries, parsed
@@ -42,6 +43,7 @@ class Task:
 
     Attributes
     ----------
+    episode_id : as files name it, so a number in digits; episode_hash : the hash of its content
     axes : the episode's place in the tables: source, scene, category, depth, chain, composition, observability,
         moves, and the classes of the route's length and of the number of words
     reference : (r, 3) dense locations of the gold route
@@ -62,9 +64,17 @@ class Task:
     max_steps: int
     navmesh: str
     navmesh_sha256: str
+    episode_hash: str = ""
 
     def __repr__(self) -> str:
         return f"Task({self.episode_id}, {self.axes['scene']}: {self.text!r})"
+
+    @property
+    def aliases(self) -> tuple[str, ...]:
+        """Other names of the episode: its hash, the id of former releases; and the number of that hash, their id in
+        RxR's files."""
+        known = self.episode_hash or self.episode_id
+        return tuple(name for name in (known, str(numeric_id(known))) if name != self.episode_id)
 
     @property
     def gold(self) -> LeafTask:
@@ -98,7 +108,7 @@ def task_of(row: ManifestEpisode, locations: Points | None = None) -> Task:
         "words": words_class(row.words),
     }
     return Task(
-        row.episode_id,
+        str(row.episode_id),
         row.group_id,
         row.instruction_text,
         axes,
@@ -112,6 +122,7 @@ def task_of(row: ManifestEpisode, locations: Points | None = None) -> Task:
         row.max_steps,
         row.navmesh,
         row.navmesh_sha256,
+        row.episode_hash,
     )
 
 
@@ -126,8 +137,8 @@ def read_tasks(manifest: Path, ground_truth: Path | None = None) -> Iterator[Tas
     for row in read_manifest(manifest):
         if locations is None:
             yield task_of(row)
-        elif row.episode_id in locations:
-            yield task_of(row, locations[row.episode_id])
+        elif str(row.episode_id) in locations:
+            yield task_of(row, locations[str(row.episode_id)])
         else:
             raise _damaged(manifest, f"episode {row.episode_id}", f"has no entry in {ground_truth}")
 

@@ -84,12 +84,14 @@ class PublishedEpisodes:
             scene = f"{source}/{row['scene_id']}"
             navmeshes[scene] = row["navmesh_sha256"]
             told = orjson.dumps({key: row[key] for key in _GEOMETRY}).decode()
-            hashes = hashes_of([(row["episode_id"],), (row["instruction_text"],), (told,)]).tolist()
+            hashes = hashes_of(
+                [(row.get("episode_hash") or row["episode_id"],), (row["instruction_text"],), (told,)]
+            ).tolist()
             for column, value in zip((ids, text, geometry), hashes, strict=True):
                 column.append(value)
             scenes.append(codes.setdefault(scene, len(codes)))
             splits.append(SPLITS.index(split))
-            block.append(row["episode_id"])
+            block.append(str(row["episode_id"]))
             if len(block) == _BLOCK:
                 names.append(pa.array(block, pa.string()))
                 block.clear()

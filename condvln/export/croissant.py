@@ -50,7 +50,8 @@ _CONTEXT: Final[dict[str, Any]] = {
 }
 
 _FIELDS: Final = (
-    ("episode_id", "sc:Text", "id: a hash of the episode's content"),
+    ("episode_id", "sc:Integer", "id, made from the hash"),
+    ("episode_hash", "sc:Text", "hash of the episode's content"),
     ("split", "sc:Text", "train, val_seen, val_unseen or test"),
     ("source", "sc:Text", "dataset that the scene is from"),
     ("scene_id", "sc:Text", "scene"),

@@ -18,8 +18,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from condvln.episodes.graph_placing import REACH, GraphPlacement, GraphPlacer, NotOnGraph
+from condvln.episodes.identity import content_hash, numeric_id
 from condvln.episodes.placing import heading_degrees, yaw_quaternion
-from condvln.episodes.table import episode_id
 from condvln.export.r2r import Graphs, r2r_episode
 from condvln.export.rows import Row, rows_of
 from condvln.export.splits import Split, scene_group
@@ -163,9 +163,11 @@ def _row(
     gold = program.gold_leaf()
     start = np.array(at(placement.start))
     name = instruction["instruction_id"]
+    own_hash = content_hash(scan, name, start, placement.yaw)
     return {
         "scene_id": scan,
-        "episode_id": episode_id(scan, name, start, placement.yaw),
+        "episode_id": numeric_id(own_hash),
+        "episode_hash": own_hash,
         "instruction_id": name,
         "group_id": None,
         "category": program.category,

@@ -17,6 +17,7 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from condvln.episodes.identity import colliding
 from condvln.export.tokens import longer_than
 from schemas.errors import StoreError
 from schemas.program import CATEGORIES
@@ -35,6 +36,7 @@ __all__ = [
 POOL_COLUMNS: Final = (
     "scene_id",
     "episode_id",
+    "episode_hash",
     "instruction_id",
     "group_id",
     "category",
@@ -57,6 +59,7 @@ FIT: Final = 0
 
 _OVER_BUDGET: Final = "over the step budget"
 _OVER_TOKENS: Final = "more tokens than an agent reads"
+_COLLISION: Final = "id_collision: its integer id is that of an episode of smaller hash"
 _REPEAT: Final = "same text from the same start as another"
 
 Codes = npt.NDArray[np.int64]
@@ -129,7 +132,7 @@ class PoolBuilder:
         self._sources, self._scenes, self._strata, self._kinds = _Names(), _Names(), _Names(), _Names()
         self._reasons = _Names({"": FIT})
         self._columns: dict[str, list[npt.NDArray[Any]]] = {}
-        self._ids: list[pa.Array] = []
+        self._ids: list[tuple[pa.Array, pa.Array]] = []
         self._asked: list[tuple[Hashes, Codes, npt.NDArray[np.int32], npt.NDArray[np.bool_]]] = []
 
     def add_instructions(self, source: str, batches: Iterable[pa.RecordBatch]) -> None:
@@ -162,7 +165,7 @@ class PoolBuilder:
         self._append(
             source=np.full(batch.num_rows, self._sources(source), dtype=np.int16),
             scene=np.array([self._scenes((source, scene)) for scene in scenes], dtype=np.int32),
-            episode=hashes_of((name,) for name in column["episode_id"]),
+            episode=hashes_of((name,) for name in column["episode_hash"]),
             instruction=hashes_of((source, name) for name in column["instruction_id"]),
             unit=hashes_of((source, scene, unit) for scene, unit in zip(scenes, units, strict=True)),
             start=hashes_of((source, scene, *start) for scene, start in zip(scenes, starts, strict=True)),
@@ -174,7 +177,7 @@ class PoolBuilder:
             text=hashes_of((source, *parts) for parts in texts),
             unfit=unfit,
         )
-        self._ids.append(batch.column("episode_id"))
+        self._ids.append((batch.column("episode_id"), batch.column("episode_hash")))
 
     def _append(self, **columns: npt.NDArray[Any]) -> None:
         for name, values in columns.items():
@@ -187,13 +190,14 @@ class PoolBuilder:
         ------
         StoreError : nothing was, or two episodes have one id
         """
-        if not self._ids or not sum(map(len, self._ids)):
+        if not sum(len(numbers) for numbers, _ in self._ids):
             raise StoreError(
                 "the snapshot holds no episodes",
                 remedy="Its rejections table has the reasons; correct the sources or the configuration, then generate",
             )
         columns = {name: np.concatenate(parts) for name, parts in self._columns.items()}
         self._refuse_repeats(columns["episode"])
+        columns["unfit"][self._colliding()] = self._reasons(_COLLISION)
         fit = np.flatnonzero(columns["unfit"] == FIT)
         again = np.ones(len(fit), dtype=bool)
         again[np.unique(columns.pop("text")[fit], return_index=True)[1]] = False
@@ -231,11 +235,18 @@ class PoolBuilder:
         if len(unique) == len(names):
             return
         again = np.setdiff1d(np.arange(len(names)), first)
-        example = pa.chunked_array(self._ids)[int(again[0])]
+        example = pa.chunked_array([found for _, found in self._ids])[int(again[0])]
         raise StoreError(
-            f"{len(again)} episode ids occur twice in the snapshot, such as {example}",
+            f"{len(again)} episodes occur twice in the snapshot, such as that of hash {example}",
             remedy="List each scene under one source only, then generate again",
         )
+
+    def _colliding(self) -> list[int]:
+        """Rows whose id an episode of smaller hash has, in whatever scene."""
+        numbers = np.concatenate([ids.to_numpy() for ids, _ in self._ids])
+        if len(np.unique(numbers)) == len(numbers):
+            return []
+        return colliding(numbers.tolist(), [name for _, hashes in self._ids for name in hashes.to_pylist()])
 
     def _conditions(self, instructions: Hashes) -> tuple[Codes, Codes, npt.NDArray[np.bool_]]:
         """What each episode's instruction asks; nothing where it is not known."""

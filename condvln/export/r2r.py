@@ -12,7 +12,6 @@ from itertools import combinations
 from typing import Any, Final
 
 from condvln.export.rows import Row
-from condvln.export.variants import numeric_id
 from condvln.export.vlnce import gold
 from condvln.navigation.graph_pathfinder import GraphPathfinder
 
@@ -43,7 +42,7 @@ def r2r_episode(row: Row, graph: GraphPathfinder) -> dict[str, Any] | str:
     return {
         "distance": graph.path_length(path),
         "scan": row["scene_id"],
-        "path_id": numeric_id(row["episode_id"]),
+        "path_id": row["episode_id"],
         "path": path,
         "heading": math.radians(row["start_heading_degrees"]) % (2 * math.pi),
         "instructions": [row["instruction_text"]],

@@ -11,6 +11,7 @@ from typing import Final, Protocol
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from condvln.episodes.identity import HASH, ID, with_numbers
 from condvln.export.rows import Row, rows_of
 from schemas.errors import FormatError, MissingFileError, StoreError
 
@@ -52,7 +53,8 @@ class MemoryTables:
     def batches(self, table: str, source: str, columns: Sequence[str] | None = None) -> Iterator[pa.RecordBatch]:
         """See :class:`SnapshotTables`."""
         found = self.tables[source][table]
-        yield from (found if columns is None else found.select(list(columns))).to_batches(max_chunksize=BATCH_ROWS)
+        for batch in found.select(_stored(columns, found.schema.names)).to_batches(max_chunksize=BATCH_ROWS):
+            yield with_numbers(batch, columns)
 
 
 @dataclass(frozen=True)
@@ -85,12 +87,19 @@ class FolderTables:
         if not parts:
             raise MissingFileError("no part of this table is there", where=folder, remedy=_REMEDY)
         for file in sorted(parts, key=_first_scene):
-            wanted = None if columns is None else list(columns)
+            wanted = _stored(columns, file.schema_arrow.names)
             # On one thread: Arrow's pool, left with work as the process ends, has aborted processes on busy machines.
             try:
-                yield from file.iter_batches(BATCH_ROWS, columns=wanted, use_threads=False)
+                for batch in file.iter_batches(BATCH_ROWS, columns=wanted, use_threads=False):
+                    yield with_numbers(batch, columns)
             except (pa.ArrowException, OSError) as error:
                 raise FormatError(f"a part is damaged ({error})", where=folder, remedy=_REMEDY) from error
+
+
+def _stored(columns: Sequence[str] | None, there: Sequence[str]) -> list[str]:
+    """The columns to read: snapshots of former releases have no ``episode_hash``, since their ids are hashes."""
+    wanted = there if columns is None else columns
+    return list(dict.fromkeys(ID if name == HASH and HASH not in there else name for name in wanted))
 
 
 def _opened(path: Path) -> pq.ParquetFile:

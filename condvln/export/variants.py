@@ -2,13 +2,12 @@
 
 ANSR-v1 adds top-level ``subgoals``, as the public evaluators of conditional episodes read it; source of the keys:
 dataset type ``ANSR-v1`` of the VLN-Zero and Open-Nav forks. The key is always there, ``[]`` where the gold branch has
-one move. RxR's trainers write predictions by ``instruction_id``, a number; ours is made of the episode's id. The twin
+one move. RxR's trainers write predictions by ``instruction_id``, a number; ours is the episode's id. The twin
 is the same episode with the gold branch as a plain instruction.
 """
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
@@ -20,7 +19,6 @@ __all__ = [
     "RXR_LANGUAGES",
     "OracleText",
     "ansr_bytes",
-    "numeric_id",
     "oracle_episode",
     "oracle_text_of",
     "rxr_episode",
@@ -38,15 +36,6 @@ def ansr_bytes(stock: bytes, row: Row) -> bytes:
     return stock[:-1] + b',"subgoals":' + encode(subgoals(row)) + b"}"
 
 
-_BITS: Final = 52
-"""Bits of a number that every JSON reader keeps exactly."""
-
-
-def numeric_id(episode_id: str) -> int:
-    """The number that stands for an episode where a format wants one."""
-    return int.from_bytes(hashlib.sha256(episode_id.encode()).digest()[:8], "big") >> (64 - _BITS)
-
-
 RXR_LANGUAGES: Final = {"en": "en-US", "es": "es-ES"}
 """RxR's name of a language."""
 
@@ -56,7 +45,7 @@ def rxr_episode(stock: dict[str, Any], row: Row, split: str, language: str = "en
     return {
         **stock,
         "instruction": {
-            "instruction_id": str(numeric_id(row["episode_id"])),
+            "instruction_id": str(row["episode_id"]),
             "instruction_text": row["instruction_text"],
             "language": RXR_LANGUAGES[language],
             "annotator_id": "0",
@@ -68,7 +57,7 @@ def rxr_episode(stock: dict[str, Any], row: Row, split: str, language: str = "en
     }
 
 
-OracleText = Mapping[str, str] | Callable[[Row, Row], str]
+OracleText = Mapping[int, str] | Callable[[Row, Row], str]
 """Linear text by episode id, or made from the columns :data:`ORACLE_COLUMNS` of a row of the episodes table and its
 whole row of the instructions table."""
 

@@ -99,6 +99,7 @@ def _info(row: Row, leaf: Row) -> dict[str, Any]:
         "words": row["words"],
         "instruction_id": row["instruction_id"],
         "group_id": row["group_id"],
+        "episode_hash": row["episode_hash"],
         "start_heading_degrees": row["start_heading_degrees"],
         "navmesh_sha256": row["navmesh_sha256"],
     }

@@ -185,7 +185,7 @@ class ExportWriter:
             twin = oracle_episode(stock, linear, self._vocabulary.padded(linear, length))
             documents["oracle"].add(encode(twin))
         truth = encode(ground_truth(row))
-        files.truth.add(encode(row["episode_id"]) + b":" + truth)
+        files.truth.add(encode(str(row["episode_id"])) + b":" + truth)
         navmesh, _ = self._scenes.navmesh_path(source, row["scene_id"])
         names = {"source": source, "split": files.name, "navmesh": navmesh, "snapshot": self._layout.snapshot}
         files.manifest.write(encode(manifest_row(row, instruction, **names)) + b"\n")

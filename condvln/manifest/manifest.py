@@ -101,7 +101,7 @@ def read_manifest(path: str | os.PathLike[str]) -> Iterator[ManifestEpisode]:
     ------
     MissingFileError, FormatError : as :func:`manifest_lines` and :meth:`ManifestLine.row`; an episode id occurs twice
     """
-    path, seen = Path(path), set[str]()
+    path, seen = Path(path), set[int | str]()
     for line in manifest_lines(path):
         row = line.row()
         if row.episode_id in seen:
@@ -118,6 +118,7 @@ def manifest_row(
     return {
         "schema_version": SCHEMA_VERSION,
         "episode_id": episode["episode_id"],
+        "episode_hash": episode["episode_hash"],
         "instruction_id": episode["instruction_id"],
         "group_id": episode["group_id"],
         "source": source,

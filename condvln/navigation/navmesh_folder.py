@@ -21,7 +21,7 @@ class OnNavmesh(Protocol):
     """Anything that is placed on a navmesh and says on which: a task, a manifest's row."""
 
     @property
-    def episode_id(self) -> str:
+    def episode_id(self) -> int | str:
         """Id of the episode, for messages."""
         ...
 

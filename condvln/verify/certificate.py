@@ -73,6 +73,7 @@ FACTS: Final[Mapping[str, str]] = {
     "record": "the VLN-CE record says what the manifest says",
     "ground_truth": "ground-truth locations lie along the gold path, and actions lead to the goal",
     "split_named": "a row names the split that it is in",
+    "id_of_hash": "an episode's integer id is that of its hash",
     "unique_id": "an episode's id is its own",
     "unique_episode": "no other episode has this text and start in this scene",
     "split_leakage": "a scene belongs to one group of splits",
@@ -105,7 +106,7 @@ class Certificate:
     checked : how often each kind of fact was checked; conditions : what was found about each, in the program's order
     """
 
-    episode_id: str
+    episode_id: int | str
     source: str
     scene_id: str
     split: str

@@ -17,10 +17,10 @@ class Corpus:
     """Remembers, of each episode that was seen, what another must not repeat; some 200 bytes an episode."""
 
     def __init__(self) -> None:
-        self._ids: set[str] = set()
-        self._episodes: dict[bytes, str] = {}
+        self._ids: set[int | str] = set()
+        self._episodes: dict[bytes, int | str] = {}
         self._scenes: dict[tuple[str, str], str] = {}
-        self._programs: dict[bytes, tuple[str, str]] = {}
+        self._programs: dict[bytes, tuple[str, int | str]] = {}
         self._groups: dict[str, tuple[tuple[object, ...], Program]] = {}
 
     def check(self, row: ManifestEpisode, split: str, certificate: Certificate) -> None:
@@ -28,6 +28,8 @@ class Corpus:
         certificate.same("split_named", row.split, split)
         certificate.holds("unique_id", row.episode_id not in self._ids, "an id of its own", row.episode_id)
         self._ids.add(row.episode_id)
+        if row.episode_hash != row.episode_id:
+            certificate.same("id_of_hash", row.episode_id, _number(row.episode_hash))
         place = f"{row.source}\0{row.scene_id}\0"
         former = self._episodes.setdefault(
             _digest(f"{place}{row.start_position}\0{row.instruction_text}"), row.episode_id
@@ -60,6 +62,11 @@ class Corpus:
         moved = [pair for pair in zip(first.leaves, row.program.leaves, strict=False) if pair[0] != pair[1]]
         exchanged = not moved or (len(moved) == 2 and moved[0] == moved[1][::-1])
         certificate.holds("group", exchanged, "two leaves exchanged", len(moved), group_id)
+
+
+def _number(episode_hash: str) -> int:
+    """The id that goes with a hash: 52 bits of its own hash."""
+    return int(hashlib.sha256(episode_hash.encode()).hexdigest()[:13], 16)
 
 
 def _told(program: Program) -> str:

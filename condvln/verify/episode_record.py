@@ -51,6 +51,7 @@ def check_record(row: ManifestEpisode, record: Mapping[str, Any] | None, certifi
         "words": row.words,
         "instruction_id": row.instruction_id,
         "group_id": row.group_id,
+        **({} if row.episode_hash == row.episode_id else {"episode_hash": row.episode_hash}),
         "navmesh_sha256": row.navmesh_sha256,
     }
     instruction, said = record.get("instruction"), record.get("info")

@@ -114,7 +114,7 @@ class _SplitCursor:
         assert self._next is not None
         row = self._next
         self._next = next(self._rows, None)
-        return Row(self.split, row, self._records.pop(row.episode_id), self._truths.pop(row.episode_id))
+        return Row(self.split, row, self._records.pop(str(row.episode_id)), self._truths.pop(str(row.episode_id)))
 
     def close(self) -> None:
         """Note what the other files have that the manifest has not."""
@@ -133,7 +133,7 @@ class _SplitCursor:
                 continue
             if len(row.leaves) != len(row.program.leaves):
                 fault = f"{len(row.leaves)} leaves for the program's {len(row.program.leaves)}"
-                self._unread.append(Unread(self.split, row.episode_id, "readable", "an entry a leaf", fault))
+                self._unread.append(Unread(self.split, str(row.episode_id), "readable", "an entry a leaf", fault))
                 continue
             yield row
 

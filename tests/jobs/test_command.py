@@ -113,7 +113,7 @@ def test_published_snapshot_is_seen_by_every_verb(made_run: tuple[Config, Report
     (count,) = verb("query", path, "SELECT count(*) FROM episodes")["rows"]
     shown = verb("show", path, "--sample", "3")["episodes"]
     assert len(shown) == min(3, count[0])
-    again = verb("show", path, shown[0]["episode_id"])["episodes"]
+    again = verb("show", path, str(shown[0]["episode_id"]))["episodes"]
     assert again == shown[:1]
     status = verb("status", path)
     assert status["ref"]["snapshot_id"] == report.document["snapshot_id"]

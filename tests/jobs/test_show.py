@@ -49,9 +49,12 @@ def test_an_export_tells_what_the_snapshot_tells(made_run: tuple[Config, Report]
     shown = found.document["episodes"]
     assert len(shown) == sum(counts.values()) > 2
     for entry in shown:
-        one = show_export(export, episode=entry["episode_id"])
-        published = show_episodes(config, episode=entry["episode_id"])
+        one = show_export(export, episode=str(entry["episode_id"]))
+        published = show_episodes(config, episode=str(entry["episode_id"]))
         assert one.lines == published.lines
+        for part in (entry["episode_hash"], entry["episode_hash"][:12]):
+            assert show_export(export, episode=part).lines == one.lines
+            assert show_episodes(config, episode=part).lines == one.lines
         assert one.document["episodes"] == [entry]
         assert one.document["episodes"][0]["tree"] == published.document["episodes"][0]["tree"]
     first = show_export(export, sample=2).document["episodes"]
@@ -83,7 +86,7 @@ def test_where_no_navmesh_is_instructions_stand_for_episodes(half_placed: Config
         ("nested", "replicacad", False),
     ]
     # What has an episode is drawn, and nothing else.
-    assert {path.stem for path in tmp_path.iterdir()} == {entry["episode_id"] for entry in entries[2:]}
+    assert {path.stem for path in tmp_path.iterdir()} == {str(entry["episode_id"]) for entry in entries[2:]}
     instructions = {row["instruction_id"]: row for row in published(half_placed).table("instructions").to_pylist()}
     for entry in entries:
         row = instructions[entry["instruction_id"]]
@@ -104,7 +107,7 @@ def test_an_instruction_is_shown_by_its_id(half_placed: Config) -> None:
         one = show_episodes(half_placed, episode=entry["instruction_id"])
         assert entry in one.document["episodes"]
         assert {e["instruction_id"] for e in one.document["episodes"]} == {entry["instruction_id"]}
-    assert show_episodes(half_placed, episode=placed["episode_id"]).document["episodes"] == [placed]
+    assert show_episodes(half_placed, episode=str(placed["episode_id"])).document["episodes"] == [placed]
     with pytest.raises(UsageError, match="no episode and no instruction 'nowhere'"):
         show_episodes(half_placed, episode="nowhere")
 

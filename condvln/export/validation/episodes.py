@@ -63,6 +63,7 @@ class EpisodeChecks:
         self._document = document
         self._pathfinder_of = pathfinder_of
         self._length: int | None = None
+        self._id_named = False
         ansr = {"subgoals"} if document.kind == "ansr" else set()
         self._required = _REQUIRED | _NEEDED | ansr
         self._allowed = _ALLOWED | ansr
@@ -97,6 +98,9 @@ class EpisodeChecks:
                 self._report.add(f"{place}.{key}", "wrong-type", f"{value!r} is neither a number nor text")
         name = str(episode.get("episode_id"))
         if "episode_id" in episode:
+            if not self._id_named and not name.isdecimal():
+                self._id_named = True  # where one is text, all are
+                self._report.add(f"{place}.episode_id", "id-not-integer", f"{name!r} is not a whole number")
             if name in self._document.starts:
                 self._report.add(place, "duplicate-id", f"id {name} occurs twice")
             self._document.starts.setdefault(name, [])

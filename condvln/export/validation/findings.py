@@ -37,6 +37,7 @@ CODES: Final[dict[str, Rule]] = {
     "wrong-type": Rule("error", "give a value of the type that loaders expect"),
     # ids and scenes
     "duplicate-id": Rule("error", "ids are compared as text and must differ: later results overwrite earlier ones"),
+    "id-not-integer": Rule("warning", "collectors of StreamVLN and DAgger call int() on it: export again"),
     "scene-path": Rule("error", "scene_id is a path below scene_datasets such as mp3d/<scan>/<scan>.glb"),
     "scene-prefix": Rule("warning", "loaders prefix SCENES_DIR themselves: leave data/scene_datasets/ out"),
     # geometry

@@ -13,7 +13,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from condvln.episodes import pool as pool_module
 from condvln.episodes.candidates import Candidate, candidates_from_table, candidates_table
+from condvln.episodes.identity import content_hash
 from condvln.episodes.label_share import allowed_share, most_leaves, over_share
 from condvln.episodes.observability import Observer
 from condvln.episodes.placing import Placement, Placer, Rejected
@@ -362,6 +364,30 @@ def test_a_short_cell_has_no_candidate_that_its_quota_turned_away(
         assert not any(reason == "label_over_cap" for _, reason in pool.rejections)
 
 
+@pytest.mark.parametrize("bits", [0, 1])
+def test_a_scene_rejects_the_larger_hash_with_its_group(flat, monkeypatch: pytest.MonkeyPatch, bits: int) -> None:
+    scene, pathfinder = flat
+    candidates = [*quadruple("sofa", "sink", "bed", "g"), *drawn(simple(count=4))]
+    whole = fill_pool(candidates, placer_of(scene, pathfinder), (simple(count=4),), 1.0, lambda _: False, None, 1)
+    assert len(whole.episodes) > 4
+    hashes = {
+        e.instruction_id: content_hash("flat", e.instruction_id, e.placement.start, e.placement.yaw)
+        for e in whole.episodes
+    }
+    monkeypatch.setattr(pool_module, "numeric_id", lambda name: int(name, 16) & ((1 << bits) - 1))
+    kept = EpisodePool(list(whole.episodes), whole.candidates.copy(), whole.rejections.copy())
+    kept.reject_collisions("flat")
+    low = {name: int(h, 16) & ((1 << bits) - 1) for name, h in hashes.items()}
+    first = {min((h, name) for name, h in hashes.items() if low[name] == number)[1] for number in set(low.values())}
+    members = {e.instruction_id for e in whole.episodes if e.candidate.group_id == "g"}
+    expected = first if members <= first else first - members
+    assert {e.instruction_id for e in kept.episodes} == expected
+    lost = sum(n for (_, reason), n in kept.rejections.items() if reason == "id_collision")
+    assert lost == len(whole.episodes) - len(kept.episodes)
+    for cell, count in kept.candidates.items():
+        assert kept.placed[cell] + sum(n for (of, _), n in kept.rejections.items() if of == cell) == count
+
+
 def test_a_group_has_one_step_budget_by_its_longest_text(flat) -> None:
     scene, pathfinder = flat
     placer = placer_of(scene, pathfinder)
@@ -374,7 +400,9 @@ def test_a_group_has_one_step_budget_by_its_longest_text(flat) -> None:
     assert [row["words"] for row in rows] == [12, 13, 14, 15]
     assert {row["max_steps"] for row in rows} == {max(150, 2 * rows[0]["ground_truth_steps"])}
     assert {row["group_id"] for row in rows} == {"g"}
-    single = placements.set_column(3, EPISODES.field("group_id"), pa.nulls(4, pa.string()))
+    single = placements.set_column(
+        placements.schema.get_field_index("group_id"), EPISODES.field("group_id"), pa.nulls(4, pa.string())
+    )
     alone = with_text(single, texts, 500, 10).to_pylist()
     assert [row["max_steps"] for row in alone] == [
         max(10 * row["words"], 2 * row["ground_truth_steps"]) for row in alone

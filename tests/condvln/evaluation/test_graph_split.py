@@ -18,7 +18,6 @@ from condvln.evaluation.tables import all_tables
 from condvln.evaluation.task import Task
 from condvln.export.snapshot import export_snapshot
 from condvln.export.tables import MemoryTables
-from condvln.export.variants import numeric_id
 from condvln.navigation.graph_pathfinder import GraphFolder
 from schemas.errors import FormatError, MissingFileError, UsageError
 from tests.made_snapshot import made_snapshot
@@ -96,7 +95,7 @@ def found(export: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[list[
 def test_perfect_lazy_and_stubborn(found: tuple[list[Evaluation], list[Task]], export: Path) -> None:
     (perfect, lazy, corner), tasks = found
     items = json.loads((export / "r2r" / "R2R_train.json").read_text())
-    assert [numeric_id(task.episode_id) for task in tasks] == [item["path_id"] for item in items]
+    assert [int(task.episode_id) for task in tasks] == [item["path_id"] for item in items]
     for name in ("success", "oracle_success", "bsa_all", "csr_all", "leaf_correct", "ndtw", "spl_route"):
         np.testing.assert_allclose(perfect.scores[name], 1, err_msg=name)
     assert (lazy.scores["success"] == 0).all()

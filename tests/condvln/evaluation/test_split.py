@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from condvln.episodes.identity import numeric_id
 from condvln.evaluation.episode_stats import evaluation_of_stats, read_episode_stats
 from condvln.evaluation.evaluate import AXES, Evaluation, evaluate
 from condvln.evaluation.predictions import Prediction, read_predictions
 from condvln.evaluation.split import SplitOptions, evaluate_split, split_tasks
 from condvln.evaluation.task import Task, read_tasks
 from condvln.export.snapshot import export_snapshot
-from condvln.export.variants import numeric_id
 from condvln.navigation.navmesh_folder import NavmeshFolder
 from condvln.navigation.pathfinder import Pathfinder
 from schemas.errors import FormatError, MissingFileError, PathEscapeError, UsageError
@@ -47,7 +47,7 @@ def world(task: Task) -> Any:
 
 def test_tasks_are_those_of_the_manifest(export: Path, tasks: list[Task]) -> None:
     lines = [json.loads(line) for line in (export / "manifest" / "train.jsonl").read_text().splitlines()]
-    assert [task.episode_id for task in tasks] == [line["episode_id"] for line in lines]
+    assert [task.episode_id for task in tasks] == [str(line["episode_id"]) for line in lines]
     for task, line in zip(tasks, lines, strict=True):
         gold = line["leaves"][line["gold_leaf"]]
         assert task.gold.goals.tolist() == gold["goals"]
@@ -84,9 +84,9 @@ def test_predictions_in_any_order_and_missing_ones(tasks: list[Task]) -> None:
 
 
 def test_rxr_numbers_stand_for_ids(tasks: list[Task]) -> None:
-    numbered = [Prediction(str(numeric_id(t.episode_id)), t.reference, True, False) for t in tasks]
+    numbered = [Prediction(str(numeric_id(t.episode_hash)), t.reference, True, False) for t in tasks]
     assert (evaluate(tasks, numbered, world).scores["success"] == 1).all()
-    assert len({numeric_id(t.episode_id) for t in tasks}) == len(tasks)
+    assert len({numeric_id(t.episode_hash) for t in tasks}) == len(tasks)
     with pytest.raises(FormatError, match="predicted twice"):
         evaluate(tasks, [numbered[0], perfect(tasks[0])], world)
 

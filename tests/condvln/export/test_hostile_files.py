@@ -46,7 +46,7 @@ def documents(exported: Path) -> dict[str, Any]:
     }
     for episode in few["episodes"]:
         episode["instruction"]["instruction_tokens"] = [2, 3, 0]
-    names = [episode["episode_id"] for episode in few["episodes"]]
+    names = [str(episode["episode_id"]) for episode in few["episodes"]]
     item = {"scan": "s", "path_id": 1, "path": ["0", "1"], "heading": 1.0, "instructions": ["Go."], "distance": 4.0}
     return {
         "test.json": few,
@@ -100,7 +100,7 @@ def test_the_linter_never_falls_over(documents: dict[str, Any], tmp_path: Path, 
 def test_the_twin_is_one_error_or_a_file_of_as_many_episodes(
     documents: dict[str, Any], exported: Path, tmp_path: Path, data: st.DataObject
 ) -> None:
-    manifest = {row.episode_id: row for row in read_manifest(exported / "manifest" / "test.jsonl")}
+    manifest = {str(row.episode_id): row for row in read_manifest(exported / "manifest" / "test.jsonl")}
     document = spoiled(documents[data.draw(st.sampled_from(["test.json", "test_guide.json"]))], data)
     source, out = tmp_path / "x.json", tmp_path / "twin.json"
     out.unlink(missing_ok=True)

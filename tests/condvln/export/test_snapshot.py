@@ -54,7 +54,7 @@ def test_every_variant_loads_in_a_strict_loader(exported: Path, split: str) -> N
 def test_documents_and_ground_truth_are_those_of_the_schema(exported: Path, split: str) -> None:
     document = VlnCeDocument.model_validate(read(exported / "vlnce" / split / f"{split}.json.gz"))
     truths = read(exported / "vlnce" / split / f"{split}_gt.json.gz")
-    assert set(truths) == {episode.episode_id for episode in document.episodes}
+    assert set(truths) == {str(episode.episode_id) for episode in document.episodes}
     for episode in document.episodes:
         truth = GroundTruth.model_validate(truths[str(episode.episode_id)])
         assert truth.locations[0] == episode.start_position == episode.reference_path[0]
@@ -93,11 +93,11 @@ def test_the_manifest_knows_every_leaf(exported: Path, split: str, tables: Memor
     stock = {e.episode_id: e for e in load_split(exported / "vlnce" / split / f"{split}.json.gz")}
     pool = {row["episode_id"]: row for row in rows_of(tables.tables["replicacad"]["episodes"])}
     lines = manifest_of(exported, split)
-    assert [line["episode_id"] for line in lines] == list(stock)
+    assert [str(line["episode_id"]) for line in lines] == list(stock)
     for line in lines:
         row = ManifestEpisode.model_validate(line)
         assert row.program.gold_leaf() == row.gold_leaf
-        assert row.leaves[row.gold_leaf].goals == tuple(tuple(g.position) for g in stock[row.episode_id].goals)
+        assert row.leaves[row.gold_leaf].goals == tuple(tuple(g.position) for g in stock[str(row.episode_id)].goals)
         assert line["leaves"] == pool[row.episode_id]["leaves"]
         assert row.split == split
         assert row.snapshot == "made"

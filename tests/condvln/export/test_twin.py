@@ -16,7 +16,7 @@ from tests.strict_loader import load_split, read
 
 
 def rows(manifest: Path) -> dict[str, ManifestEpisode]:
-    return {row.episode_id: row for row in read_manifest(manifest)}
+    return {str(row.episode_id): row for row in read_manifest(manifest)}
 
 
 def told(row: ManifestEpisode) -> str:

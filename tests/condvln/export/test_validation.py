@@ -90,7 +90,7 @@ def test_leaks_between_splits_are_named(exported: Path, tmp_path: Path) -> None:
     found = {finding.code: finding for finding in validate(tmp_path)}
     assert {"scene-leak", "episode-leak"} <= set(found)
     assert found["episode-leak"].place == "episode stolen"
-    assert train["episodes"][0]["episode_id"] in found["episode-leak"].message
+    assert str(train["episodes"][0]["episode_id"]) in found["episode-leak"].message
     for key in ("itos",):
         unseen["instruction_vocab"][key].append("zebra")
     for key in ("stoi", "word2idx_dict"):
@@ -118,7 +118,7 @@ def test_shards_are_one_split(exported: Path, tmp_path: Path) -> None:
     assert validate(tmp_path) == []
     # what one shard holds leaks into another split as if it stood in the split's own file
     second = read(paths[1])
-    stolen = {**second["episodes"][0], "episode_id": "stolen"}
+    stolen = {**second["episodes"][0], "episode_id": 7}
     write(tmp_path / "test" / "test.json.gz", {**second, "episodes": [stolen]})
     assert codes(validate(tmp_path)) == {"scene-leak", "episode-leak"}
     (tmp_path / "test" / "test.json.gz").unlink()
@@ -126,7 +126,7 @@ def test_shards_are_one_split(exported: Path, tmp_path: Path) -> None:
     first["episodes"].append(second["episodes"][0])
     write(paths[0], first)
     (finding,) = validate(tmp_path)
-    assert (finding.code, finding.episode) == ("duplicate-id", second["episodes"][0]["episode_id"])
+    assert (finding.code, finding.episode) == ("duplicate-id", str(second["episodes"][0]["episode_id"]))
     second["instruction_vocab"]["word_list"] = second["instruction_vocab"]["word_list"][:-1]
     write(paths[1], second)
     assert "vocabulary-differs" in codes(validate(tmp_path))

@@ -11,13 +11,13 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from condvln.episodes.identity import numeric_id
 from condvln.evaluation.discrete import GraphDistances, evaluate_graph, read_graph_episodes
 from condvln.evaluation.predictions import GraphPrediction
 from condvln.export.r2r import r2r_episode
 from condvln.export.snapshot import ExportConfig, export_snapshot
 from condvln.export.splits import SPLITS
 from condvln.export.tables import MemoryTables
-from condvln.export.variants import numeric_id
 from condvln.navigation.connectivity import read_connectivity
 from condvln.navigation.graph_pathfinder import GraphPathfinder
 from schemas.config import SplitsConfig
@@ -36,7 +36,7 @@ def test_rxr_guides_load_in_a_strict_loader(exported: Path, split: str) -> None:
     for guide, one in zip(guides, stock, strict=True):
         assert guide.instruction.instruction_text == one.instruction.instruction_text
         assert guide.instruction.language == "en-US"
-        assert int(guide.instruction.instruction_id) == numeric_id(one.episode_id) < 2**53
+        assert int(guide.instruction.instruction_id) == int(one.episode_id) < 2**53
         assert (guide.goals, guide.reference_path) == (one.goals, one.reference_path)
     truths = (exported / "rxr" / split / f"{split}_guide_gt.json.gz").read_bytes()
     assert truths == (exported / "vlnce" / split / f"{split}_gt.json.gz").read_bytes()
@@ -73,7 +73,8 @@ def test_two_sources_with_one_scene_name_get_two_shards(tmp_path: Path) -> None:
     renamed = made.tables["procthor"].copy()
     episodes = renamed["episodes"].to_pylist()
     for episode in episodes:
-        episode["episode_id"] += "b"
+        episode["episode_hash"] += "b"
+        episode["episode_id"] = numeric_id(episode["episode_hash"])
         episode["instruction_text"] += " b"
     renamed["episodes"] = pa.Table.from_pylist(episodes, renamed["episodes"].schema)
     both = MemoryTables("both", {"procthor": made.tables["procthor"], "ithor": renamed})
@@ -205,7 +206,7 @@ def test_r2r_export_on_a_real_graph(scan: tuple[str, Path], tmp_path: Path) -> N
     known = read_connectivity(path)
     edges = {frozenset((known.ids[a], known.ids[b])) for a, b in known.edges}
     length = {frozenset((known.ids[a], known.ids[b])): w for (a, b), w in zip(known.edges, known.lengths, strict=True)}
-    headings = {numeric_id(e["episode_id"]): e["start_heading_degrees"] for e in episodes}
+    headings = {e["episode_id"]: e["start_heading_degrees"] for e in episodes}
     count = 0
     for split in SPLITS:
         file = tmp_path / "r2r" / f"R2R_{split}.json"

@@ -122,9 +122,16 @@ def test_a_sound_corpus(made_export) -> None:
     assert not any(disagreements((row.split, row.manifest) for row in made_export.rows))
 
 
+def test_an_id_is_that_of_its_hash(made_export) -> None:
+    row = made_export.rows[0].manifest
+    assert disagreements([(row.split, row)])[0] == []
+    off = row.model_copy(update={"episode_id": int(row.episode_id) + 1})
+    assert disagreements([(row.split, off)])[0] == ["id_of_hash"]
+
+
 def test_repeats_are_found(made_export) -> None:
     row = made_export.rows[0].manifest.model_copy(update={"split": "train", "group_id": None})
-    other = row.model_copy(update={"episode_id": "other"})
+    other = row.model_copy(update={"episode_id": "other", "episode_hash": "other"})
     assert disagreements([("train", row), ("train", row)])[1] == ["unique_id"]
     assert disagreements([("train", row), ("train", other)])[1] == ["program_once", "unique_episode"]
 
@@ -143,7 +150,7 @@ def test_a_scene_in_two_groups_of_splits_is_found(made_export) -> None:
 
 def test_a_program_in_two_splits_is_found(made_export) -> None:
     row = made_export.rows[0].manifest.model_copy(update={"split": "train", "group_id": None})
-    moved = {"episode_id": "other", "split": "val_seen", "start_position": (9.0, 0.0, 9.0)}
+    moved = {"episode_id": "other", "episode_hash": "other", "split": "val_seen", "start_position": (9.0, 0.0, 9.0)}
     found = disagreements([("train", row), ("val_seen", row.model_copy(update=moved))])
     assert found[1] == ["program_leakage", "program_once"]
 
@@ -159,7 +166,14 @@ def group_of(row):
         conditions = (twin if turned else condition, *program.conditions[1:])
         own = program.model_copy(update={"conditions": conditions, "leaves": leaves})
         name = f"member {turned} {exchanged}"
-        update = {"episode_id": name, "instruction_text": name, "group_id": "g", "split": "train", "program": own}
+        update = {
+            "episode_id": name,
+            "episode_hash": name,
+            "instruction_text": name,
+            "group_id": "g",
+            "split": "train",
+            "program": own,
+        }
         members.append(row.model_copy(update=update))
     return members
 

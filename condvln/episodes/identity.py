@@ -1,0 +1,72 @@
+"""Who an episode is: the hash of its content, and the integer that files and tables know it by.
+
+Stock loaders call ``int()`` on an episode's id, and JSON readers keep integers exactly below 2^53 only. So the id is a
+number made from the hash, and the hash stands beside it. Rows that were written when the hash itself was the id are
+still read: :func:`with_numbers`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+__all__ = ["HASH", "ID", "ID_BITS", "colliding", "content_hash", "numeric_id", "with_numbers"]
+
+HASH_DIGITS: Final = 16
+"""Hex digits of an episode's hash: 64 bits, a collision in a million episodes has odds of 1 in 10⁷."""
+
+ID_BITS: Final = 52
+"""Bits of an id. Of a million episodes two have one number with odds of 1 in 10⁴; the larger hash is then rejected."""
+
+ID, HASH = "episode_id", "episode_hash"
+
+
+def content_hash(scene_id: str, instruction_id: str, start: NDArray[np.float64], yaw: float) -> str:
+    """Hash of an episode's content: the scene, the instruction and the pose (metres, radians) it starts from."""
+    pose = ",".join(f"{value:.3f}" for value in start) + f",{yaw:.6f}"
+    return hashlib.sha256("\x1f".join([scene_id, instruction_id, pose]).encode()).hexdigest()[:HASH_DIGITS]
+
+
+def numeric_id(episode_hash: str) -> int:
+    """The id of an episode: the first `ID_BITS` of a hash of its hash."""
+    return int.from_bytes(hashlib.sha256(episode_hash.encode()).digest()[:8], "big") >> (64 - ID_BITS)
+
+
+def colliding(ids: Sequence[int], hashes: Sequence[str]) -> list[int]:
+    """Indices of the episodes whose id another one of a smaller hash has too, ascending.
+
+    Rows of one hash are one episode and do not collide.
+    """
+    numbers = np.asarray(ids, dtype=np.int64)
+    unique, which, counts = np.unique(numbers, return_inverse=True, return_counts=True)
+    if len(unique) == len(numbers):
+        return []
+    smallest: dict[int, str] = {}
+    repeated = np.flatnonzero(counts[which] > 1).tolist()
+    for index in repeated:
+        known = smallest.get(ids[index])
+        if known is None or hashes[index] < known:
+            smallest[ids[index]] = hashes[index]
+    return [index for index in repeated if hashes[index] != smallest[ids[index]]]
+
+
+def with_numbers(episodes: pa.RecordBatch, columns: Sequence[str] | None = None) -> pa.RecordBatch:
+    """Rows of the episodes table with an integer id and a hash, also where the hash was the id.
+
+    Parameters
+    ----------
+    columns : those wanted, in their order; all where it is None
+    """
+    names = episodes.schema.names
+    if ID in names and pa.types.is_string(episodes.schema.field(ID).type):
+        hashes = episodes.column(ID)
+        numbers = pa.array([numeric_id(name) for name in hashes.to_pylist()], pa.int64())
+        at = names.index(ID)
+        arrays = [*episodes.columns[:at], numbers, hashes, *episodes.columns[at + 1 :]]
+        episodes = pa.RecordBatch.from_arrays(arrays, [*names[:at], ID, HASH, *names[at + 1 :]])
+    return episodes if columns is None else episodes.select(list(columns))
