@@ -160,7 +160,7 @@ def test_a_wrong_fact_is_told_with_both_numbers_and_exit_code_3(made_export, exp
     report = verify_export(made_export.config, export)
     assert report.exit_code == 3
     (line,) = [line for line in report.lines if "geodesic_distance of leaf 0" in line]
-    assert rows[0]["episode_id"] in line
+    assert str(rows[0]["episode_id"]) in line
     assert f"the files say {true + 0.5}, found {true}" in line
     (broken,) = [c for c in certificates_in(export) if not c["proven"]]
     assert {"fact": "geodesic_distance", "place": "leaf 0", "claimed": true + 0.5, "found": true} in broken[
