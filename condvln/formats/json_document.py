@@ -76,15 +76,26 @@ def nesting_depth(data: bytes) -> int:
     at, depth, deepest = 0, 0, 0
     while at < len(data):
         end = min(at + _PIECE, len(data))
-        bare = _STRING.sub(rb"\1\2", data[at:end])
-        quote = bare.find(b'"')
+        bare = data[at:end]
+        outside = None
+        if b"\\" in bare:
+            bare = _STRING.sub(rb"\1\2", bare)
+            quote = bare.find(b'"')
+        else:
+            # Most texts escape nothing; a quote then begins or ends a string.
+            odd = np.cumsum(np.frombuffer(bare, dtype=np.uint8) == ord('"'), dtype=np.uint8) & 1
+            outside = odd == 0
+            quote = bare.rfind(b'"') if odd[-1] else -1
         if quote >= 0:
             rest = _REST.match(data, end - len(bare) + quote + 1)
             assert rest is not None
             bare, end = bare[:quote], rest.end()
         marks = np.frombuffer(bare, dtype=np.uint8)
         opens, closes = (marks == ord("[")) | (marks == ord("{")), (marks == ord("]")) | (marks == ord("}"))
-        steps = np.cumsum(opens.astype(np.int8) - closes.astype(np.int8), dtype=np.int32)
+        steps = opens.astype(np.int8) - closes.astype(np.int8)
+        if outside is not None:
+            steps *= outside[: len(bare)]
+        steps = np.cumsum(steps, dtype=np.int32)
         if len(steps):
             deepest = max(deepest, depth + int(steps.max()))
             depth += int(steps[-1])
