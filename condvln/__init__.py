@@ -8,7 +8,7 @@ Scenes                    ``make_samples`` ``open_source`` ``open_world`` ``Worl
 Relations                 ``World.relation_graph`` ``relate_scene`` ``Thresholds``
 Instructions              ``Program`` ``parse`` ``render`` ``program_tree`` ``label_priors`` ``InstructionsConfig``
 Navigation                ``Pathfinder`` ``NavMeshSettings`` ``Follower`` ``AgentConfig``
-Cameras                   ``World.look`` ``open_renderer`` ``Renderer`` ``CameraConfig`` ``cameras_of``
+Cameras                   ``World.look`` ``open_renderer`` ``Renderer`` ``CameraConfig`` ``cameras_of`` ``TextSensor``
 Episodes                  ``World.episodes`` ``ManifestEpisode`` ``open_export`` ``Export`` ``read_manifest``
 Agents and scores         ``task_of`` ``walk`` ``Observation`` ``Policy`` ``Prediction`` ``score`` ``evaluate``
 Checks                    ``judge_export`` (bias gate) ``prove_export`` (independent proof)
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from condvln.relations import relate_scene
     from condvln.samples import make_samples
     from condvln.scene import Room, Scene, SceneObject
-    from condvln.sensors import Renderer, cameras_of, open_renderer
+    from condvln.sensors import Renderer, TextSensor, cameras_of, open_renderer
     from condvln.sources.registry import open_source
     from condvln.verify import prove_export
     from condvln.world import World, label_priors, open_world
@@ -72,6 +72,7 @@ __all__ = [
     "Score",
     "ScoreRules",
     "Task",
+    "TextSensor",
     "Thresholds",
     "World",
     "agent_named",
@@ -117,7 +118,7 @@ _MODULES = {
     "condvln.relations": ("relate_scene",),
     "condvln.samples": ("make_samples",),
     "condvln.scene": ("Room", "Scene", "SceneObject"),
-    "condvln.sensors": ("Renderer", "cameras_of", "open_renderer"),
+    "condvln.sensors": ("Renderer", "TextSensor", "cameras_of", "open_renderer"),
     "condvln.sources.registry": ("open_source",),
     "condvln.verify": ("prove_export",),
     "condvln.world": ("World", "label_priors", "open_world"),

@@ -1,6 +1,23 @@
 """What an agent sees of a scene, with no simulator: images of cameras, and text for agents that read none."""
 
 from condvln.sensors.camera import PRESETS, cameras_of, panorama
+from condvln.sensors.noise import noisy_move, noisy_pose
 from condvln.sensors.renderer import Frame, Renderer, measured_depth, open_renderer
+from condvln.sensors.seen_things import SeenThing
+from condvln.sensors.text import KnownMap, TextObservation, TextSensor
 
-__all__ = ["PRESETS", "Frame", "Renderer", "cameras_of", "measured_depth", "open_renderer", "panorama"]
+__all__ = [
+    "PRESETS",
+    "Frame",
+    "KnownMap",
+    "Renderer",
+    "SeenThing",
+    "TextObservation",
+    "TextSensor",
+    "cameras_of",
+    "measured_depth",
+    "noisy_move",
+    "noisy_pose",
+    "open_renderer",
+    "panorama",
+]

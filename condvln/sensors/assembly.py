@@ -13,7 +13,7 @@ from condvln.formats.dataset_root import DatasetRoot
 from condvln.formats.glb import MAX_GLB_BYTES
 from condvln.formats.glb_part import read_part
 from condvln.labels import Vocabulary, vocabulary
-from condvln.scene import MeshPart, OrientedBox, Scene
+from condvln.scene import MeshPart, OrientedBox, Scene, SceneObject
 from condvln.scene.geometry import STRUCTURE, SceneGeometry
 from condvln.scene.palette import FLOOR_COLOUR, WALL_COLOUR, Colour, label_colour
 from condvln.sensors.gltf_faces import DrawnFile, drawn_file
@@ -22,7 +22,9 @@ from condvln.sources.solids import floor, joined, object_boxes
 
 __all__ = ["BOXES", "MARGIN", "NO_STAGE", "NO_WALLS", "OWNERS_BY_BOX", "scene_surfaces"]
 
-BOXES: Final = "drawn: walls, doors and boxes in a colour for each label stand in for surfaces"
+BOXES: Final = (
+    "drawn: walls, doors and boxes in a colour for each label stand in for surfaces; boxes that hold things are open"
+)
 NO_STAGE: Final = "incomplete: the mesh of the building is not there, so that no floor or wall is seen"
 NO_WALLS: Final = "incomplete: walls are not known, so that one sees through them"
 OWNERS_BY_BOX: Final = "instances: the scan names no objects; a surface is that of the smallest box around it"
@@ -47,12 +49,12 @@ def scene_surfaces(scene: Scene, geometry: SceneGeometry | None, words: Vocabula
     InputError : a mesh can't be read
     """
     if geometry is not None and geometry.approximate:
-        return _drawn(scene, geometry, (BOXES,))
+        return _drawn(scene, geometry, (BOXES,), words)
     if scene.stage or any(item.mesh for item in scene.objects):
         return _assembled(scene, words)
     things = [(k, o) for k, o in enumerate(scene.objects) if not _is_structure(o.label, words)]
     floors = [floor(room.polygon, room.floor_y) for room in scene.rooms if room.polygon is not None]
-    return _drawn(scene, joined([*floors, object_boxes(things)], approximate=True), (BOXES, NO_WALLS))
+    return _drawn(scene, joined([*floors, object_boxes(things)], approximate=True), (BOXES, NO_WALLS), words)
 
 
 def _assembled(scene: Scene, words: Vocabulary) -> Surfaces:
@@ -108,22 +110,44 @@ def _boxes(obb: OrientedBox | None, box: F64 | None) -> list[tuple[F64, F64, F64
     return [] if box is None else [(box.mean(axis=0), (box[1] - box[0]) / 2, np.eye(3))]
 
 
-def _drawn(scene: Scene, geometry: SceneGeometry, notes: Sequence[str]) -> Surfaces:
+def _drawn(scene: Scene, geometry: SceneGeometry, notes: Sequence[str], words: Vocabulary) -> Surfaces:
     builder = SurfaceBuilder()
     corners = geometry.vertices[geometry.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    flat = (normals[:, 1] > 0) & (np.ptp(corners[:, :, 1], axis=1) == 0)
+    level = np.ptp(corners[:, :, 1], axis=1) == 0
     light = (normals**2 @ np.array(SIDES)) / np.maximum((normals**2).sum(axis=1), 1e-30)
-    for owner in np.unique(geometry.owner):
-        rows = np.flatnonzero(geometry.owner == owner)
+    holders = _holders(scene.objects)
+    order = np.argsort(geometry.owner, kind="stable")
+    owners, starts = np.unique(geometry.owner[order], return_index=True)
+    for owner, rows in zip(owners.tolist(), np.split(order, starts[1:]), strict=True):
         if owner == STRUCTURE:
-            upright = np.flatnonzero(~flat[rows])
+            upright = np.flatnonzero(~level[rows])
             floors = int(upright[0]) if len(upright) else len(rows)  # floors come first; walls have level tops, too
-            for part, colour in ((rows[:floors], FLOOR_COLOUR), (rows[floors:], WALL_COLOUR)):
-                _add(builder, corners, part, light, STRUCTURE, colour)
-        else:
-            _add(builder, corners, rows, light, int(owner), label_colour(scene.objects[int(owner)].label))
+            _add(builder, corners, rows[:floors], light, STRUCTURE, FLOOR_COLOUR)
+            _add(builder, corners, rows[floors:], light, STRUCTURE, WALL_COLOUR)
+            continue
+        item = scene.objects[owner]
+        colour = label_colour(item.label)
+        if owner not in holders:
+            _add(builder, corners, rows, light, owner, colour)
+            continue
+        _add(builder, corners[:, ::-1], rows, light, owner, colour)
+        if words.is_frame(item.label):
+            tops = rows[level[rows] & (normals[rows, 1] > 0)]
+            _add(builder, corners, tops, light, owner, colour)
     return builder.surfaces(notes)
+
+
+def _holders(objects: Sequence[SceneObject]) -> frozenset[int]:
+    """Objects whose boxes hold the middle of a smaller thing that is not shut away."""
+    found = set()
+    boxes = np.array([np.full((2, 3), np.nan) if o.box is None else o.box for o in objects]).reshape(-1, 2, 3)
+    volume = np.prod(boxes[:, 1] - boxes[:, 0], axis=1)
+    for number, item in enumerate(objects):
+        if not item.hidden and item.box is not None:
+            around = ((boxes[:, 0] <= item.center) & (boxes[:, 1] >= item.center)).all(axis=1)
+            found.update(np.flatnonzero(around & (volume > volume[number])).tolist())
+    return frozenset(found)
 
 
 def _add(builder: SurfaceBuilder, corners: F64, rows: I64, light: F64, owner: int, colour: Colour) -> None:

@@ -7,9 +7,9 @@ from typing import Annotated
 from pydantic import Field, model_validator
 
 from schemas.base import Finite
-from schemas.config.section import Metres, Section
+from schemas.config.section import Metres, Section, Share
 
-__all__ = ["CameraConfig"]
+__all__ = ["CameraConfig", "NoiseConfig"]
 
 Pixels = Annotated[int, Field(ge=1, le=8192, json_schema_extra={"unit": "px"})]
 
@@ -48,3 +48,23 @@ class CameraConfig(Section):
         if self.max_depth is not None and not self.min_depth < self.max_depth:
             raise ValueError(f"max_depth: {self.max_depth:g} must be above min_depth, {self.min_depth:g}")
         return self
+
+
+class NoiseConfig(Section):
+    """Errors of a detector, of a pose estimate and of a motor; none by default."""
+
+    missed: Share = Field(0.0, description="things in view that are not named")
+    confused: Share = Field(0.0, description="things in view that are given another label of the scene")
+    false: Share = Field(0.0, description="looks in which a thing is named that is not there")
+    position: Annotated[Finite, Field(ge=0, json_schema_extra={"unit": "m"})] = Field(
+        0.0, description="standard deviation of the believed position, along each axis of the ground"
+    )
+    heading: Annotated[Finite, Field(ge=0, json_schema_extra={"unit": "°"})] = Field(
+        0.0, description="standard deviation of the believed heading"
+    )
+    step: Annotated[Finite, Field(ge=0, json_schema_extra={"unit": "share"})] = Field(
+        0.0, description="standard deviation of a step's length, as a share of it"
+    )
+    turn: Annotated[Finite, Field(ge=0, json_schema_extra={"unit": "share"})] = Field(
+        0.0, description="standard deviation of a turn's angle, as a share of it"
+    )

@@ -1,0 +1,34 @@
+"""Errors of a pose estimate and of a motor; they follow from a seed and names, never from a clock."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from numpy.typing import NDArray
+
+from condvln.seeding import generator
+from schemas.config import NoiseConfig
+
+__all__ = ["noisy_move", "noisy_pose"]
+
+F64 = NDArray[np.float64]
+
+
+def noisy_pose(
+    position: npt.ArrayLike, heading: float, noise: NoiseConfig, seed: int, names: Sequence[object] = ()
+) -> tuple[F64, float]:
+    """A pose as an agent believes it: (3,) metres with an error along the ground, and radians with an error."""
+    east, south, turn = generator(seed, "pose", *names).normal(size=3)
+    believed = np.asarray(position, np.float64) + noise.position * np.array([east, 0.0, south])
+    return believed, (heading + math.radians(noise.heading) * turn) % (2 * math.pi)
+
+
+def noisy_move(
+    forward: float, turn: float, noise: NoiseConfig, seed: int, names: Sequence[object] = ()
+) -> tuple[float, float]:
+    """What becomes of a step forward (metres) and a turn (radians): each is off by a share of itself."""
+    step, angle = generator(seed, "move", *names).normal(size=2)
+    return max(0.0, forward * (1 + noise.step * step)), turn * (1 + noise.turn * angle)

@@ -1,0 +1,182 @@
+"""What an agent without pixels is told: the things in view, and what is known of the map so far."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from numpy.typing import NDArray
+
+from condvln.labels import Vocabulary, vocabulary
+from condvln.scene import Room, Scene
+from condvln.sensors.camera import pixel_rays
+from condvln.sensors.renderer import Renderer
+from condvln.sensors.seen_things import SeenThing, noisy_sightings
+from schemas.config import CameraConfig, NoiseConfig
+
+__all__ = ["TEXT_CAMERA", "KnownMap", "TextObservation", "TextSensor"]
+
+TEXT_CAMERA: Final = CameraConfig(width=128, height=128, normalized=False)
+"""What is looked through where nothing else is asked for: VLN-CE's view, half as fine."""
+LEAST_PIXELS: Final = 6
+"""Pixels of a thing that must be seen before it is named."""
+SAME_PLACE: Final = 1.0
+"""Metres by which two sightings of one label may lie apart and be one thing to an agent that remembers."""
+
+F64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class TextObservation:
+    """What is seen from one pose: the room one stands in, None where that is not known, and things, the nearest first.
+
+    notes : what is not as it would be seen
+    """
+
+    room: str | None
+    things: tuple[SeenThing, ...]
+    notes: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        lines = [] if self.room is None else [f"You are in the {self.room}."]
+        lines.append("You see:" if self.things else "You see nothing that has a name.")
+        return "\n".join([*lines, *(f"- {thing}" for thing in self.things)])
+
+
+class TextSensor:
+    """Names what a camera sees. Nothing that no pixel shows is named, and no truth of an episode is known here.
+
+    Parameters
+    ----------
+    camera : what is looked through; what is farther than its ``max_depth`` is not named
+    noise : errors of a detector, none where None
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        renderer: Renderer,
+        camera: CameraConfig = TEXT_CAMERA,
+        noise: NoiseConfig | None = None,
+        words: Vocabulary = vocabulary,
+    ) -> None:
+        self._scene, self._renderer, self._camera, self._noise = scene, renderer, camera, noise
+        self._rooms = [room.label for room in scene.rooms]
+        number = {room.room_id: k for k, room in enumerate(scene.rooms)}
+        self._room_of = [number.get(item.room_id) for item in scene.objects]
+        known = words.labels
+        self._named = np.array(
+            [False, *(o.label in known and words.entry(o.label).kind != "structure" for o in scene.objects)]
+        )
+        self._labels = sorted({o.label for o, named in zip(scene.objects, self._named[1:], strict=True) if named})
+        columns, _ = pixel_rays(camera)
+        self._columns = np.broadcast_to(columns, (camera.height, camera.width)).reshape(-1)
+        self._tilt = math.cos(math.radians(camera.look_down)), math.sin(math.radians(camera.look_down))
+        self._rows = np.repeat(pixel_rays(camera)[1], camera.width)
+
+    def observe(
+        self, position: npt.ArrayLike, heading: float, *, seed: int = 0, names: Sequence[object] = ()
+    ) -> TextObservation:
+        """What is seen from a position (3,), metres, of the feet, with a heading, radians counter-clockwise from −Z.
+
+        Parameters
+        ----------
+        seed, names : of the noise, such as the episode and the step; equal ones err equally
+        """
+        place = np.asarray(position, np.float64)
+        things = self._seen(place, heading)
+        if self._noise is not None:
+            things = noisy_sightings(things, self._noise, self._labels, self._camera, seed, names)
+        here = _room_at(self._scene.rooms, place)
+        ordered = sorted(things, key=lambda thing: (thing.distance, thing.bearing, thing.label))
+        return TextObservation(None if here is None else here.label, tuple(ordered), self._renderer.notes)
+
+    def _seen(self, position: F64, heading: float) -> list[SeenThing]:
+        frame = self._renderer.look(self._camera, position, heading, rgb=False)
+        instance, depth = frame.instance.reshape(-1), frame.depth.reshape(-1)
+        limit = self._camera.max_depth
+        rows = np.flatnonzero(self._named[instance] if limit is None else self._named[instance] & (depth <= limit))
+        own, far = instance[rows], depth[rows].astype(np.float64)
+        count = np.bincount(own, minlength=len(self._named))
+        # Right and ahead of the agent; the camera looks down by a tilt and may be turned.
+        right = self._columns[rows] * far
+        ahead = far * self._tilt[0] + self._rows[rows] * far * self._tilt[1]
+        ground = np.hypot(right, ahead)
+        nearest = np.full(len(count), np.inf)
+        np.minimum.at(nearest, own, ground)
+        middle_right = np.bincount(own, right, len(count))
+        middle_ahead = np.bincount(own, ahead, len(count))
+        found = []
+        for number in np.flatnonzero(count >= LEAST_PIXELS).tolist():
+            bearing = math.degrees(math.atan2(middle_right[number], middle_ahead[number])) - self._camera.turn
+            item = self._scene.objects[number - 1]
+            room = self._room_of[number - 1]
+            found.append(
+                SeenThing(
+                    item.label,
+                    None if room is None else self._rooms[room],
+                    round((bearing + 180) % 360 - 180, 1),
+                    round(float(nearest[number]), 2),
+                )
+            )
+        return found
+
+
+@dataclass(slots=True)
+class KnownMap:
+    """What an agent knows of the map so far: the rooms that it was in, and where it saw things, by label.
+
+    Positions are (x, z) metres in the frame of its own poses. Two sightings of one label within a metre are one thing.
+    """
+
+    rooms: list[str] = field(default_factory=list)
+    things: list[tuple[str, str | None, float, float]] = field(default_factory=list)
+
+    def add(self, seen: TextObservation, position: npt.ArrayLike, heading: float) -> None:
+        """Take in what was seen from a position (3,) with a heading, radians counter-clockwise from −Z."""
+        if seen.room is not None and seen.room not in self.rooms:
+            self.rooms.append(seen.room)
+        x, _, z = (float(v) for v in np.asarray(position, np.float64))
+        for thing in seen.things:
+            angle = heading - math.radians(thing.bearing)
+            there = x - math.sin(angle) * thing.distance, z - math.cos(angle) * thing.distance
+            if not any(_is_same(thing, known, there) for known in self.things):
+                self.things.append((thing.label, thing.room, round(there[0], 2), round(there[1], 2)))
+
+    def __str__(self) -> str:
+        lines = ["Rooms so far: " + (", ".join(self.rooms) or "none") + "."]
+        for room in _in_order(room for _, room, _, _ in self.things):
+            names = sorted(label for label, place, _, _ in self.things if place == room)
+            lines.append(f"Seen in the {room}: {', '.join(names)}." if room else f"Seen elsewhere: {', '.join(names)}.")
+        return "\n".join(lines)
+
+
+def _room_at(rooms: Sequence[Room], position: F64) -> Room | None:
+    """The room whose floor is under a position; of several the one whose floor is nearest in height, then by id."""
+    held = []
+    for room in rooms:
+        if room.polygon is None:
+            inside = len(rooms) == 1
+        else:
+            x, z = (room.polygon - position[[0, 2]]).T
+            next_x, next_z = np.roll(x, -1), np.roll(z, -1)
+            crosses = (z > 0) != (next_z > 0)
+            # A crossing lies to the east where the edge passes the point on that side.
+            east = (x * (next_z - z) - z * (next_x - x)) * np.sign(next_z - z) > 0
+            inside = bool(np.count_nonzero(crosses & east) % 2)
+        if inside:
+            held.append((round(abs(float(position[1]) - room.floor_y), 1), room.room_id, room))
+    return min(held, key=lambda found: found[:2])[2] if held else None
+
+
+def _is_same(thing: SeenThing, known: tuple[str, str | None, float, float], there: tuple[float, float]) -> bool:
+    label, room, x, z = known
+    return (label, room) == (thing.label, thing.room) and math.hypot(x - there[0], z - there[1]) <= SAME_PLACE
+
+
+def _in_order(values: Iterable[str | None]) -> list[str | None]:
+    return list(dict.fromkeys(values))
