@@ -17,19 +17,20 @@ Mask = NDArray[np.bool_]
 Status = NDArray[np.int8]
 
 
-def closest_facts(s: Stacking, rival: Mask, t: Thresholds) -> tuple[Status, F64]:
+def closest_facts(distance: F64, rival: Mask, t: Thresholds) -> tuple[Status, F64]:
     """Status and margin (n, n) of "closest to": the subject among all that its label might mean.
 
+    distance (n, n) : of the boxes, or of their nearest pieces, in millimetres; NaN where one is unknown
     rival (n, n) : j could be meant by i's label; without rivals nothing is said
     """
     n = len(rival)
     nearest, all_known = np.full((n, n), np.nan), np.zeros((n, n), dtype=np.bool_)
     for i in np.flatnonzero(rival.any(axis=1)):
-        others = s.distance[rival[i]]
+        others = distance[rival[i]]
         nearest[i] = np.fmin.reduce(others, axis=0)
         all_known[i] = ~np.isnan(others).any(axis=0)
     gap = exact_mm(t.closest_gap)
-    own = s.distance
+    own = distance
     true = all_known & (nearest >= t.closest_ratio * own) & (nearest >= own + gap)
     false = (own >= t.closest_ratio * nearest) & (own >= nearest + gap)
     status = true.astype(np.int8) - false.astype(np.int8)
@@ -42,8 +43,8 @@ def closest_facts(s: Stacking, rival: Mask, t: Thresholds) -> tuple[Status, F64]
 def size_facts(arrays: RoomArrays, rival: Mask, t: Thresholds) -> dict[str, Status]:
     """Status (n,) of "the bigger" and "the smaller" of two things of one label, of which the room has no third.
 
-    By the volumes of their boxes. Where their largest sides say otherwise, as of pictures of different depth, nothing
-    is decided.
+    By the volumes of their boxes; what is not one box is not compared. Where their largest sides say otherwise, as of
+    pictures of different depth, nothing is decided.
     """
     labels = np.array(arrays.labels, dtype=object)
     measured = [_sizes(item) for item in arrays.objects]
@@ -64,6 +65,8 @@ def size_facts(arrays: RoomArrays, rival: Mask, t: Thresholds) -> dict[str, Stat
 
 def _sizes(item: SceneObject) -> tuple[str, float, float] | None:
     """Kind of box, its volume in mm³ and its largest side's area in mm²; None without a box."""
+    if item.parts:
+        return None
     if item.obb is not None:
         kind, extents = "oriented", millimetres(2.0 * item.obb.half_extents)
     elif item.box is not None:
@@ -74,10 +77,13 @@ def _sizes(item: SceneObject) -> tuple[str, float, float] | None:
     return kind, small * middle * large, middle * large
 
 
-def between_facts(centers: F64, s: Stacking, pairs: NDArray[np.intp], t: Thresholds) -> tuple[Status, F64]:
+def between_facts(
+    centers: F64, s: Stacking, compound: Mask, pairs: NDArray[np.intp], t: Thresholds
+) -> tuple[Status, F64]:
     """Status and margin (n, p) of "between a and b".
 
     centers (n, 3) : metres; pairs (p, 2) : indices of the anchors
+    compound (n,) : things that are not one box; their centres say little, and nothing is decided
     """
     ground = millimetres(centers[:, [0, 2]])
     a, b = pairs[:, 0], pairs[:, 1]
@@ -87,7 +93,7 @@ def between_facts(centers: F64, s: Stacking, pairs: NDArray[np.intp], t: Thresho
     with np.errstate(divide="ignore", invalid="ignore"):
         part = (away[..., 0] * along[:, 0] + away[..., 1] * along[:, 1]) / squared
         off = np.abs(away[..., 0] * along[:, 1] - away[..., 1] * along[:, 0]) / np.sqrt(squared)
-    long = s.length >= exact_mm(t.between_anchor)
+    long = (s.length >= exact_mm(t.between_anchor)) & ~compound
     fit = long[a] & long[b] & (squared > 0.0) & (squared <= exact_mm(t.between_length) ** 2)
     clear = (s.shared[:, a] == 0.0) & (s.shared[:, b] == 0.0)
     floor = s.off_floor <= exact_mm(t.on_floor)
@@ -96,6 +102,7 @@ def between_facts(centers: F64, s: Stacking, pairs: NDArray[np.intp], t: Thresho
     true &= off <= exact_mm(t.between_off_true)
     false = fit & ((part < t.between_false) | (part > 1.0 - t.between_false) | (off >= exact_mm(t.between_off_false)))
     status = true.astype(np.int8) - false.astype(np.int8)
+    status[compound] = 0
     status[a, np.arange(len(pairs))] = 0
     status[b, np.arange(len(pairs))] = 0
     margin: F64 = np.where(true, inner / t.between_true, 1.0 + off / 1000.0)

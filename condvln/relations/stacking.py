@@ -1,4 +1,4 @@
-"""How the boxes of a room stand over, on and beside each other.
+"""How the boxes of a room stand over, on and beside each other; a counter with a corner is the boxes of its arms.
 
 All lengths are whole millimetres, in which sums, products and square roots are the same wherever they are computed.
 """
@@ -11,8 +11,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.relations.holding import Holding, closure
 from condvln.relations.metrics import millimetres
-from condvln.scene import RoomArrays
+from condvln.relations.pieces import Pieces
 from schemas.config import Thresholds
 
 __all__ = ["Stacking", "exact_mm", "stacking_of"]
@@ -30,7 +31,7 @@ def exact_mm(metres: float) -> float:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Stacking:
-    """Boxes over ordered pairs, subject by row and target by column. NaN, and False, where a box is unknown.
+    """Pieces over ordered pairs, subject by row and target by column. NaN, and False, where a box is unknown.
 
     rise, top_rise : (n, n) by how much the subject's centre, and its top, lie higher than the target's
     gap : (n, n) by how much the subject's bottom lies above the target's top
@@ -41,8 +42,8 @@ class Stacking:
     inside : (n, n) part of the subject's volume in the target's box
     area : (n,) of the footprint; length : (n,) its longer side; off_floor : (n,) bottom above the room's floor
     known : (n, n) both have a box
-    may_rest : (n, n) the subject may rest on the target itself, as far as boxes say
-    carries : (n, n) the target may carry the subject, perhaps by things in between
+    carries : (n, n) the target's object may carry the subject's, as far as boxes and the source say, perhaps by things
+        in between
     """
 
     rise: F64
@@ -57,12 +58,12 @@ class Stacking:
     length: F64
     off_floor: F64
     known: Mask
-    may_rest: Mask
     carries: Mask
 
 
-def stacking_of(arrays: RoomArrays, thresholds: Thresholds) -> Stacking:
-    """How the n boxes of a room are stacked."""
+def stacking_of(pieces: Pieces, holding: Holding, thresholds: Thresholds) -> Stacking:
+    """How the n pieces of a room are stacked."""
+    arrays = pieces.arrays
     low, high, centre = millimetres(arrays.aabb_min), millimetres(arrays.aabb_max), millimetres(arrays.centers)
     gaps = [np.maximum(low[:, None, k] - high[None, :, k], low[None, :, k] - high[:, None, k]) for k in range(3)]
     lengths = [
@@ -79,11 +80,10 @@ def stacking_of(arrays: RoomArrays, thresholds: Thresholds) -> Stacking:
     own = area[:, None]
     known = ~np.isnan(gap)
     may_rest = (
-        (apart == 0.0)
-        & (bottom_rise > exact_mm(thresholds.on_gap_true))
-        & (gap < exact_mm(thresholds.on_gap_false))
-        & ~np.eye(len(arrays), dtype=np.bool_)
+        (apart == 0.0) & (bottom_rise > exact_mm(thresholds.on_gap_true)) & (gap < exact_mm(thresholds.on_gap_false))
     )
+    rests = pieces.any(may_rest) | holding.named
+    np.fill_diagonal(rests, False)
     return Stacking(
         rise=centre[:, None, 1] - centre[None, :, 1],
         top_rise=high[:, None, 1] - high[None, :, 1],
@@ -97,22 +97,10 @@ def stacking_of(arrays: RoomArrays, thresholds: Thresholds) -> Stacking:
         length=size[:, _GROUND].max(axis=1, initial=-np.inf),
         off_floor=low[:, 1] - millimetres(arrays.floor_y),
         known=known,
-        may_rest=may_rest,
-        carries=_closure(may_rest),
+        carries=pieces.spread(closure(rests)),
     )
 
 
 def _parts(some: F64, whole: F64) -> F64:
     """some / whole; NaN where there is nothing to be a part of."""
     return np.divide(some, whole, out=np.full_like(some, np.nan), where=whole > 0)
-
-
-def _closure(direct: Mask) -> Mask:
-    """Pairs that are linked by a chain of one or more links."""
-    found = direct
-    while True:
-        steps = found.astype(np.float32)
-        longer = found | (steps @ steps > 0)
-        if (longer == found).all():
-            return found
-        found = longer

@@ -9,10 +9,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.labels import vocabulary
 from condvln.relations.comparison import between_facts, closest_facts, size_facts
 from condvln.relations.compass import COMPASS, sector_deviation
-from condvln.relations.metrics import CENTRE
+from condvln.relations.holding import Holding, holding_of
+from condvln.relations.metrics import CENTRE, PairMetrics, pair_metrics
+from condvln.relations.pieces import Pieces
 from condvln.relations.room import RoomRelations
 from condvln.relations.stacking import Stacking, exact_mm, stacking_of
 from condvln.scene import RoomArrays
@@ -60,16 +61,18 @@ class TextFacts:
     status: Mapping[str, Status]
     margin: Mapping[str, F64]
     _arrays: RoomArrays
-    _stacking: Stacking
+    _whole: Stacking
+    _distance: F64
+    _compound: Mask
     _thresholds: Thresholds
 
     def between(self, pairs: NDArray[np.intp]) -> tuple[Status, F64]:
         """Status and margin (n, p) of "between a and b" for p pairs (p, 2) of anchors."""
-        return between_facts(self._arrays.centers, self._stacking, pairs, self._thresholds)
+        return between_facts(self._arrays.centers, self._whole, self._compound, pairs, self._thresholds)
 
     def closest(self, rival: Mask) -> tuple[Status, F64]:
         """Status and margin (n, n) of "closest to", where j could be meant by i's label as `rival` (n, n) says."""
-        return closest_facts(self._stacking, rival, self._thresholds)
+        return closest_facts(self._distance, rival, self._thresholds)
 
     def sizes(self, rival: Mask) -> dict[str, Status]:
         """Per predicate of `SIZE_PREDICATES` its status (n,), with the same `rival`."""
@@ -77,30 +80,44 @@ class TextFacts:
 
 
 def text_facts(relations: RoomRelations, thresholds: Thresholds) -> TextFacts:
-    """What text may say of a room's things."""
-    t, metrics, arrays = thresholds, relations.metrics, relations.objects
-    stacking = stacking_of(arrays, t)
+    """What text may say of a room's things.
+
+    Of a thing of several pieces, "on", "under", "in", "near" and "above" are true where they are of some piece, and
+    false where they are of all; the compass, "higher than" and "far from" are true where they are of all pieces.
+    """
+    t, arrays = thresholds, relations.objects
+    pieces, holding = Pieces.of(arrays), holding_of(arrays)
+    stacking = stacking_of(pieces, holding, t)
+    parts = pieces.arrays
+    metrics = (
+        pair_metrics(parts.centers, parts.aabb_min, parts.aabb_max, parts.radius)
+        if pieces.several
+        else relations.metrics
+    )
     facts = {
-        "on": _on(stacking, t),
-        "under": _under(stacking, t),
-        "in": _in(stacking, np.array([vocabulary.container(x) == "open" for x in arrays.labels], dtype=np.bool_), t),
-        "near": _near(relations, t),
-        "far from": _far(metrics.used, t),
-        "higher than": _higher(stacking, t),
-        "above": _above(stacking, metrics.horizontal, metrics.footprint_overlap, t),
+        "on": _said_on(_some(pieces, _on(stacking, t)), holding),
+        "under": _some(pieces, _under(stacking, t)),
+        "in": _said_in(_some(pieces, _in(stacking, holding.open[pieces.owner], t)), holding),
+        "near": _some(pieces, _near(metrics, pieces.spread(relations.surface), t)),
+        "far from": _far_of(pieces, _far(metrics.used, t)),
+        "higher than": _each(pieces, _higher(stacking, t)),
+        "above": _some(pieces, _above(stacking, metrics.horizontal, metrics.footprint_overlap, t)),
     }
     facts["lower than"] = _turned(facts["higher than"])
     facts["below"] = _turned(facts["above"])
     clear = (np.abs(metrics.elevation) < t.level) & (metrics.horizontal >= t.sector_horizontal_true)
     clearance = _rising(metrics.horizontal, 0.0, t.sector_horizontal_true)
     for sector, predicate in enumerate(COMPASS):
-        facts[predicate] = _compass(sector_deviation(metrics.azimuth, sector), clear, clearance, t)
+        fact = _compass(sector_deviation(metrics.azimuth, sector), clear, clearance, t)
+        facts[predicate] = _each(pieces, fact)
 
     return TextFacts(
         status={predicate: facts[predicate][0] for predicate in PAIR_PREDICATES},
         margin={predicate: facts[predicate][1] for predicate in PAIR_PREDICATES},
         _arrays=arrays,
-        _stacking=stacking,
+        _whole=stacking_of(Pieces(arrays, arrays, np.arange(len(arrays))), holding, t) if pieces.several else stacking,
+        _distance=pieces.least(stacking.distance),
+        _compound=pieces.compound,
         _thresholds=t,
     )
 
@@ -123,18 +140,55 @@ def _turned(fact: _Fact) -> _Fact:
     return np.ascontiguousarray(status.T), np.ascontiguousarray(margin.T)
 
 
+def _some(pieces: Pieces, fact: _Fact) -> _Fact:
+    """Of objects: true where it is of some of their pieces, false where it is of all."""
+    return _of_objects(pieces, fact, pieces.any(fact[0] == 1), pieces.all(fact[0] == -1), pieces.most(fact[1]))
+
+
+def _each(pieces: Pieces, fact: _Fact) -> _Fact:
+    """Of objects: true, and false, where it is of all their pieces."""
+    return _of_objects(pieces, fact, pieces.all(fact[0] == 1), pieces.all(fact[0] == -1), pieces.least(fact[1]))
+
+
+def _far_of(pieces: Pieces, fact: _Fact) -> _Fact:
+    """Of objects: true where it is of all their pieces, false where it is of some."""
+    return _of_objects(pieces, fact, pieces.all(fact[0] == 1), pieces.any(fact[0] == -1), pieces.least(fact[1]))
+
+
+def _of_objects(pieces: Pieces, fact: _Fact, true: Mask, false: Mask, margin: F64) -> _Fact:
+    return _fact(true, false, margin, margin) if pieces.several else fact
+
+
+def _said_on(fact: _Fact, holding: Holding) -> _Fact:
+    """What the source says decides where boxes leave it open; where they contradict it, nothing is decided."""
+    status, margin = fact
+    true = (status == 1) | (holding.on & (status == 0))
+    false = ((status == -1) & ~holding.on) | (holding.denied & (status == 0))
+    said = np.where((status == 0) & (true | false), 1.0, margin)
+    return _fact(true, false, said, said)
+
+
+def _said_in(fact: _Fact, holding: Holding) -> _Fact:
+    """As the source says it of what one can look into."""
+    status, margin = fact
+    said = holding.inside & holding.open[None, :]
+    true = (status == 1) | (said & (status == 0))
+    margin = np.where((status == 0) & true, 1.0, margin)
+    return _fact(true, (status == -1) & ~said, margin, margin)
+
+
 def _rising(value: F64, emitted: float, text: float) -> F64:
     """How far `value` is from `emitted` on the side of `text`, in units of the way between the two."""
     scaled: F64 = (value - emitted) * (1.0 / (text - emitted))
     return scaled
 
 
-def _near(relations: RoomRelations, t: Thresholds) -> _Fact:
-    used, surface = relations.metrics.used, relations.surface
+def _near(metrics: PairMetrics, surface: F64, t: Thresholds) -> _Fact:
+    used = metrics.used
     true = (used <= t.near_true) & (surface <= t.near_true)
     # Where surfaces were not measured, the distance of boxes or of bounding spheres is still a lower bound of theirs;
     # the distance of centres is none.
-    bound = np.where(relations.metrics.used_metric == CENTRE, np.nan, used)
+    bound = np.where(metrics.used_metric == CENTRE, np.nan, used)
     least = np.where(np.isnan(surface), bound, surface)
     false = (used >= t.near_false) & (least >= t.near_false)
     when_true = np.minimum(_rising(used, t.near, t.near_true), _rising(surface, t.near, t.near_true))
@@ -173,7 +227,7 @@ def _under(s: Stacking, t: Thresholds) -> _Fact:
 
 
 def _in(s: Stacking, container: Mask, t: Thresholds) -> _Fact:
-    """Inside an open container; of other anchors it is never said."""
+    """Inside a container that is open; of other anchors it is never said."""
     true = container[None, :] & (s.inside >= t.in_share_true)
     false = container[None, :] & (s.distance > 0.0)
     return _fact(true, false, np.where(true, 0.2 + s.inside, -np.inf), 1.0 + s.distance / 1000.0)
@@ -198,10 +252,10 @@ def _above(s: Stacking, horizontal: F64, footprint_overlap: F64, t: Thresholds) 
         & (horizontal <= t.over_horizontal_true)
         & (footprint_overlap >= t.over_footprint_true)
         & (s.gap >= air)
-        & ~s.may_rest
+        & ~s.carries
     )
     low, apart = exact_mm(t.height_false), exact_mm(t.over_apart_false)
-    false = s.known & ((s.rise <= low) | (s.apart >= apart)) & ~s.may_rest
+    false = s.known & ((s.rise <= low) | (s.apart >= apart)) & ~s.carries
     when_true = np.minimum(
         np.minimum(_rising(s.rise, exact_mm(t.height), rise), s.gap / air),
         np.minimum(

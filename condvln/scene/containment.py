@@ -25,7 +25,7 @@ from schemas.config.constants import (
     TOP_DEPTH,
 )
 
-__all__ = ["SCANNED", "is_shut", "with_containment"]
+__all__ = ["SCANNED", "is_shut", "stated_holders", "with_containment"]
 
 F64 = NDArray[np.float64]
 
@@ -76,6 +76,16 @@ def with_containment(objects: Sequence[SceneObject], family: str) -> tuple[Scene
         )
         for item in objects
     )
+
+
+def stated_holders(objects: Sequence[SceneObject]) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
+    """By object the ids of the others that it is on, and in, as its source says; objects of which it says nothing are
+    left out."""
+    links, of = _Links(), {item.object_id: item for item in objects}
+    for item in objects:
+        _stated(item, of, links)
+    upon, inside = ({k: [name for _, name in v] for k, v in found.items()} for found in (links.upon, links.inside))
+    return upon, inside
 
 
 @dataclass(frozen=True, slots=True)

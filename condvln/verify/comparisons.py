@@ -16,8 +16,8 @@ def is_closest(subject: Thing, anchor: Thing, rivals: Sequence[Thing], t: Thresh
     """All rivals are much farther from the anchor, or one is much nearer."""
     if subject.box is None or anchor.box is None or anchor in rivals:
         return Judgement(UNDECIDED, {"box": None})
-    own, gap = box_gap(subject, anchor), whole_mm(t.closest_gap)
-    others = [None if rival.box is None else box_gap(rival, anchor) for rival in rivals]
+    own, gap = _nearest(subject, anchor), whole_mm(t.closest_gap)
+    others = [None if rival.box is None else _nearest(rival, anchor) for rival in rivals]
     known = [away for away in others if away is not None]
     if not known:
         return Judgement(UNDECIDED, {"rivals": 0.0})
@@ -32,7 +32,13 @@ def compare_sizes(subject: Thing, rivals: Sequence[Thing], t: Thresholds, sign: 
     if len(rivals) != 1 or rivals[0].label != subject.label:
         return Judgement(UNDECIDED, {"rivals": float(len(rivals))})
     one, other = subject.sides(), rivals[0].sides()
-    if not one or not other or (subject.item.obb is None) != (rivals[0].item.obb is None):
+    if (
+        subject.pieces
+        or rivals[0].pieces
+        or not one
+        or not other
+        or (subject.item.obb is None) != (rivals[0].item.obb is None)
+    ):
         return Judgement(UNDECIDED, {"box": None})
     volumes, faces = [a * b * c for a, b, c in (one, other)], [b * c for _, b, c in (one, other)]
     if min(volumes) <= 0.0:
@@ -46,7 +52,7 @@ def compare_sizes(subject: Thing, rivals: Sequence[Thing], t: Thresholds, sign: 
 def lies_between(subject: Thing, anchors: Sequence[Thing], room: Surroundings, t: Thresholds) -> Judgement:
     """It is on the floor, near the line of the anchors' centres and about half way along it."""
     a, b = anchors
-    if a.box is None or b.box is None or subject in anchors:
+    if a.box is None or b.box is None or subject in anchors or any(x.pieces for x in (subject, a, b)):
         return Judgement(UNDECIDED, {"box": None})
     line = (b.centre[0] - a.centre[0], b.centre[2] - a.centre[2])
     away = (subject.centre[0] - a.centre[0], subject.centre[2] - a.centre[2])
@@ -66,3 +72,8 @@ def lies_between(subject: Thing, anchors: Sequence[Thing], room: Surroundings, t
     )
     false = part < t.between_false or part > 1.0 - t.between_false or off >= whole_mm(t.between_off_false)
     return judged(true, false, {"part": round(part, 3)}, off_line=off, anchors_apart=math.sqrt(squared))
+
+
+def _nearest(one: Thing, other: Thing) -> float:
+    """Millimetres between the nearest pieces of two things."""
+    return min(box_gap(a, b) for a in one.solids() for b in other.solids())

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from condvln.scene import OrientedBox, SceneObject
+from condvln.verify.surroundings import Said
 from condvln.verify.words import Words
 from schemas.config.constants import (
     INSIDE_SHARE,
@@ -22,7 +23,7 @@ from schemas.config.constants import (
     TOP_DEPTH,
 )
 
-__all__ = ["shut_away"]
+__all__ = ["said_of", "shut_away"]
 
 _MM: Final = 1000
 FROM_SCANS: Final = ("gibson", "mp3d")
@@ -53,6 +54,16 @@ def shut_away(
                     reached.add(holder.name)
                     ahead.append(holder.name)
     return frozenset(found)
+
+
+def said_of(items: Sequence[SceneObject], label_of: Callable[[SceneObject], str], meaning: Words) -> Said:
+    """What the source says of where things are; see `Said`."""
+    things = {item.object_id: _Holder(item, label_of(item), meaning) for item in items}
+    return {
+        name: [(holder.name, inside) for holder, inside in _stated(thing, things)]
+        for name, thing in things.items()
+        if thing.item.receptacles
+    }
 
 
 class _Holder:

@@ -12,7 +12,7 @@ from typing import Final
 
 from condvln.verify.comparisons import compare_sizes, is_closest, lies_between
 from condvln.verify.judgement import FALSE, TRUE, UNDECIDED, Judgement, judged
-from condvln.verify.supports import is_above, is_higher, is_in, is_on, is_under
+from condvln.verify.supports import as_said_in, as_said_on, is_above, is_higher, is_in, is_on, is_under
 from condvln.verify.surfaces import SurfaceGauge
 from condvln.verify.surroundings import Surroundings, Thing, whole_mm
 from schemas.config import Thresholds
@@ -30,6 +30,9 @@ DIRECTIONS: Final = {
     "south-east of": (1, -1),
 }
 """(east, north) of the centre of each sector."""
+
+SOME: Final = frozenset(("on", "under", "in", "near", "above", "below"))
+"""Predicates that are true of a thing of several pieces where they are of one of these."""
 
 
 class Judge:
@@ -59,6 +62,24 @@ class Judge:
         (anchor,) = anchors
         if predicate == "closest to":
             return is_closest(subject, anchor, rivals, self._t)
+        found = self._of_pieces(predicate, subject, anchor, room)
+        if predicate == "on":
+            return as_said_on(found, subject, anchor, room)
+        return as_said_in(found, subject, anchor, room) if predicate == "in" else found
+
+    def _of_pieces(self, predicate: str, subject: Thing, anchor: Thing, room: Surroundings) -> Judgement:
+        """Of things of several pieces, from what holds of each two of these."""
+        found = [self._of_one(predicate, a, b, room) for a in subject.solids() for b in anchor.solids()]
+        when_true, when_false = (
+            (any, all) if predicate in SOME else (all, any) if predicate == "far from" else (all, all)
+        )
+        if when_true(how.verdict == TRUE for how in found):
+            return next(how for how in found if how.verdict == TRUE)
+        if when_false(how.verdict == FALSE for how in found):
+            return next(how for how in found if how.verdict == FALSE)
+        return found[0]._replace(verdict=UNDECIDED)
+
+    def _of_one(self, predicate: str, subject: Thing, anchor: Thing, room: Surroundings) -> Judgement:
         if predicate in ("near", "far from"):
             return self._near(subject, anchor) if predicate == "near" else self._far(subject, anchor)
         if predicate in ("on", "under", "in"):

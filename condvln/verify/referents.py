@@ -8,11 +8,11 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 from condvln.scene import Room, Scene, SceneObject
-from condvln.verify.containment import shut_away
+from condvln.verify.containment import said_of, shut_away
 from condvln.verify.phrases import Named, Phrase
 from condvln.verify.predicates import FALSE, TRUE, Judge, Judgement, Thing
 from condvln.verify.surfaces import Shapes, SurfaceGauge
-from condvln.verify.surroundings import Surroundings, whole_mm
+from condvln.verify.surroundings import Said, Surroundings, whole_mm
 from condvln.verify.words import Words, words
 from schemas.config import Thresholds
 
@@ -67,6 +67,7 @@ class RoomView:
         hidden: Set[str],
         can_be_seen: Callable[[str], bool],
         thresholds: Thresholds,
+        said: Said,
     ) -> None:
         self.room = room
         self.label = label
@@ -75,7 +76,7 @@ class RoomView:
         things = [Thing.of(item, meaning.label(item.raw_label, family, _model(item))) for item in ordered]
         self.things = tuple(thing for thing in things if thing.object_id not in hidden)
         self._all = tuple(things)
-        self.surroundings = Surroundings(things, room.floor_y, thresholds)
+        self.surroundings = Surroundings(things, room.floor_y, thresholds, said)
         self._meaning = meaning
         self._meant: dict[str, tuple[Thing, ...]] = {}
         self._open: dict[str, frozenset[str]] = {}
@@ -144,12 +145,8 @@ class SceneReferents:
         held: dict[str, list[SceneObject]] = {room.room_id: [] for room in scene.rooms}
         for item in scene.objects:
             held.setdefault(item.room_id, []).append(item)
-        self.hidden = shut_away(
-            scene.objects,
-            scene.family,
-            lambda item: self.meaning.label(item.raw_label, scene.family, _model(item)),
-            self.meaning,
-        )
+        self.hidden = shut_away(scene.objects, scene.family, self._label, self.meaning)
+        said = said_of(scene.objects, self._label, self.meaning)
         self.rooms = {
             room.room_id: RoomView(
                 room,
@@ -160,6 +157,7 @@ class SceneReferents:
                 self.hidden,
                 can_be_seen,
                 thresholds,
+                said,
             )
             for room in scene.rooms
         }
@@ -173,13 +171,16 @@ class SceneReferents:
         """Whether the scene is one room, so that texts need not name it."""
         return len(self.rooms) == 1
 
+    def _label(self, item: SceneObject) -> str:
+        return self.meaning.label(item.raw_label, self.scene.family, _model(item))
+
     def is_structure(self, item: SceneObject) -> bool:
         """Whether an object is a wall, a floor or the like."""
-        return self.meaning.label(item.raw_label, self.scene.family, _model(item)) in self.meaning.structure
+        return self._label(item) in self.meaning.structure
 
     def is_frame(self, item: SceneObject) -> bool:
         """Whether an object is a shelf, a table or the like, whose box is mostly air."""
-        return self.meaning.label(item.raw_label, self.scene.family, _model(item)) in self.meaning.frames
+        return self._label(item) in self.meaning.frames
 
     def room(self, named: Named | None) -> tuple[RoomView, str | None] | Problem:
         """The room that a name means, and the id of the thing that its name rests on."""

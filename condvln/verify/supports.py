@@ -1,15 +1,17 @@
-"""Whether a thing is on, in, under, above another, or higher than it: by boxes, and by what may carry what."""
+"""Whether a thing is on, in, under, above another, or higher than it: by boxes, by what may carry what, and by what the
+source says of that. Of a thing of several pieces each is asked by itself."""
 
 from __future__ import annotations
 
 import math
 
-from condvln.verify.judgement import UNDECIDED, Judgement, judged
+from condvln.verify.judgement import FALSE, TRUE, UNDECIDED, Judgement, judged
 from condvln.verify.surroundings import Surroundings, Thing, box_gap, footprint_gap, shared_sides, whole_mm
 from condvln.verify.words import words
 from schemas.config import Thresholds
+from schemas.config.constants import OPEN_SHARE
 
-__all__ = ["is_above", "is_higher", "is_in", "is_on", "is_under"]
+__all__ = ["as_said_in", "as_said_on", "is_above", "is_higher", "is_in", "is_on", "is_under"]
 
 _UNKNOWN = Judgement(UNDECIDED, {"box": None})
 
@@ -31,6 +33,22 @@ def is_on(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -> J
     return judged(true, false, {"covered": covered}, step=step, footprints_apart=apart)
 
 
+def as_said_on(found: Judgement, subject: Thing, anchor: Thing, room: Surroundings) -> Judgement:
+    """What the source says decides where boxes leave it open; where they contradict it, nothing is decided."""
+    if room.is_said_on(subject, anchor):
+        return found._replace(verdict=UNDECIDED if found.verdict == FALSE else TRUE)
+    if found.verdict == UNDECIDED and room.is_said_elsewhere(subject, anchor):
+        return found._replace(verdict=FALSE)
+    return found
+
+
+def as_said_in(found: Judgement, subject: Thing, anchor: Thing, room: Surroundings) -> Judgement:
+    """The source may name the container; where boxes contradict it, nothing is decided."""
+    if room.is_said_in(subject, anchor) and _can_be_looked_into(anchor):
+        return found._replace(verdict=UNDECIDED if found.verdict == FALSE else TRUE)
+    return found
+
+
 def is_under(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -> Judgement:
     """It is on the floor below the anchor's underside."""
     if subject.box is None or anchor.box is None:
@@ -50,7 +68,7 @@ def is_under(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -
 
 def is_in(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -> Judgement:
     """Most of it is inside a container that is open at the top."""
-    if subject.box is None or anchor.box is None or words().containers.get(anchor.label) != "open":
+    if subject.box is None or anchor.box is None or not _can_be_looked_into(anchor):
         return _UNKNOWN
     volume = math.prod(high - low for low, high in zip(*subject.box, strict=True))
     inside = math.prod(shared_sides(subject, anchor)) / volume if volume > 0 else None
@@ -65,7 +83,7 @@ def is_above(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -
         return _UNKNOWN
     up, air = subject.centre[1] - anchor.centre[1], subject.box[0][1] - anchor.box[1][1]
     away = math.hypot(subject.centre[0] - anchor.centre[0], subject.centre[2] - anchor.centre[2])
-    apart, rests = footprint_gap(subject, anchor), room.may_rest(subject, anchor)
+    apart, rests = footprint_gap(subject, anchor), room.may_carry(anchor, subject)
     areas = [math.prod(thing.ground_sides()) for thing in (subject, anchor)]
     x, _, z = shared_sides(subject, anchor)
     shared = x * z / min(areas) if min(areas) > 0 else None
@@ -94,6 +112,11 @@ def is_higher(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) 
     true = fit and up >= whole_mm(t.height_true) and tops >= whole_mm(t.top_true)
     false = fit and up <= whole_mm(t.height_false) and tops <= whole_mm(t.top_false)
     return judged(true, false, height=up, tops=tops)
+
+
+def _can_be_looked_into(holder: Thing) -> bool:
+    kind, openness = words().containers.get(holder.label), holder.item.openness
+    return kind == "open" or (kind == "shut" and openness is not None and openness >= OPEN_SHARE)
 
 
 def _covered(subject: Thing, anchor: Thing) -> float | None:

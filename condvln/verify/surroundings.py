@@ -3,32 +3,52 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from condvln.scene import SceneObject
 from schemas.config import Thresholds
 
-__all__ = ["Point", "Surroundings", "Thing", "box_gap", "footprint_gap", "shared_sides", "whole_mm"]
+__all__ = ["Point", "Said", "Surroundings", "Thing", "box_gap", "footprint_gap", "shared_sides", "whole_mm"]
 
 Point = tuple[int, int, int]
+
+Said = Mapping[str, Sequence[tuple[str, bool]]]
+"""By the id of a thing what its source says that it is in (True) and on (False)."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Thing:
-    """An object by its numbers: centre and box corners (low, high) in whole millimetres, None where not known."""
+    """An object by its numbers: centre and box corners (low, high) in whole millimetres, None where not known.
+
+    pieces : the boxes that it is made of where it is several, a counter's arms
+    """
 
     item: SceneObject
     label: str
     centre: Point
     box: tuple[Point, Point] | None
+    pieces: tuple[Thing, ...] = ()
 
     @classmethod
     def of(cls, item: SceneObject, label: str) -> Thing:
         """A thing from its record."""
         box = item.box
         corners = None if box is None else (_whole(box[0]), _whole(box[1]))
-        return cls(item, label, _whole(item.center), corners)
+        thing = cls(item, label, _whole(item.center), corners)
+        arms = []
+        for part in item.parts:
+            reach = np.abs(part.rotation) @ part.half_extents
+            low, high = _whole(part.center - reach), _whole(part.center + reach)
+            x, y, z = (round((a + b) / 2) for a, b in zip(low, high, strict=True))
+            arms.append(replace(thing, centre=(x, y, z), box=(low, high)))
+        return replace(thing, pieces=tuple(arms))
+
+    def solids(self) -> tuple[Thing, ...]:
+        """Its pieces, or itself where it is one."""
+        return self.pieces or (self,)
 
     @property
     def object_id(self) -> str:
@@ -56,22 +76,53 @@ class Surroundings:
     ----------
     things : all things of the room
     floor : height of its floor in metres
+    said : what the source says of where things are
     """
 
-    def __init__(self, things: Sequence[Thing], floor: float, thresholds: Thresholds) -> None:
+    def __init__(self, things: Sequence[Thing], floor: float, thresholds: Thresholds, said: Said | None = None) -> None:
         self._things = things
         self._floor = None if math.isnan(floor) else round(floor * 1000.0)
         self._lift, self._slack = whole_mm(thresholds.on_gap_true), whole_mm(thresholds.on_gap_false)
         self._carriers: dict[str, frozenset[str]] = {}
+        self._said = said or {}
 
     def off_floor(self, thing: Thing) -> int | None:
         """Millimetres of its bottom above the floor."""
         return None if thing.box is None or self._floor is None else thing.box[0][1] - self._floor
 
+    def is_said_on(self, upper: Thing, lower: Thing) -> bool:
+        """Whether the source says that `upper` rests on `lower`."""
+        return (lower.object_id, False) in self._said.get(upper.object_id, ())
+
+    def is_said_in(self, inner: Thing, outer: Thing) -> bool:
+        """Whether the source says that `outer` contains `inner`."""
+        return (outer.object_id, True) in self._said.get(inner.object_id, ())
+
+    def is_said_elsewhere(self, thing: Thing, other: Thing) -> bool:
+        """Whether the source says where a thing is, and that this is neither `other` nor in or on it."""
+        if not self._said.get(thing.object_id):
+            return False
+        receptacles = {x.object_id: x.item.receptacles or () for x in self._things}
+        seen: set[str] = set()
+        ahead = list(receptacles.get(thing.object_id, ()))
+        while ahead:
+            name = ahead.pop()
+            if name not in seen:
+                seen.add(name)
+                ahead += receptacles.get(name, ())
+        return other.object_id not in seen
+
     def may_rest(self, upper: Thing, lower: Thing) -> bool:
-        """Whether boxes leave it open that `upper` rests on `lower`: footprints meet, and its bottom lies clearly above
-        that of `lower` and not clearly above its top."""
-        if upper is lower or upper.box is None or lower.box is None or footprint_gap(upper, lower) > 0.0:
+        """Whether `upper` may rest on `lower`: the source names it, or footprints meet, and its bottom lies clearly
+        above that of `lower` and not clearly above its top."""
+        if upper.object_id == lower.object_id:
+            return False
+        if lower.object_id in (upper.item.receptacles or ()):
+            return True
+        return any(self._meets(above, below) for above in upper.solids() for below in lower.solids())
+
+    def _meets(self, upper: Thing, lower: Thing) -> bool:
+        if upper.box is None or lower.box is None or footprint_gap(upper, lower) > 0.0:
             return False
         bottom = upper.box[0][1]
         return bottom - lower.box[0][1] > self._lift and bottom - lower.box[1][1] < self._slack

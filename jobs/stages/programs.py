@@ -45,7 +45,7 @@ class PriorsAggregate(Aggregate):
     thresholds: Thresholds
     anchor_size: float
     name: str = "priors"
-    version: int = 4
+    version: int = 5
     after: str = "scene"
     tables: tuple[str, ...] = ("rooms", "objects")
 

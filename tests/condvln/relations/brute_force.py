@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from fractions import Fraction
 from typing import NamedTuple
 
-from condvln.scene import SceneObject
+from condvln.scene import OrientedBox, SceneObject
 
 
 class Box(NamedTuple):
@@ -19,6 +20,13 @@ class Box(NamedTuple):
     hi: tuple[int, int, int] | None
     sides: tuple[int, ...] | None
     oriented: bool
+    parts: tuple[Box, ...] = ()
+    named: tuple[str, ...] = ()
+    opened: bool = False
+
+    @property
+    def pieces(self) -> tuple[Box, ...]:
+        return self.parts or (self,)
 
 
 def box_of(item: SceneObject) -> Box:
@@ -30,7 +38,48 @@ def box_of(item: SceneObject) -> Box:
         sides = tuple(b - a for a, b in zip(lo, hi, strict=True))
     if item.obb is not None:
         sides = tuple(round(float(v) * 2 * 1000) for v in item.obb.half_extents)
-    return Box(item.object_id, item.label, at, lo, hi, sides, item.obb is not None)
+    whole = Box(item.object_id, item.label, at, lo, hi, sides, item.obb is not None)
+    return whole._replace(
+        parts=tuple(whole._replace(at=at, lo=lo, hi=hi) for lo, hi, at in map(arm_of, item.parts)),
+        named=item.receptacles or (),
+        opened=item.openness is not None and item.openness >= 0.5,
+    )
+
+
+def arm_of(part: OrientedBox) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:
+    """Corners and middle of the upright box around an oriented one, from its eight corners."""
+    corners = []
+    for signs in ((x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)):
+        reach = [sum(part.rotation[k][m] * signs[m] * part.half_extents[m] for m in range(3)) for k in range(3)]
+        corners.append([part.center[k] + reach[k] for k in range(3)])
+    lo = tuple(round(min(float(c[k]) for c in corners) * 1000) for k in range(3))
+    hi = tuple(round(max(float(c[k]) for c in corners) * 1000) for k in range(3))
+    # Middles are rounded to millimetres, halves to even ones.
+    return lo, hi, tuple(round(Fraction(a + b, 2)) for a, b in zip(lo, hi, strict=True))
+
+
+def some(test: Callable[[Box, Box], int], a: Box, b: Box) -> int:
+    """True of some piece of both, false of all."""
+    found = [test(p, q) for p in a.pieces for q in b.pieces]
+    return 1 if 1 in found else -1 if set(found) == {-1} else 0
+
+
+def each(test: Callable[[Box, Box], int], a: Box, b: Box) -> int:
+    """True, or false, of all pieces of both."""
+    found = {test(p, q) for p in a.pieces for q in b.pieces}
+    return found.pop() if len(found) == 1 else 0
+
+
+def reached(a: Box, boxes: Sequence[Box]) -> set[str]:
+    """Names of all that a is in or on as its source says, and of what that is in or on."""
+    found: set[str] = set()
+    ahead = list(a.named)
+    while ahead:
+        name = ahead.pop()
+        if name not in found:
+            found.add(name)
+            ahead += [x for b in boxes if b.name == name for x in b.named]
+    return found
 
 
 def gap(a: Box, b: Box, axis: int) -> int:
@@ -56,9 +105,17 @@ def verdict(true: bool, false: bool) -> int:
 
 def rests(a: Box, b: Box) -> bool:
     """Whether a may rest on b."""
-    if a.lo is None or b.lo is None or a.name == b.name or squared(a, b, (0, 2)):
+    if a.name == b.name:
         return False
-    return a.lo[1] > b.lo[1] + 30 and a.lo[1] < b.hi[1] + 150
+    if b.name in a.named:
+        return True
+    if a.lo is None or b.lo is None:
+        return False
+    for p in a.pieces:
+        for q in b.pieces:
+            if not squared(p, q, (0, 2)) and q.lo[1] + 30 < p.lo[1] < q.hi[1] + 150:
+                return True
+    return False
 
 
 def carried(boxes: Sequence[Box]) -> set[tuple[str, str]]:
@@ -73,7 +130,34 @@ def carried(boxes: Sequence[Box]) -> set[tuple[str, str]]:
     return found
 
 
-def on(a: Box, b: Box) -> int:
+SHUT_ONES = {"dresser", "refrigerator", "cabinet"}
+OPEN_ONES = {"trash can", "basket", "sink", "bowl", "vase"}
+"""Labels of the made rooms that are containers."""
+
+
+def said(a: Box, b: Box) -> str:
+    """What its source says of a and b: that a is "on" b, or "in" it, or neither."""
+    if b.name not in a.named or a.name == b.name:
+        return ""
+    if a.lo is None or b.lo is None:
+        return "in" if b.label in SHUT_ONES else "on"
+    longest = [max(top - low for low, top in zip(box.lo, box.hi, strict=True)) for box in (a, b)]
+    if longest[0] > 2 * longest[1]:
+        return ""
+    if b.label in SHUT_ONES:
+        return "in" if a.lo[1] <= b.hi[1] - 50 else "on"
+    return "in" if b.label in OPEN_ONES and _inside(a, b) == 1 else "on"
+
+
+def on(a: Box, b: Box, boxes: Sequence[Box]) -> int:
+    by_boxes = some(_on, a, b)
+    if said(a, b) == "on":
+        return 0 if by_boxes == -1 else 1
+    elsewhere = any(said(a, c) for c in boxes) and b.name not in reached(a, boxes)
+    return -1 if by_boxes == 0 and elsewhere else by_boxes
+
+
+def _on(a: Box, b: Box) -> int:
     if a.lo is None or b.lo is None:
         return 0
     step = a.lo[1] - b.hi[1]
@@ -83,34 +167,56 @@ def on(a: Box, b: Box) -> int:
 
 
 def under(a: Box, b: Box, floor: int) -> int:
+    return some(lambda p, q: _under(p, q, floor), a, b)
+
+
+def _under(a: Box, b: Box, floor: int) -> int:
     if a.lo is None or b.lo is None:
         return 0
     mostly = ground(a) > 0 and 10 * meet(a, b, 0) * meet(a, b, 2) >= 8 * ground(a)
     return verdict(a.lo[1] - floor <= 100 and a.hi[1] <= b.lo[1] and mostly, squared(a, b, (0, 2)) >= 300 * 300)
 
 
-def inside(a: Box, b: Box, containers: set[str]) -> int:
-    if a.lo is None or b.lo is None or b.label not in containers:
+def inside(a: Box, b: Box) -> int:
+    if not (b.label in OPEN_ONES or (b.label in SHUT_ONES and b.opened)):
+        return 0
+    by_boxes = some(_inside, a, b)
+    if said(a, b) == "in":
+        return 0 if by_boxes == -1 else 1
+    return by_boxes
+
+
+def _inside(a: Box, b: Box) -> int:
+    if a.lo is None or b.lo is None:
         return 0
     volume = ground(a) * (a.hi[1] - a.lo[1])
     shared = meet(a, b, 0) * meet(a, b, 1) * meet(a, b, 2)
     return verdict(volume > 0 and 10 * shared >= 8 * volume, squared(a, b, (0, 1, 2)) > 0)
 
 
-def above(a: Box, b: Box) -> int:
+def above(a: Box, b: Box, chain: set[tuple[str, str]]) -> int:
+    return 0 if (a.name, b.name) in chain else some(_above, a, b)
+
+
+def _above(a: Box, b: Box) -> int:
     if a.lo is None or b.lo is None:
         return 0
     rise = a.at[1] - b.at[1]
     away = (a.at[0] - b.at[0]) ** 2 + (a.at[2] - b.at[2]) ** 2
     smaller = min(ground(a), ground(b))
     over = smaller > 0 and 5 * meet(a, b, 0) * meet(a, b, 2) >= smaller
-    free = not rests(a, b)
-    true = free and rise >= 450 and away <= 420 * 420 and over and a.lo[1] - b.hi[1] >= 100
-    return verdict(true, free and (rise <= 150 or squared(a, b, (0, 2)) >= 300 * 300))
+    true = rise >= 450 and away <= 420 * 420 and over and a.lo[1] - b.hi[1] >= 100
+    return verdict(true, rise <= 150 or squared(a, b, (0, 2)) >= 300 * 300)
 
 
 def higher(a: Box, b: Box, floor: int, chain: set[tuple[str, str]]) -> int:
-    if a.lo is None or b.lo is None or (a.name, b.name) in chain or (b.name, a.name) in chain:
+    if (a.name, b.name) in chain or (b.name, a.name) in chain:
+        return 0
+    return each(lambda p, q: _higher(p, q, floor), a, b)
+
+
+def _higher(a: Box, b: Box, floor: int) -> int:
+    if a.lo is None or b.lo is None:
         return 0
     if a.lo[1] - floor < 300 or b.lo[1] - floor < 300:
         return 0
@@ -119,7 +225,7 @@ def higher(a: Box, b: Box, floor: int, chain: set[tuple[str, str]]) -> int:
 
 
 def between(a: Box, b: Box, c: Box, floor: int) -> int:
-    if b.lo is None or c.lo is None:
+    if b.lo is None or c.lo is None or a.parts or b.parts or c.parts:
         return 0
     x, z = c.at[0] - b.at[0], c.at[2] - b.at[2]
     u, v = a.at[0] - b.at[0], a.at[2] - b.at[2]
@@ -145,10 +251,14 @@ def between(a: Box, b: Box, c: Box, floor: int) -> int:
 def closest(a: Box, b: Box, rivals: Sequence[Box]) -> int:
     if a.lo is None or b.lo is None or not rivals or b in rivals:
         return 0
-    own = squared(a, b, (0, 1, 2)) ** 0.5
-    far = [r.lo is not None and _clearly(squared(r, b, (0, 1, 2)) ** 0.5, own) for r in rivals]
-    near = [r.lo is not None and _clearly(own, squared(r, b, (0, 1, 2)) ** 0.5) for r in rivals]
+    own = apart(a, b)
+    far = [r.lo is not None and _clearly(apart(r, b), own) for r in rivals]
+    near = [r.lo is not None and _clearly(own, apart(r, b)) for r in rivals]
     return verdict(all(far), any(near))
+
+
+def apart(a: Box, b: Box) -> float:
+    return min(squared(p, q, (0, 1, 2)) for p in a.pieces for q in b.pieces) ** 0.5
 
 
 def _clearly(far: float, near: float) -> bool:
@@ -159,8 +269,39 @@ def bigger(a: Box, rivals: Sequence[Box], rivals_of: Callable[[Box], Sequence[Bo
     if len(rivals) != 1 or rivals[0].label != a.label or len(rivals_of(rivals[0])) != 1:
         return 0
     (b,) = rivals
-    if a.sides is None or b.sides is None or a.oriented != b.oriented or 0 in a.sides or 0 in b.sides:
+    if (
+        a.parts
+        or b.parts
+        or a.sides is None
+        or b.sides is None
+        or a.oriented != b.oriented
+        or 0 in a.sides
+        or 0 in b.sides
+    ):
         return 0
     one, other = (s[0] * s[1] * s[2] for s in (a.sides, b.sides))
     face, other_face = (sorted(s)[1] * sorted(s)[2] for s in (a.sides, b.sides))
     return verdict(2 * one >= 3 * other and face > other_face, 2 * other >= 3 * one and other_face > face)
+
+
+NORTH = {"east of": (1, 0), "north-west of": (-1, 1), "south of": (0, -1)}
+"""(east, north) of some sectors."""
+
+
+def beside(a: Box, b: Box, predicate: str) -> int:
+    return each(lambda p, q: _beside(p, q, NORTH[predicate]), a, b)
+
+
+def _beside(a: Box, b: Box, towards: tuple[int, int]) -> int:
+    east, north, up = a.at[0] - b.at[0], b.at[2] - a.at[2], a.at[1] - b.at[1]
+    ground_way = math.hypot(east, north)
+    if not ground_way:
+        return 0
+    off = abs(math.remainder(math.atan2(north, east) - math.atan2(towards[1], towards[0]), 2 * math.pi))
+    level = abs(up) < ground_way * math.tan(math.radians(22.5))
+    return verdict(off <= math.radians(15) and level and ground_way >= 500, off > math.radians(30))
+
+
+def far(a: Box, b: Box) -> int:
+    found = [squared(p, q, (0, 1, 2)) for p in a.pieces for q in b.pieces]
+    return verdict(min(found) >= 3450**2, any(x <= 2550**2 for x in found))

@@ -19,7 +19,7 @@ from condvln.relations import (
     text_facts,
 )
 from condvln.relations.text import TextFacts
-from condvln.scene import RoomArrays, SceneObject
+from condvln.scene import OrientedBox, RoomArrays, SceneObject
 from condvln.scene.meshes import WorldMesh
 from schemas.config import Thresholds
 from schemas.program import Predicate
@@ -182,3 +182,75 @@ def test_a_larger_margin_is_safer(make: Maker, room_of: RoomOf) -> None:
         margins = [facts_of(make, room_of, center).margin[predicate][0, 1] for center in steps]
         assert margins == sorted(margins), predicate
         assert margins[0] < margins[-1], predicate
+
+
+ARM_DEPTH = 0.6
+
+
+@pytest.fixture
+def counter(make: Maker) -> SceneObject:
+    """A counter of 3 × 3 m with arms of 0.6 m along its north and its east side; what is south-west of them is free."""
+    arms = (
+        OrientedBox(np.array([0.0, 0.45, -1.2]), np.array([1.5, 0.45, 0.3]), np.eye(3)),
+        OrientedBox(np.array([1.2, 0.45, 0.0]), np.array([0.3, 0.45, 1.5]), np.eye(3)),
+    )
+    return replace(make("counter", (0, 0.45, 0), (1.5, 0.45, 1.5)), parts=arms)
+
+
+@pytest.mark.parametrize(
+    ("center", "expected"),
+    [
+        # In the free corner: 2.05 m from either arm, and not within the counter's box for anybody who stands there.
+        ((-1.2, 0.2, 1.2), {"near": -1, "on": -1, "in": 0, "south-west of": 0, "far from": -1, "above": -1}),
+        # 0.60 and 0.30 m from an arm.
+        ((0.2, 0.2, 0.2), {"near": 1, "on": -1}),
+        # On an arm, on both where they cross, and in the air of the free corner at the height of the top.
+        ((0.0, 1.0, -1.2), {"on": 1, "near": 1, "above": 0}),
+        ((1.2, 1.0, -1.2), {"on": 1}),
+        ((-0.5, 1.0, 0.5), {"on": -1}),
+        # Over an arm's middle, and over the middle of the box, where nothing is.
+        ((0.0, 1.9, -1.2), {"above": 1, "on": -1}),
+        ((0.0, 1.9, 0.0), {"above": -1}),
+        # North of both arms; north of the box's centre, but east of one arm's.
+        ((0.6, 0.5, -6.0), {"north of": 1, "far from": 1, "south of": -1}),
+        ((1.2, 0.5, -2.4), {"north of": 0}),
+    ],
+)
+def test_a_counter_is_its_arms(
+    make: Maker, room_of: RoomOf, counter: SceneObject, center: Sequence[float], expected: dict[str, int]
+) -> None:
+    thing = make("thing", center, (0.1, 0.1, 0.1))
+    facts = text_facts(relate_room(room_of([counter, thing]), T), T)
+    assert {predicate: int(facts.status[predicate][1, 0]) for predicate in expected} == expected
+
+
+@pytest.mark.parametrize(
+    ("says", "center", "expected"),
+    [
+        ({"receptacles": ("sofa",)}, (0, 0.5, 0), 1),  # below the top of its back
+        ({"receptacles": ("sofa",)}, (0, 0.9, 3), 0),  # which boxes contradict
+        ({"receptacles": ("rug",)}, (0, 0.5, 0), -1),
+        ({"receptacles": ("tray",)}, (0, 0.5, 0), 0),  # which is on the sofa
+        ({"receptacles": ()}, (0, 0.5, 0), 0),
+        ({"support": "sofa"}, (0, 0.5, 0), 0),  # found from boxes, not said
+        ({}, (0, 0.5, 0), 0),
+    ],
+)
+def test_a_source_says_what_is_on_what(
+    make: Maker, room_of: RoomOf, says: dict[str, object], center: Sequence[float], expected: int
+) -> None:
+    """Below the top of a sofa's back boxes say nothing; its source may."""
+    sofa, cushion = make("sofa", (0, 0.45, 0), (1.0, 0.45, 0.5)), make("cushion", center, (0.2, 0.1, 0.2))
+    rug, tray = make("rug", (0, 0.01, 0), (2, 0.01, 2)), make("tray", (0, 0.45, 0), (0.3, 0.02, 0.3))
+    tray = replace(tray, receptacles=("sofa",))
+    room = room_of([replace(cushion, **says), rug, sofa, tray])
+    facts = text_facts(relate_room(room, T), T)
+    assert facts.status["on"][0, 2] == expected
+
+
+@pytest.mark.parametrize(("openness", "expected"), [(None, 0), (0.4, 0), (0.5, 1)])
+def test_inside_what_is_said_to_be_open(make: Maker, room_of: RoomOf, openness: float | None, expected: int) -> None:
+    fridge = replace(make("refrigerator", (0, 0.9, 0), (0.4, 0.9, 0.4)), openness=openness)
+    apple = make("apple", (0, 0.9, 0), (0.05, 0.05, 0.05))
+    facts = text_facts(relate_room(room_of([apple, fridge]), T), T)
+    assert facts.status["in"][0, 1] == expected

@@ -20,9 +20,20 @@ import brute_force as plain
 from layered_rooms import layered_room
 
 T = Thresholds()
-CONTAINERS = {"trash can", "basket", "sink", "bowl", "vase"}
-"""Labels of the made rooms that are open containers."""
-PREDICATES = ("on", "under", "in", "above", "below", "higher than", "lower than", "closest to", "between", "bigger")
+PREDICATES = (
+    "on",
+    "under",
+    "in",
+    "above",
+    "below",
+    "higher than",
+    "lower than",
+    "closest to",
+    "between",
+    "bigger",
+    "far from",
+    *plain.NORTH,
+)
 
 
 def check_room(seed: int, tally: Counter[tuple[str, int]]) -> None:
@@ -46,20 +57,25 @@ def check_room(seed: int, tally: Counter[tuple[str, int]]) -> None:
             if i == j:
                 continue
             expected = {
-                "on": plain.on(a, b),
+                "on": plain.on(a, b, boxes),
                 "under": plain.under(a, b, 0),
-                "in": plain.inside(a, b, CONTAINERS),
-                "above": plain.above(a, b),
-                "below": plain.above(b, a),
+                "in": plain.inside(a, b),
+                "above": plain.above(a, b, chain),
+                "below": plain.above(b, a, chain),
                 "higher than": plain.higher(a, b, 0, chain),
                 "lower than": plain.higher(b, a, 0, chain),
             }
+            expected |= {predicate: plain.beside(a, b, predicate) for predicate in plain.NORTH}
+            if a.lo is not None and b.lo is not None:
+                expected["far from"] = plain.far(a, b)
             nearest = plain.closest(a, b, rivals(a))
             assert closest[i, j] == nearest, (seed, a, b)
             tally["closest to", nearest] += 1
             for predicate, status in expected.items():
                 assert facts.status[predicate][i, j] == status, (seed, predicate, a, b)
                 tally[predicate, status] += 1
+                tally[f"{predicate}, of arms", status] += bool(a.parts or b.parts)
+                tally[f"{predicate}, of what is said", status] += b.name in a.named
         for predicate, sign in (("bigger", 1), ("smaller", -1)):
             status = plain.bigger(a, rivals(a), rivals)
             assert sizes[predicate][i] == sign * status, (seed, predicate, a)
@@ -81,6 +97,9 @@ def test_equal_to_plain_loops() -> None:
     for predicate in PREDICATES:
         for status in (1, 0, -1):
             assert tally[predicate, status], f"no case of {predicate} is {status}"
+    for predicate in ("on, of arms", "north-west of, of arms"):
+        assert all(tally[predicate, status] for status in (1, 0, -1)), predicate
+    assert all(tally["on, of what is said", status] for status in (1, 0))
 
 
 @pytest.mark.soak
@@ -91,5 +110,5 @@ def test_equal_to_plain_loops_over_many_rooms() -> None:
     print(f"\n{sum(tally.values()):,} statements;", dict(sorted(tally.items())))
     pairs = sum(n for (predicate, _), n in tally.items() if predicate == "on")
     assert pairs >= 100_000
-    for predicate in PREDICATES:
+    for predicate in (*PREDICATES, "on, of arms", "above, of arms", "far from, of arms"):
         assert min(tally[predicate, status] for status in (1, 0, -1)) >= 20, predicate

@@ -13,12 +13,15 @@ from hypothesis import strategies as st
 
 from condvln.relations import PAIR_PREDICATES, SIZE_PREDICATES, relate_room, text_facts
 from condvln.scene import OrientedBox, RoomArrays, SceneObject, round_mm
+from condvln.scene.containment import with_containment
 from condvln.scene.quaternions import rotation_y
+from condvln.verify.containment import said_of
 from condvln.verify.predicates import FALSE, TRUE, UNDECIDED, Judge, Thing
 from condvln.verify.surfaces import Shapes, SurfaceGauge
 from condvln.verify.surroundings import Surroundings
 from condvln.verify.words import words
 from schemas.config import Thresholds
+from tests.condvln.relations.layered_rooms import layered_room
 
 
 def made(name: str, centre: list[float], half: list[float] | None = None, radius: float | None = None) -> SceneObject:
@@ -41,7 +44,9 @@ def compare(objects: list[SceneObject], floor: float = 0.0) -> int:
     arrays = RoomArrays.of("room", objects, floor)
     facts = text_facts(relate_room(arrays, Thresholds()), Thresholds())
     decide, things = judge(), [Thing.of(item, item.label) for item in arrays.objects]
-    room, meaning = Surroundings(things, floor, Thresholds()), words()
+    meaning = words()
+    said = said_of(arrays.objects, lambda item: item.label, meaning)
+    room = Surroundings(things, floor, Thresholds(), said)
     rivals = [[x for x in things if x is not one and x.label in meaning.meant_by(one.label)] for one in things]
     rival = np.array([[other in those for other in things] for those in rivals])
     closest, sizes = facts.closest(rival)[0], facts.sizes(rival)
@@ -90,6 +95,17 @@ def test_equal_to_the_generators_facts_in_a_furnished_room() -> None:
         for k in range(25)
     ]
     assert compare(objects) > 4000
+
+
+def test_equal_where_sources_speak_and_counters_have_corners() -> None:
+    arms = said = 0
+    for seed in range(6):
+        objects = with_containment(layered_room(np.random.default_rng(seed)), "procthor")
+        arms += sum(bool(item.parts) for item in objects)
+        said += sum(bool(item.receptacles) for item in objects)
+        assert compare(list(objects)) > 1000
+    assert arms >= 3
+    assert said >= 12
 
 
 def test_equal_on_turned_boxes() -> None:

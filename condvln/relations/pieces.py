@@ -1,0 +1,98 @@
+"""A room's objects as the boxes that they are made of: most are one, a counter with a corner is its arms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.relations.metrics import millimetres
+from condvln.scene import RoomArrays, round_mm
+from condvln.scene.boxes import aabb_of, box_corners
+
+__all__ = ["Pieces"]
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """The m ≥ n pieces of n objects, those of one object in a row.
+
+    arrays : the pieces as arrays, each with its object's id and label; `whole` where every object is one piece
+    owner (m,) : index of the object of each piece
+    """
+
+    whole: RoomArrays
+    arrays: RoomArrays
+    owner: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, whole: RoomArrays) -> Pieces:
+        """The pieces of a room's objects."""
+        counts = np.array([max(1, len(item.parts)) for item in whole.objects], dtype=np.intp)
+        owner = np.repeat(np.arange(len(whole), dtype=np.intp), counts)
+        if len(owner) == len(whole):
+            return cls(whole, whole, owner)
+        boxes = np.stack([whole.aabb_min, whole.aabb_max], axis=1)[owner]
+        centers = whole.centers[owner]
+        compound = [k for k in range(len(owner)) if whole.objects[owner[k]].parts]
+        first = np.searchsorted(owner, owner)
+        for k in compound:
+            boxes[k] = round_mm(aabb_of(box_corners(whole.objects[owner[k]].parts[k - first[k]])))
+            # Middles of whole millimetres, halves to even ones, so that they are the same wherever they are computed.
+            centers[k] = np.rint(millimetres(boxes[k]).sum(axis=0) / 2.0) / 1000.0
+        arrays = RoomArrays(
+            room_id=whole.room_id,
+            object_ids=tuple(whole.object_ids[i] for i in owner),
+            labels=tuple(whole.labels[i] for i in owner),
+            centers=centers,
+            aabb_min=boxes[:, 0],
+            aabb_max=boxes[:, 1],
+            radius=whole.radius[owner],
+            hidden=whole.hidden[owner],
+            objects=tuple(whole.objects[i] for i in owner),
+            floor_y=whole.floor_y,
+        )
+        return cls(whole, arrays, owner)
+
+    @cached_property
+    def compound(self) -> Mask:
+        """(n,) objects of several pieces."""
+        return np.bincount(self.owner, minlength=len(self.whole)) > 1
+
+    @property
+    def several(self) -> bool:
+        """Whether any object has several pieces."""
+        return self.arrays is not self.whole
+
+    def spread(self, values: NDArray[Any]) -> NDArray[Any]:
+        """(m, m) from values (n, n) of pairs of objects."""
+        return values[np.ix_(self.owner, self.owner)] if self.several else values
+
+    def any(self, mask: Mask) -> Mask:
+        """(n, n) whether it is so of some pieces (m, m) of both objects."""
+        return np.asarray(self._reduced(np.logical_or, mask), dtype=np.bool_)
+
+    def all(self, mask: Mask) -> Mask:
+        """(n, n) whether it is so of all pieces of both objects."""
+        return np.asarray(self._reduced(np.logical_and, mask), dtype=np.bool_)
+
+    def least(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(n, n) least value of all pieces of both objects; NaN where one is."""
+        return np.asarray(self._reduced(np.minimum, values), dtype=np.float64)
+
+    def most(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(n, n) greatest value of all pieces of both objects; NaN where one is."""
+        return np.asarray(self._reduced(np.maximum, values), dtype=np.float64)
+
+    def _reduced(self, how: Callable[..., Any], values: NDArray[Any]) -> NDArray[Any]:
+        if not self.several:
+            return values
+        first = np.flatnonzero(np.diff(self.owner, prepend=-1))
+        found: NDArray[Any] = how.reduceat(how.reduceat(values, first, axis=0), first, axis=1)  # type: ignore[attr-defined]
+        return found
