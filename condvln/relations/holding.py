@@ -44,7 +44,7 @@ def holding_of(arrays: RoomArrays) -> Holding:
         for name, found in holders.items():
             mask[index[name], [index[holder] for holder in found if holder in index]] = True
     np.fill_diagonal(named, False)
-    placed = on.any(axis=1) | inside.any(axis=1)
+    placed = np.asarray(on.any(axis=1) | inside.any(axis=1), dtype=np.bool_)
     kinds = [vocabulary.container(label) for label in arrays.labels]
     said_open = [item.openness is not None and item.openness >= OPEN_SHARE for item in arrays.objects]
     opened = [kind == "open" or (kind == "shut" and said) for kind, said in zip(kinds, said_open, strict=True)]
