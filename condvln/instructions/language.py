@@ -103,6 +103,7 @@ class Language:
     """One language.
 
     slots : all phrases of each slot, over all voices
+    elliptic : answers that say again the verb of "there is", and go with a question that had it
     connectives : the words that hold clauses together, by what they do
     predicates : phrases of those with anchors; both : the word between two anchors
     superlatives : "bigger" and "smaller" by class of noun; superlative_first : before the noun, else behind it
@@ -112,6 +113,7 @@ class Language:
     code: str
     voices: tuple[Voice, ...]
     slots: Mapping[str, tuple[str, ...]]
+    elliptic: frozenset[str]
     connectives: Mapping[str, tuple[str, ...]]
     predicates: Mapping[Predicate, tuple[str, ...]]
     both: str
@@ -168,6 +170,7 @@ def language(code: str = "en") -> Language:
         code=code,
         voices=voices,
         slots={slot: tuple(dict.fromkeys(p for voice in voices for p in voice.slots[slot])) for slot in SLOTS},
+        elliptic=frozenset(document["elliptic"]),
         connectives={name: tuple(phrases) for name, phrases in document["connectives"].items()},
         predicates={p: _predicate(document, p) for p in PREDICATES if p not in SUPERLATIVES},
         both=document["both"],

@@ -212,13 +212,17 @@ class _TreeReader:
         leaves: dict[int, tuple[Phrase, ...]] = {}
         for slot, subtree in zip(slots, _subtrees(sentences), strict=True):
             if slot.form == "leaf":
-                leaves[slot.index] = tuple(self._stop(stop) for stop in _subtrees(subtree))
+                leaves[slot.index] = self._stops(_subtrees(subtree))
             elif slot.form in ("yes", "no"):
                 (answer,) = _subtrees(subtree)
                 if str(answer.data).endswith("_it") != conditions[slot.index].definite:
                     raise FormatError(f"the answer to {conditions[slot.index]} asks for something else")
             else:
                 phrase = self._asked(subtree)
+                before = conditions.get(slot.index)
+                if before is not None and phrase.room is None and phrase.qualifier is not None:
+                    phrase = replace(phrase, room=before.room)  # asked before, so that its room is known
+                    self.last_room = None
                 if conditions.setdefault(slot.index, phrase) != phrase:
                     raise FormatError(f"the text names one condition as {conditions[slot.index]} and as {phrase}")
         shape = SHAPES[category]
@@ -228,6 +232,16 @@ class _TreeReader:
             leaves=tuple(leaves[k] for k in range(shape.leaves)),
             heading=heading,
         )
+
+    def _stops(self, trees: Iterable[Node]) -> tuple[Phrase, ...]:
+        """The stops of a leaf; one without a room is in that of the stop before it."""
+        found: list[Phrase] = []
+        for tree in trees:
+            stop = self._stop(tree)
+            if stop.room is None and found:
+                stop = replace(stop, room=found[-1].room)
+            found.append(stop)
+        return tuple(found)
 
     def _asked(self, tree: Node) -> Phrase:
         """A condition; a request to see whether something is so holds the clause that says it."""

@@ -35,7 +35,7 @@ __all__ = [
 HEADINGS: Final = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 """Names of the headings 0°, 45°, … clockwise from north."""
 
-THERE_SHARE: Final = 0.85
+THERE_SHARE: Final = 0.95
 """Share of mentions of the room last named that say "there" or "in that room"."""
 ROOM_FIRST_SHARE: Final = 0.4
 """Share of presences in a named room that open with it ("if the kitchen has a lamp")."""
@@ -145,6 +145,9 @@ class _Renderer:
         self.scope: RoomRef | None = None
         self.last_room: RoomRef | None = None
         self._chosen: dict[str, str] = {}
+        self._relations: dict[Qualifier, str] = {}
+        self._said: set[Condition] = set()
+        self._asked_by_exists = False
 
     def program(self, program: Program) -> str:
         opening = self._scope(program)
@@ -186,13 +189,24 @@ class _Renderer:
             return self.moves(program.leaves[slot.index])
         condition = program.conditions[slot.index]
         if slot.form in ("yes", "no"):
-            answer = self._phrase(f"{slot.form}_{'it' if condition.definite else 'one'}")
+            answer = self._answer(slot.form, condition)
             return self.words.answered(answer, self.words.nouns[condition.label])
+        if condition in self._said and condition.qualifier is not None and not self._elided(condition.room):
+            return self._again(condition, asserted=slot.form == "asserted")
+        self._said.add(condition)
         if slot.form == "question":
             return self._question(condition)
         if slot.form == "see":
             return self._see(condition)
         return self._clause(condition, asserted=slot.form == "asserted")
+
+    def _answer(self, form: str, condition: Condition) -> str:
+        """ "There is", "it isn't". Where the question was no "is there", an answer that is none is taken."""
+        slot = f"{form}_{'it' if condition.definite else 'one'}"
+        answer = self._phrase(slot)
+        if answer in self.words.elliptic and not self._asked_by_exists:
+            answer = next(phrase for phrase in self.voice.slots[slot] if phrase not in self.words.elliptic)
+        return answer
 
     # -- conditions ----------------------------------------------------------------------------------------------------
 
@@ -202,16 +216,26 @@ class _Renderer:
                 f"{self._subject(condition)} {self._phrase('is' if asserted else 'is_not')}{self._relation(condition)}"
             )
         noun = self.words.nouns[condition.label]
-        if self._names_room_first(condition):
+        self._asked_by_exists = not self._names_room_first(condition)
+        if not self._asked_by_exists:
             room = self._room(condition.room)
             return f"{room} {self._filled('has' if asserted else 'lacks', condition)}{self._relation(condition)}"
         there = self.words.filled(self._phrase("exists" if asserted else "absent"), noun)
         return f"{there}{self._relation(condition)}{self._where(condition.room)}"
 
+    def _again(self, condition: Condition, *, asserted: bool) -> str:
+        """A relation that was asked before, without its room. No "there" comes next: other rooms were named since."""
+        self.last_room, self._asked_by_exists = None, True
+        if condition.definite:
+            subject = self.words.definite(self.words.nouns[condition.label])
+            return f"{subject} {self._phrase('is' if asserted else 'is_not')}{self._relation(condition)}"
+        return f"{self._filled('exists' if asserted else 'absent', condition)}{self._relation(condition)}"
+
     def _question(self, condition: Condition) -> str:
         if condition.definite:
             return f"{self._phrase('asks_is')} {self._subject(condition)}{self._relation(condition)}?"
-        if self._names_room_first(condition):
+        self._asked_by_exists = not self._names_room_first(condition)
+        if not self._asked_by_exists:
             room = self._room(condition.room)
             return f"{self._phrase('does')} {room} {self._filled('have', condition)}{self._relation(condition)}?"
         return f"{self._filled('is_there', condition)}{self._relation(condition)}{self._where(condition.room)}?"
@@ -219,6 +243,7 @@ class _Renderer:
     def _see(self, condition: Condition) -> str:
         if condition.definite or not self._chance(CHECK_SHARE):
             return f"{self._phrase('see')} {self._clause(condition, asserted=True)}"
+        self._asked_by_exists = False
         if self._elided(condition.room) or condition.room == self.last_room:
             where = self._where(condition.room)
             return f"{self._filled('look', condition)}{self._relation(condition)}{where}"
@@ -233,7 +258,7 @@ class _Renderer:
         return self.words.filled(self._phrase(slot), self.words.nouns[condition.label])
 
     def _subject(self, condition: Condition) -> str:
-        return f"{self.words.definite(self.words.nouns[condition.label])}{self._where(condition.room, '_of')}"
+        return f"{self.words.definite(self.words.nouns[condition.label])}{self._where(condition.room, '_of', True)}"
 
     def _relation(self, named: Condition | ObjectRef) -> str:
         qualifier: Qualifier | None = named.qualifier
@@ -241,8 +266,11 @@ class _Renderer:
             return ""
         if qualifier.predicate in SUPERLATIVES:
             return ""
-        phrases = self.words.predicates[qualifier.predicate]
-        relation = phrases[0] if len(phrases) == 1 else self._choice(phrases)
+        relation = self._relations.get(qualifier)
+        if relation is None:
+            phrases = self.words.predicates[qualifier.predicate]
+            relation = phrases[0] if len(phrases) == 1 else self._choice(phrases)
+            self._relations[qualifier] = relation
         anchors = [self.words.definite(self.words.nouns[label]) for label in qualifier.anchor_labels]
         return f" {relation} {f' {self.words.both} '.join(anchors)}"
 
@@ -254,10 +282,11 @@ class _Renderer:
         texts = [f"{self._phrase('go')} {self._stop(stops[0])}"]
         for k, stop in enumerate(stops[1:], start=1):
             joint = "second" if len(stops) == 2 else "last" if k == len(stops) - 1 else "then"
-            texts.append(f"{self._phrase(joint)} {self._stop(stop)}")
+            texts.append(f"{self._phrase(joint)} {self._stop(stop, same_room=stop.room == stops[k - 1].room)}")
         return "".join(texts)
 
-    def _stop(self, ref: ObjectRef) -> str:
+    def _stop(self, ref: ObjectRef, *, same_room: bool = False) -> str:
+        """A stop; in the same room as the one before it, without the room."""
         named = self.words.nouns[ref.label]
         noun, kind = self.words.definite(named), "_of"
         if ref.qualifier is not None and ref.qualifier.predicate in SUPERLATIVES:
@@ -265,14 +294,18 @@ class _Renderer:
         elif ref.qualifier is not None:
             # Behind a relation, "of the bedroom" would go with the anchor.
             kind = ""
-        return f"{noun}{self._relation(ref)}{self._where(ref.room, kind)}"
+        return f"{noun}{self._relation(ref)}{'' if same_room else self._where(ref.room, kind)}"
 
-    def _where(self, room: RoomRef, kind: str = "") -> str:
-        """The room as a place ("in the bedroom"); with `kind` "_of" as what a thing belongs to ("del dormitorio")."""
+    def _where(self, room: RoomRef, kind: str = "", subject: bool = False) -> str:
+        """The room as a place ("in the bedroom"); with `kind` "_of" as what a thing belongs to ("del dormitorio").
+
+        A subject is said with the longest word for its room: "is the bowl in that room on the table?", not "there on".
+        """
         if self._elided(room):
             return ""
         if room == self.last_room and (self.short or self._chance(THERE_SHARE)):
-            return f" {self._phrase(f'there{kind}')}"
+            longest = max(self.voice.slots[f"there{kind}"], key=len)
+            return f" {longest if subject else self._phrase(f'there{kind}')}"
         return f" {self._phrase('of' if kind else 'in')} {self._room(room)}"
 
     def _room(self, room: RoomRef) -> str:

@@ -38,6 +38,12 @@ __all__ = ["ProgramSampler"]
 TRIES_PER_CANDIDATE: Final = 2
 """Shapes tried for each candidate wanted, so that a scene that can't fulfil some of them still fills its number."""
 
+MOST_ROOMS: Final = 4
+"""Rooms of a program that spans three or more: people name few, and come back to those that they have named."""
+
+PLAIN_ROOM: Final = 3.0
+"""Weight of a room that its label alone names, where others need a thing in them ("the bedroom with the piano")."""
+
 VAIN_TRIES: Final = 100
 """Shapes in a row, each drawn many times, after which a cell has given all that it can.."""
 
@@ -292,9 +298,21 @@ class ProgramSampler:
         if wanted == "C0":
             return [draws.choice(roomy)]
         if wanted == "C2":
-            return rooms
+            return self._few(rooms, draws)
         one = draws.choice(self.condition_sampler.rooms)
         return [one, draws.choice([room for room in rooms if room != one])]
+
+    def _few(self, rooms: Sequence[str], draws: Draws) -> list[str]:
+        """Some of the rooms, one to ask about among them; rather those that have a name without a thing in it."""
+        few = [draws.choice(self.condition_sampler.rooms)]
+        while len(few) < min(MOST_ROOMS, len(rooms)):
+            left = [room for room in rooms if room not in few]
+            few.append(draws.weighted(left, [PLAIN_ROOM if self._is_plain(room) else 1.0 for room in left]))
+        return few
+
+    def _is_plain(self, room_id: str) -> bool:
+        """Whether a room's label alone names it."""
+        return self._names[room_id][0].anchor_label is None
 
     def _goals(self, category: Category, allowed: int, draws: Draws, pool: TargetPool) -> list[Target]:
         """One goal a leaf, of different labels, pairwise apart; rarely used labels first in line."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from condvln.instructions.predicates import ASKED
 from condvln.instructions.referents import Referents, meant_by
 from condvln.labels import Vocabulary
+from condvln.labels.roles import labels_with_role
 from schemas.program import Predicate
 
 __all__ = ["StatementTruths", "anchor_key", "statement_truths"]
@@ -66,6 +67,11 @@ def statement_truths(referents: Referents, vocabulary: Vocabulary) -> Iterator[S
         # "a bed near the bed" says nothing; neither does any word for it.
         sayable = ~overlap[:, anchors].any(axis=2) & decided[:, None]
         sayable &= exact.astype(np.float32) @ (~suits).astype(np.float32) == 0
+        if predicate == "on":
+            # Nobody asks whether the faucet is on the painting, or the side table on the sink.
+            surfaces = labels_with_role("surface")
+            sayable &= np.array([own[a] in surfaces for a in anchors[:, 0].tolist()], dtype=bool)
+            sayable &= np.array([label not in surfaces for label in labels], dtype=bool)[:, None]
         held = np.asarray(status == 1)
         left = possible.astype(np.float32) @ (status != -1).astype(np.float32)
         yield StatementTruths(

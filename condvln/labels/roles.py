@@ -1,4 +1,4 @@
-"""What labels are good for as an anchor: fixed things and portable ones."""
+"""What labels are good for as an anchor: fixed things, portable ones, and those that things are put on."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Literal
 
 __all__ = ["Role", "labels_with_role"]
 
-Role = Literal["fixed", "portable"]
+Role = Literal["fixed", "portable", "surface"]
 
 
 @cache
@@ -18,6 +18,7 @@ def labels_with_role(role: Role) -> frozenset[str]:
 
     fixed : built in or too heavy to move, so that smaller or larger things are said to be near it
     portable : carried about, so that nothing is found by it, whatever its size
+    surface : things are put on it, so that people ask whether something is
     """
     text = files("condvln.labels").joinpath("roles.csv").read_text(encoding="utf-8")
     return frozenset(row["label"] for row in csv.DictReader(text.splitlines()) if row["role"] == role)

@@ -54,6 +54,11 @@ _STOPS: Final = frozenset(".;:")
 """Marks that end a clause which says where to go."""
 
 
+def _beside(thing: Phrase, before: Phrase) -> Phrase:
+    """A stop without a room is in that of the stop before it."""
+    return thing._replace(room=before.room) if thing.room is None else thing
+
+
 class PhraseReader:
     """The phrases of one text. The words that begin at a place are looked up once, whatever led there.
 
@@ -242,4 +247,7 @@ class PhraseReader:
                     yield end, moves, named
                 for slot in ("then", "second", "last"):
                     for after, _, _ in self._of(end, slot):
-                        ahead += [(stop, (*moves, thing), room) for stop, thing, room in self._things(after, named)]
+                        ahead += [
+                            (stop, (*moves, _beside(thing, moves[-1])), room)
+                            for stop, thing, room in self._things(after, named)
+                        ]

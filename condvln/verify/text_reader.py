@@ -206,10 +206,16 @@ class _Reader(PhraseReader):
 
     def _condition(self, state: _State, what: Phrase) -> Iterator[tuple[int, tuple[Phrase, ...]]]:
         """Number of a condition, and all that are named with it."""
-        if what in state.named:
-            yield state.named.index(what), state.named
+        known = [k for k, one in enumerate(state.named) if one == what or _is_again(what, one)]
+        if known:
+            yield from ((k, state.named) for k in known)
         elif len(state.named) < MAX_CONDITIONS:
             yield len(state.named), (*state.named, what)
+
+
+def _is_again(what: Phrase, before: Phrase) -> bool:
+    """Whether a relation is one that was named before, now without its room."""
+    return what.room is None and what.qualifier is not None and what == before._replace(room=None)
 
 
 _ANSWERS: Final = (

@@ -163,6 +163,32 @@ def test_an_oracle_linear_twin_keeps_the_stops_in_order(texts, code: str) -> Non
         assert len(linear.split()) < len(text.split())
 
 
+def test_a_stop_in_the_room_of_the_one_before_it_needs_no_room() -> None:
+    reading = parse(
+        "If there's a lamp in the kitchen, go to the bed in the bedroom, then the desk. If not, go to the sink in the "
+        "bathroom, then the sofa in the living room."
+    )
+    assert [[stop.room for stop in leaf] for leaf in reading.leaves] == [
+        [Place("bedroom"), Place("bedroom")],
+        [Place("bathroom"), Place("living room")],
+    ]
+
+
+def test_a_relation_asked_again_needs_no_room() -> None:
+    text = (
+        "If there's a lamp near the bed in the bedroom, see if there's a sink in the kitchen. If there is, go to the "
+        "table in the kitchen. If there isn't, go to the stove there. If there's no lamp near the bed, see if there's "
+        "a stool in the kitchen. If there is, go to the sofa in the living room. If not, go to the plant there."
+    )
+    reading = parse(text)
+    assert reading.conditions[0] == Phrase("lamp", ("near", ("bed",)), Place("bedroom"))
+    # What was named as a whole room's is not asked again without it.
+    with pytest.raises(FormatError, match="names one condition as"):
+        parse(text.replace(" near the bed", ""))
+    with pytest.raises(FormatError, match="names one condition as"):
+        parse(text.replace("no lamp near the bed", "no lamp near the desk"))
+
+
 ROOM = RoomRef(room_id="r", label="bedroom", anchor_id="p", anchor_label="piano")
 LAMP = Condition(
     label="lamp",
@@ -209,7 +235,7 @@ def test_texts_written_by_hand(text: str) -> None:
 def test_a_reading_in_full() -> None:
     reading = parse(render(PROGRAM, 0, "x"))
     piano_room = Place("bedroom", "piano")
-    assert reading.conditions == (Phrase("lamp", ("north-east of", "bed"), piano_room),)
+    assert reading.conditions == (Phrase("lamp", ("north-east of", ("bed",)), piano_room),)
     assert reading.leaves == (
         (Phrase("alarm clock", None, piano_room), Phrase("desk", None, piano_room)),
         (Phrase("sink", None, Place("kitchen")),),
@@ -227,8 +253,8 @@ def test_a_reading_in_full() -> None:
         ("If there's no lamp, go to the sofa. If it is, go to the bed.", "asks for something else"),
         ("If there's a lamp, go to the sofa there. If not, go to the bed.", "before it names a room"),
         (
-            "If there's a lamp, look for a bed: if there is, go to the sofa; if there isn't, go to the desk. If "
-            "there's no chair, look for a sink: if there is, go to the table; if there isn't, go to the stool.",
+            "If there's a lamp, look for a bed: if there is, go to the sofa; if not, go to the desk. If there's no "
+            "chair, look for a sink: if there is, go to the table; if not, go to the stool.",
             "names one condition as",
         ),
     ],

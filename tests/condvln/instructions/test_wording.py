@@ -9,6 +9,7 @@ import pytest
 
 from condvln.instructions import instruction_id, render, voice_of
 from condvln.instructions.language import LANGUAGES, language
+from condvln.instructions.predicates import ASKED
 
 
 @pytest.mark.parametrize("code", LANGUAGES)
@@ -29,7 +30,7 @@ def test_a_text_is_in_one_voice(sampled, code: str) -> None:
 def test_spanish_denials_need_no_subjunctive() -> None:
     """ "No hay ninguna silla que está cerca" is not Spanish ("que esté" is): what may follow a denial has no verb."""
     words = language("es")
-    after = [*words.slots["in"], *(text for phrases in words.predicates.values() for text in phrases)]
+    after = [*words.slots["in"], *(text for predicate in ASKED for text in words.predicates[predicate])]
     for phrase in after:
         assert not re.match(r"que\b", phrase), phrase
 
@@ -48,6 +49,44 @@ def test_spanish_answers_agree_with_what_was_asked(sampled) -> None:
                 met.add(found[1])
                 assert found[1] == {"m": "lo", "f": "la"}[kinds[asked[-1]]], text
     assert met == {"lo", "la"}
+
+
+def test_an_elliptic_answer_follows_a_question_with_its_verb(sampled) -> None:
+    """ "Look for a chair. If there is, …" and "the kitchen has a chair. If there is, …" lack a word."""
+    clauses = re.compile(
+        r"there(?:'s| is) (?:an?|no)|is there an?|\b(?:look|check [^.:]*) for an?|(?:ha[sv]e?|has no) an?"
+    )
+    met = 0
+    for scene, _, _, programs in sampled:
+        for program in programs[::3]:
+            text = render(program, 0, instruction_id(scene.family, scene.scene_id, program)).lower()
+            for found in re.finditer(r"if (?:there is|there isn't|there is not),", text):
+                asked = [m[0] for m in clauses.finditer(text[: found.start()])][-1]
+                assert "there" in asked, text
+                met += 1
+    assert met > 50
+
+
+@pytest.mark.parametrize("code", LANGUAGES)
+def test_one_condition_has_one_relation_word(sampled, code: str) -> None:
+    """ "If there's no rug by the sofa … If there's a rug next to the sofa" sounds like two questions."""
+    near = "|".join(map(re.escape, language(code).predicates["near"]))
+    met = 0
+    for scene, _, _, programs in sampled:
+        for program in (p for p in programs if p.category == "nested_chain"):
+            qualifier = program.conditions[0].qualifier
+            if qualifier is None or qualifier.predicate != "near":
+                continue
+            words = language(code)
+            text = words.expanded(
+                render(program, 0, instruction_id(scene.family, scene.scene_id, program), code).lower()
+            )
+            anchor = re.escape(words.definite(words.nouns[qualifier.anchor_labels[0]]).lower())
+            label = re.escape(words.nouns[program.conditions[0].label].text.lower())
+            said = re.findall(rf"\b{label}\b[^,.:;?]*?\b({near}) {anchor}\b", text)
+            met += len(said) >= 2
+            assert len(set(said)) <= 1, text
+    assert met
 
 
 @pytest.mark.parametrize("code", LANGUAGES)

@@ -59,6 +59,28 @@ def test_there_is_the_room_named_last() -> None:
     assert reading.moves[0][0].room == BEDROOM
 
 
+def test_a_stop_without_a_room_is_beside_the_one_before_it() -> None:
+    reading = read(
+        "If there's a lamp in the kitchen, go to the bed in the bedroom with the piano, then the desk. If not, go to "
+        "the desk in the bedroom with the piano, then the sofa in the kitchen."
+    )
+    assert [[stop.room for stop in moves] for moves in reading.moves] == [[BEDROOM, KITCHEN], [BEDROOM, BEDROOM]]
+
+
+def test_a_relation_named_again_needs_no_room() -> None:
+    text = (
+        "If there's a lamp near the bed in the bedroom with the piano, see if there's a sink in the kitchen. If there "
+        "is, go to the table in the kitchen. If there isn't, go to the stove there. If there's no lamp near the bed, "
+        "see if there's a stool in the kitchen. If there is, go to the sofa there. If not, go to the bed there."
+    )
+    reading = read(text)
+    assert reading.conditions[0] == Phrase("lamp", ("near", ("bed",)), BEDROOM)
+    assert len(reading.conditions) == 3
+    for other in ("no lamp near the desk", "no lamp", "no bed near the lamp"):
+        with pytest.raises(Unreadable):
+            read(text.replace("no lamp near the bed", other))
+
+
 def test_a_scope_is_the_room_of_all_that_names_none() -> None:
     reading = read("In the kitchen, if there's a lamp, go to the sofa. If not, go to the desk.")
     assert reading.conditions == (Phrase("lamp", None, KITCHEN),)
