@@ -15,10 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from condvln.evaluation.predictions import Prediction
+from condvln.evaluation.stepped_episode import SteppedEpisode, heading_of
 from condvln.evaluation.task import Task
-from condvln.navigation.follower import FORWARD, LEFT, RIGHT, STOP, VLN_CE, ActionSpace, Follower
+from condvln.navigation.follower import VLN_CE, ActionSpace
 from condvln.navigation.pathfinder import Pathfinder
-from schemas.errors import UsageError
 
 __all__ = ["Eyes", "Observation", "Policy", "SeenObject", "heading_of", "labels_in_view", "walk"]
 
@@ -32,7 +32,6 @@ FIELD_OF_VIEW: Final = 90.0
 # An object round a corner is farther to walk to than to point at; this much is allowed for furniture in between.
 _DETOUR: Final = 1.2
 _DETOUR_METRES: Final = 0.5
-_BLOCKED: Final = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,11 +75,6 @@ class SeenObject:
 
 Eyes = Callable[[Task, Points, float], tuple[str, ...]]
 """Labels in view from a position and heading."""
-
-
-def heading_of(rotation: Sequence[float]) -> float:
-    """Heading in radians, counter-clockwise from −z, of a rotation ``[x, y, z, w]`` about +y."""
-    return 2.0 * math.atan2(rotation[1], rotation[3]) % (2.0 * math.pi)
 
 
 def labels_in_view(
@@ -136,34 +130,20 @@ def walk(
     ------
     UsageError : the policy answers something that is not an action
     """
-    limit = task.max_steps if max_steps is None else max_steps
-    agent = Follower(pathfinder, space, sliding=sliding).stepped(task.start, heading_of(task.start_rotation))
-    positions, headings, collisions, stopped = [agent.position], [agent.heading], [False], False
-    while len(positions) <= limit and not stopped:
-        before = agent.position.astype(np.float64)
+    episode = SteppedEpisode(task, pathfinder, space=space, sliding=sliding, max_steps=max_steps)
+    while not episode.stopped and not episode.out_of_steps:
+        place, heading = episode.position, episode.heading
         observation = Observation(
             task.episode_id,
             task.text,
-            before,
-            agent.heading,
-            len(positions) - 1,
-            limit,
-            eyes(task, before, agent.heading) if eyes is not None else (),
-            collisions[-1],
+            place,
+            heading,
+            episode.steps,
+            episode.limit,
+            eyes(task, place, heading) if eyes is not None else (),
+            episode.collided,
         )
-        if len(positions) == 1:
+        if not episode.steps:
             policy.begin(observation)
-        action = policy.act(observation)
-        if action not in (STOP, FORWARD, LEFT, RIGHT):
-            raise UsageError(
-                f"{action!r} is not an action", place=f"episode {task.episode_id}", remedy="Answer 0, 1, 2 or 3"
-            )
-        agent.take(action)
-        stopped = action == STOP
-        moved = float(np.linalg.norm(agent.position - positions[-1]))
-        positions.append(agent.position)
-        headings.append(agent.heading)
-        collisions.append(action == FORWARD and moved < space.forward - _BLOCKED)
-    return Prediction(
-        task.episode_id, np.array(positions, dtype=np.float64), stopped, True, np.array(collisions), np.array(headings)
-    )
+        episode.take(policy.act(observation))
+    return episode.prediction()

@@ -1,0 +1,143 @@
+"""One episode, an action at a time: poses, collisions, budget, and the prediction that is scored at its end."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from condvln.evaluation.predictions import Prediction
+from condvln.evaluation.task import Task
+from condvln.navigation.follower import FORWARD, LEFT, RIGHT, STOP, VLN_CE, ActionSpace, Follower
+from condvln.navigation.pathfinder import Pathfinder
+from condvln.sensors import noisy_move
+from schemas.config import NoiseConfig
+from schemas.errors import UsageError
+
+__all__ = ["SteppedEpisode", "heading_of"]
+
+Points = npt.NDArray[np.float64]
+
+_BLOCKED: Final = 1e-3
+
+
+def heading_of(rotation: npt.ArrayLike) -> float:
+    """Heading in radians, counter-clockwise from −z, of a rotation ``[x, y, z, w]`` about +y."""
+    values = np.asarray(rotation, np.float64)
+    return 2.0 * math.atan2(float(values[1]), float(values[3])) % (2.0 * math.pi)
+
+
+class SteppedEpisode:
+    """A walk through an episode, to its STOP or the end of its step budget.
+
+    Parameters
+    ----------
+    max_steps : the episode's own budget where None
+    noise, seed : errors of the motor; none where None. The steps are Habitat's where there is none
+
+    Attributes
+    ----------
+    task : the episode
+    steps : actions taken so far
+    stopped : STOP was taken
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        pathfinder: Pathfinder,
+        *,
+        space: ActionSpace = VLN_CE,
+        sliding: bool = True,
+        max_steps: int | None = None,
+        noise: NoiseConfig | None = None,
+        seed: int = 0,
+    ) -> None:
+        self.task = task
+        self.limit = task.max_steps if max_steps is None else max_steps
+        self.steps = 0
+        self.stopped = False
+        self._space = space
+        self._pathfinder, self._sliding, self._seed = pathfinder, sliding, seed
+        self._noise = noise if noise is not None and (noise.step or noise.turn) else None
+        self._agent = Follower(pathfinder, space, sliding=sliding).stepped(task.start, heading_of(task.start_rotation))
+        self._positions: list[npt.NDArray[np.float32]] = [self._agent.position]
+        self._headings: list[float] = [self._agent.heading]
+        self._collisions: list[bool] = [False]
+
+    @property
+    def position(self) -> Points:
+        """(3,) metres, Habitat frame."""
+        return self._positions[-1].astype(np.float64)
+
+    @property
+    def heading(self) -> float:
+        """Radians counter-clockwise from −z."""
+        return self._headings[-1]
+
+    @property
+    def collided(self) -> bool:
+        """Whether the last forward step was cut short."""
+        return self._collisions[-1]
+
+    @property
+    def collisions(self) -> int:
+        """Forward steps that were cut short so far."""
+        return sum(self._collisions)
+
+    @property
+    def out_of_steps(self) -> bool:
+        """Whether the budget is spent."""
+        return self.steps >= self.limit
+
+    def take(self, action: int) -> None:
+        """Take one action: STOP 0, FORWARD 1, LEFT 2 or RIGHT 3.
+
+        Raises
+        ------
+        UsageError : not an action, or the episode is over
+        """
+        if action not in (STOP, FORWARD, LEFT, RIGHT):
+            raise UsageError(
+                f"{action!r} is not an action", place=f"episode {self.task.episode_id}", remedy="Answer 0, 1, 2 or 3"
+            )
+        if self.stopped or self.out_of_steps:
+            raise UsageError("the episode is over", place=f"episode {self.task.episode_id}", remedy="Start another one")
+        before = self._positions[-1]
+        if self._noise is None:
+            self._agent.take(action)
+            after, heading = self._agent.position, self._agent.heading
+        else:
+            after, heading = self._stagger(action, self._noise)
+        self.stopped = action == STOP
+        self.steps += 1
+        moved = float(np.linalg.norm(after - before))
+        self._positions.append(after)
+        self._headings.append(heading)
+        self._collisions.append(action == FORWARD and moved < self._space.forward - _BLOCKED)
+
+    def prediction(self) -> Prediction:
+        """The walk so far, as it is scored and written."""
+        return Prediction(
+            self.task.episode_id,
+            np.array(self._positions, dtype=np.float64),
+            self.stopped,
+            True,
+            np.array(self._collisions),
+            np.array(self._headings),
+        )
+
+    def _stagger(self, action: int, noise: NoiseConfig) -> tuple[npt.NDArray[np.float32], float]:
+        """Where a step leads with a motor that errs."""
+        names = (self.task.episode_id, self.steps)
+        forward, turn = noisy_move(self._space.forward, math.radians(self._space.turn), noise, self._seed, names)
+        place, heading = self._positions[-1], self._headings[-1]
+        if action == FORWARD:
+            ahead = place + np.array([-math.sin(heading), 0.0, -math.cos(heading)]) * forward
+            step = self._pathfinder.try_step if self._sliding else self._pathfinder.try_step_no_sliding
+            place = np.asarray(step(place, ahead), np.float32)
+        elif action in (LEFT, RIGHT):
+            heading = (heading + (turn if action == LEFT else -turn)) % (2 * math.pi)
+        return place, heading
