@@ -148,11 +148,15 @@ class _Renderer:
         self._relations: dict[Qualifier, str] = {}
         self._said: set[Condition] = set()
         self._asked_by_exists = False
+        self._answered: frozenset[int] = frozenset()
+        self._is_answered = False
 
     def program(self, program: Program) -> str:
         opening = self._scope(program)
         templates = (self.voice.short_templates if self.short else self.voice.templates)[program.category]
         template = self.draws.choice(templates)
+        answers = (piece for piece in template.pieces if isinstance(piece, Slot) and piece.form in ("yes", "no"))
+        self._answered = frozenset(slot.index for slot in answers)
         texts = [piece if isinstance(piece, str) else self._slot(piece, program) for piece in template.pieces]
         body = "".join(texts)
         return _sentences(self.words, f"{opening}{body[:1].lower()}{body[1:]}" if opening else body)
@@ -186,8 +190,12 @@ class _Renderer:
 
     def _slot(self, slot: Slot, program: Program) -> str:
         if slot.form == "leaf":
-            return self.moves(program.leaves[slot.index])
+            said = self.moves(program.leaves[slot.index])
+            # Nobody takes "there" for a room of another branch, though it was the last one named.
+            self.last_room = None
+            return said
         condition = program.conditions[slot.index]
+        self._is_answered = slot.index in self._answered
         if slot.form in ("yes", "no"):
             answer = self._answer(slot.form, condition)
             return self.words.answered(answer, self.words.nouns[condition.label])
@@ -251,8 +259,9 @@ class _Renderer:
         return f"{self._phrase('check')} {room} {self._filled('for', condition)}{self._relation(condition)}"
 
     def _names_room_first(self, condition: Condition) -> bool:
+        """Whether to say "the kitchen has a lamp", to which "there is" would be no answer."""
         elided = self._elided(condition.room) or condition.room == self.last_room
-        return not elided and self._chance(ROOM_FIRST_SHARE)
+        return not elided and not self._is_answered and self._chance(ROOM_FIRST_SHARE)
 
     def _filled(self, slot: str, condition: Condition) -> str:
         return self.words.filled(self._phrase(slot), self.words.nouns[condition.label])
