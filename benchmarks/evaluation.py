@@ -53,7 +53,7 @@ def main() -> None:
         print(
             f"{episodes} episodes, {steps} steps, {size:.0f} MB of JSON: {took:.1f} s from file to scores (aim: 60 s)"
         )
-        print(f"  of which reading {reading:.1f} s; {1e3 * took / episodes:.2f} ms an episode, one process")
+        print(f"  reading took {reading:.1f} s; {1e3 * took / episodes:.2f} ms an episode, one process")
         print(f"  SR {found.scores['success'].mean():.3f}, nDTW {found.scores['ndtw'].mean():.3f}")
         some = [prediction for prediction, _ in zip(read_predictions(path), range(UNPRUNED), strict=False)]
     _compare_dtw(tasks, some)

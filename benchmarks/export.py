@@ -92,7 +92,7 @@ def main() -> None:
         size = sum(file.bytes for file in report.files.values()) / 1e6
     pool = tables.scenes * PER_SCENE
     written = sum(report.episodes.values())
-    # The rows are made while they are read, in the same process: what that costs is no part of an export.
+    # The rows are made while they are read, in the same process: that cost is not part of an export.
     began = time.process_time()
     for table in ("instructions", "episodes", "instructions", "episodes", "instructions", "episodes"):
         for _ in tables.batches(table, "procthor"):

@@ -3,7 +3,7 @@
 Speed is measured on made scenes (CONDVLN_BENCH_SCENES of them a family, 20 by default) and, where CONDVLN_REAL_DATA (or
 ``shared/data`` beside the checkout) names real ones, on those. Listing hashes what a scene reads and looks into it;
 reading makes the scene. Memory is the peak of a process of its own that lists and reads one file of 100 MB: an answer
-that takes more than 5 times the file's size is told, and ends the benchmark with an exit code of 1.
+that takes more than 5 times the file's size is reported, and ends the benchmark with an exit code of 1.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def main() -> None:
 
 
 def _speed(label: str, family: str, root: Path) -> None:
-    """One line: all scenes of a dataset; those that can't be read count as scenes and are told."""
+    """One line: all scenes of a dataset; those that can't be read count as scenes and are named."""
     begun = time.perf_counter()
     handles = open_source(family, root).handles()
     listed = time.perf_counter() - begun

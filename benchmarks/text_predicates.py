@@ -80,7 +80,7 @@ def main(arguments: Sequence[str]) -> None:
     for family in families or FAMILIES:
         scenes, found, qualifiers = count(Path(data) / family, family)
         print(f"\n{family}, {scenes} scenes\n")
-        print("| predicate | true pairs (scenes) | false pairs (scenes) | things told apart by it | condition |")
+        print("| predicate | true pairs (scenes) | false pairs (scenes) | things distinguished by it | condition |")
         print("|---|---|---|---|---|")
         for predicate in PREDICATES:
             cells = ["–", "–"]

@@ -53,7 +53,7 @@ NAVMESH: Final[tuple[tuple[Any, str], ...]] = (
 SIGHT: Final[tuple[tuple[Any, str], ...]] = ((proof, "sight_of"), (proof, "check_observability"))
 """What asks for sights: a scene's surfaces, what hides in them, floors, and the looks themselves."""
 ASIDE: Final = ("navmesh", "sight")
-"""Work that is told by itself."""
+"""Work with a line of its own."""
 
 
 def main() -> None:
@@ -124,7 +124,7 @@ class _Part:
 
     @property
     def own(self) -> float:
-        """Seconds apart from what is told by itself."""
+        """Seconds apart from the work with lines of its own."""
         return self.seconds - sum(self.spent[kind] for kind in ASIDE)
 
 

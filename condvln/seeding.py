@@ -55,7 +55,7 @@ class Draws:
         return min(bisect_right(sums, self.uniform() * sums[-1]), len(sums) - 1)
 
     def weighted(self, items: Sequence[T], weights: Sequence[float]) -> T:
-        """One of `items` by `weights`, of which at least one is positive."""
+        """One of `items` by `weights`; at least one weight is positive."""
         return items[self.cumulative(tuple(accumulate(weights)))]
 
     def sample(self, items: Sequence[T], k: int) -> list[T]:

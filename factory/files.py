@@ -80,7 +80,7 @@ class FileHashes:
         return InputFile(relative, stat.st_size, found)
 
     def save(self) -> None:
-        """Write what is new; a memory that can't be written is no error."""
+        """Write what is new; a cache that can't be written is not an error."""
         if self._path is None or not self._new:
             return
         try:

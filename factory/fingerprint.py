@@ -32,7 +32,7 @@ class Drift:
     """How a corpus differs from its golden fingerprints.
 
     unbumped : ``unit: stage`` whose rows changed under an equal key: the stage's version must be raised
-    outdated : ``unit: stage`` whose key changed, or that is new or gone: the golden file must be written anew
+    outdated : ``unit: stage`` whose key changed, or that is new or gone: the golden file must be written again
     """
 
     unbumped: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""Word of units that take long, so that a silent run can be told from one that hangs."""
+"""Reports on units that take long, so that a slow run does not look like one that hangs."""
 
 from __future__ import annotations
 

@@ -217,7 +217,7 @@ class ObjectStore:
 
     @contextlib.contextmanager
     def _errors(self, path: str) -> Iterator[None]:
-        _client(self.endpoint, self.region)  # the absence of boto3 is told before botocore is imported
+        _client(self.endpoint, self.region)  # a missing boto3 is reported before botocore is imported
         from botocore.exceptions import BotoCoreError, ClientError, NoCredentialsError
 
         where = f"{self.url}/{path}"

@@ -36,7 +36,7 @@ LATE_TRIES: Final = 2
 """Deaths of workers past the deadline before a unit is quarantined: one may be by chance, since waiting counts too."""
 
 NODE_TRIES: Final = 10
-"""Losses of whole nodes that a unit may see: spot nodes go away, and that is no fault of the unit."""
+"""Losses of whole nodes that a unit may see: spot nodes go away, which is not the unit's fault."""
 
 TRANSIENT_TRIES: Final = 5
 """Tries of a task whose store did not answer."""
@@ -346,7 +346,7 @@ _DETAILS: Final = "Object store memory usage"
 
 
 def _killed_rss(error: BaseException) -> int:
-    """Bytes that a worker held when Ray killed it for its memory, the most of those killed together; 0 if not told."""
+    """Most bytes that a worker held when Ray killed it, and others with it, for its memory; 0 if Ray does not say."""
     found = [float(gigabytes) for gigabytes in _KILLED.findall(str(error))]
     return int(max(found, default=0.0) * 2**30)
 

@@ -33,7 +33,7 @@ LISTED_FAILURES: Final = 1000
 
 
 RECORDED_FAILURES: Final = 100
-"""Failures told in a run's record."""
+"""Failures that a run's record lists."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class FailureBudget:
 
     @classmethod
     def of(cls, value: FailureBudget | float | None) -> FailureBudget:
-        """A whole number counts units, a fraction is a share, None is no limit."""
+        """A whole number counts units, a fraction is a share, None means no limit."""
         if isinstance(value, FailureBudget):
             return value
         if value is None:

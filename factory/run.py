@@ -68,7 +68,7 @@ def plan(
 ) -> Plan:
     """What ``run`` with the same arguments would do. Runs nothing and writes nothing.
 
-    renew : names of aggregates to build anew
+    renew : names of aggregates to build again
     """
     commits = Commits(store)
     published, _ = read_ref(store, ref)
@@ -120,7 +120,7 @@ def run(
     executor : who does the work; this process by default
     budget : quarantined units that stop the run (a count, or a share of all units); no limit by default
     retry_quarantined : try units again whose key is in quarantine
-    renew : names of aggregates to build anew
+    renew : names of aggregates to build again
     deadline : seconds one unit may take
     memory : bytes that a process which works on units may hold; by default its share of the machine
     verify : read every file again that what is published rests on, and make those again that differ from their hash

@@ -21,7 +21,7 @@ class RunLog:
     """Progress that is logged to a file and passed on. Every line has ``at`` (UTC) and ``event``.
 
     path : appended to; its folder is made
-    inner : progress that is told too (a bar)
+    inner : progress that receives the same calls (a bar)
 
     Raises ``StoreError`` where the file can't be written.
     """

@@ -35,8 +35,8 @@ def add_bias(
     if failed and behind is not None:
         counted, now = behind
         report.lines.append(
-            f"what is usually true was counted over {counted} scenes, and {now} are published: what holds in those "
-            "others is foretold by their words; condvln rebuild CONFIG --priors counts again"
+            f"label priors were counted over {counted} scenes, but {now} are published, so words may predict what is "
+            "true in the other scenes; condvln rebuild CONFIG --priors counts them again"
         )
     rows = found.overview()
     # Source by source there are dozens; what is in order stands in export.json and on the card.

@@ -39,12 +39,12 @@ def compose(config: Config, scene_id: str, out: Path, *, own_navmesh: bool = Fal
 
     Raises
     ------
-    UsageError : no source, or more than one, has such a scene; `out` is no .glb file, or lies in the export; the
+    UsageError : no source, or more than one, has such a scene; `out` is not a .glb file, or lies in the export; the
         dataset ships no navmesh
     InputError : the scene can't be read, or has no surfaces
     """
     if out.suffix != SUFFIX:
-        raise UsageError(f"{out} is no {SUFFIX} file", place="OUT.glb", remedy=f"Name it {out.name}{SUFFIX}.")
+        raise UsageError(f"{out} is not a {SUFFIX} file", place="OUT.glb", remedy=f"Name it {out.name}{SUFFIX}.")
     refuse_export(config.export, out.parent)
     source, name = _found(config, scene_id)
     scene = with_shipped_navmesh(source.read(name), config.agent)
@@ -73,7 +73,7 @@ def refuse_export(export: Path | None, folder: Path) -> None:
     """
     if export is not None and folder.resolve().is_relative_to(export.resolve()):
         raise UsageError(
-            f"{folder} lies in the export {export}, which is there to be published, and never with meshes",
+            f"{folder} lies in the export {export}, which must not hold meshes",
             remedy="Choose a folder outside of it, such as the loader's data/scene_datasets.",
         )
 
@@ -159,5 +159,5 @@ def _report(scene: Scene, composed: ComposedScene, walked: NavMeshFile, out: Pat
         shown = ", ".join(composed.left_out[:SHOWN]) + (" …" if len(composed.left_out) > SHOWN else "")
         lines.append(f"left out, as their surfaces are not known: {len(composed.left_out)} objects ({shown})")
     if composed.textures_left_out:
-        lines.append(f"left out, as their images stand in no GLB file: {composed.textures_left_out} textures")
+        lines.append(f"left out, as their images are not in a GLB file: {composed.textures_left_out} textures")
     return Report(document, lines)

@@ -43,8 +43,8 @@ def compose_all(config: Config, folder: Path, *, own_navmesh: bool = False, cons
     """Write ``<folder>/<scene_id>`` and its navmesh for every scene of the export, or of the sources if there is none.
 
     Families of single-file scans are left alone: loaders take their own files. A scene whose files are there already,
-    byte for byte, is left as it is; one that can't be composed is told and passed over, and the report's exit code is
-    then InputError's. One scene at a time is in memory.
+    byte for byte, is left as it is. A scene that can't be composed is reported and passed over, and the report's exit
+    code is then InputError's. One scene at a time is in memory.
 
     Parameters
     ----------

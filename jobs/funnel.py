@@ -2,7 +2,7 @@
 left.
 
 Candidates are programs that were drawn; each is placed, and so published, or rejected under one reason. Before that a
-draw may fail, for reasons that are counted as well, but a failed draw is followed by another and is no candidate.
+draw may fail. The reasons are counted as well, but another draw follows, and a failed one is never a candidate.
 
 A cell of a scene is short where it has fewer episodes than were wanted. Its causes are the rejections of its
 candidates, without those that only say that there was no room for more (SURPLUS): these candidates would not have

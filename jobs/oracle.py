@@ -1,4 +1,4 @@
-"""``condvln oracle``: a split's oracle-linear twin, the gold branch told as a plain instruction."""
+"""``condvln oracle``: a split's oracle-linear twin, the gold branch as a plain instruction."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def linear_text(
     seed: int,
     preamble: bool,
 ) -> str:
-    """The gold branch of an instruction as a plain one, told with the same choices of words.
+    """The gold branch of an instruction as a plain one, with the same choices of words.
 
     Parameters
     ----------

@@ -112,7 +112,7 @@ class LoggedRun:
     While the run goes, and if it is killed, the log stands in ``logs/`` of the machine's local state under the time it
     began; when it ends, in ``logs/`` of the store under the name of the run's record.
 
-    inner : progress that is told too
+    inner : progress that receives the same calls
     """
 
     def __init__(self, store: Store, state: Path, inner: RunListener) -> None:

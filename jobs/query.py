@@ -59,7 +59,7 @@ def _quoted(paths: Iterable[str]) -> str:
 
 
 def _tables_of(sql: str) -> set[str]:
-    """Published tables that a query reads, those behind views included; all of them when it can't be told."""
+    """Published tables that a query reads, those behind views included; all of them when that can't be found out."""
     try:
         with duckdb.connect(":memory:") as connection:
             named = {name.lower() for name in connection.get_table_names(sql)}

@@ -42,14 +42,14 @@ def run_rebuild(
     """Bring what is published and exported under `config` up to date.
 
     if_changed : look at names, sizes and times first, and end there when nothing changed since the last rebuild
-    renew_priors : build the label priors anew
+    renew_priors : build the label priors again
     retry_quarantined : try scenes again whose key is in quarantine
     verify : read every file again that what is published rests on, and make those again that differ from their hash
     """
     state = local_state(config.store)
     with alone(state, config.name) as held:
         if not held:
-            return _nothing(f"another generate or rebuild of {config.name!r} is under way here; it is left to it")
+            return _nothing(f"another generate or rebuild of {config.name!r} is under way: this one does nothing")
         store = open_store(config)
         watch = Watch(config, store, state)
         asked = renew_priors or retry_quarantined or verify

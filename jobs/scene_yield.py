@@ -22,8 +22,8 @@ class SceneYield:
 
     nothing : why there will be no instructions; empty where there may be some
     rooms, named : its rooms, and those that text can tell apart
-    absence : rooms of which something can be said to be absent
-    blocked : (room, label) pairs of which absence would be claimed, were it not for something that may bear the label
+    absence : rooms where something can be said to be absent
+    blocked : (room, label) pairs whose absence would be claimed, were it not for something that may bear the label
     nameless : objects of no label of their own that block some; hidden : objects in something shut
     """
 
@@ -102,7 +102,7 @@ def _nothing(scene: Scene, referents: list[Referents], named: bool) -> str:
     if not any(one.room.asked for one in referents):
         return "its annotation was checked by nobody, so no room is asked; 'absence: never' asks what claims no absence"
     if not named:
-        return "no room can be told apart from the others"
+        return "no room has a name of its own"
     if sum(int(one.nameable.sum()) for one in referents) < 2:
         return "fewer than two objects that text can name"
     return ""

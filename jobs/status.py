@@ -40,7 +40,7 @@ def report_status(config: Config) -> Report:
 def target_status(target: Target, *, measure_drift: bool = False, sizes: bool = False) -> Report:
     """State of a store, its refs all or the one that is asked for first.
 
-    measure_drift : build the pinned tables anew over what is published, and compare (reads every unit once)
+    measure_drift : build the pinned tables again over what is published, and compare (reads every unit once)
     sizes : list every file of the store
     """
     store = target.store()

@@ -69,7 +69,7 @@ def run_submit(
     say: Callable[[str], None] = lambda text: print(text, end="", flush=True),
     poll: float = POLL_SECONDS,
 ) -> Report:
-    """Submit, and follow until the end unless told not to. The report's exit code is the job's.
+    """Submit, and follow the job to its end unless `follow` is off. The report's exit code is the job's.
 
     verb, arguments : one of `VERBS`, and further words of its command line; the caller has checked them
     job : submission id; a job that is there under it already is followed, not submitted twice

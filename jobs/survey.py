@@ -1,4 +1,4 @@
-"""What a dataset on disk holds and what a run will make of it, told by reading scenes and building nothing."""
+"""What a dataset on disk holds and what a run will make of it, found by reading scenes, without building anything."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def verify_export(config: Config, export_dir: Path, *, without_store: bool = Fal
 
     Raises
     ------
-    MissingFileError, FormatError : `export_dir` is no export, or its files are cut in a way its record does not show
+    MissingFileError, FormatError : `export_dir` is not an export, or its files are cut and its record does not show it
     """
     tally = _Tally()
     tally.faults += find_faults(export_dir)

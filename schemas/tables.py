@@ -81,7 +81,7 @@ SCENES: Final = pa.schema(
         _field("reason", _S, "why the scene was skipped; null where it was not"),
         _required("n_rooms", _I, "number of rooms"),
         _required("n_objects", _I, "number of objects"),
-        _required("n_objects_without_extent", _I, "objects of which only the centre is known"),
+        _required("n_objects_without_extent", _I, "objects with a known centre and no known extent"),
         _field("navmesh_path", _S, "navmesh file, relative to the dataset's root, or the name of the built one"),
         _field("navmesh_sha256", _S, "SHA-256 of the navmesh file; null where there is none"),
         _field("navmesh_built", _B, "the navmesh was built here; false where the dataset ships it"),

@@ -57,7 +57,7 @@ def judge(rows: Iterable[Mapping[str, Any]]) -> BiasReport:
 
     Raises
     ------
-    FormatError : one is no manifest row
+    FormatError : a row is not a row of a manifest
     """
     sample = _Sample()
     for row in rows:

@@ -66,7 +66,7 @@ class GuesserView:
 
         Raises
         ------
-        FormatError : the row is no manifest row
+        FormatError : the row is not a row of a manifest
         """
         try:
             program = row["program"]

@@ -1,4 +1,4 @@
-"""The free floor of a room as points: what must be seen before absence can be told."""
+"""The free floor of a room as points: what must be seen before absence can be claimed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Programs placed on a graph of viewpoints, for scans of which nothing but the annotation and the graph is there.
+"""Programs placed on a graph of viewpoints, for scans that come as annotation and graph only.
 
 R2R's rules stand in place of a navmesh's: an agent stops at a viewpoint and is judged by 3 m along the graph (Anderson
 et al., Vision-and-Language Navigation, CVPR 2018).

@@ -105,7 +105,7 @@ def fill_pool(
     ----------
     cells, groups : all that is wanted of the scene
     names_compass : whether a program's text names the start heading
-    observer : tells observability; without it none is told, and none may be asked for
+    observer : finds the observability; without it none is recorded, and none may be asked for
     move_shares : shares of leaves with 1, 2, … moves that a category should have. Long routes find a place less often,
         so that no number of moves gets more than its share of a cell while other candidates are left
     """

@@ -27,20 +27,21 @@ FIRST_LOOKS: Final = 8
 
 
 class SceneView:
-    """Sight in one scene.
+    """Lines of sight in one scene.
 
-    Surfaces that are exact hide by themselves. Where they are boxes, structure (walls, floors) hides as triangles and
-    every object as a box. A box hides nothing of what is in it, since boxes of neighbouring things overlap and a
-    shelf's holds what stands there; that of a frame (``Vocabulary.is_frame``) nothing of what is on it either.
-    Where no surface is known, boxes alone hide: walls don't.
+    If the surfaces are exact, they alone occlude. If they are boxes, structure (walls, floors) occludes with its
+    triangles and each object with its box. An object's box never occludes the objects inside it, because boxes of
+    neighbouring objects overlap and a shelf's box contains the things on it. The box of a frame
+    (``Vocabulary.is_frame``: shelves, tables) does not occlude the things on top of it either. If no surface is known,
+    only boxes occlude: walls do not.
 
     Parameters
     ----------
-    geometry : the scene's surfaces, None where the dataset tells none
+    geometry : the scene's surfaces; None if the dataset has none
 
     Attributes
     ----------
-    approximate : boxes stand in for surfaces; recorded beside what is derived from them
+    approximate : boxes replace surfaces; recorded with everything that is derived from them
     """
 
     def __init__(self, scene: Scene, geometry: SceneGeometry | None = None, words: Vocabulary = vocabulary) -> None:

@@ -139,7 +139,7 @@ def visibility_table(scene: Scene, found: Iterable[Visibility] | None, words: Vo
 
 
 def sightings_from_table(table: pa.Table) -> Sightings:
-    """The objects that nobody sees, and those of which it is in doubt; none where all is null."""
+    """The objects that can't be seen, and those for which this is in doubt; none where all is null."""
     columns: Mapping[str, list[Any]] = table.select(["object_id", "seeable", "unseen"]).to_pydict()
     rows = list(zip(*columns.values(), strict=True))
     unseen = frozenset(name for name, _, out_of_sight in rows if out_of_sight)

@@ -44,7 +44,7 @@ NAMES: Final[Mapping[str, str]] = {
 """Their names and ours."""
 
 _UNBOUNDED: Final = {"navigation_error", "path_length", "steps", "collisions"}
-"""Measures that are no rate: metres and counts."""
+"""Measures that are not rates: metres and counts."""
 LARGEST: Final = 1e7
 """Metres and counts of one episode, at most."""
 TOLERANCE: Final = 1e-6

@@ -49,7 +49,7 @@ def path_length(positions: Points) -> float:
 
 
 def without_repeats(positions: Points) -> Points:
-    """A path without the points that equal their predecessor: turns on the spot are no part of it."""
+    """A path without the points that equal their predecessor: turns on the spot add nothing."""
     if len(positions) == 0:
         return positions
     moved = (np.diff(positions, axis=0) != 0).any(axis=1)

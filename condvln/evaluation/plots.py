@@ -21,7 +21,7 @@ __all__ = ["SHOWN", "axis_figure", "save_figures"]
 SHOWN: Final = (("success", "SR"), ("bsa", "BSA"), ("csr", "CSR"))
 _AXES: Final = ("depth", "chain")
 _SHIFT: Final = 0.06
-"""Agents stand beside each other by this share of a unit of the axis, so that their intervals can be told apart."""
+"""Share of a unit of the axis by which agents are set apart, so that their intervals do not overlap."""
 _MARGIN: Final = 4.0
 """Percent below 0 and above 100 that are drawn, so that the marks of the best and the worst are whole."""
 _MARKERS: Final = "os^Dv<>pX*P"

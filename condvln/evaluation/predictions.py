@@ -63,7 +63,7 @@ class Prediction:
     positions : (n, 3) float64, metres, Habitat frame, the start first; n = 0 for an empty path
     stopped : STOP was called at the last position
     counts_actions : every action has its pose, so that a step budget can be held against the path
-    collided : (n,) whether the step to each position met an obstacle, where that is told
+    collided : (n,) whether the step to each position met an obstacle, where the file says so
     headings : (n,) radians counter-clockwise from −z where they are known; no metric asks for them
     """
 

@@ -32,7 +32,7 @@ _LATEX_ESCAPES: Final = {
 
 
 def written(cell: Cell, column: Column, *, interval: bool = True) -> str:
-    """A cell as people read it: percent and metres rounded, the interval in brackets, episodes left out told."""
+    """A cell as people read it: numbers rounded, the interval in brackets, and how many episodes are left out."""
     if cell.value is None or (isinstance(cell.value, float) and math.isnan(cell.value)):
         return _NOTHING
     if isinstance(cell.value, str) or column.kind == "text":

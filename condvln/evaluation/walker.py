@@ -36,7 +36,7 @@ _DETOUR_METRES: Final = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What a policy is told before each action.
+    """What a policy sees before each action.
 
     Attributes
     ----------

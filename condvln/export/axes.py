@@ -15,7 +15,7 @@ WORD_BOUNDS: Final = (40, 80, 120)
 
 
 def observability_class(observability: str | None, evidence_in_view: bool | None) -> str | None:
-    """O0f where all evidence is in the first view, else O0, O1 or O2; None where it is not told."""
+    """O0f where all evidence is in the first view, else O0, O1 or O2; None where it is not known."""
     return "O0f" if observability == "O0" and evidence_in_view else observability
 
 

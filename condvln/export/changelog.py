@@ -1,6 +1,6 @@
 """What changed between two exports, and why: ``CHANGELOG.md``, newest first.
 
-It is the history of a folder, so it is no part of the export's own index. It carries no dates: the same two snapshots
+It is the history of a folder, so the export's own index leaves it out. It carries no dates: the same two snapshots
 give the same entry on any day. Of each episode only hashes are kept, so that two exports of a million fit in memory.
 """
 
@@ -177,8 +177,8 @@ def changes_between(
 
     Parameters
     ----------
-    before, now : what the two snapshots have beyond what is published; without it, generation and choice are not told
-        apart
+    before, now : what the two snapshots have beyond what is published; without it, changes of generation and of choice
+        are left out
     """
     changes = Changes(former.snapshot, new.snapshot)
     _, at, to = np.intersect1d(former.ids, new.ids, assume_unique=True, return_indices=True)

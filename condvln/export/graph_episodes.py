@@ -1,4 +1,4 @@
-"""Discrete R2R for Matterport3D scans of which there is no mesh: instructions placed on the viewpoint graph.
+"""Discrete R2R for Matterport3D scans without a mesh: instructions placed on the viewpoint graph.
 
 Such episodes stand in ``r2r/`` alone: the R2R file's items, and manifest rows whose positions are viewpoints and whose
 ``navmesh`` is the connectivity file, so that branches can be judged on the graph.

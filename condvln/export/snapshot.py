@@ -192,7 +192,7 @@ def _formerly(
         _, splits_of, generated = _choose(former, config, SceneTable(former, None))
         if published is None:
             published = PublishedEpisodes.of_rows(former.id, _chosen_rows(former, splits_of))
-    except (StoreError, InputError):  # it held no episodes, or is damaged: that is no reason not to export this one
+    except (StoreError, InputError):  # it held no episodes, or is damaged: this one is exported all the same
         return published, None
     return published, generated
 

@@ -1,6 +1,6 @@
 """Materials of a GLB file with their textures, as far as they can be taken along.
 
-A texture whose image is no part of the file is left out and counted; its material keeps its colours.
+A texture whose image is not in the file is left out and counted; its material keeps its colours.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ __all__ = ["TextArray", "parse_large"]
 
 
 class TextArray(Sequence[Any]):
-    """An array of a document: sound JSON, of which only the place of each entry is known.
+    """An array of a document: sound JSON, where only the place of each entry is known.
 
     starts : of each entry in the text, and of what follows the last one
     """

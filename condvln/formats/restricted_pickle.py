@@ -1,7 +1,7 @@
 """Pickles of plain data and numpy arrays, read without trusting them.
 
-The pickle machine can call whatever it is told to. Here it knows four names, all of them stand-ins of this module that
-only keep what they are given; arrays are built afterwards, from the bytes that are there. The machine is the standard
+The pickle machine can call anything that a file names. Here it knows four names, which are stand-ins of this module
+that only keep their arguments; arrays are built afterwards, from the bytes that are there. The machine is the standard
 library's in Python, because the compiled one allocates what a length field claims before it looks for the bytes.
 """
 

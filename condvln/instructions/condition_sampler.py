@@ -43,7 +43,7 @@ class ConditionSampler:
 
     Attributes
     ----------
-    rooms : ids of those of which something can be asked with either truth
+    rooms : ids of the rooms where something can be asked with either truth
     clashes : how often each rule of ``degeneracy`` cost a condition another try
     """
 
@@ -132,7 +132,7 @@ class ConditionSampler:
     def _pair(
         self, room: RoomRef, statements: Statements, claims: Sequence[Claim], given: Presupposed, draws: Draws
     ) -> dict[bool, Condition] | None:
-        """A true and a false condition of one kind and predicate, either of which may stand."""
+        """A true and a false condition of one kind and predicate, each of them usable."""
         question, sums = statements
         found: dict[bool, Condition] = {}
         for truth in (True, False):

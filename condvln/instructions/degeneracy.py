@@ -1,6 +1,6 @@
 """What an instruction must not be. Each rule is named, counted by the sampler, and holds for whole programs.
 
-All rules work on what the text says, not on what is true, except that rooms and objects are told apart by id. Two
+All rules work on what the text says, not on what is true, except that rooms and objects are distinguished by id. Two
 labels clash where a speaker might use one word for both (``Vocabulary.overlapping``).
 """
 

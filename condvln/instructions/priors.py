@@ -48,10 +48,10 @@ PRIORS: Final = pa.schema(
     ]
 )
 """In how many rooms of a type a statement is usable as true and as false, by layout (empty: of scenes that
-are no stagings).
+are not stagings).
 
 A row with an empty label counts the rooms of a type. One with an empty predicate is the presence of a label, false in
-rooms of which it can be claimed: another room of the same scene has it, and no word for it fits anything here.
+rooms where it can be claimed: another room of the same scene has it, and no word for it fits anything here.
 """
 
 MERGE_ROWS: Final = 200_000

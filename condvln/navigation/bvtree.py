@@ -32,7 +32,7 @@ def quantise_bounds(lower: Floats, upper: Floats, tile_min: Floats, cell_size: f
 
 
 def build_bv_tree(lower: Cells, upper: Cells) -> Records:
-    """Tree over p boxes: (2p,) BV_NODE, of which the last stays blank, as in Detour.
+    """Tree over p boxes: (2p,) BV_NODE; the last one stays blank, as in Detour.
 
     Nodes stand in depth-first order; a leaf holds its polygon, an inner node minus the number of nodes to skip. Each
     node splits its items in the middle after a stable sort by lower bound along the longest axis (ties: x before y

@@ -117,7 +117,7 @@ def _numbers(file: Path, place: str, values: Any, count: int) -> list[float]:
     if not isinstance(values, list) or len(values) != count:
         raise _error(file, place, f"not a list of {count} numbers")
     for value in values:
-        # bool is a kind of int in Python; coordinates beyond 1000 km are no building's
+        # bool is a kind of int in Python; coordinates beyond 1000 km do not belong to a building
         if (
             isinstance(value, bool)
             or not isinstance(value, int | float)

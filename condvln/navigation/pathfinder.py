@@ -306,7 +306,7 @@ class Pathfinder:
 
         Raises
         ------
-        UsageError : the resolution is no positive number, or gives more than 100 million pixels
+        UsageError : the resolution is not a positive number, or gives more than 100 million pixels
         """
         if not (metres_per_pixel > 0 and math.isfinite(metres_per_pixel)):
             raise UsageError(f"{metres_per_pixel} metres per pixel", remedy="Give a positive number, such as 0.05")

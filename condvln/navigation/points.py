@@ -10,7 +10,7 @@ from schemas.errors import UsageError
 
 __all__ = ["many_points", "one_point", "paired_points"]
 
-# The copies matter: numba compiles a kernel anew for an array that is read-only or laid out otherwise.
+# The copies matter: numba compiles a kernel again for an array that is read-only or laid out otherwise.
 
 
 def one_point(point: npt.ArrayLike) -> Floats:

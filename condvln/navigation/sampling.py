@@ -21,7 +21,7 @@ __all__ = ["RandomSource", "Sampler"]
 
 RandomSource: TypeAlias = np.random.Generator | int
 
-# Rounding can put a drawn point off its polygon; it is drawn anew. More rounds than this mean a mesh of slivers.
+# Rounding can put a drawn point off its polygon; it is drawn again. More rounds than this mean a mesh of slivers.
 MAX_REDRAWS = 100
 
 

@@ -41,7 +41,7 @@ def closest_facts(distance: F64, rival: Mask, t: Thresholds) -> tuple[Status, F6
 
 
 def size_facts(arrays: RoomArrays, rival: Mask, t: Thresholds) -> dict[str, Status]:
-    """Status (n,) of "the bigger" and "the smaller" of two things of one label, of which the room has no third.
+    """Status (n,) of "the bigger" and "the smaller" of two things of one label, where the room has no third.
 
     By the volumes of their boxes; what is not one box is not compared. Where their largest sides say otherwise, as of
     pictures of different depth, nothing is decided.

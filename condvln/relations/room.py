@@ -56,7 +56,7 @@ class RoomRelations:
 
     @classmethod
     def from_table(cls, rows: pa.Table, arrays: RoomArrays, thresholds: Thresholds) -> RoomRelations:
-        """The relations of one room from its stored rows; nothing is measured anew with FCL.
+        """The relations of one room from its stored rows; nothing is measured again with FCL.
 
         rows : rows of the relations table of one scene, made with the same `thresholds`; other rooms' are passed over
         arrays : the room's objects

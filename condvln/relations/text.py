@@ -234,7 +234,7 @@ def _in(s: Stacking, container: Mask, t: Thresholds) -> _Fact:
 
 
 def _higher(s: Stacking, t: Thresholds) -> _Fact:
-    """By centres and tops, of things off the floor of which neither carries the other."""
+    """By centres and tops, for two things off the floor if neither carries the other."""
     fit = (s.off_floor >= exact_mm(t.off_floor)) & ~np.isnan(s.off_floor)
     fit = fit[:, None] & fit[None, :] & ~s.carries & ~s.carries.T
     rise, tops = (exact_mm(t.height_false), exact_mm(t.height_true)), (exact_mm(t.top_false), exact_mm(t.top_true))

@@ -24,7 +24,7 @@ DOOR_HEIGHT: Final = 2050
 """Height of an opening, millimetres."""
 
 ROOM_TRIES: Final = 8
-"""Draws of one room's furniture before the whole plan is drawn anew."""
+"""Draws of one room's furniture before the whole plan is drawn again."""
 
 
 def make_layout(seed: int, n_rooms: int | None = None) -> Layout:

@@ -31,7 +31,7 @@ class Kind:
     shape : name of its geometry in ``condvln.samples.shapes``
     hang : height of its lower edge where it hangs on a wall, else None
     front : depth kept free in front of it
-    turns : may stand at an angle that is no multiple of 90°
+    turns : may be placed at an angle that is not a multiple of 90°
     urdf : name of its articulated body, if it is one, with `scales` by variant
     number : position in the catalogue, from 1: the semantic id of its class is derived from it
     """

@@ -28,7 +28,7 @@ MAX_CORNERS: Final = 6
 """Corners that a Detour polygon may have."""
 
 KEY_DECIMALS: Final = 6
-"""Decimals of a metre by which corners are told apart; they lie on the millimetre grid."""
+"""Decimals of a metre that distinguish corners; they lie on the millimetre grid."""
 
 
 def navmesh_of(layout: Layout, settings: NavMeshSettings, engine: NavmeshEngine = "polygons") -> NavMeshFile:

@@ -1,4 +1,4 @@
-"""Which objects of a scene nobody sees, and of which that is in doubt."""
+"""Which objects of a scene can't be seen, and for which this is in doubt."""
 
 from __future__ import annotations
 

@@ -161,7 +161,7 @@ class BodyReader:
         return template
 
     def _mesh_path(self, asset: Attribute) -> str | None:
-        """Path of a GLB that an attribute names; None where it is not there or is no GLB."""
+        """Path of a GLB that an attribute names; None where it is not there or is not a GLB."""
         path = self._path(asset)
         if not path.endswith(_MESH_SUFFIX) or not self.dataset.has(path):
             return None

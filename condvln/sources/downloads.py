@@ -24,7 +24,7 @@ MAX_COUNTED: Final = 1_000_000
 class Download:
     """One kind of files of a dataset.
 
-    patterns : globs relative to the dataset's folder, any of which serves
+    patterns : globs relative to the dataset's folder, any one is enough
     need : without what is ``required`` nothing can be read; what is ``optional`` adds something
     holds : what the files hold, and what happens without them
     source : the name that its download page gives it

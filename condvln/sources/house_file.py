@@ -26,7 +26,7 @@ VERSION: Final = "ASCII 1.1"
 _REMEDY = "Take the file from its dataset again"
 _PANORAMA_NAME: Final = 32
 
-# Words of each kind of record, the letter included. P is a panorama or a portal, told apart by its first word.
+# Words of each kind of record, the letter included. P is a panorama or a portal, distinguished by its first word.
 _WORDS: Final = {"H": 29, "L": 18, "R": 20, "S": 22, "V": 13, "P": 13, "I": 41, "C": 11, "O": 24, "E": 19, "portal": 15}
 _COUNTED: Final = {
     "I": 3, "P": 4, "V": 5, "S": 6, "E": 7, "O": 8, "C": 9, "R": 10, "portal": 11, "L": 12,

@@ -1,4 +1,4 @@
-"""iTHOR: 120 hand-made rooms, whose type is told by the number of the floor plan."""
+"""iTHOR: 120 hand-made rooms, whose type follows from the number of the floor plan."""
 
 from __future__ import annotations
 

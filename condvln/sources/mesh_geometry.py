@@ -19,7 +19,7 @@ __all__ = ["assembled_geometry", "scan_geometry"]
 def scan_geometry(files: DatasetRoot, scene: Scene) -> SceneGeometry | None:
     """The triangles of a scene that is one scan, in the order and the float32 that Habitat builds navmeshes from.
 
-    None of them is told to be an object's. None where the scan's mesh is not there.
+    No triangle is assigned to an object. None where the scan's mesh is not there.
 
     Raises
     ------

@@ -31,7 +31,7 @@ AT_WALL: Final = 0.1
 """Metres within which a fitting that is built into a wall ends where the farthest object does."""
 
 SURFACES: Final = frozenset({"Floor", "Ceiling", "Room", "Wall"})
-"""Object types that are no things in the room: their boxes hold the room, or are its walls."""
+"""Object types that are not objects in the room: their boxes hold the room, or are its walls."""
 
 WINDOWS: Final = frozenset({"Window"})
 """Never a box: one window's may span two walls and the whole room between them."""

@@ -41,7 +41,7 @@ def read_urdf(data: bytes, where: str) -> tuple[LinkMesh, ...]:
 
     Raises
     ------
-    FormatError : not XML, or with entities; a joint to a link that is not there; links that are no tree
+    FormatError : not XML, or with entities; a joint to a link that is not there; links that do not form a tree
     """
     root = _parse(data, where)
     links = {}

@@ -1,4 +1,4 @@
-"""The proof of an export: texts read, scenes measured and navmeshes asked anew, by code that shares nothing with the
+"""The proof of an export: texts read, scenes measured and navmeshes asked again, by code that shares nothing with the
 code that made it."""
 
 from condvln.verify.certificate import FACTS, Certificate, Disagreement

@@ -21,7 +21,7 @@ FACTS: Final[Mapping[str, str]] = {
     # scene
     "room_named": "a room goes by the type that the scene has for it",
     "room_unique": "a room's name fits one room",
-    "room_anchor_needed": "a room is told apart by a thing only where its type is not enough",
+    "room_anchor_needed": "a room is named by an object only where its type is not enough",
     "seeable": "every thing that the text speaks of can be seen from where an agent can stand in its room",
     "anchor_unique": "the thing that a qualifier refers to is alone in its room",
     "anchor_fit": "an anchor is fixed, or not small, not portable and the larger one",

@@ -64,7 +64,7 @@ class ExportFiles:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.unread: list[Unread] = []
-        """What was met that is no row with its record; complete when `runs` has ended."""
+        """Lines that are not a row with its record; complete when `runs` has ended."""
         self.splits = sorted(path.stem for path in (folder / "manifest").glob("*.jsonl"))
         if not self.splits:
             raise MissingFileError(

@@ -1,4 +1,4 @@
-"""Ground truth of an episode: actions walked anew on the navmesh, or locations along the reference path."""
+"""Ground truth of an episode: actions walked again on the navmesh, or locations along the reference path."""
 
 from __future__ import annotations
 

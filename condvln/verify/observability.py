@@ -1,4 +1,4 @@
-"""From where the evidence for an episode's conditions can be seen, with every ray cast anew.
+"""From where the evidence for an episode's conditions can be seen, with every ray cast again.
 
 What must be seen to know that a condition is true: one of its witnesses, and the thing that its qualifier refers to.
 That it is false: next to all of its room's floor; or, where things are there that its words could mean, all of these
@@ -54,7 +54,7 @@ class _Asked:
     """A row whose evidence is looked for.
 
     start (1, 3) : the eye at its start
-    proofs : by each condition that its evidence is told of
+    proofs : by each condition that evidence is recorded for
     """
 
     row: ManifestEpisode
@@ -105,7 +105,7 @@ def sight_of(
     obstacles: Obstacles,
     rules: VerifierRules,
 ) -> Sight:
-    """Looks in a scene of which nothing but its files is known.
+    """Looks in a scene, from nothing but its files.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A program by itself: its axes, and that it is no degenerate one."""
+"""Checks of a program by itself: its axes, and that it is not degenerate."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def check_program(row: ManifestEpisode, certificate: Certificate) -> None:
 
 
 def _check_evidence(row: ManifestEpisode, certificate: Certificate) -> None:
-    """Evidence is told of the conditions that the gold route asks, and the worst of it is the observability.
+    """Evidence is recorded for the conditions that the gold route asks, and the worst of it is the observability.
 
     Whether it is seen from there is held against rays in :mod:`condvln.verify.observability`.
     """

@@ -146,7 +146,7 @@ def find_navmesh(scene: Scene, folder: Path, claimed: str) -> Navmesh:
 
     Raises
     ------
-    InputError : there is none, or it is no navmesh
+    InputError : there is no such file, or it is not a navmesh
     """
     relative = PurePosixPath(claimed)
     if relative.is_absolute() or ".." in relative.parts:

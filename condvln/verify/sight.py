@@ -52,8 +52,12 @@ _TRIANGLES: Final = np.concatenate([_QUADS[:, [0, 1, 2]], _QUADS[:, [0, 2, 3]]])
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Points:
-    """Where something is looked for: points (k, 3), of which the first `own` are this package's; of each the number of
-    the box that it is on among those that hide, -1 for none; the share that counts as having seen it."""
+    """Sample points of one target.
+
+    points : (k, 3); the first `own` of them are this package's own samples
+    boxes : (k,) number of the occluding box that each point lies on, -1 for none
+    least : share of the points that must be visible
+    """
 
     points: F64
     own: int
@@ -92,7 +96,7 @@ class Sight:
     Parameters
     ----------
     geometry : the scene's surfaces, None where its dataset tells none
-    is_structure : whether an object is a wall, a floor …, whose box is no body
+    is_structure : whether an object is a wall, a floor …, whose box is not solid
     is_frame : whether it is a shelf, a table …, whose box hides nothing of what is on it
     floor : points (n, 3) of a room's floor, by its id
 
@@ -223,7 +227,7 @@ class Sight:
         return seen if yaw is None else seen & in_view(eyes, where.points, self._ahead, [yaw])[0]
 
     def _where(self, sought: Sought) -> _Points | None:
-        """Where something is looked for; None for what the scene does not have."""
+        """Sample points of a target; None if the scene does not have it."""
         if sought not in self._points:
             kind, name = sought
             self._points[sought] = self._of_thing(name) if kind == "thing" else self._of_floor(name)
@@ -304,7 +308,7 @@ def evenly(triangles: F64, count: int = OWN_POINTS) -> F64:
 
 @lru_cache(maxsize=16)
 def much(least: float, count: int) -> float:
-    """The share of `count` points that is too much for a surface of which others see less than the share `least`.
+    """The share of `count` points that is too large if others see less than the share `least` of the same surface.
 
     Were both sets drawn at random from any surface, such a pair would come up with odds of no more than `ODDS`; both
     are spread more evenly than that. More than 1 where no share is too much.

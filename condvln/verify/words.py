@@ -251,7 +251,7 @@ def _unambiguous(said: Mapping[str, set[str]]) -> dict[str, str]:
 
 
 def _broader(label: str, labels: Mapping[str, Mapping[str, str]]) -> set[str]:
-    """All labels of which `label` is a kind."""
+    """All labels that `label` is a kind of."""
     found: set[str] = set()
     ahead = [label]
     while ahead:

@@ -73,7 +73,7 @@ def query(
 
     found = find_target(target, overrides or (), ref)
     if not listed and sql is None:
-        raise UsageError("nothing is asked", place="SQL", remedy="Give a query or the name of one; --list shows them.")
+        raise UsageError("no query is given", place="SQL", remedy="Give a query or the name of one; --list shows them.")
     answer(list_queries() if listed or sql is None else query_target(found, sql, out), as_json)
 
 

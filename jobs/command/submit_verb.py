@@ -42,7 +42,7 @@ def submit(
 
 
 def _check(context: typer.Context, verb: str, words: list[str]) -> None:
-    """A command line that is wrong is told here, not by a job after it has waited for a node."""
+    """A wrong command line is refused here, not by a job after it has waited for a node."""
     from jobs.submit import VERBS
 
     if verb not in VERBS:

@@ -225,7 +225,7 @@ class SamplingConfig(Section):
     compositions: CompositionWeights = Field(default_factory=CompositionWeights)
     predicates: PredicateWeights = Field(default_factory=PredicateWeights)
     anchor_size: Metres = Field(
-        0.3, description="what can be moved is no anchor, and names no room, where its longest side is shorter"
+        0.3, description="a movable object whose longest side is shorter is not used as an anchor, and names no room"
     )
     small_target_weight: Weight = Field(
         0.25, description="weight, as targets, of labels whose objects are all shorter than anchor_size"

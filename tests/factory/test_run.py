@@ -371,7 +371,7 @@ def test_damaged_commits_are_found_and_made_again(store: LocalStore) -> None:
     for ref in ("other",):
         report = run(toys.pipeline(), units, store, ref)
         assert report.snapshot_id == whole.snapshot_id
-    # With all of the snapshot gone too, it is packed anew from corrected commits.
+    # If the whole snapshot is gone too, it is packed again from the repaired commits.
     path = next((store.root / "units" / "square").rglob("squares.parquet"))
     path.write_bytes(path.read_bytes()[::-1])
     (store.root / "snapshots" / whole.snapshot_id / "manifest.json").unlink()  # type: ignore[operator]

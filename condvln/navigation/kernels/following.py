@@ -35,7 +35,7 @@ TOO_NEAR_TO_AIM = np.float32(0.01)
 GOOD_PROGRESS = np.float32(0.5)
 # Share below which, without sliding, steps that end at a wall are weighed as well.
 SLOW_PROGRESS = np.float32(0.25)
-# Metres: a step that shortens the way by less is no progress.
+# Metres: a step that shortens the way by less is not progress.
 LEAST_PROGRESS = np.float32(1e-3)
 # Positions tried in looking for a way around, and the metres under which two of them are one.
 MAX_AROUND = 512

@@ -65,7 +65,7 @@ def query_mesh(tile: NavMeshTile, island: Indices, origin: Floats, tile_width: f
     grid[TILE_WIDTH], grid[TILE_HEIGHT] = tile_width, tile_height
     grid[SLACK] = BOX_SLACK + BOX_SLACK_RELATIVE * max(float(np.abs(tile.verts).max()), float(np.abs(corners).max()))
     return QueryMesh(
-        verts=np.array(tile.verts, np.float32, order="C"),  # a copy: numba compiles anew for a read-only array
+        verts=np.array(tile.verts, np.float32, order="C"),  # a copy: numba compiles again for a read-only array
         poly_verts=tile.poly_verts.astype(np.int64, order="C"),
         poly_size=tile.polys["vert_count"].astype(np.int64),
         neighbours=tile.neighbours.astype(np.int64, order="C"),

@@ -16,7 +16,7 @@ from condvln.navigation.kernels.projection import ANY_ISLAND, NO_POLYGON, height
 from condvln.navigation.tile import Floats, Indices
 
 MAX_VISITED = 64  # nodes of Detour's small pool
-MAX_QUEUE = 48  # of which this many may wait
+MAX_QUEUE = 48  # at most so many wait
 SEARCH_SLACK = np.float32(0.001)  # metres added to the radius around the step's middle
 PARALLEL = np.float32(1e-6)  # m²: segments whose cross product is below this don't intersect
 NUDGE = np.float32(1e-4)  # metres; habitat-sim's push off an edge shared by two islands

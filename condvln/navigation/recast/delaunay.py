@@ -13,7 +13,7 @@ from condvln.navigation.recast.arrays import Array, Ground, ground
 
 __all__ = ["EDGES_PER_POINT", "cross_2d", "delaunay", "distance_2d"]
 
-# What lies on a side of an edge, when it is no triangle.
+# What lies on a side of an edge if it is not a triangle.
 UNDECIDED = -1
 HULL = -2
 # Room that Recast keeps for edges.

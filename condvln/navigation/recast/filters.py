@@ -26,7 +26,7 @@ def filter_low_hanging_obstacles(field: Heightfield, walkable_climb: int) -> Arr
 
 
 def filter_ledges(field: Heightfield, walkable_height: int, walkable_climb: int) -> Array:
-    """Spans beside a drop of more than a step are no floor. The border of the grid counts as a drop.
+    """Spans beside a drop of more than a step are not floor. The border of the grid counts as a drop.
 
     Nor are spans whose reachable neighbours differ by more than a step: a slope too steep.
     """
@@ -36,7 +36,7 @@ def filter_ledges(field: Heightfield, walkable_height: int, walkable_climb: int)
 
 
 def filter_low_height(field: Heightfield, walkable_height: int, height_must_exceed: bool) -> Array:
-    """Spans without room for an agent above them are no floor.
+    """Spans without room for an agent above them are not floor.
 
     ``height_must_exceed`` asks for more than ``walkable_height`` voxels, as Recast did up to the version in habitat-sim
     0.3.3.
