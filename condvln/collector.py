@@ -11,7 +11,7 @@ __all__ = ["no_collection"]
 
 @contextmanager
 def no_collection() -> Iterator[None]:
-    """No passes of the collector within this block; after it, all is as it was."""
+    """Switch the garbage collector off within this block, and restore its state afterwards."""
     was_on = gc.isenabled()
     gc.disable()
     try:

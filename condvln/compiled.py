@@ -58,7 +58,7 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def register_warm_up(name: str, run: Callable[[], object]) -> None:
-    """Tell :func:`warm_up` of ``run``, a small call that makes the kernels called ``name`` compile."""
+    """Register ``run`` with :func:`warm_up`: a small call that compiles the kernels called ``name``."""
     _warm_ups[name] = run
 
 
@@ -87,7 +87,7 @@ def compilation_reported_to(report: Notify) -> Iterator[None]:
 
 
 class _Announcer(numba_event.Listener):  # type: ignore[misc]
-    """Says that kernels are compiling, so that nobody stares at half a silent minute.
+    """Announces that kernels are compiling, which takes half a minute.
 
     Without a listener of the caller's own, one line on stderr per process is enough.
     """

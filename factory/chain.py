@@ -151,7 +151,7 @@ class Chain:
 
 
 def receipt_of(committed: Committed, *, made: bool) -> StageReceipt:
-    """What a commit says, in the form that travels."""
+    """A commit as a receipt."""
     commit = committed.commit
     parts = commit.key_parts
     return StageReceipt(

@@ -14,7 +14,7 @@ __all__ = ["RunContext"]
 
 @dataclass(frozen=True)
 class RunContext:
-    """What every worker of a run is given once.
+    """Parameters of a run that every worker receives once.
 
     shared : hashes of the pinned aggregates
     quarantined : (stage, key) pairs not to be tried again

@@ -57,7 +57,7 @@ class Executor(Protocol):
         ...
 
     def run(self, context: RunContext, tasks: Iterable[Task]) -> Iterator[Receipt]:
-        """Work ``tasks`` off. Closing the iterator hands out nothing more; what is committed stays.
+        """Run ``tasks``. After the iterator is closed no task is started; what is committed stays.
 
         Each receipt holds what was expected of its unit. Raises ``ClusterError`` when Ray dies.
         """

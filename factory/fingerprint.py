@@ -40,7 +40,7 @@ class Drift:
 
 
 def fingerprints(pipeline: Pipeline, units: Iterable[Unit]) -> dict[str, dict[str, dict[str, str]]]:
-    """Make ``units`` from scratch, in this process, and tell keys and hashes.
+    """Make ``units`` from scratch, in this process; returns keys and hashes.
 
     Raises ``ProofError`` when a unit fails.
     """

@@ -108,10 +108,10 @@ class Place:
         self._at = (unit_id, stage, time.monotonic())
 
     def leave(self) -> None:
-        """Nothing is under way."""
+        """The stage has ended."""
         self._at = None
 
     def busy(self) -> Busy | None:
-        """What is under way."""
+        """The unit and stage that are under way, if any."""
         at = self._at
         return None if at is None else Busy(at[0], at[1], time.monotonic() - at[2])

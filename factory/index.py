@@ -171,7 +171,7 @@ class Index:
 
     @classmethod
     def empty(cls, pipeline: Pipeline, *, damaged: bool = False) -> Index:
-        """The index of nothing."""
+        """An empty index."""
         return cls(index_schema(pipeline).empty_table(), damaged=damaged)
 
     @staticmethod

@@ -1,4 +1,4 @@
-"""What of a published state is really there: units, files of the snapshot, by listing names and sizes.
+"""Which files of a published state exist: units and files of the snapshot, by names and sizes.
 
 A ref names a snapshot and a unit index; what these name must be in the store. A unit whose files are missing or cut is
 made again, a missing file of the snapshot is packed again. Bytes that changed while a file's size stayed are found

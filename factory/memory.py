@@ -84,7 +84,7 @@ class MemoryCeiling:
 
     @contextlib.contextmanager
     def watch(self) -> Iterator[None]:
-        """Watch over one unit. Works in the main thread of a Linux process only."""
+        """Watch the memory of one unit. Works in the main thread of a Linux process only."""
         if self.ceiling is None or not machine.rss() or threading.current_thread() is not threading.main_thread():
             yield
             return

@@ -69,7 +69,7 @@ class Plan:
 
     @property
     def empty(self) -> bool:
-        """Nothing would change."""
+        """Whether a run would change nothing."""
         return not (self.counts["MISSING"] or self.counts["STALE"] or self.removed or self.renewed or self.damaged)
 
     @property

@@ -113,7 +113,7 @@ class Publisher:
             self._progress.note(f"{path} {what}: made again")
 
     def sound(self) -> bool:
-        """Whether something is published and, as far as was looked, whole."""
+        """Whether a snapshot is published and no damage was found in it."""
         return self.old is not None and self.manifest is not None and not self._damaged
 
     def publish(

@@ -60,7 +60,7 @@ class FailureBudget:
 
 
 class Progress(Protocol):
-    """Told what happens; draws it, logs it, or measures it. Called from the driver's thread, but for ``busy``."""
+    """Receives what happens in a run, to draw, log or measure it. Called from the driver's thread, except ``busy``."""
 
     def phase(self, name: str, total: int, seconds: float, workers: int = 1) -> None:
         """A phase begins: its name, how many steps it has, the CPU seconds expected of them, and who shares them."""
@@ -84,7 +84,7 @@ class Progress(Protocol):
 
 
 class Silence:
-    """Progress that nobody watches."""
+    """Progress that shows nothing."""
 
     def phase(self, name: str, total: int, seconds: float, workers: int = 1) -> None: ...
 

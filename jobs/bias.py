@@ -24,7 +24,7 @@ def add_bias(
     action: Literal["off", "warn", "fail"],
     behind: tuple[int, int] | None = None,
 ) -> None:
-    """Add the verdict and the table; exit code 3 where chance is beaten and the configuration says ``fail``.
+    """Add the verdict and the table; exit code 3 if a guesser beats chance and the configuration says ``fail``.
 
     behind : where the priors were counted over fewer scenes than are published, both numbers; a likely cause
     """

@@ -29,7 +29,7 @@ SHOWN: Final = 5
 
 
 def compose(config: Config, scene_id: str, out: Path, *, own_navmesh: bool = False) -> Report:
-    """Write `out` and, with the suffix ``.navmesh``, what the configured agent can walk of it.
+    """Write `out` and, with the suffix ``.navmesh``, its navmesh for the configured agent.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def compose(config: Config, scene_id: str, out: Path, *, own_navmesh: bool = Fal
 
 
 def refuse_export(export: Path | None, folder: Path) -> None:
-    """Composed scenes hold meshes of their datasets, and what is published never does.
+    """Refuse a folder inside an export: composed scenes hold meshes of their datasets, which must not be published.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def refuse_export(export: Path | None, folder: Path) -> None:
 
 
 def write_changed(path: Path, data: bytes) -> bool:
-    """Write a file, whole or not at all; False where the very bytes are there already.
+    """Write a file, whole or not at all; False if it has these bytes already.
 
     Raises
     ------

@@ -90,7 +90,7 @@ def _composed(family: str) -> bool:
 
 
 def _known(config: Config) -> dict[Name, Source | InputError]:
-    """Every scene of the sources that are composed, with its reader, or with what keeps it from being read."""
+    """Every scene of the sources that are composed, with its reader or with the error that listing it gave."""
     known: dict[Name, Source | InputError] = {}
     hashed = cache(hash_file)  # scenes share most of their files
     for one in config.sources:
@@ -104,7 +104,7 @@ def _known(config: Config) -> dict[Name, Source | InputError]:
 
 @dataclass(frozen=True)
 class _Export:
-    """What an export tells of its scenes.
+    """The scenes of an export, from its own record.
 
     scenes : of all splits, sorted
     hashes : SHA-256 of its files by path
@@ -150,7 +150,7 @@ class _Export:
 
 @dataclass
 class _Writer:
-    """Writes scenes, and remembers none."""
+    """Writes scenes one by one, and keeps none in memory."""
 
     folder: Path
     known: dict[Name, Source | InputError]
@@ -159,7 +159,7 @@ class _Writer:
     own_navmesh: bool
 
     def write(self, name: Name, target: str) -> dict[str, Any]:
-        """What was written of one scene, and what is to be said of it."""
+        """What was written for one scene, and the warnings."""
         out = self.folder / target
         _refuse_strangers(out)
         source = self.known.get(name)
@@ -197,7 +197,7 @@ class _Writer:
 
 
 def _refuse_strangers(out: Path) -> None:
-    """What somebody else put there is not ours to overwrite: it may be the only copy."""
+    """Refuse to overwrite a file that this command did not write: it may be the only copy."""
     ours = not out.exists()
     if out.is_file():
         with out.open("rb") as stream:
@@ -212,7 +212,7 @@ def _refuse_strangers(out: Path) -> None:
 
 @dataclass
 class _Done:
-    """What came of all scenes, and the families whose scenes are one file each anyway."""
+    """The results of all scenes, and the families whose scenes are single files already."""
 
     single_files: list[str]
     entries: list[dict[str, Any]] = field(default_factory=list)

@@ -184,7 +184,7 @@ def _resolve(config: Config, base: Path, path: Path, check_roots: bool) -> Confi
 
 
 def _apart(store: Path | str, export: Path | None, roots: Sequence[Path], path: Path) -> None:
-    """What is written stands apart: a store inside a dataset would be one of its changes at every rebuild."""
+    """Store and export must lie outside of the datasets: else every rebuild would see them as changes of a dataset."""
     written = [(key, folder) for key, folder in (("store", store), ("export", export)) if isinstance(folder, Path)]
     for k, (key, folder) in enumerate(written):
         for other, taken in (*((f"sources.{j}.root", root) for j, root in enumerate(roots)), *written[:k]):

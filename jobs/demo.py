@@ -83,7 +83,7 @@ def run_demo(out: Path, *, scenes: int, seed: int, workers: int | None, console:
 
 
 def _measure(config: Config, out: Path) -> EvaluationReport | None:
-    """Reference agents on the largest split of scenes that are not for training."""
+    """Walk the reference agents on the largest split that is not for training."""
     assert config.export is not None
     sizes = {
         split: sum(1 for _ in manifest_lines(manifest_path(config.export, split)))

@@ -41,7 +41,7 @@ ALL_TABLES: Final = "all"
 
 @dataclass(frozen=True)
 class Question:
-    """What is asked about one split.
+    """The files and options of one evaluation.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class HandedIn:
     missing: tuple[str, ...]
 
     def warning(self) -> str:
-        """What to say where some are missing."""
+        """The warning if some are missing; empty if none are."""
         shown = ", ".join(self.missing[:SHOWN]) + (", …" if len(self.missing) > SHOWN else "")
         return (
             f"{len(self.missing)} of {self.episodes} episodes have no prediction, or an empty path, and count as "
@@ -113,7 +113,7 @@ class EvaluationReport:
 
     @property
     def warnings(self) -> list[str]:
-        """One sentence for each file that lacks episodes."""
+        """A warning for each file that lacks episodes."""
         return [f"{one.file}: {one.warning()}" for one in self.handed_in if one.missing]
 
     def as_json(self) -> dict[str, Any]:

@@ -64,7 +64,7 @@ def export_snapshot_of(config: Config, *, allow_shrink: bool = False) -> Report:
 
 
 def write_export(config: Config, *, allow_shrink: bool = False, renewed: bool = False) -> Report:
-    """As :func:`export_snapshot_of`, for who holds the folder already (``jobs.export_lock``).
+    """As :func:`export_snapshot_of`, for a caller that holds the folder already (``jobs.export_lock``).
 
     renewed : the priors were renewed on purpose
     """

@@ -53,7 +53,7 @@ def alone_in(folder: Path) -> Iterator[None]:
 
 
 def _held(path: Path, here: Path) -> int:
-    """The open and locked file; made again where its former holder removed it in the meantime."""
+    """The open and locked file; it is made again if its former holder has removed it in the meantime."""
     for _ in range(_TRIES):
         try:
             opened = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)

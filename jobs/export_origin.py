@@ -66,7 +66,7 @@ class Origin(Document):
 
     @classmethod
     def of(cls, config: Config, snapshot: Snapshot) -> Origin:
-        """Of the export that is made of a snapshot under a configuration."""
+        """The origin of the export that is made of a snapshot under a configuration."""
         index = snapshot.index().table
         columns = [f"{_FIRST_STAGE}.inputs", "content", f"{_LAST_STAGE}.key", f"{_LAST_STAGE}/episodes.rows"]
         known = [name for name in ("unit_id", "status", *columns) if name in index.column_names]
@@ -88,7 +88,7 @@ class Origin(Document):
 
     @classmethod
     def read(cls, folder: Path) -> Origin | None:
-        """Of the export in a folder; None where it has none, or none that can be read."""
+        """The origin of the export in a folder; None if there is none that can be read."""
         document = read_document(folder / ORIGIN)
         try:
             if document is None or document_digest(document) != document["digest"]:
@@ -188,7 +188,7 @@ _KINDS: Final = {
 
 
 def _kind(before: SceneOrigin, here: SceneOrigin, explained: bool) -> str:
-    """What became of a scene that both snapshots have; empty where nothing did that makes an export smaller."""
+    """Why a scene that both snapshots have gives fewer episodes now; empty if nothing explains it."""
     fewer = before.episodes > here.episodes
     if fewer and here.status == "ok" and before.key and before.key == here.key:
         return "lost"

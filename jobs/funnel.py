@@ -147,7 +147,7 @@ class Funnel:
 
 
 def add_funnel(report: Report, snapshot: Snapshot) -> None:
-    """Tell the funnel of a snapshot in `report`. Raises ``CorruptShardError`` where a file of it is damaged."""
+    """Add the funnel of a snapshot to `report`. Raises ``CorruptShardError`` where a file of it is damaged."""
     funnel = funnel_of(snapshot)
     if funnel is not None:
         report.document["funnel"] = funnel.document()

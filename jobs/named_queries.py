@@ -140,7 +140,7 @@ _QUERIES: Final = (
     ),
     NamedQuery(
         "rejections",
-        "why candidates were not taken, by stage",
+        "why candidates were rejected, by stage",
         """
         SELECT stage, reason, sum(count)::BIGINT AS candidates, count(DISTINCT scene_id) AS scenes
         FROM rejections GROUP BY stage, reason ORDER BY candidates DESC, stage, reason
@@ -148,7 +148,7 @@ _QUERIES: Final = (
     ),
     NamedQuery(
         "funnel",
-        "what was wanted of each cell, and what came of it",
+        "for each cell: episodes wanted, drawn and placed",
         """
         SELECT source, cell, count(*) AS scenes, sum(wanted)::BIGINT AS wanted, sum(candidates)::BIGINT AS candidates,
                sum(rejected)::BIGINT AS rejected, sum(placed)::BIGINT AS placed,
@@ -168,7 +168,7 @@ _QUERIES: Final = (
     ),
     NamedQuery(
         "skipped",
-        "scenes that are sound and can't yield, and why",
+        "scenes that were skipped, and why",
         """
         SELECT source, scene_id, reason, n_rooms, n_objects FROM scenes WHERE status <> 'ok' ORDER BY ALL
         """,

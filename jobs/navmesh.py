@@ -56,7 +56,7 @@ def build(mesh: Path, out: Path, settings: NavMeshSettings, profile: str, consol
 
 
 def info(path: Path) -> Report:
-    """What stands in a ``.navmesh`` file."""
+    """Settings, size and islands of a ``.navmesh`` file."""
     navmesh = read_navmesh(path)
     pathfinder = Pathfinder(navmesh)
     low, high = pathfinder.bounds
@@ -87,7 +87,7 @@ def info(path: Path) -> Report:
 
 
 def compare(first: Path, second: Path) -> Report:
-    """Where two navmeshes part: the first stage of the build whose result differs. Exit code 3 when they differ."""
+    """The first build stage at which two navmeshes differ; exit code 3 if they do."""
     from condvln.navigation.recast.compare import compare_navmeshes
 
     found = compare_navmeshes(read_navmesh(first), read_navmesh(second))

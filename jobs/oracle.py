@@ -63,12 +63,12 @@ def oracle_split(
     Raises
     ------
     MissingFileError, FormatError : a file is missing or damaged, or an episode is not in the manifest
-    UsageError : the twin would take its original's place
+    UsageError : the twin would replace its original
     """
     document = file or export / "vlnce" / split / f"{split}.json.gz"
     target = out or export / "oracle" / split / f"{split}.json.gz"
     if target.resolve() == document.resolve():
-        raise UsageError("the twin would take its original's place", where=target, remedy="Name another file: --out")
+        raise UsageError("the twin would replace its original", where=target, remedy="Name another file: --out")
     rows = read_manifest(manifest_path(export, split))
     manifest = {name: row for row in rows for name in (str(row.episode_id), row.episode_hash)}
     rendering = _rendering(export)

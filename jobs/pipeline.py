@@ -98,7 +98,7 @@ def open_configured(config: Config, source: SourceConfig, hash_file: HashFile) -
 
 
 def list_units(config: Config, hash_file: HashFile) -> list[Unit]:
-    """All scenes of all sources as units; one that can't even be listed is a unit with its fault."""
+    """All scenes of all sources as units; one that can't be listed is a unit with its error."""
     units = []
     wanted = config.instructions
     asked = sum(cell.count for cell in wanted.wanted) + GROUP_SIZE * wanted.counterfactual_groups

@@ -120,7 +120,7 @@ def list_queries() -> Report:
 
 
 def _write(result: duckdb.DuckDBPyRelation, out: Path) -> Report:
-    """Rows go through Arrow, since the database itself may touch no file."""
+    """Write rows through Arrow, since the database itself may not open files."""
     import pyarrow as pa
     import pyarrow.csv
     import pyarrow.parquet

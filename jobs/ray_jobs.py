@@ -44,7 +44,7 @@ MAX_BYTES: Final = 64 * 2**20
 
 @dataclass(frozen=True)
 class JobState:
-    """How a job is.
+    """State of a job.
 
     status : PENDING, RUNNING, SUCCEEDED, FAILED or STOPPED
     exit_code : of its command; None while it runs, or where Ray does not know
@@ -56,7 +56,7 @@ class JobState:
 
     @property
     def ended(self) -> bool:
-        """Nothing more will come."""
+        """Whether the job has ended."""
         return self.status in ENDED
 
 
@@ -120,7 +120,7 @@ class RayJobs:
         return str(self._ask("POST", "/api/jobs/", json.dumps(body).encode())["submission_id"])
 
     def state(self, job: str) -> JobState | None:
-        """How a job is; None when there is none of this id."""
+        """State of a job; None if there is no job of this id."""
         answer = self._ask("GET", f"/api/jobs/{quote(job, safe='')}", missing=True)
         if answer is None:
             return None

@@ -63,7 +63,7 @@ def run_rebuild(
 
 @dataclass(frozen=True)
 class _Rebuild:
-    """What was asked for, and what it is done with."""
+    """One rebuild: its options, and the store and memory that it works with."""
 
     config: Config
     store: Store

@@ -17,7 +17,7 @@ PIPE_WIDTH: Final = 160
 
 
 def terminal() -> Console:
-    """Where reports go. A file or a pipe has no width, and rich would take nobody's 80 columns for it."""
+    """Where reports go. A file or a pipe has no width, and rich would wrap at 80 columns."""
     console = Console()
     return console if console.is_terminal else Console(width=PIPE_WIDTH)
 

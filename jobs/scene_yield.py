@@ -43,7 +43,7 @@ class SceneYield:
 
 @dataclass(frozen=True, slots=True)
 class _NoFacts:
-    """Names of rooms rest on labels alone."""
+    """The scene without extents: rooms are named by labels alone."""
 
     status: Mapping[str, NDArray[np.int8]]
     margin: Mapping[str, NDArray[np.float64]]
@@ -59,7 +59,7 @@ class _NoFacts:
 
 
 def scene_yield(scene: Scene, anchor_size: float) -> SceneYield:
-    """What a run will make of a scene, as far as its rooms and labels tell.
+    """What a run can make of a scene, judged by its rooms and labels.
 
     anchor_size : least longest side of a thing that names a room, metres
     """

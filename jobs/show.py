@@ -117,7 +117,7 @@ def _instructions(snapshot: Snapshot, source: str) -> pa.Table:
 
 
 def _unplaced(instructions: pa.Table) -> list[dict[str, Any]]:
-    """Rows of instructions as far as they are like those of episodes, and why there is none."""
+    """Rows of instructions in the form of episodes, with the reason why there is no episode."""
     rows = [{"episode_id": None, "no_episode": "no navmesh", **row} for row in instructions.to_pylist()]
     return [{**row, "instruction_text": row.pop("text")} for row in rows]
 
@@ -176,7 +176,7 @@ def episode_lines(row: dict[str, Any], tree: str) -> list[str]:
 
 
 def _instruction_lines(row: dict[str, Any], tree: str) -> list[str]:
-    """The same of an instruction that no episode was placed for: it has no start, no heading and no paths."""
+    """The same for an instruction without an episode: it has no start, no heading and no paths."""
     return [
         f"{row['source']}/{row['scene_id']} · {row['category']} · {row['composition']} · "
         f"instruction {row['instruction_id']} · no episode: {row['no_episode']}",

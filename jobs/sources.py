@@ -134,7 +134,7 @@ def _yield_row(found: Survey) -> tuple[int, ...]:
 
 
 def _may_be(raw: str, family: str) -> str:
-    """What an object of an unmapped type keeps from being said to be absent."""
+    """The labels whose absence an object of an unmapped type blocks."""
     label = vocabulary.canonical(raw, family)
     if vocabulary.is_vague(label, family):
         return "anything of its size"

@@ -38,7 +38,7 @@ def report_status(config: Config) -> Report:
 
 
 def target_status(target: Target, *, measure_drift: bool = False, sizes: bool = False) -> Report:
-    """State of a store, its refs all or the one that is asked for first.
+    """State of a store: all its refs, the requested one first.
 
     measure_drift : build the pinned tables again over what is published, and compare (reads every unit once)
     sizes : list every file of the store
@@ -94,7 +94,7 @@ def _line(status: RefStatus) -> str:
 
 
 def _tell_damage(report: Report, found: StoreStatus) -> None:
-    """Files that are published and not there, with what to do; the exit code says so too."""
+    """Published files that are missing, with the remedy; sets the exit code too."""
     lines = [line for status in found.refs for line in status.damaged]
     lines += [
         f"{found.url}/refs/{name}.json is missing, though a run published it: what is committed is published again"
@@ -161,7 +161,7 @@ def _runs(records: tuple[RunRecord, ...]) -> Section:
 
 
 def _pins(store: Store, found: StoreStatus, report: Report) -> Section:
-    """Of how many scenes the pinned tables were built, and how many are published now: a cheap sign of drift."""
+    """How many scenes the pinned tables were built from, and how many are published now: a cheap sign of drift."""
     now = {
         status.ref.name: max((s.units - s.skipped for s in status.manifest.stages.values()), default=0)
         for status in found.refs

@@ -45,7 +45,7 @@ class Survey:
 
     @property
     def without_extent(self) -> int:
-        """Objects whose extent the dataset does not tell."""
+        """Objects of unknown extent."""
         return self.objects - self.with_extent
 
 

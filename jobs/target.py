@@ -19,7 +19,7 @@ __all__ = ["Target", "find_target"]
 
 @dataclass(frozen=True)
 class Target:
-    """A store, and what is wanted of it.
+    """A store, the requested ref, and its configuration if there is one.
 
     address : folder, or ``s3://…``
     name : the ref; None where the store was named and not a ref
@@ -35,11 +35,11 @@ class Target:
         return open_store(self.address)
 
     def refs(self) -> list[str]:
-        """Names of all that is published there, sorted."""
+        """Names of all published refs, sorted."""
         return sorted(entry.path.split("/", 1)[1].removesuffix(".json") for entry in self.store().list("refs"))
 
     def ref(self) -> str:
-        """The name that is meant; where none was given, the only ref or 'main'.
+        """The requested name; if none was given, the only ref, or 'main'.
 
         Raises ``UsageError`` when it is not clear which is meant.
         """

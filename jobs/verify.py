@@ -133,7 +133,7 @@ class _Scenes:
 
 
 class _Tally:
-    """What all certificates say together."""
+    """Counts over all certificates."""
 
     def __init__(self) -> None:
         self.episodes: Counter[str] = Counter()
@@ -145,7 +145,7 @@ class _Tally:
         """What is wrong with the export as a whole."""
 
     def add(self, certificate: Certificate) -> None:
-        """One more."""
+        """Count one certificate."""
         self.episodes[certificate.split] += 1
         self.proven[certificate.split] += certificate.proven
         self.checked.update(certificate.checked)
@@ -192,6 +192,6 @@ def _line(certificate: Certificate) -> bytes:
 
 
 def _hashes(export_dir: Path) -> dict[str, str]:
-    """SHA-256 of the files that were verified: a certificate is worth nothing beside others."""
+    """SHA-256 of the files that were verified: certificates hold for these files only."""
     paths = [*manifest_paths(export_dir), *export_dir.glob("vlnce/*/*.json.gz")]
     return {path.relative_to(export_dir).as_posix(): hash_file(path)[1] for path in sorted(paths)}

@@ -1,4 +1,4 @@
-"""What a rebuild looked at last time, by names, sizes and times alone: whether anything changed costs no reading.
+"""The inputs of the last rebuild by names, sizes and times, so that no file is read to find that nothing changed.
 
 Two digests are kept in the machine's local state. ``inputs`` covers the configuration, this code and every file below
 the sources' folders; ``outputs`` the published ref and all files that it names (``factory.inventory``), the quarantine,
@@ -53,7 +53,7 @@ class Memory(Document):
 
 
 class Watch:
-    """Looks at the inputs when it is made, so that what changes during a run is seen by the next one."""
+    """Lists the inputs when it is made, so that the next run sees what changed during this one."""
 
     def __init__(self, config: Config, store: Store, state: Path) -> None:
         self._config = config
@@ -79,7 +79,7 @@ class Watch:
 
     @property
     def unchanged(self) -> bool:
-        """Whether all is as the last complete rebuild left it."""
+        """Whether nothing changed since the last complete rebuild."""
         memory = self.memory
         return memory is not None and memory.inputs == self._inputs and memory.outputs == self._outputs()
 
@@ -90,7 +90,7 @@ class Watch:
         return self._export_stats() is not None
 
     def remember(self, snapshot_id: str | None, quarantined: int) -> None:
-        """A rebuild is complete."""
+        """Record a complete rebuild."""
         exported = None if self._config.export is None else digest([snapshot_id, self._exported])
         memory = Memory(
             inputs=self._inputs if self._settled else UNSETTLED,

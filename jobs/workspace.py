@@ -70,7 +70,7 @@ def snapshot_folder(address: Path | str, snapshot: Snapshot, tables: Iterable[st
 
 
 def source_paths(config: Config) -> list[Path]:
-    """Folders and files of the user below which everything lies that scenes are made of."""
+    """Folders and files that hold all inputs of the scenes."""
     return [
         path for source in config.sources for path in (source.root, source.regions, source.houses) if path is not None
     ]

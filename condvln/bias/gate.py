@@ -1,4 +1,4 @@
-"""The gate: all guessers on all episodes of an export, and what they get right beyond chance.
+"""The gate: all guessers on all episodes of an export, and whether they beat chance.
 
 Each guesser is tested on everything, on each source, on each category of a source, and on the episodes whose conditions
 ask for one predicate; all tests together are corrected for their number.
@@ -149,7 +149,7 @@ def _findings(views: Sequence[GuesserView]) -> Iterator[Finding]:
 
 
 def _guesses(views: Sequence[GuesserView], source: NDArray[np.str_]) -> dict[str, NDArray[np.int64]]:
-    """By guesser the leaf guessed for each episode; who learns, learns from one source."""
+    """By guesser, the leaf guessed for each episode; a learner learns from one source only."""
     found = {name: np.array([guesser(g) for g in views], dtype=np.int64) for name, guesser in FIXED.items()}
     for name, learner in LEARNED.items():
         found[name] = np.full(len(views), NO_GUESS, dtype=np.int64)

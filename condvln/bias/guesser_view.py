@@ -44,7 +44,7 @@ class LeafView:
 
 @dataclass(frozen=True, slots=True)
 class GuesserView:
-    """An episode without its scene; ``scene`` is but the name that episodes of one scene share.
+    """An episode without its scene; ``scene`` is only a name that episodes of one scene share.
 
     layout : name of what its scene is a staging of, which words may well tell; empty where it is none
     """
@@ -90,7 +90,7 @@ class GuesserView:
             return view
         except (KeyError, TypeError, ValueError, IndexError) as error:
             raise FormatError(
-                f"no manifest row of an episode ({type(error).__name__}: {error})", remedy="Export again"
+                f"not a row of a manifest ({type(error).__name__}: {error})", remedy="Export again"
             ) from error
 
 

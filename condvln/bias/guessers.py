@@ -23,17 +23,17 @@ def _constant(view: GuesserView, truth: bool) -> int:
 
 
 def always_then(view: GuesserView) -> int:
-    """The leaf to which nothing but yes leads."""
+    """The leaf that is reached if every condition is true."""
     return _constant(view, True)
 
 
 def always_else(view: GuesserView) -> int:
-    """The leaf to which nothing but no leads."""
+    """The leaf that is reached if every condition is false."""
     return _constant(view, False)
 
 
 def last_named(view: GuesserView) -> int:
-    """The leaf whose goal the text names last; texts may tell the else part first."""
+    """The leaf whose goal the text names last; texts may give the else part first."""
     text = view.text.lower()
     places = [text.rfind(_noun(leaf.labels[-1])) for leaf in view.leaves]
     return places.index(max(places))

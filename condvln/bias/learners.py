@@ -62,7 +62,7 @@ def leaf_truths(category: Category) -> tuple[tuple[tuple[int, bool], ...], ...]:
 
 @cache
 def _usual_truth(category: Category) -> tuple[float, ...]:
-    """How often each condition is true where every leaf is gold as often and what does not matter is a fair coin."""
+    """How often each condition is true if all leaves are gold equally often and all other conditions are fair coins."""
     shape = SHAPES[category]
     n = len(shape.branches)
     share = np.zeros(n)
@@ -90,7 +90,7 @@ def majority_leaf(views: Sequence[GuesserView]) -> Guesses:
 
 
 def _prior(key: Callable[[Asked], tuple[str, ...]]) -> Learner:
-    """Guesses by what is usually so: the leaf whose truths the conditions' words make likeliest.
+    """Guesses from how often such conditions are true: takes the leaf whose truths are likeliest by their words.
 
     The truth of a condition leans with its place in the tree, whatever it asks. So what counts is how much oftener
     than its place has it a statement was true.
@@ -132,7 +132,7 @@ def _likeliest(
 
 
 def _in_layout(learner: Learner) -> Learner:
-    """One learner a layout, who sees but stagings of it, and guesses at no scene that is none."""
+    """One learner for each layout; it sees stagings of that layout only, and guesses for them only."""
 
     def guesser(views: Sequence[GuesserView]) -> Guesses:
         guesses = np.full(len(views), NO_GUESS, dtype=np.int64)
@@ -218,7 +218,7 @@ def _cues(view: GuesserView) -> Iterator[str]:
 
 
 def _form(view: GuesserView) -> Iterator[str]:
-    """How a text is said and not what about: its length, its words but for nouns, which conditions are definite."""
+    """The wording of a text without its content: its length, its words except nouns, which conditions are definite."""
     yield f"{len(view.text.split()) // WORDS_A_CLASS} words"
     for k, asked in enumerate(view.asked):
         yield f"{k} {'definite' if asked.definite else 'indefinite'} {'relation' if asked.predicate else 'presence'}"

@@ -45,7 +45,7 @@ class Finding:
 
     @property
     def beats_chance(self) -> bool:
-        """Whether the guesser finds the right leaf more often than it should."""
+        """Whether the guesser finds the right leaf more often than chance."""
         return self.p_holm < ALPHA
 
 
@@ -91,7 +91,7 @@ class BiasReport:
 
     @property
     def uneven(self) -> list[Uniformity]:
-        """Cells whose gold leaves are not even."""
+        """Cells whose gold leaves are unevenly distributed."""
         return [cell for cell in self.uniformity if cell.uneven]
 
     @property

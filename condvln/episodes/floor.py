@@ -27,7 +27,7 @@ def floor_points(
     islands: Sequence[int],
     obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
 ) -> F64:
-    """Points (n, 3) spread evenly over the floor of `room` that can be stood on; over all of it where none can.
+    """Points (n, 3) spread evenly over the standable floor of `room`; over the whole floor if none of it is standable.
 
     A room without a polygon is the whole scene.
 
@@ -53,7 +53,7 @@ def standing_points(
     islands: Sequence[int],
     obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
 ) -> F64:
-    """Places (n, 3) of a room where an agent can stand, spread evenly; none where it can stand nowhere.
+    """Places (n, 3) of a room where an agent can stand, spread evenly; empty if there are none.
 
     These are the points of :func:`floor_points` without the lift, and without those that cannot be stood at.
     """

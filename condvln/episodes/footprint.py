@@ -35,7 +35,7 @@ class Footprint:
 
     @classmethod
     def of(cls, item: SceneObject) -> Footprint | None:
-        """What `item` stands over: its parts, else its upright oriented box, else its AABB; None without extent."""
+        """Footprint of `item`: from its parts, else its upright oriented box, else its AABB; None without extent."""
         own = [cls._upright(part) for part in item.parts]
         parts = tuple(part for part in own if part is not None)
         if parts and len(parts) == len(own):

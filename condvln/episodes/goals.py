@@ -53,7 +53,7 @@ def is_standable(pathfinder: PathfinderProtocol, points: F64, places: PlacesConf
 def blocked_footprints(
     scene: Scene, pathfinder: PathfinderProtocol, max_climb: float
 ) -> list[tuple[SceneObject, Footprint]]:
-    """Objects that stand on the floor although the navmesh runs on beneath them.
+    """Objects on the floor that the navmesh ignores: it continues below them.
 
     An object is ignored by the navmesh when the floor under the centre of its box can be stood on; furniture that
     was built in has a hole (or its own top) there. Flat things that an agent steps over do not count.

@@ -164,7 +164,7 @@ class GraphPlacer:
         return np.asarray(level & inside, dtype=np.bool_)
 
     def _around(self, room: Room, own: Mapping[str, NDArray[np.bool_]]) -> NDArray[np.bool_]:
-        """Viewpoints of the rooms that touch one without any."""
+        """Viewpoints of the neighbours of each room that has none."""
         found = np.zeros(len(self._places), dtype=np.bool_)
         if room.polygon is None:
             return found

@@ -1,4 +1,4 @@
-"""Who an episode is: the hash of its content, and the integer that files and tables know it by.
+"""Identity of an episode: the hash of its content, and the integer id that files and tables use.
 
 Stock loaders call ``int()`` on an episode's id, and JSON readers keep integers exactly below 2^53 only. So the id is a
 number made from the hash, and the hash stands beside it. Rows that were written when the hash itself was the id are

@@ -1,4 +1,4 @@
-"""How much of a scene's leaves one label may be the target of, and which episodes are dropped to keep to it.
+"""The share of a scene's leaves that one label may be the target of, and which episodes are dropped to keep it.
 
 `label_cap` can't hold in every scene: of k labels one always has at least 1/k of the leaves, and where only one object
 lies far enough from the others, every episode has it. The rule (docs/decisions/0008):
@@ -25,7 +25,7 @@ def allowed_share(label_cap: float, labels: int) -> float:
 
 
 def most_leaves(share: float, leaves: int) -> int:
-    """Leaves that one label may have of so many. Rounded up, so that a handful is not dropped for being a handful."""
+    """How many of so many leaves one label may have. Rounded up, so that small sets are not dropped."""
     return math.ceil(share * leaves)
 
 

@@ -82,7 +82,7 @@ class Observation:
 
 
 class Observer:
-    """Judges placed programs of one scene. What a place sees of a thing is asked once."""
+    """Finds the observability of placed programs of one scene; each line of sight is computed once."""
 
     def __init__(
         self,
@@ -160,7 +160,7 @@ class Observer:
         return (frozenset({*there, *anchor}), *whole) if there else whole
 
     def _target(self, name: _Target) -> SightTarget | None:
-        """What is looked for; None for a room without a floor to see."""
+        """The target of a condition's evidence; None for a room whose floor is unknown."""
         if name not in self._targets:
             kind, key = name
             if kind == "object":
@@ -187,7 +187,7 @@ class Observer:
             self._seen.update({(name, key): row for key, row in zip(places_of, seen, strict=True)})
 
     def _known(self, ways: _Needs, eyes: F64, yaw: float | None = None) -> bool:
-        """Whether what is seen from all `eyes` together tells the truth; with a yaw, of what lies ahead."""
+        """Whether all `eyes` together see the truth of the condition; with a yaw, only what lies ahead counts."""
         return any(all(self._is_seen(name, eyes, yaw) for name in way) for way in ways)
 
     def _is_seen(self, name: _Target, eyes: F64, yaw: float | None) -> bool:

@@ -100,7 +100,7 @@ class Placement:
 
     @property
     def outlook(self) -> Outlook:
-        """What may be seen of it."""
+        """The views that observability is judged on."""
         return Outlook(self.start, self.yaw, tuple(leaf.route.path for leaf in self.leaves))
 
     @property
@@ -120,7 +120,7 @@ def heading_degrees(yaw: float) -> float:
 
 
 def reachable_stops(pathfinder: Pathfinder, field: GoalField, separation: float) -> Stops:
-    """What a sampler of programs needs to know: which objects can be stood at, and which lie apart.
+    """What a sampler of programs needs: which objects have goal points, and which are far enough apart.
 
     separation : least geodesic between goals of two leaves, metres
     """
@@ -205,7 +205,7 @@ class Placer:
         return {name: k for k, name in enumerate(self.field.goals)}
 
     def check_objects(self, program: Program) -> None:
-        """Rules that need no start: every stop can be stood at, leaves and stops lie apart."""
+        """Rules that need no start: every stop has goal points, and leaves and stops are far enough apart."""
         stops = [[move.object_id for move in leaf.moves] for leaf in program.leaves]
         if any(name not in self.field for moves in stops for name in moves):
             raise Rejected("object_without_goal_point")

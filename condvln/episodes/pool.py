@@ -49,7 +49,7 @@ class PooledEpisode:
 
 @dataclass
 class EpisodePool:
-    """What one scene yields: its episodes in the order of their candidates, and why the others failed.
+    """The result of one scene: its episodes in the order of their candidates, and why the others failed.
 
     candidates : how many there were, by cell, of groups under None; each is an episode or is rejected once
     """
@@ -196,7 +196,7 @@ class _Filling:
                         refilling = True
 
     def pool(self, tries: Sequence[_Try]) -> EpisodePool:
-        """What came of them all, observed."""
+        """The pool, with the observability of each episode."""
         pool = EpisodePool()
         for one in tries:
             pool.candidates[one.cell] += len(one.members)
@@ -216,7 +216,7 @@ class _Filling:
         return pool
 
     def _turned_away(self, one: _Try, most_of_label: int) -> str | None:
-        """Why there is no room for these now, if there is none; it may pass."""
+        """Why these do not fit the quotas now, if so; they may fit later."""
         cell = one.cell
         if any(member.program in self._seen for member in one.members):
             return "program_placed"
@@ -242,7 +242,7 @@ class _Filling:
         return LATER if over else None
 
     def _unplaceable(self, one: _Try) -> str | None:
-        """Why these can't be placed from one start, if they can't; this does not pass."""
+        """Why these can't be placed from one start, if so; this is final."""
         if one.placement is not None:
             return None
         first, cell = one.members[0], one.cell
@@ -258,7 +258,7 @@ class _Filling:
         return None
 
     def _count(self, one: _Try, by: int) -> None:
-        """Take these in, or with −1 out again."""
+        """Count these in the quotas, or with −1 take them out again."""
         if one.cell is None:
             self._groups += by
         else:

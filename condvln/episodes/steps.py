@@ -124,7 +124,7 @@ def draw_programs(
 def _placeable(
     candidates: list[Candidate], placer: GraphPlacer
 ) -> tuple[list[Candidate], Counter[tuple[InstructionCell | None, str]]]:
-    """Those that have a start on the viewpoints, and why the others have none. Groups are kept or left out whole.
+    """The candidates that have a start on the viewpoints, and why others have none. Groups are kept or dropped whole.
 
     Every leaf is looked at as if it were gold, so that this tells nothing of the truth.
     """

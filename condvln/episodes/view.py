@@ -68,7 +68,7 @@ class SceneView:
         return JoinedOccluders(MeshOccluders(geometry.vertices, structure), boxes) if len(structure) else boxes
 
     def _boxes(self, words: Vocabulary) -> BoxOccluders:
-        """A solid box of every object that is a body; the box around a room's walls is none."""
+        """A solid box for every solid object; the box around a room's walls is left out."""
         found: list[tuple[F64, F64, F64]] = []
         headroom: list[float] = []
         for item in self._scene.objects:
@@ -81,7 +81,7 @@ class SceneView:
         return BoxOccluders(np.reshape(centers, (-1, 3)), np.reshape(halves, (-1, 3)), np.array(rotations), headroom)
 
     def target(self, object_id: str) -> SightTarget:
-        """Where one object is looked for: points of its surface, of its box, or its centre, the first that is known."""
+        """Sample points of one object: of its surface, else of its box, else its centre."""
         if object_id not in self._targets:
             self._targets[object_id] = self._target(self._scene.object_of[object_id])
         return self._targets[object_id]

@@ -1,4 +1,4 @@
-"""Reference agents that need no simulator and no learning: the ceiling, the floor, and what guessing is worth.
+"""Reference agents that need no simulator and no learning: upper bound, lower bound, and guessers.
 
 Each walks on the navmesh in VLN-CE's actions; ``perfect`` alone glides along the reference path itself. Their expected
 scores are in docs/metrics.md.

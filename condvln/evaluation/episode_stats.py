@@ -1,4 +1,4 @@
-"""Results that others' evaluators wrote episode by episode: ``stats_<id>.json`` files, or one object of them by id.
+"""Results of other evaluators, episode by episode: ``stats_<id>.json`` files, or one object of them by id.
 
 Re-aggregated they get the tables and intervals of everything else. Only what is in them is used; their goals, budgets
 and success distances are their own (see docs/metrics.md before comparing). Numbers that are not finite count as

@@ -1,4 +1,4 @@
-"""What agents hand in: the formats of VLN-CE, RxR and R2R, read one episode at a time.
+"""Predictions of agents in the formats of VLN-CE, RxR and R2R, read one episode at a time.
 
 ===========  ================================================================  ==================================
 format       shape                                                             end of the path

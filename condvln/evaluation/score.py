@@ -94,7 +94,7 @@ class Score:
 
 @dataclass(frozen=True, eq=False)
 class _Walk:
-    """What is judged of a prediction: the path within budget."""
+    """The part of a prediction that is scored: the path within the step budget."""
 
     path: SnappedPath
     stopped: bool
@@ -213,7 +213,7 @@ def _straight(point: Points, goals: Points) -> float:
 
 
 def _failure(task: Task, nearness: Nearness) -> Score:
-    """Nothing was handed in: the agent is taken to stand at the start and to fail everything."""
+    """Score of a missing prediction: the agent stays at the start and fails."""
     error = nearness.distance(task.start, task.gold.goals)
     unreachable = not np.isfinite(error)
     bsa = 0.0 if len(task.gold.subgoals) else NAN

@@ -73,7 +73,7 @@ def evaluate_split(
         if options.rules != ScoreRules() or options.assume_stop:
             raise UsageError(
                 "paths over viewpoints are judged by R2R's rules alone",
-                remedy="Leave out what is said of distances, of nDTW and of STOP.",
+                remedy="Leave out the options for distances, nDTW and STOP.",
             )
         return _evaluate_discrete(export, split, dict(zip(names, predictions, strict=True)), options)
     if any(discrete):

@@ -1,4 +1,4 @@
-"""How sure a number is: episodes of one scene share its floor plan, so scenes, not episodes, are what is drawn.
+"""Confidence intervals and tests. Episodes of one scene share its floor plan, so whole scenes are resampled.
 
 Cluster bootstrap as in Cameron, Gelbach and Miller (2008), percentile intervals; paired permutation of the two agents'
 labels, a scene at a time.

@@ -165,7 +165,7 @@ def sweep_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Table:
 
 
 def group_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Table:
-    """Counterfactual groups: right in every episode of the group, or only now and then?"""
+    """Counterfactual groups: the share that is right in every episode of the group."""
     columns = (
         _AGENT,
         Column("groups", "groups", "count"),
@@ -267,7 +267,7 @@ _CONDITIONAL: Final = " (conditions)"
 
 
 def all_tables(evaluations: Sequence[Evaluation], tasks: Sequence[Task], *, seed: int = 0) -> list[Table]:
-    """Everything that one evaluation has to say; nothing is said by an axis that nobody knows."""
+    """All tables of one evaluation; an axis without known values has no table."""
     tables = [main_table(evaluations, seed=seed), branch_table(evaluations, seed=seed)]
     for axis in AXES[2:]:  # source has the main table, scene would fill pages
         if any(value is not None for evaluation in evaluations for value in evaluation.axes[axis]):

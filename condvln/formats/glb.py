@@ -1,4 +1,4 @@
-"""Binary glTF: the geometry of a file that nobody vouches for.
+"""Binary glTF: the geometry of an untrusted file.
 
 The container and its JSON are checked against the bytes that are there before trimesh decodes them, so that no header's
 word decides an allocation. Materials and textures are never decoded.

@@ -1,4 +1,4 @@
-"""A GLB file as a part of another: what of it can be copied, checked against the bytes that are there.
+"""A GLB file as a part of another: what can be copied, checked against the bytes that are there.
 
 Geometry comes first through `condvln.formats.gltf_tree`, which refuses what can't be read. Of the rest are kept the
 attributes and materials that a renderer of static scenes uses; skins, animations, cameras and lights stay behind.

@@ -91,7 +91,7 @@ class _GeometryTree:
             index, parent, depth = waiting.pop()
             source = self.lists["nodes"][index]
             if index in seen:
-                source.fail("the node hangs from two parents or from itself")
+                source.fail("the node has two parents, or is its own ancestor")
             if depth > MAX_NODE_DEPTH or len(reached) >= MAX_NODES:
                 source.fail(f"more than {MAX_NODES} nodes, or nested more than {MAX_NODE_DEPTH} deep")
             seen.add(index)

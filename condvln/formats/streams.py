@@ -82,7 +82,7 @@ class ByteStream:
             sync(self.path.parent)
 
     def abandon(self) -> None:
-        """Leave no trace."""
+        """Remove the provisional file."""
         with suppress(OSError):
             self._file.close()
         with suppress(OSError):
@@ -144,7 +144,7 @@ def atomic_copy(source: Path, path: Path) -> None:
 
 
 def sync(path: Path) -> None:
-    """Bring a file's bytes, or a folder's names, to the disk. A file system that syncs no folders is taken as it is."""
+    """Bring a file's bytes, or a folder's names, to the disk. File systems that can't sync folders are accepted."""
     opened = os.open(path, os.O_RDONLY)
     try:
         os.fsync(opened)

@@ -122,7 +122,7 @@ def _depth_first(scene: trimesh.Scene) -> list[str]:
         node, depth = pending.pop()
         if depth > MAX_DEPTH:
             raise FormatError(
-                "the scene graph is nested too deeply or in a ring", place=node, remedy="Repair the scene"
+                "the scene graph is nested too deeply or has a cycle", place=node, remedy="Repair the scene"
             )
         found.append(node)
         pending += [(child, depth + 1) for child in reversed(children.get(node, []))]

@@ -155,7 +155,7 @@ class Vocabulary:
 
     @property
     def nameless(self) -> frozenset[str]:
-        """Labels that name no one thing: parts of a building, catch-alls."""
+        """Labels that do not name a single object: parts of a building, catch-alls."""
         return frozenset(entry.label for entry in self._entries.values() if entry.kind != "object")
 
     @property
@@ -238,7 +238,7 @@ class Vocabulary:
         return next((self._containers[name] or None for name in names if name in self._containers), None)
 
     def is_frame(self, label: str) -> bool:
-        """Whether one sees through what bears `label`, or a narrower one: its box hides nothing that is in or on it."""
+        """Whether objects with `label`, or a hyponym, are open frames: their box does not hide what is in or on it."""
         entry = self._entries.get(label)
         names = {label} if entry is None else {label, *entry.hypernyms}
         return bool(names & self._frames) and self.container(label) != "shut"

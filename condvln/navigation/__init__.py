@@ -1,4 +1,4 @@
-"""Navigation at Habitat's numbers, with no Habitat: navmesh files, paths, steps, ground-truth walks, the builder.
+"""Navigation with Habitat's numbers and without Habitat: navmesh files, paths, steps, ground-truth walks, the builder.
 
 The names below are loaded when first used, so that reading a configuration costs no start of numba.
 """

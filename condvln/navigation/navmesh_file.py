@@ -264,7 +264,7 @@ def _read_settings(reader: _Reader) -> tuple[NavMeshSettings, int]:
 def _read_tile(reader: _Reader) -> NavMeshTile:
     header = reader.take(HEADER, 1, "tile header").reshape(())
     if header["magic"] != TILE_MAGIC or header["version"] != TILE_VERSION:
-        reader.fail(f"no Detour tile of version {TILE_VERSION}", "tile header")
+        reader.fail(f"not a Detour tile of version {TILE_VERSION}", "tile header")
     _check_header(reader, header)
     tile = NavMeshTile(
         header=header,

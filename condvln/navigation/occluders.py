@@ -27,7 +27,7 @@ _RAYS = 1 << 18
 
 
 class Occluders(Protocol):
-    """Things that hide others."""
+    """What blocks lines of sight."""
 
     @property
     def approximate(self) -> bool:
@@ -144,7 +144,7 @@ class BoxOccluders:
         sound = np.isfinite(self._centers).all(axis=1) & np.isfinite(self._axes).all(axis=(1, 2))
         sound &= (np.isfinite(self._half) & (self._half >= 0)).all(axis=1)
         if not sound.all():
-            raise UsageError("a box has an extent that is negative or no number", place=f"box {int(np.argmin(sound))}")
+            raise UsageError("a box has an extent that is negative or NaN", place=f"box {int(np.argmin(sound))}")
 
     @classmethod
     def of_aabbs(cls, aabbs: npt.ArrayLike) -> BoxOccluders:

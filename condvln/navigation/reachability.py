@@ -1,4 +1,4 @@
-"""How well drawn surfaces stand for a simulator's: where AI2-THOR's agent was found to reach, and where ours would.
+"""How well drawn surfaces agree with a simulator: the positions that AI2-THOR's agent reached, and those of ours.
 
 The reachable positions that go with the metadata are those of the ALFRED benchmark (AI2-THOR 2.1.0). Its agent is a
 capsule of radius 0.175 m and height 0.9 m (allenai/ai2thor#732), and each position was kept only if the agent could

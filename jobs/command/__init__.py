@@ -1,4 +1,4 @@
-"""The ``condvln`` command: its verbs in the order of its help, each a thin door to its module.
+"""The ``condvln`` command: its verbs in the order of its help; each calls its module.
 
 Starting is quick because a verb imports what it needs only when it is called.
 """
@@ -18,7 +18,7 @@ __all__ = ["app", "main"]
 
 app = typer.Typer(
     name="condvln",
-    help="Conditional navigation instructions from indoor scenes: made, proven, published, measured.",
+    help="Generate, prove, publish and evaluate conditional navigation instructions from indoor scenes.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
@@ -50,7 +50,7 @@ CLICK_USAGE: Final = 2
 
 
 def main() -> None:
-    """Entry point: errors of ours, and of the system where it names a file, become one message and their exit code."""
+    """Entry point: our errors, and system errors that name a file, become one message and an exit code."""
     try:
         app()
     except CondVLNError as error:

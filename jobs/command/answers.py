@@ -29,6 +29,6 @@ def answer(report: Any, as_json: bool) -> None:
 
 
 def leave(code: int) -> None:
-    """End with this exit code; go on where it is 0."""
+    """Exit with this code, unless it is 0."""
     if code:
         raise typer.Exit(code)

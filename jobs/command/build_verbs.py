@@ -19,7 +19,7 @@ def demo(
     seed: Annotated[int, typer.Option(help="seed of everything")] = 0,
     workers: Annotated[int | None, typer.Option(min=0, help="Ray workers; 0 runs inline")] = None,
 ) -> None:
-    """Made scenes of four datasets' formats: generated, exported, proven, walked, measured; minutes on two cores."""
+    """Run everything on made scenes in four formats: generate, export, verify, walk, evaluate. Takes minutes."""
     from jobs.demo import run_demo
 
     leave(run_demo(out, scenes=scenes, seed=seed, workers=workers, console=console()))
@@ -38,7 +38,7 @@ def samples(
     seed: Annotated[int, typer.Option(help="scene k of a seed is the same however many are made")] = 0,
     as_json: AsJson = False,
 ) -> None:
-    """Write whole made scenes in a family's native format, and tell the source to configure."""
+    """Write made scenes in a family's native format, and print the source entry for a configuration."""
     from jobs.samples import write_samples
 
     answer(write_samples(folder, family=family, scenes=scenes, seed=seed), as_json)
@@ -50,7 +50,7 @@ def plan(
     every_scene: Annotated[bool, typer.Option("--all", help="a row for each scene")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """The difference between the published snapshot and the sources, with its cost. Runs nothing."""
+    """Show what differs between the published snapshot and the sources, and its cost. Runs nothing."""
     from jobs.configuration import load_config
     from jobs.plan import make_plan
 
@@ -94,7 +94,7 @@ def rebuild(
     inline: Inline = False,
     as_json: AsJson = False,
 ) -> None:
-    """The scheduled form of generate: plan, run what changed, publish, export, sweep. Nothing to do exits 0."""
+    """Bring the snapshot up to date, from a scheduler: plan, run what changed, publish, export, sweep."""
     from jobs.configuration import load_config
     from jobs.rebuild import run_rebuild
 

@@ -26,7 +26,7 @@ def verify(
     overrides: Overrides = None,
     as_json: AsJson = False,
 ) -> None:
-    """Independent proof of every published episode, from its text and the raw source files, and of its completeness."""
+    """Prove every published episode again, from its text and the raw source files, and that the export is whole."""
     from jobs.configuration import load_config
     from jobs.verify import verify_export
 
@@ -51,12 +51,12 @@ def walk(
     ],
     out: Annotated[Path, typer.Option(help="file of predictions to write (VLN-CE's format)")],
     navmesh_root: NavmeshRoots = None,
-    seed: Annotated[int, typer.Option(help="seed of agents that draw")] = 0,
+    seed: Annotated[int, typer.Option(help="seed of agents that act at random")] = 0,
     objects: Annotated[
         Path | None, typer.Option("--objects", metavar="CONFIG", help="configuration whose objects your own agent sees")
     ] = None,
 ) -> None:
-    """Predictions of an agent, a reference or your own, walked on the navmesh with VLN-CE's actions."""
+    """Walk an agent, a reference or your own, on the navmesh with VLN-CE's actions; write its predictions."""
     from jobs.configuration import load_config
     from jobs.evaluate import walk_split
 
@@ -67,14 +67,14 @@ def walk(
 def evaluate(
     export: ExportPath,
     split: SplitName,
-    predictions: Annotated[list[Path], typer.Argument(metavar="P...", help="a file an agent, named after it")],
+    predictions: Annotated[list[Path], typer.Argument(metavar="P...", help="one file for each agent, named after it")],
     navmesh_root: NavmeshRoots = None,
     distance: Annotated[str, typer.Option(help="geodesic, or euclidean as the paper's authors measure")] = "geodesic",
     radius: Annotated[list[float] | None, typer.Option(help="success distance of a sweep; may be repeated")] = None,
     oracle_radius: Annotated[
         float | None, typer.Option(help="distance of OSR where it is larger than the success distance (VLN-CE's: 3)")
     ] = None,
-    fast_dtw: Annotated[bool, typer.Option("--fast-dtw", help="nDTW by VLN-CE's approximation")] = False,
+    fast_dtw: Annotated[bool, typer.Option("--fast-dtw", help="nDTW by FastDTW, as VLN-CE has it")] = False,
     assume_stop: Annotated[bool, typer.Option("--assume-stop", help="take the last pose as STOP")] = False,
     oracle: Annotated[
         list[Path] | None,
@@ -87,7 +87,7 @@ def evaluate(
         Path | None, typer.Option("--plots", metavar="DIR", help="folder for SR, BSA and CSR against depth and chain")
     ] = None,
     strict: Annotated[
-        bool, typer.Option("--strict", help="end with exit code 3 where an episode has no prediction; no tables then")
+        bool, typer.Option("--strict", help="exit code 3 and no tables if an episode has no prediction")
     ] = False,
     table: Annotated[
         list[str] | None, typer.Option("--table", metavar="NAME", help="print this table; may be repeated")
@@ -97,7 +97,7 @@ def evaluate(
     markdown: Annotated[bool, typer.Option("--markdown", help="print Markdown tables")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Metrics of agents' predictions: SR, SPL, nDTW, BSA, CSR, which branch was taken, and how sure it all is."""
+    """Score agents' predictions: SR, SPL, nDTW, BSA, CSR and the branch taken, with confidence intervals."""
     from jobs.evaluate import ALL_TABLES, Question, evaluate_predictions
 
     if distance not in ("geodesic", "euclidean"):

@@ -40,7 +40,7 @@ def export(
     overrides: Overrides = None,
     as_json: AsJson = False,
 ) -> None:
-    """Published snapshot → splits, ground truth and manifests; or a linter of such files (exit code 3 on errors)."""
+    """Write splits, ground truth and manifests from the snapshot; or lint such files (exit code 3 on errors)."""
     if validate is not None:
         from jobs.validate import validate_files
 
@@ -74,7 +74,7 @@ def oracle(
     seed: Annotated[int | None, typer.Option(help="seed of the words; by default the export's own")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """The oracle-linear twin of a split: the right branch alone, all else as it is."""
+    """Write the oracle-linear twin of a split: the same episodes, with the right branch as a plain instruction."""
     from jobs.oracle import oracle_split
 
     answer(oracle_split(export, split, file=file, out=out, seed=seed), as_json)
@@ -107,7 +107,7 @@ def compose(
     overrides: Overrides = None,
     as_json: AsJson = False,
 ) -> None:
-    """One GLB and its navmesh from a scene's parts, as loaders need that open a scene by a single file."""
+    """Write a scene's parts as one GLB with its navmesh, for loaders that open one file for each scene."""
     from jobs.configuration import load_config
 
     loaded = load_config(config, overrides or ())

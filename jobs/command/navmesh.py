@@ -13,7 +13,7 @@ from jobs.command.options import EXIT_CODES, AsJson
 __all__ = ["group"]
 
 
-group = typer.Typer(help="The navigation engine by itself.", no_args_is_help=True, rich_markup_mode=None)
+group = typer.Typer(help="Build, inspect, compare and draw navmeshes.", no_args_is_help=True, rich_markup_mode=None)
 
 NavmeshPath = Annotated[Path, typer.Argument(metavar="FILE", help="a .navmesh file")]
 
@@ -36,7 +36,7 @@ def navmesh_build(
 
 @group.command("info")
 def navmesh_info(file: NavmeshPath, as_json: AsJson = False) -> None:
-    """What stands in a navmesh: settings, size, islands."""
+    """Print settings, size and islands of a navmesh."""
     from jobs.navmesh import info
 
     answer(info(file), as_json)
@@ -48,7 +48,7 @@ def navmesh_compare(
     second: Annotated[Path, typer.Argument(metavar="B")],
     as_json: AsJson = False,
 ) -> None:
-    """Name the first stage of the build at which two navmeshes part (exit code 3)."""
+    """Name the first build stage at which two navmeshes differ (exit code 3)."""
     from jobs.navmesh import compare
 
     report = compare(first, second)

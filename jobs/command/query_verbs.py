@@ -22,9 +22,9 @@ def sources(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """What is there, what is missing, and what will be skipped and why. Reads scenes, runs and builds nothing.
+    """List what is there, what is missing, and which scenes will be skipped and why. Reads scenes, changes nothing.
 
-    Exit code 1 where a source can't be used or has not what the configuration asks for.
+    Exit code 1 if a source can't be used or lacks something that the configuration names.
     """
     from jobs.configuration import load_config
     from jobs.sources import survey
@@ -44,7 +44,7 @@ def status(
     sizes: Annotated[bool, typer.Option("--sizes", help="list every file and add up the bytes")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Snapshots and refs, what is quarantined and why, the last runs, and the drift of the priors."""
+    """Show snapshots and refs, quarantined scenes with causes, the last runs, and the drift of the priors."""
     from jobs.status import target_status
     from jobs.target import find_target
 
@@ -67,7 +67,7 @@ def query(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """DuckDB over the published tables; each has a ``source`` column from its folder."""
+    """Query the published tables with DuckDB; each has a ``source`` column from its folder."""
     from jobs.query import list_queries, query_target
     from jobs.target import find_target
 
@@ -93,9 +93,9 @@ def show(
     overrides: Overrides = None,
     as_json: AsJson = False,
 ) -> None:
-    """Episodes: text, tree, truths, paths, and a top-down picture.
+    """Show episodes: text, tree, truths, paths, and a top-down picture.
 
-    Where a source has instructions but for want of a navmesh no episodes, a configuration shows those.
+    If a source has no navmesh, and so instructions without episodes, these are shown.
     """
     if target.is_dir():
         from jobs.show_export import show_export

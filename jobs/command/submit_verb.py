@@ -31,7 +31,7 @@ def submit(
     ] = None,
     follow: Annotated[bool, typer.Option(help="follow the log until the job ends")] = True,
 ) -> None:
-    """The same verb as a Ray Job on a cluster; follows its log."""
+    """Run a verb as a Ray Job on a cluster, and follow its log."""
     from jobs.submit import run_submit
 
     words = arguments or ()

@@ -94,7 +94,7 @@ class EpisodeStage(Stage):
         )
 
     def _without_navmesh(self, scene: Scene, candidates: list[Candidate]) -> StageOutput:
-        """Instructions as many as wanted; every candidate counts as one that could not be placed."""
+        """As many instructions as wanted; every candidate counts as not placed."""
         pool = EpisodePool()
         wanted, groups = self.instructions.wanted, self.instructions.counterfactual_groups
         for candidate in candidates:

@@ -65,7 +65,7 @@ def _source(
     absence: Absence,
     limits: LimitsConfig,
 ) -> Source:
-    """One reader a process and dataset: its shared files are read once."""
+    """One reader for each process and dataset, so that shared files are read once."""
     side, house_folder = (None if path is None else Path(path) for path in (regions, houses))
     return open_source(
         family,

@@ -22,14 +22,14 @@ class Rule:
 
 CODES: Final[dict[str, Rule]] = {
     # the file
-    "unreadable": Rule("error", "write the file again; it is cut, damaged or no JSON"),
+    "unreadable": Rule("error", "write the file again; it is cut, damaged or not JSON"),
     "not-a-number": Rule("error", "JSON has no NaN or Infinity: drop the episode or give its true value"),
     "unknown-shape": Rule("error", "a VLN-CE file is {episodes, instruction_vocab}, ground truth {id: …}, R2R a list"),
     "unknown-top-key": Rule("warning", "loaders pass over it; remove it"),
     "no-episodes": Rule("warning", "Habitat answers an empty dataset with 'No scenes to load'"),
     # the vocabulary
     "missing-vocabulary": Rule("error", "loaders read instruction_vocab.word_list and fail without it"),
-    "vocabulary-inconsistent": Rule("error", "word_list, stoi, itos, word2idx_dict and num_vocab must tell one story"),
+    "vocabulary-inconsistent": Rule("error", "word_list, stoi, itos, word2idx_dict and num_vocab must agree"),
     "vocabulary-differs": Rule("error", "all splits share one vocabulary: embeddings are trained on its numbers"),
     # keys
     "unknown-key": Rule("error", "strict loaders raise TypeError: move it under info"),

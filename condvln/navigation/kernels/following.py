@@ -1,4 +1,4 @@
-"""Walking to goals with discrete actions: greedy on the geodesic distance, around what stands in the way.
+"""Walking to goals with discrete actions: greedy on the geodesic distance, around obstacles.
 
 The rule for aiming is that of habitat-lab's ``ShortestPathFollower`` (MIT): keep going while the path's direction is
 within one turn of the heading. What differs is that each step is tried on the navmesh before it is taken.

@@ -42,7 +42,7 @@ def blocked_looks(
     headroom: Doubles,
     touch: float,
 ) -> npt.NDArray[np.bool_]:
-    """Which of k looks a box stands in, (k,).
+    """Which of k lines of sight a box blocks, (k,).
 
     A box that holds either end hides nothing, but for the one that the point belongs to; one with headroom holds what
     is so far above it as well. What is met within ``touch`` metres of an end does not count.

@@ -189,8 +189,8 @@ LIES: dict[str, tuple[Callable[[bytes], bytes], str]] = {
     "tile reference 0": (put(96, "I", 0), "reference"),
     "tile reference inside": (put(96, "I", 17), "reference"),
     "tile size": (put(100, "i", -1), "claims -1"),
-    "tile magic": (of_header("magic", "i", 0), "no Detour tile"),
-    "tile version": (of_header("version", "i", 6), "no Detour tile"),
+    "tile magic": (of_header("magic", "i", 0), "not a Detour tile"),
+    "tile version": (of_header("version", "i", 6), "not a Detour tile"),
     "tile of a grid": (of_header("x", "i", 1), "tiled mesh"),
     "2^31 polygons": (of_header("poly_count", "i", 2**31 - 1), "detail mesh"),
     "2^31 polygons and meshes": (
