@@ -195,6 +195,7 @@ class _TreeReader:
         self.words = words
         self.scope: Place | None = None
         self.last_room: Place | None = None
+        self.introduced: set[Place] = set()
 
     def reading(self, tree: Node) -> Reading:
         heading, scope, body = _parts(tree, "direction", "room", "body")
@@ -273,7 +274,16 @@ class _TreeReader:
 
     def _place(self, tree: Node) -> Place:
         room, *anchor = _tokens(tree)
-        self.last_room = Place(self.rooms[_plain(room)], self.labels[_plain(anchor[0])] if anchor else None)
+        label = self.rooms[_plain(room)]
+        if anchor:
+            self.last_room = Place(label, self.labels[_plain(anchor[0])])
+            self.introduced.add(self.last_room)
+            return self.last_room
+        # "The bedroom" behind "the bedroom with the desk" is that one.
+        before = [place for place in self.introduced if place.label == label]
+        if len(before) > 1:
+            raise FormatError(f"the text names {len(before)} rooms, and then one of them as 'the {_plain(room)}'")
+        self.last_room = before[0] if before else Place(label)
         return self.last_room
 
     def _labels(self, tree: Node) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ one of its label in its room is definite ("if the bike is next to the sofa"). A 
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections import Counter
 from functools import lru_cache
 from itertools import accumulate
 from typing import Final
@@ -35,8 +36,6 @@ __all__ = [
 HEADINGS: Final = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 """Names of the headings 0°, 45°, … clockwise from north."""
 
-THERE_SHARE: Final = 0.95
-"""Share of mentions of the room last named that say "there" or "in that room"."""
 ROOM_FIRST_SHARE: Final = 0.4
 """Share of presences in a named room that open with it ("if the kitchen has a lamp")."""
 CHECK_SHARE: Final = 0.6
@@ -150,8 +149,13 @@ class _Renderer:
         self._asked_by_exists = False
         self._answered: frozenset[int] = frozenset()
         self._is_answered = False
+        self._rooms_before: set[RoomRef] = set()
+        self._rooms_here: list[RoomRef] = []
+        self._types: Counter[str] = Counter()
+        self._introduced: set[RoomRef] = set()
 
     def program(self, program: Program) -> str:
+        self._types = Counter(room.label for room in _rooms(program))
         opening = self._scope(program)
         templates = (self.voice.short_templates if self.short else self.voice.templates)[program.category]
         template = self.draws.choice(templates)
@@ -176,8 +180,7 @@ class _Renderer:
 
     def _scope(self, program: Program) -> str:
         """The words that put everything into one room, where there is one; it then need not be named again."""
-        rooms = {c.room for c in program.conditions} | {m.room for leaf in program.leaves for m in leaf.moves}
-        (room, *others) = sorted(rooms, key=lambda r: r.room_id)
+        (room, *others) = sorted(_rooms(program), key=lambda r: r.room_id)
         if others or room.label not in self.words.rooms:
             return ""
         text = f"{self._phrase('scope')} {self._room(room)}, "
@@ -189,6 +192,8 @@ class _Renderer:
         return room == self.scope or room.label not in self.words.rooms
 
     def _slot(self, slot: Slot, program: Program) -> str:
+        if self._rooms_here:
+            self._rooms_before, self._rooms_here = set(self._rooms_here), []
         if slot.form == "leaf":
             said = self.moves(program.leaves[slot.index])
             # Nobody takes "there" for a room of another branch, though it was the last one named.
@@ -252,7 +257,7 @@ class _Renderer:
         if condition.definite or not self._chance(CHECK_SHARE):
             return f"{self._phrase('see')} {self._clause(condition, asserted=True)}"
         self._asked_by_exists = False
-        if self._elided(condition.room) or condition.room == self.last_room:
+        if self._elided(condition.room) or self._is_there(condition.room):
             where = self._where(condition.room)
             return f"{self._filled('look', condition)}{self._relation(condition)}{where}"
         room = self._room(condition.room)
@@ -262,6 +267,8 @@ class _Renderer:
         """Whether to say "the kitchen has a lamp", to which "there is" would be no answer."""
         elided = self._elided(condition.room) or condition.room == self.last_room
         return not elided and not self._is_answered and self._chance(ROOM_FIRST_SHARE)
+        elided = self._elided(condition.room) or self._is_there(condition.room)
+        return not elided and self._chance(ROOM_FIRST_SHARE)
 
     def _filled(self, slot: str, condition: Condition) -> str:
         return self.words.filled(self._phrase(slot), self.words.nouns[condition.label])
@@ -312,17 +319,31 @@ class _Renderer:
         """
         if self._elided(room):
             return ""
-        if room == self.last_room and (self.short or self._chance(THERE_SHARE)):
+        if self._is_there(room):
+            self._rooms_here.append(room)
             longest = max(self.voice.slots[f"there{kind}"], key=len)
             return f" {longest if subject else self._phrase(f'there{kind}')}"
         return f" {self._phrase('of' if kind else 'in')} {self._room(room)}"
 
+    def _is_there(self, room: RoomRef) -> bool:
+        """Whether a listener knows which room "there" is: no other was named after it in this clause or the last."""
+        if room != self.last_room:
+            return False
+        return self._rooms_here[-1] == room if self._rooms_here else self._rooms_before == {room}
+
     def _room(self, room: RoomRef) -> str:
         self.last_room = room
+        self._rooms_here.append(room)
         phrase = self.words.definite(self.words.rooms[room.label])
-        if room.anchor_label is None:
+        if room.anchor_label is None or (room in self._introduced and self._types[room.label] == 1):
             return phrase
+        self._introduced.add(room)
         return f"{phrase} {self._phrase('with')} {self.words.definite(self.words.nouns[room.anchor_label])}"
+
+
+def _rooms(program: Program) -> set[RoomRef]:
+    """The rooms that a text names."""
+    return {c.room for c in program.conditions} | {move.room for leaf in program.leaves for move in leaf.moves}
 
 
 def _sentences(words: Language, text: str) -> str:

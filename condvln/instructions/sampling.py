@@ -30,6 +30,7 @@ from condvln.scene import Scene
 from condvln.scene.sightings import EVERYTHING_SEEN, Sightings
 from condvln.seeding import Draws, generator
 from schemas.config import InstructionCell, InstructionsConfig, SamplingConfig
+from schemas.config.constants import MOST_ROOMS, PLAIN_ROOM_WEIGHT
 from schemas.episode import Composition
 from schemas.program import CATEGORIES, SHAPES, Category, Leaf, ObjectRef, Program, RoomRef, asked_in
 
@@ -38,14 +39,8 @@ __all__ = ["ProgramSampler"]
 TRIES_PER_CANDIDATE: Final = 2
 """Shapes tried for each candidate wanted, so that a scene that can't fulfil some of them still fills its number."""
 
-MOST_ROOMS: Final = 4
-"""Rooms of a program that spans three or more: people name few, and come back to those that they have named."""
-
-PLAIN_ROOM: Final = 3.0
-"""Weight of a room that its label alone names, where others need a thing in them ("the bedroom with the piano")."""
-
 VAIN_TRIES: Final = 100
-"""Shapes in a row, each drawn many times, after which a cell has given all that it can.."""
+"""Shapes in a row, each drawn many times, after which a cell has given all that it can."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,7 +225,7 @@ class ProgramSampler:
 
     @contextmanager
     def _counted(self, cell: InstructionCell | None) -> Iterator[None]:
-        """Counts why what is done within was given up, and what the condition_sampler passed over."""
+        """Counts why a draw was given up, and the conditions that clashed with others."""
         try:
             yield
         except GivenUp as given_up:
@@ -251,8 +246,8 @@ class ProgramSampler:
             weights = self.sampling.compositions
             possible: dict[Composition, tuple[bool, float]] = {
                 "C0": (bool(self._roomy(category)), weights.C0),
-                "C1": (len(self._held) > 1, weights.C1),
-                "C2": (len(self._held) > 2, weights.C2),
+                "C1": (len(self._rooms_of_type) > 1, weights.C1),
+                "C2": (len(self._rooms_of_type) > 2, weights.C2),
             }
             options = {name: weight for name, (there_are_rooms, weight) in possible.items() if there_are_rooms}
             if any(options.values()):
@@ -290,25 +285,33 @@ class ProgramSampler:
         return program
 
     def _spread(self, category: Category, wanted: str | None, draws: Draws) -> Sequence[str]:
-        """The rooms to draw a composition from."""
-        rooms = list(self._held)
+        """The rooms to draw a composition from, no two of one type: a listener mixes up "the bedroom with the desk" and
+        "the bedroom with the plant", and needs no thing in it where the text has one bedroom."""
         roomy = self._roomy(category)
-        if wanted is None or (wanted == "C0" and not roomy) or len(rooms) < {"C0": 1, "C1": 2, "C2": 3}[wanted]:
+        types = len(self._rooms_of_type)
+        if wanted is None or (wanted == "C0" and not roomy) or types < {"C0": 1, "C1": 2, "C2": 3}[wanted]:
             raise GivenUp("no_targets")
         if wanted == "C0":
             return [draws.choice(roomy)]
-        if wanted == "C2":
-            return self._few(rooms, draws)
-        one = draws.choice(self.condition_sampler.rooms)
-        return [one, draws.choice([room for room in rooms if room != one])]
+        return self._few(2 if wanted == "C1" else MOST_ROOMS, draws)
 
-    def _few(self, rooms: Sequence[str], draws: Draws) -> list[str]:
-        """Some of the rooms, one to ask about among them; rather those that have a name without a thing in it."""
+    def _few(self, most: int, draws: Draws) -> list[str]:
+        """Some rooms, one to ask about among them; rather those that have a name without a thing in it."""
         few = [draws.choice(self.condition_sampler.rooms)]
-        while len(few) < min(MOST_ROOMS, len(rooms)):
-            left = [room for room in rooms if room not in few]
-            few.append(draws.weighted(left, [PLAIN_ROOM if self._is_plain(room) else 1.0 for room in left]))
+        while len(few) < most:
+            left = [room for rooms in self._rooms_of_type.values() if not {*rooms} & {*few} for room in rooms]
+            if not left:
+                break
+            few.append(draws.weighted(left, [PLAIN_ROOM_WEIGHT if self._is_plain(room) else 1.0 for room in left]))
         return few
+
+    @cached_property
+    def _rooms_of_type(self) -> dict[str, list[str]]:
+        """Rooms by their type."""
+        found: dict[str, list[str]] = {}
+        for room_id in self._held:
+            found.setdefault(self.referents[room_id].room.label, []).append(room_id)
+        return found
 
     def _is_plain(self, room_id: str) -> bool:
         """Whether a room's label alone names it."""

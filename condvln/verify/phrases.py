@@ -71,6 +71,7 @@ class PhraseReader:
         self.furthest = 0
         self.scope: Named | None = None
         self._matches: dict[int, Matches] = {}
+        self._apart: list[tuple[int, Named]] | None = None
 
     def rest(self) -> str:
         """Some words from the furthest place that was reached."""
@@ -129,11 +130,26 @@ class PhraseReader:
             yield from self._agreeing(end, kind, classes)
 
     def _rooms(self, at: int) -> Iterator[tuple[int, Named]]:
+        """ "The bedroom with the desk"; "the bedroom" is that one too where no other was named before."""
         for end, label in self._definite(at, "room"):
-            yield end, Named(label, None)
+            before = {room for place, room in self._set_apart() if place < at and room.label == label}
+            if len(before) < 2:
+                yield end, next(iter(before), Named(label, None))
             for after, _, _ in self._of(end, "with"):
                 for stop, anchor in self._definite(after, "noun"):
                     yield stop, Named(label, anchor)
+
+    def _set_apart(self) -> Sequence[tuple[int, Named]]:
+        """Places of the text where a room is named by a thing in it, and the room."""
+        if self._apart is None:
+            self._apart = [
+                (at, Named(label, anchor))
+                for at in range(len(self.tokens))
+                for end, label in self._definite(at, "room")
+                for after, _, _ in self._of(end, "with")
+                for _, anchor in self._definite(after, "noun")
+            ]
+        return self._apart
 
     def _related(self, at: int) -> Iterator[tuple[int, _Qualifier]]:
         for end, predicate, _ in self._of(at, "predicate"):

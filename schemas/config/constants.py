@@ -27,8 +27,10 @@ __all__ = [
     "LOW_EYE",
     "MOST_MOVES_OF_FOUR_LEAVES",
     "MOST_OBJECTS_PER_ROOM",
+    "MOST_ROOMS",
     "OPEN_SHARE",
     "PATH_SPACING",
+    "PLAIN_ROOM_WEIGHT",
     "PREFIX_SAMPLES",
     "PREFIX_STRAY",
     "RATE_STEPS",
@@ -160,6 +162,12 @@ UNKNOWN_EXTENT: Final = 0.4
 
 MOST_MOVES_OF_FOUR_LEAVES: Final = 2
 """Moves of a leaf at most where a program has four leaves: more make a text too long to remember."""
+
+MOST_ROOMS: Final = 4
+"""Rooms of a program that spans three or more: people name few, and come back to those that they have named."""
+
+PLAIN_ROOM_WEIGHT: Final = 3.0
+"""Weight of a room that its label alone names, where others need a thing in them ("the bedroom with the piano")."""
 
 MOST_OBJECTS_PER_ROOM: Final = 5000
 """Upper bound of ``limits.objects_per_room``: relations of such a room are 65 million rows."""

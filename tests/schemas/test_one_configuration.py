@@ -50,13 +50,13 @@ TECHNICAL = {
     "episodes/visibility.py": {"FIRST_PLACES", "CLOSE_SAMPLES"},
     # Formats of ids.
     "instructions/programs.py": {"ID_LENGTH"},
-    "episodes/table.py": {"ID_DIGITS"},
+    "episodes/identity.py": {"HASH_DIGITS", "ID_BITS"},
     # How hard a search tries; what it finds is checked by rules that are keys.
     "instructions/sampling.py": {"TRIES_PER_CANDIDATE", "VAIN_TRIES"},
     "instructions/referents.py": {"ALTERNATIVES", "ROOM_NAMES"},
     "instructions/conditions.py": {"BALANCING_ROUNDS", "LEAST_WEIGHT", "PSEUDOCOUNT"},
     # Voices of the text: shares of wordings that mean the same.
-    "instructions/rendering.py": {"THERE_SHARE", "ROOM_FIRST_SHARE", "CHECK_SHARE"},
+    "instructions/rendering.py": {"ROOM_FIRST_SHARE", "CHECK_SHARE"},
     # R2R's own rules on viewpoint graphs, which are not those of a navmesh.
     "episodes/graph_placing.py": {"REACH", "FARTHEST", "STOREY", "BORDER", "UNEVEN"},
 }
