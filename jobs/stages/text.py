@@ -36,7 +36,7 @@ class TextStage(Stage):
     max_steps: int
     seed: int
     name: str = "text"
-    version: int = 8
+    version: int = 9
     tables: tuple[str, ...] = ("instructions", "episodes")
     reads: tuple[str, ...] | None = ("candidates", "placements", "unplaced", "rooms")
 
