@@ -15,13 +15,13 @@ from typing import Any, Final
 from lark import Lark, Token, Tree
 from lark.exceptions import LarkError, UnexpectedInput
 
-from condvln.instructions.language import Language, Slot, language
+from condvln.instructions.language import Language, Slot, Template, language
 from condvln.instructions.predicates import PREDICATES
 from condvln.instructions.text_reading import Phrase, Place, Reading
 from schemas.errors import FormatError
 from schemas.program import CATEGORIES, SHAPES, Category, Predicate, anchors_of
 
-__all__ = ["grammar_source", "parse", "parser", "reading_from_tree"]
+__all__ = ["grammar_source", "parse", "parser", "reading_from_tree", "template_of"]
 
 PUNCTUATION: Final = {",": "COMMA", ";": "SEMICOLON", ":": "COLON", ".": "STOP", "?": "QUESTION"}
 ANSWERS: Final = ("yes_one", "yes_it", "no_one", "no_it")
@@ -51,8 +51,20 @@ def parse(text: str, code: str = "en") -> Reading:
         The text is not of this language's grammar, or names one condition in two ways that differ.
     """
     words = language(code)
+    return reading_from_tree(_tree(text, words), words)
+
+
+def template_of(text: str, code: str = "en") -> tuple[Category, Template]:
+    """The template that `text` was made from, and its category. Raises FormatError as :func:`parse` does."""
+    words = language(code)
+    (body,) = _parts(_tree(text, words), "body")
+    category, number = _named(body)
+    return category, words.templates[category][number]
+
+
+def _tree(text: str, words: Language) -> Node:
     try:
-        tree = parser(code).parse(words.expanded(text.lower()))
+        return parser(words.code).parse(words.expanded(text.lower()))
     except UnexpectedInput as fault:
         context = fault.get_context(text, 30) if fault.pos_in_stream is not None else ""
         raise FormatError(
@@ -60,7 +72,6 @@ def parse(text: str, code: str = "en") -> Reading:
         ) from fault
     except LarkError as fault:
         raise FormatError(f"the text can't be read back: {fault}") from fault
-    return reading_from_tree(tree, words)
 
 
 def grammar_source(words: Language) -> str:
@@ -204,8 +215,7 @@ class _TreeReader:
             heading = next(d for d in self.words.directions if f"direction_{_rule(d)}" == name)
         self.scope = None if scope is None else self._place(scope)
         (sentences,) = _subtrees(body)
-        category, number = str(sentences.data).rsplit("_", 1)
-        return self._filled(sentences, category, int(number), heading)  # type: ignore[arg-type]
+        return self._filled(sentences, *_named(body), heading)
 
     def _filled(self, sentences: Node, category: Category, number: int, heading: str | None) -> Reading:
         slots = [piece for piece in self.words.templates[category][number].pieces if isinstance(piece, Slot)]
@@ -288,6 +298,13 @@ class _TreeReader:
 
     def _labels(self, tree: Node) -> tuple[str, ...]:
         return tuple(self.labels[_plain(token)] for token in _tokens(tree))
+
+
+def _named(body: Node) -> tuple[Category, int]:
+    """Category and number of the template of a text's body."""
+    (sentences,) = _subtrees(body)
+    category, number = str(sentences.data).rsplit("_", 1)
+    return category, int(number)  # type: ignore[return-value]
 
 
 def _subtrees(tree: Node) -> list[Node]:

@@ -43,6 +43,7 @@ app.command()(query_verbs.show)
 app.command(epilog=EXIT_CODES)(evaluation_verbs.verify)
 app.command()(evaluation_verbs.walk)
 app.command()(evaluation_verbs.evaluate)
+app.command()(evaluation_verbs.language)
 app.add_typer(navmesh.group, name="navmesh")
 
 CLICK_USAGE: Final = 2

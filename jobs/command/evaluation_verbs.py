@@ -12,7 +12,7 @@ from jobs.command.answers import answer, console, leave
 from jobs.command.options import AsJson, ConfigPath, ExportPath, Graphs, NavmeshRoots, Overrides, SplitName
 from schemas.errors import UsageError
 
-__all__ = ["evaluate", "verify", "walk"]
+__all__ = ["evaluate", "language", "verify", "walk"]
 
 
 def verify(
@@ -127,3 +127,20 @@ def evaluate(
         sys.stdout.write(report.as_latex() if latex else report.as_markdown())
     else:
         answer(report, as_json)
+
+
+def language(
+    target: Annotated[
+        Path,
+        typer.Argument(
+            metavar="CONFIG|EXPORT|FILE",
+            help="YAML configuration, folder of an export, or a file of R2R, VLN-CE, RxR or NavSpace",
+        ),
+    ],
+    overrides: Overrides = None,
+    as_json: AsJson = False,
+) -> None:
+    """How texts are said: lengths, variety, directions, phrases to avoid, and what a listener may misunderstand."""
+    from jobs.language import report_language
+
+    answer(report_language(target, overrides or ()), as_json)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from itertools import pairwise
 
 import pytest
 from lark import Tree
@@ -22,6 +23,7 @@ from condvln.instructions.language import LANGUAGES, language
 from condvln.instructions.parsing import parser, reading_from_tree
 from condvln.instructions.rendering import HEADINGS
 from condvln.instructions.text_reading import Phrase, Place
+from condvln.language import InstructionText, language_report
 from condvln.scene import Scene
 from condvln.verify.text_reader import Unreadable, read
 from schemas.errors import FormatError
@@ -178,7 +180,7 @@ def test_a_stop_in_the_room_of_the_one_before_it_needs_no_room() -> None:
 def test_a_relation_asked_again_needs_no_room() -> None:
     text = (
         "If there's a lamp near the bed in the bedroom, see if there's a sink in the kitchen. If there is, go to the "
-        "table in the kitchen. If there isn't, go to the stove there. If there's no lamp near the bed, see if there's "
+        "table in the kitchen. If not, go to the stove there. If there's no lamp near the bed, see if there's "
         "a stool in the kitchen. If there is, go to the sofa in the living room. If not, go to the plant there."
     )
     reading = parse(text)
@@ -188,6 +190,18 @@ def test_a_relation_asked_again_needs_no_room() -> None:
         parse(text.replace(" near the bed", ""))
     with pytest.raises(FormatError, match="names one condition as"):
         parse(text.replace("no lamp near the bed", "no lamp near the desk"))
+
+
+def test_the_style_report_reads_them_back_and_finds_nothing_to_avoid(texts) -> None:
+    said = [InstructionText(text, program.category, program) for _, program, text in texts[::40]]
+    found = language_report(said)
+    assert found.lint == {"texts": len(said), "misread": 0, "findings": 0}
+    assert found.banned == {}
+    # Each text with the program of the next one: read, and not as that.
+    others = [InstructionText(one.text, None, other.program) for one, other in pairwise(said)]
+    lint = language_report(others).lint
+    assert lint is not None
+    assert lint["misread"] == len(others)
 
 
 ROOM = RoomRef(room_id="r", label="bedroom", anchor_id="p", anchor_label="piano")

@@ -1,0 +1,68 @@
+"""``condvln language``: how texts are said, ours or those of any VLN file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from condvln.language import LanguageReport, language_report, read_texts
+from jobs.configuration import load_config
+from jobs.report import Report, Section
+from schemas.errors import UsageError
+
+__all__ = ["report_language"]
+
+CONFIG_SUFFIXES: Final = (".yaml", ".yml")
+
+
+def report_language(target: Path, overrides: Sequence[str] = ()) -> Report:
+    """The style report of a configuration's export, of an export, or of a file of instructions.
+
+    Raises
+    ------
+    UsageError : the configuration names no export
+    InputError : there are no instructions, or they can't be read
+    """
+    folder = target
+    if target.suffix in CONFIG_SUFFIXES:
+        config = load_config(target, overrides, check_roots=False)
+        if config.export is None:
+            raise UsageError(
+                "no export folder is named", where=str(target), place="export", remedy="Set export: FOLDER."
+            )
+        folder = config.export
+    elif overrides:
+        raise UsageError("--set belongs to a configuration", where=str(target), remedy="Name the YAML file.")
+    found = language_report(read_texts(folder))
+    return Report({"path": str(folder), **found.document()}, _lines(found), _sections(found))
+
+
+def _lines(found: LanguageReport) -> list[str]:
+    lines = [
+        f"{found.lengths['all'].texts:,} texts; compass words in {found.compass:.0%}, left and right in "
+        f"{found.egocentric:.0%}; phrases to avoid in {found.banned_texts:.1%}"
+    ]
+    if found.lint is not None:
+        lines.append(
+            f"binding lint: {found.lint['findings']} findings in {found.lint['texts']:,} texts; "
+            f"{found.lint['misread']} do not read back to their program"
+        )
+    return lines
+
+
+def _sections(found: LanguageReport) -> list[Section]:
+    lengths = [
+        (name, one.texts, one.mean, one.median, one.most, one.sentence, f"{one.long_sentences:.1%}")
+        for name, one in found.lengths.items()
+    ]
+    return [
+        Section("Lengths", ("texts", "number", "words", "median", "most", "a sentence", "over 25 words"), [*lengths]),
+        Section(f"Variety at {found.piece:,} words", ("measure", "share"), [*found.variety.items()]),
+        Section(
+            f"Most common sentences, nouns masked ({found.templates:.1%} of all differ)",
+            ("sentence", "share"),
+            [(said, f"{share:.2%}") for said, share in found.common],
+        ),
+        Section("Phrases to avoid", ("phrase", "times"), [*found.banned.items()]),
+    ]
