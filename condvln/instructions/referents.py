@@ -25,6 +25,7 @@ from condvln.labels import Vocabulary
 from condvln.labels.roles import labels_with_role
 from condvln.scene import Room, RoomArrays
 from condvln.scene.sightings import EVERYTHING_SEEN, Sightings
+from schemas.config.constants import LANDMARK_SIZE
 from schemas.program import SUPERLATIVES, Anchor, ObjectRef, Predicate, Qualifier, RoomRef
 
 __all__ = ["ALTERNATIVES", "Facts", "Qualification", "Referents", "object_refs", "qualifier_of", "room_refs"]
@@ -182,9 +183,12 @@ class Referents:
         rival = meant & seen & seen[:, None]
         np.fill_diagonal(rival, False)
         unique = nameable & ~rival.any(axis=1)
-        small = np.asarray(_longest_side(arrays) < anchor_size)
-        fixed, portable = (np.isin(arrays.labels, sorted(labels_with_role(role))) for role in ("fixed", "portable"))
-        sizes = arrays.aabb_max - arrays.aabb_min
+        longest, sizes = _longest_side(arrays), arrays.aabb_max - arrays.aabb_min
+        small = np.asarray(longest < anchor_size)
+        fixed, landmark, portable = (
+            np.isin(arrays.labels, sorted(labels_with_role(role))) for role in ("fixed", "landmark", "portable")
+        )
+        fixed |= landmark & (longest >= LANDMARK_SIZE)
         anchors = np.flatnonzero(unique & ~portable & (fixed | ~small) & ~np.isnan(sizes).any(axis=1))
         return cls(
             room=room,

@@ -12,9 +12,10 @@ from condvln.verify.containment import said_of, shut_away
 from condvln.verify.phrases import Named, Phrase
 from condvln.verify.predicates import FALSE, TRUE, Judge, Judgement, Thing
 from condvln.verify.surfaces import Shapes, SurfaceGauge
-from condvln.verify.surroundings import Said, Surroundings, whole_mm
+from condvln.verify.surroundings import Said, Surroundings
 from condvln.verify.words import Words, words
 from schemas.config import Thresholds
+from schemas.config.constants import LANDMARK_SIZE
 
 __all__ = ["Answer", "Problem", "Referent", "RoomView", "SceneReferents"]
 
@@ -244,17 +245,23 @@ class SceneReferents:
 
     def _marks(self, anchor: Thing) -> bool:
         """Whether others may be found by a thing: it has a size, and is fixed or too large to be carried about."""
-        roles = self.meaning.roles
-        if anchor.box is None or anchor.label in roles["portable"]:
+        side = _side(anchor)
+        if side is None or anchor.label in self.meaning.roles["portable"]:
             return False
-        longest = max(high - low for low, high in zip(*anchor.box, strict=True))
-        return anchor.label in roles["fixed"] or longest >= whole_mm(self._anchor_size)
+        return self._is_fixed(anchor) or side >= self._anchor_size
+
+    def _is_fixed(self, thing: Thing) -> bool:
+        """Whether a thing stays where it is: built in, heavy, or a large landmark."""
+        roles, side = self.meaning.roles, _side(thing)
+        if thing.label in roles["fixed"]:
+            return True
+        return thing.label in roles["landmark"] and side is not None and side >= LANDMARK_SIZE
 
     def _carries_the_phrase(self, anchors: Iterable[Thing], things: Iterable[Thing]) -> bool:
         """Whether each anchor is fixed, or larger than each of the things, on the ground or in volume."""
         things = tuple(things)
         for anchor in anchors:
-            if anchor.label in self.meaning.roles["fixed"]:
+            if self._is_fixed(anchor):
                 continue
             for thing in things:
                 if thing.box is None or not (

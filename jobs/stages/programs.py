@@ -45,7 +45,7 @@ class PriorsAggregate(Aggregate):
     thresholds: Thresholds
     anchor_size: float
     name: str = "priors"
-    version: int = 5
+    version: int = 6
     after: str = "scene"
     tables: tuple[str, ...] = ("rooms", "objects")
 

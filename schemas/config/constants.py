@@ -23,6 +23,7 @@ __all__ = [
     "HEADING_TOLERANCE",
     "INSIDE_SHARE",
     "KEPT_AT_LEAST",
+    "LANDMARK_SIZE",
     "LARGER_THAN_RECEPTACLE",
     "LOW_EYE",
     "MOST_MOVES_OF_FOUR_LEAVES",
@@ -156,6 +157,9 @@ REST_SHARE: Final = 0.5
 
 LARGER_THAN_RECEPTACLE: Final = 2.0
 """An object whose longest side is more than this many times that of its stated receptacle is not in or on it."""
+
+LANDMARK_SIZE: Final = 0.9
+"""Metres; longest side from which a statue counts as fixed, so that larger things are found by it."""
 
 UNKNOWN_EXTENT: Final = 0.4
 """Metres; edges of the cube that stands in the agent's way where an object's own extent is unknown."""

@@ -54,6 +54,20 @@ def test_programs_of_real_scenes_are_proven(real_data: Path, facts_maker, prove,
     assert drawn >= 60
 
 
+@pytest.mark.soak
+def test_the_church_scan_has_instructions(real_data: Path, facts_maker, prove) -> None:
+    """Rooms of no type, slices, nameless things and few anchors: only a podium and a statue tell its chairs apart."""
+    if not (real_data / "mp3d").is_dir():
+        pytest.skip(f"no mp3d in {real_data}")
+    scene = open_source("mp3d", real_data / "mp3d").read("YmJkqBEsHnH")
+    facts, bits = facts_maker(scene), LabelPriors.of_scene(scene, Thresholds(), 0.3).bits(scene, 0.05)
+    sampler = made_sampler(scene, facts, bits, per_category={"simple": 40})
+    programs = [*sampler.candidates("simple"), *(program for group in sampler.groups() for program in group)]
+    for program in programs:
+        prove(program, scene, facts)
+    assert len(programs) >= 20
+
+
 def cues(program: Program) -> dict[str, int]:
     """What an agent that can read but not see has to go by."""
     found = {}

@@ -16,7 +16,7 @@ from condvln.instructions.referents import Referents, object_refs, room_refs
 from condvln.labels import vocabulary
 from condvln.labels.roles import labels_with_role
 from condvln.relations import PAIR_PREDICATES
-from condvln.scene import Room, RoomArrays, SceneObject
+from condvln.scene import Room, RoomArrays, SceneObject, round_mm
 from schemas.program import SUPERLATIVES, RoomRef
 
 ONE_ANCHOR = (*PAIR_PREDICATES, "closest to")
@@ -208,6 +208,22 @@ def test_small_and_portable_things_are_never_anchors() -> None:
     assert referents.suits[0].tolist() == [False, True, False, True, False, True, True], "the larger, or the fixed"
     near = {q.anchors for q in referents.qualifications[0] if q.predicate == "near"}
     assert near == {(3,), (6,)}
+
+
+@pytest.mark.parametrize(("label", "size", "suits"), [
+    ("sculpture", 0.9, True), ("sculpture", 0.8, False), ("podium", 0.5, True), ("stool", 1.2, False),
+])  # fmt: skip
+def test_a_statue_is_a_landmark_and_a_figurine_is_not(label: str, size: float, suits: bool) -> None:
+    """Of a larger thing beside it: an armchair is found by a statue or a podium, not by a figurine or a stool."""
+    room = Room("r", "other room", "other room", 0, 0.0, 2.5, None, "dataset", True)
+    sides = {"a": ("armchair", 1.3), "b": (label, size)}
+    objects = [
+        SceneObject(k, "r", x, x, np.zeros(3), aabb=round_mm([np.full(3, -s / 2), np.full(3, s / 2)]))
+        for k, (x, s) in sides.items()
+    ]
+    referents = Referents.of(room, RoomArrays.of("r", objects), no_facts(2), vocabulary, 0.3)
+    assert referents.anchors.tolist() == [0, 1]
+    assert bool(referents.suits[0, 1]) is suits
 
 
 @given(rooms_with_facts())
