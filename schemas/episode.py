@@ -34,7 +34,7 @@ class Subgoal(Document):
 
 
 class EpisodeLeaf(Document):
-    """One leaf as if it were gold: its object, goal points (best first), subgoals and path."""
+    """One leaf as if it were gold: its object, goal points (the one nearest to the start first), subgoals and path."""
 
     leaf: int = Field(ge=0)
     object_id: str

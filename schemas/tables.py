@@ -297,7 +297,11 @@ _EPISODE_LEAF: Final = pa.struct(
     [
         _field("leaf", _I, "index of the leaf, from 0"),
         _field("object_id", _S, "the leaf's goal object"),
-        _field("goals", pa.list_(VEC3), "navigable points at the goal object; the first is the best, metres"),
+        _field(
+            "goals",
+            pa.list_(VEC3),
+            "navigable points at the goal object, the one nearest to the start first, metres",
+        ),
         _field(
             "subgoals",
             pa.list_(
@@ -354,7 +358,7 @@ EPISODES: Final = pa.schema(
         ),
         _field("locations", pa.list_(VEC3), "the start and the position after each forward step, metres"),
         _required("words", _I, "words of the text"),
-        _required("max_steps", _I, "step budget"),
+        _required("max_steps", _I, "step budget: actions after which the episode ends, STOP included"),
         _required("instruction_text", _S, "the instruction as published"),
         _required("navmesh_sha256", _S, "SHA-256 of the navmesh on which the episode was placed"),
     ]

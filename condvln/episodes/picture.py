@@ -65,7 +65,7 @@ def draw_episode(path: Path, scene: Scene, floor: Sequence[F64], episode: Mappin
         plan.plot(line[:, 0], line[:, 1], color=colour, linewidth=2.4 if gold else 1.4, linestyle="-" if gold else "--")
         for stop in leaf["subgoals"]:
             plan.plot(stop["position"]["x"], stop["position"]["z"], "o", color=colour, markersize=6, fillstyle="none")
-        goal = leaf["goals"][0]
+        goal = leaf["reference_path"][-1]
         plan.plot(goal["x"], goal["z"], "*" if gold else "X", color=colour, markersize=14 if gold else 9)
         plan.text(goal["x"], goal["z"], f" leaf {leaf['leaf']}", color=colour, fontsize=9, weight="bold")
     start, heading = episode["start_position"], np.radians(episode["start_heading_degrees"])

@@ -61,7 +61,8 @@ class Rejected(Exception):
 class PlacedLeaf:
     """One leaf as if it were gold.
 
-    goals (k, 3) best first; its route; start → goal as Habitat measures it; the walk of an agent that knows the map.
+    goals (k, 3), the one nearest to the start first; its route, which ends at one of them; start → goal as Habitat
+    measures it; the walk of an agent that knows the map.
     """
 
     objects: tuple[str, ...]
@@ -159,7 +160,7 @@ class Placer:
         self.seed = seed
         self.tau = places.success(scene.single_room)
         self.obstacles = blocked_footprints(scene, pathfinder, max_climb)
-        self._follower = Follower(pathfinder, max_actions=max(1, rules.max_steps // 2 - 1))  # and STOP
+        self._follower = Follower(pathfinder, max_actions=max(1, rules.step_ceiling // 2 - 1))  # and STOP
         self._solid = Footprints([footprint for _, footprint in self.obstacles])
         self.field = GoalField(pathfinder, goals)
 
@@ -312,10 +313,7 @@ class Placer:
                 raise Rejected("unreachable")
             self._check_furniture(route.path)
             routes.append(route)
-        goals = [
-            self.field.ordered_goals(route, leaf.goal.object_id)
-            for route, leaf in zip(routes, program.leaves, strict=True)
-        ]
+        goals = [self.field.ordered_goals(start, leaf.goal.object_id) for leaf in program.leaves]
         self._check_separation(routes, goals)
         if lengths is not None and not all(lengths[0] <= route.length <= lengths[1] for route in routes):
             raise Rejected(ROUTE_MISSED)

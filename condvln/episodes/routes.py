@@ -139,10 +139,14 @@ class GoalField:
             at = self.goals[name][best]
         return length
 
-    def ordered_goals(self, route: Route, object_id: str) -> F64:
-        """Goal points (k, 3) of a leaf, the one its route ends at first, then as they come."""
+    def ordered_goals(self, start: F64, object_id: str) -> F64:
+        """Goal points (k, 3) of a leaf, the one geodesically nearest to the start first, then as they come.
+
+        Stock sensors measure to the first goal, stock measures to the nearest: so both are one number at the start. A
+        route with stops on its way may end at another one.
+        """
         points = self.goals[object_id]
-        first = int(np.flatnonzero((points == route.stops[-1]).all(axis=1))[0])
+        first = int(np.argmin(self.distances(start, object_id)))
         rest = [k for k in range(len(points)) if k != first]
         return np.asarray(points[[first, *rest]], dtype=np.float64)
 

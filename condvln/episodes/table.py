@@ -16,7 +16,7 @@ from condvln.episodes.observability import Observation
 from condvln.episodes.placing import PlacedLeaf, heading_degrees, yaw_quaternion
 from condvln.episodes.pool import EpisodePool, PooledEpisode
 from condvln.scene import round_mm
-from schemas.config import InstructionCell
+from schemas.config import InstructionCell, StepBudget
 from schemas.config.constants import GROUP_SIZE
 from schemas.tables import EPISODES, FUNNEL, REJECTIONS, VEC3
 
@@ -134,11 +134,11 @@ def _point(values: NDArray[np.float64]) -> dict[str, float]:
     return {"x": x, "y": y, "z": z}
 
 
-def with_text(placements: pa.Table, texts: Mapping[int, str], max_steps: int, steps_per_word: int) -> pa.Table:
+def with_text(placements: pa.Table, texts: Mapping[int, str], max_steps: StepBudget, steps_per_word: int) -> pa.Table:
     """EPISODES rows: each placement with its text (by episode id), word count and step budget.
 
-    The budget is min(ceiling, max(steps a word × words, 2 × ground-truth actions)); in a counterfactual group the words
-    are those of its longest text, so that all have one budget.
+    A proportional budget is max(steps a word × words, 2 × ground-truth actions), as in the paper; in a counterfactual
+    group the words are those of its longest text, so that all have one budget.
     """
     rows = placements.to_pylist()
     longest: dict[str | int, int] = {}
@@ -149,7 +149,8 @@ def with_text(placements: pa.Table, texts: Mapping[int, str], max_steps: int, st
         longest[unit] = max(longest.get(unit, 0), row["words"])
     for row in rows:
         words = longest[row["group_id"] or row["episode_id"]]
-        row["max_steps"] = min(max_steps, max(steps_per_word * words, 2 * row["ground_truth_steps"]))
+        proportional = max(steps_per_word * words, 2 * row["ground_truth_steps"])
+        row["max_steps"] = proportional if max_steps == "proportional" else max_steps
     return pa.Table.from_pylist(rows, schema=EPISODES)
 
 

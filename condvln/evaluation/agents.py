@@ -31,11 +31,11 @@ class Agent(Protocol):
 
 
 def walk_to_leaf(task: Task, pathfinder: Pathfinder, leaf: int) -> Prediction:
-    """Through the leaf's subgoals to its best goal, and STOP; as far as the step budget goes."""
+    """Through the leaf's subgoals to the goal where its path ends, and STOP; as far as the step budget goes."""
     target = task.leaves[leaf]
     heading = heading_of(task.start_rotation)
     follower = Follower(pathfinder, VLN_CE)
-    route = follower.follow(task.start, heading, np.vstack([target.subgoals, target.goals[:1]]))
+    route = follower.follow(task.start, heading, np.vstack([target.subgoals, target.end]))
     actions = route.actions[: task.max_steps]
     poses = follower.walk(task.start, heading, actions)
     stopped = len(actions) > 0 and actions[-1] == 0

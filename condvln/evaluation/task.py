@@ -27,14 +27,20 @@ Points = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class LeafTask:
-    """One leaf: its goal points (k, 3), best first, its subgoals (m, 3) in order, and the corners (c, 3) of its
-    path."""
+    """One leaf: its goal points (k, 3), the one nearest to the start first, its subgoals (m, 3) in order, and the
+    corners (c, 3) of its path."""
 
     goals: Points
     subgoals: Points
     route_length: float
     geodesic_distance: float
     path: Points
+
+    @property
+    def end(self) -> Points:
+        """The goal point (3,) at which its path ends."""
+        found: Points = self.goals[np.square(self.goals - self.path[-1]).sum(axis=1).argmin()]
+        return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -202,7 +202,7 @@ def _datasheet(report: ExportReport) -> str:
 * **Motivation.** Instructions that people give depend on what is found on the way; benchmarks of plain instructions
   can't tell an agent that checks a condition from one that guesses.
 * **Composition.** One instance is an instruction, a start pose, a gold route with dense locations, and the goals of
-  every branch. Step budgets reach {report.most_steps}. Nothing in it relates to people.
+  every branch. {_budget(report)} Nothing in it relates to people.
 * **Collection.** Made by program from the sources' own annotations and geometry: relations by exact box and mesh
   distances, routes on Habitat navmeshes, text from a grammar that a parser reads back. Nothing was labelled by hand.
 * **Preprocessing.** Candidates that break a rule (unreachable, ambiguous, near a threshold, too long) were dropped
@@ -212,6 +212,15 @@ def _datasheet(report: ExportReport) -> str:
   rooms annotated completely enough; objects of unknown extent are used with more caution than others.
 * **Distribution and maintenance.** Rebuilt when a source changes; ids are content hashes and stay; `CHANGELOG.md`
   tells what moved."""
+
+
+def _budget(report: ExportReport) -> str:
+    if report.least_steps == report.most_steps:
+        return f"The step budget is {report.most_steps} actions."
+    return (
+        f"Step budgets are {report.least_steps} to {report.most_steps} actions, one an episode (`info.max_steps`), by\n"
+        "  which `condvln evaluate` judges; stock evaluators give all episodes the largest."
+    )
 
 
 def _row(cells: Sequence[str]) -> str:

@@ -17,6 +17,7 @@ from condvln.export.report import ExportReport
 from condvln.export.splits import SPLITS
 from condvln.export.variants import RXR_LANGUAGES
 from condvln.sources.family import composed_datasets
+from schemas.config.constants import STEP_CEILING
 
 __all__ = ["LINK", "consumer_files"]
 
@@ -26,7 +27,6 @@ LINK: Final = "data/datasets/condvln"
 _SCENES: Final = "data/scene_datasets/"
 _FIDELITY_DISTANCE: Final = 3.0
 _FALLBACK_SUCCESS_DISTANCE: Final = 1.0
-_BUDGET: Final = 500
 _ACTIONS: Final = ("STOP", "MOVE_FORWARD", "TURN_LEFT", "TURN_RIGHT")
 _MEASUREMENTS: Final = (
     "DISTANCE_TO_GOAL", "SUCCESS", "SPL", "NDTW", "PATH_LENGTH", "ORACLE_SUCCESS", "STEPS_TAKEN",
@@ -37,15 +37,15 @@ def consumer_files(report: ExportReport) -> dict[str, str]:
     """Text by path below the export."""
     radius, mixed = _success_distance(report)
     split = next((s for s in ("val_unseen", "test", "val_seen", "train") if report.episodes.get(s)), "val_unseen")
-    steps = report.most_steps or _BUDGET
+    steps = report.most_steps or STEP_CEILING
     files = {
         "configs/vlnce/condvln_task.yaml": _vlnce("vlnce", "VLN-CE-v1", split, radius, steps),
         "configs/vlnce/condvln_oracle_task.yaml": _vlnce("oracle", "VLN-CE-v1", split, radius, steps),
         "configs/vlnce/condvln_rxr_task.yaml": _rxr(split, radius, steps, RXR_LANGUAGES[report.language]),
         "configs/habitat_lab/condvln.yaml": _habitat_lab(split, radius, steps),
-        "configs/open_nav/condvln_task.yaml": _ansr(split, radius, _OPEN_NAV),
+        "configs/open_nav/condvln_task.yaml": _ansr(split, radius, _OPEN_NAV, _WAYPOINTS),
         "configs/open_nav/condvln_experiment.yaml": _experiment("open_nav", split),
-        "configs/vln_zero/condvln_task.yaml": _ansr(split, radius, _VLN_ZERO),
+        "configs/vln_zero/condvln_task.yaml": _ansr(split, radius, _VLN_ZERO, steps),
         "configs/vln_zero/condvln_experiment.yaml": _experiment("vln_zero", split, _VLN_ZERO.root),
         "configs/navid/condvln_task.yaml": _vlnce("vlnce", "VLN-CE-v1", split, radius, steps),
         "configs/navid/condvln_experiment.yaml": _experiment("navid", split),
@@ -80,13 +80,13 @@ class _AnsrAgent:
     root: str
     forward: float
     turn: int
-    steps: int
     actions: tuple[str, ...] = ()
 
 
-_OPEN_NAV: Final = _AnsrAgent("", 0.25, 15, 20, ("HIGHTOLOW",))
-"""Counts waypoint moves, not steps."""
-_VLN_ZERO: Final = _AnsrAgent("VLN_CE/", 1.0, 30, 500)
+_OPEN_NAV: Final = _AnsrAgent("", 0.25, 15, ("HIGHTOLOW",))
+_WAYPOINTS: Final = 20
+"""Open-Nav counts waypoint moves, not steps."""
+_VLN_ZERO: Final = _AnsrAgent("VLN_CE/", 1.0, 30)
 
 
 def _note(root: str, radius: float, mixed: bool, composed: list[str]) -> str:
@@ -139,8 +139,8 @@ def _vlnce(variant: str, kind: str, split: str, radius: float, steps: int, root:
     }
 
 
-def _ansr(split: str, radius: float, agent: _AnsrAgent) -> dict[str, Any]:
-    document = _vlnce("ansr", "ANSR-v1", split, radius, agent.steps, agent.root)
+def _ansr(split: str, radius: float, agent: _AnsrAgent, steps: int) -> dict[str, Any]:
+    document = _vlnce("ansr", "ANSR-v1", split, radius, steps, agent.root)
     document["SIMULATOR"] |= {
         "ACTION_SPACE_CONFIG": "v0",
         "FORWARD_STEP_SIZE": agent.forward,

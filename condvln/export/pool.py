@@ -19,6 +19,7 @@ import pyarrow.compute as pc
 
 from condvln.episodes.identity import colliding
 from condvln.export.tokens import longer_than
+from schemas.config.constants import STEP_CEILING
 from schemas.errors import StoreError
 from schemas.program import CATEGORIES
 
@@ -26,7 +27,6 @@ __all__ = [
     "FIT",
     "INSTRUCTION_COLUMNS",
     "POOL_COLUMNS",
-    "STEP_CEILING",
     "ExportPool",
     "Hashes",
     "PoolBuilder",
@@ -50,9 +50,6 @@ POOL_COLUMNS: Final = (
     "instruction_text",
 )
 INSTRUCTION_COLUMNS: Final = ("instruction_id", "conditions")
-
-STEP_CEILING: Final = 500
-"""Steps after which VLN-CE ends an episode."""
 
 FIT: Final = 0
 """Code of an episode that may be in a split."""
@@ -154,7 +151,8 @@ class PoolBuilder:
         scenes, units = column["scene_id"], _units(column)
         starts = [tuple(start.values()) for start in column["start_position"]]
         reasons = [(barred or {}).get(scene, "") for scene in scenes]
-        over = (number["max_steps"] > STEP_CEILING) | (number["ground_truth_steps"] > number["max_steps"])
+        steps = number["ground_truth_steps"]
+        over = (2 * steps > STEP_CEILING) | (steps > number["max_steps"])
         unfit = np.array([self._reasons(reason) for reason in reasons], dtype=np.int8)
         unfit[(unfit == FIT) & over] = self._reasons(_OVER_BUDGET)
         if self._max_tokens:

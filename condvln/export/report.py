@@ -40,7 +40,9 @@ class ExportReport:
     shapes: dict[str, dict[str, dict[str, int]]] = field(default_factory=dict)
     """Episodes by split, axis and value."""
     most_steps: int = 0
-    """Largest step budget of an episode."""
+    """Largest step budget of an episode, and of all where the configuration sets one number."""
+    least_steps: int = 0
+    """Smallest one."""
     r2r_episodes: int = 0
     r2r_left_out: dict[str, int] = field(default_factory=dict)
     """Episodes of Matterport3D scans that mean nothing on the graph, by reason."""

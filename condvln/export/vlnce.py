@@ -61,8 +61,8 @@ def gold(row: Row) -> Row:
 def vlnce_episode(row: Row, scene_id: str, tokens: list[int]) -> dict[str, Any]:
     """One stock episode of a row of the episodes table.
 
-    The goals are all goal points of the gold leaf, best first: evaluators take the minimum over them, sensors the
-    first.
+    The goals are all goal points of the gold leaf, the one nearest to the start first: evaluators take the minimum over
+    them, sensors the first, so that progress begins at 0.
     """
     leaf = gold(row)
     radius = row["success_distance"]

@@ -223,6 +223,7 @@ class ExportWriter:
             counts = shape.setdefault(key, {})
             counts[str(value)] = counts.get(str(value), 0) + 1
         self._report.most_steps = max(self._report.most_steps, row["max_steps"])
+        self._report.least_steps = min(self._report.least_steps or row["max_steps"], row["max_steps"])
 
     def _copy_truths(self) -> None:
         for split in SPLITS:

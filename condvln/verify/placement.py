@@ -38,6 +38,7 @@ LEAF_NAMES: Final = tuple(f"leaf {k}" for k in range(8))
 class _Leaf:
     """One leaf, with the indices of its points and of the questions about them.
 
+    end : which goal its path ends at
     away, here : of its goals, metres from the object, and whether all are on its floor and in its room; empty if there
     is no such object
     direct : from the start to the goals; final : from the last stop to the goals; first : from the start to the
@@ -45,6 +46,7 @@ class _Leaf:
     """
 
     leaf: EpisodeLeaf
+    end: int
     away: tuple[float, ...]
     here: tuple[bool, ...]
     stops: tuple[int, ...]
@@ -167,7 +169,8 @@ class _Checker:
         point, pair = self.walks.point, self.walks.pair
         goals = tuple([point(goal) for goal in leaf.goals])
         subgoals = tuple([point(subgoal.position) for subgoal in leaf.subgoals])
-        stops = (start, *subgoals, goals[0])
+        end = _end(leaf)
+        stops = (start, *subgoals, goals[end])
         direct = tuple([pair(start, goal) for goal in goals])
         away, here = self.reach.around(leaf.object_id, leaf.goals)
         # Several may be nearest to within the rounding of two ways to measure; walls are asked from each.
@@ -175,6 +178,7 @@ class _Checker:
         nearest = [goal for goal, metres in zip(goals, away or (0.0,), strict=False) if metres <= least]
         return _Leaf(
             leaf=leaf,
+            end=end,
             away=away,
             here=here,
             stops=stops,
@@ -259,8 +263,11 @@ class _Checker:
         leaf, walks = placed.leaf, self.walks
         direct = min(walks.metres(placed.direct))
         certificate.close("geodesic_distance", leaf.geodesic_distance, direct, MILLIMETRE, name)
+        first = walks.metres(placed.direct)[0]
+        certificate.holds("goal_order", first <= direct + MILLIMETRE, first, direct, name)
         final = walks.metres(placed.final)
-        certificate.holds("goal_order", final[0] <= min(final) + MILLIMETRE, final[0], min(final), name)
+        reached = final[placed.end]
+        certificate.holds("route_end", reached <= min(final) + MILLIMETRE, reached, min(final), name)
         ways = [walks.way(leg) for leg in placed.legs]
         certificate.close("route_length", leaf.route_length, math.fsum(length for length, _ in ways), MILLIMETRE, name)
         corners = (row.start_position, *(corner for _, path in ways for corner in path[1:]))
@@ -291,6 +298,12 @@ class _Checker:
                         certificate.holds("path_apart", False, self.success, metres, name)
 
 
+def _end(leaf: EpisodeLeaf) -> int:
+    """Which goal the path of a leaf ends at."""
+    last = leaf.reference_path[-1]
+    return min(range(len(leaf.goals)), key=lambda k: math.dist(leaf.goals[k], last))
+
+
 class _Groups:
     """Words of the texts of each counterfactual group: all its budgets go by the longest."""
 
@@ -312,21 +325,22 @@ class _Groups:
 def _check_budget(
     row: ManifestEpisode, groups: _Groups, follower: Follower, rules: VerifierRules, certificate: Certificate
 ) -> None:
-    """The budget by the words of the text, and by the actions to the leaf that takes most of them."""
+    """The budget, and the actions to the leaf that takes most of them; a proportional one goes by the words too."""
     yaw = yaw_of(row.start_rotation)
     certificate.holds("start_rotation", yaw is not None, "a turn about the vertical", row.start_rotation)
     if yaw is None:
         return
     steps = 0
     for k, leaf in enumerate(row.leaves):
-        stops = [*(subgoal.position for subgoal in leaf.subgoals), leaf.goals[0]]
+        stops = [*(subgoal.position for subgoal in leaf.subgoals), leaf.goals[_end(leaf)]]
         route = follower.follow(row.start_position, yaw, stops)
         certificate.holds("budget", route.arrived, "a walk that arrives", route.outcome, f"leaf {k}")
         steps = max(steps, len(route.actions))
-    ceiling, per_word = rules.episodes.max_steps, rules.text.steps_per_word
+    ceiling, per_word = rules.episodes.step_ceiling, rules.text.steps_per_word
     certificate.holds("budget", 2 * steps <= ceiling, f"at most {ceiling}", 2 * steps, "twice the actions")
     words = per_word * groups.words(row, certificate)
-    certificate.same("budget", row.max_steps, min(ceiling, max(words, 2 * steps)))
+    proportional = rules.episodes.max_steps == "proportional"
+    certificate.same("budget", row.max_steps, max(words, 2 * steps) if proportional else ceiling)
 
 
 def _are_close(one: Sequence[Sequence[float]], other: Sequence[Sequence[float]]) -> bool:

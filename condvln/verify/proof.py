@@ -123,7 +123,7 @@ def prove_scene(
         check_seen(row.manifest.program, onlookers, certificate)
         claimed = (row.manifest.navmesh, row.manifest.navmesh_sha256)
         certificate.same("navmesh", claimed, (navmesh.path, navmesh.sha256))
-    follower = Follower(navmesh.pathfinder, max_actions=rules.episodes.max_steps)
+    follower = Follower(navmesh.pathfinder, max_actions=rules.episodes.step_ceiling)
     manifests = [row.manifest for row in rows]
     check_placement(manifests, certificates, scene, follower, obstacles, rules)
     for row, certificate in zip(rows, certificates, strict=True):

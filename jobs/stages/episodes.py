@@ -43,7 +43,7 @@ class EpisodeStage(Stage):
     preamble: bool
     seed: int
     name: str = "episodes"
-    version: int = 12
+    version: int = 13
     tables: tuple[str, ...] = ("placements", "unplaced", "rejections", "funnel")
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "visibility", "stops", "candidates")
     reads_inputs: bool = True

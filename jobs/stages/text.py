@@ -20,6 +20,7 @@ from factory.unit import Unit
 from jobs.stages.inputs import Tables, dump
 from schemas.canonical import JSON
 from schemas.config import (
+    StepBudget,
     TextConfig,
     WordingConfig,
 )
@@ -33,10 +34,10 @@ class TextStage(Stage):
 
     text: TextConfig
     wording: WordingConfig
-    max_steps: int
+    max_steps: StepBudget
     seed: int
     name: str = "text"
-    version: int = 9
+    version: int = 10
     tables: tuple[str, ...] = ("instructions", "episodes")
     reads: tuple[str, ...] | None = ("candidates", "placements", "unplaced", "rooms")
 

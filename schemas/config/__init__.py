@@ -4,7 +4,7 @@ The science takes these sections as its parameters: there is no second set of de
 several read whole, so that a changed key makes stale what reads it and nothing else (``docs/configuration.md``).
 """
 
-from schemas.config.episodes import AgentConfig, EpisodeConfig, GoalsConfig, PlacesConfig
+from schemas.config.episodes import AgentConfig, EpisodeConfig, GoalsConfig, PlacesConfig, StepBudget
 from schemas.config.instructions import (
     CompositionWeights,
     InstructionCell,
@@ -53,6 +53,7 @@ __all__ = [
     "Section",
     "SourceConfig",
     "SplitsConfig",
+    "StepBudget",
     "TextConfig",
     "Thresholds",
     "VoiceName",

@@ -45,6 +45,7 @@ __all__ = [
     "SNAP_AT_MOST",
     "SNAP_TOLERANCE",
     "STAGINGS",
+    "STEP_CEILING",
     "TOP_DEPTH",
     "UNKNOWN_EXTENT",
     "UPRIGHT_COSINE",
@@ -163,6 +164,9 @@ LANDMARK_SIZE: Final = 0.9
 
 UNKNOWN_EXTENT: Final = 0.4
 """Metres; edges of the cube that stands in the agent's way where an object's own extent is unknown."""
+
+STEP_CEILING: Final = 500
+"""Actions after which VLN-CE ends an episode: one number for all, since stock loaders hold no budget an episode."""
 
 MOST_MOVES_OF_FOUR_LEAVES: Final = 2
 """Moves of a leaf at most where a program has four leaves: more make a text too long to remember."""

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
 from schemas.base import Finite
+from schemas.config.constants import STEP_CEILING
 from schemas.config.section import Degrees, Metres, Section, Share
 
-__all__ = ["AgentConfig", "EpisodeConfig", "GoalsConfig", "PlacesConfig"]
+__all__ = ["AgentConfig", "EpisodeConfig", "GoalsConfig", "PlacesConfig", "StepBudget"]
+
+StepBudget = Annotated[int, Field(ge=1, le=STEP_CEILING)] | Literal["proportional"]
+"""One number of actions for all episodes, or one an episode by its words and its walk."""
 
 Range = Annotated[tuple[Finite, Finite], Field(json_schema_extra={"unit": "m"})]
 
@@ -73,7 +77,12 @@ class EpisodeConfig(Section):
     detour_slack: Metres = Field(4.0, description="metres that such a route may be longer than that")
     starts: int = Field(96, ge=1, le=100_000, description="starts drawn a scene, shared by its programs")
     starts_per_program: int = Field(24, ge=1, description="starts tried before a program is given up")
-    max_steps: int = Field(500, ge=1, description="ceiling of the step budget (VLN-CE's)")
+    max_steps: StepBudget = Field(
+        STEP_CEILING,
+        description="step budget of every episode, at most VLN-CE's 500, half of which must do for each leaf; "
+        "proportional: the larger of text.steps_per_word for each word and twice the ground truth, which stock loaders "
+        "can't hold",
+    )
     floor_seen: Share = Field(0.8, description="share of a room's floor that must be seen to know what is not there")
     object_seen: Share = Field(0.05, description="share of an object's surface that must be seen to know it is there")
 
@@ -86,6 +95,11 @@ class EpisodeConfig(Section):
                     f"{name}: the first bound must be at least 0 m and below the second, got [{least:g}, {most:g}]"
                 )
         return self
+
+    @property
+    def step_ceiling(self) -> int:
+        """Actions that twice the ground truth of no leaf exceeds."""
+        return STEP_CEILING if self.max_steps == "proportional" else self.max_steps
 
     def range(self, single_room: bool) -> tuple[float, float]:
         """Allowed geodesic distance from the start to any leaf, metres."""

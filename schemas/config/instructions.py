@@ -261,5 +261,7 @@ class TextConfig(Section):
 
     preamble: bool = Field(True, description="open texts that use compass words with the start heading")
     steps_per_word: int = Field(
-        10, ge=1, description="steps that the budget grants for each word, where twice the ground truth is less"
+        20,
+        ge=1,
+        description="steps that a proportional budget grants a word, where twice the ground truth is less",
     )

@@ -223,6 +223,7 @@ def stock(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], dict[str,
                 "counterfactual_groups": 1,
             },
             "sampling": {"predicates": {"far": 0.2}},
+            "episodes": {"max_steps": "proportional"},
         }
 
     return document

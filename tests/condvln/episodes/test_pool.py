@@ -12,6 +12,7 @@ import pyarrow as pa
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from condvln.episodes import pool as pool_module
 from condvln.episodes.candidates import Candidate, candidates_from_table, candidates_table
@@ -26,7 +27,7 @@ from condvln.episodes.unplaced import unplaced_programs
 from condvln.episodes.view import SceneView
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Scene
-from schemas.config import EpisodeConfig, InstructionCell, PlacesConfig
+from schemas.config import EpisodeConfig, InstructionCell, PlacesConfig, TextConfig
 from schemas.program import SHAPES, Condition, Leaf, ObjectRef, Program, RoomRef
 from schemas.tables import EPISODES
 from tests.condvln.episodes.floors import apartment, box, grid_floor, inside, placer_of
@@ -396,17 +397,22 @@ def test_a_group_has_one_step_budget_by_its_longest_text(flat) -> None:
     placements = placements_table("flat", pool, {c.instruction_id: "C0" for c in candidates}, "0" * 64)
     names = placements["episode_id"].to_pylist()
     texts = {name: " ".join(["word"] * (12 + k)) for k, name in enumerate(names)}
-    rows = with_text(placements, texts, 500, 10).to_pylist()
+    rows = with_text(placements, texts, "proportional", 10).to_pylist()
     assert [row["words"] for row in rows] == [12, 13, 14, 15]
     assert {row["max_steps"] for row in rows} == {max(150, 2 * rows[0]["ground_truth_steps"])}
     assert {row["group_id"] for row in rows} == {"g"}
     single = placements.set_column(
         placements.schema.get_field_index("group_id"), EPISODES.field("group_id"), pa.nulls(4, pa.string())
     )
-    alone = with_text(single, texts, 500, 10).to_pylist()
+    alone = with_text(single, texts, "proportional", 10).to_pylist()
     assert [row["max_steps"] for row in alone] == [
         max(10 * row["words"], 2 * row["ground_truth_steps"]) for row in alone
     ]
+    assert {row["max_steps"] for row in with_text(placements, texts, 500, 10).to_pylist()} == {500}
+    paper = EpisodeConfig(max_steps="proportional")
+    assert (EpisodeConfig().max_steps, paper.step_ceiling, TextConfig().steps_per_word) == (500, 500, 20)
+    with pytest.raises(ValidationError, match="500"):
+        EpisodeConfig(max_steps=501)
 
 
 def test_candidates_are_kept_in_a_table_without_loss(flat) -> None:

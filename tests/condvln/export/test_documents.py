@@ -233,7 +233,7 @@ def test_generation_and_choice_are_told_apart(tmp_path: Path) -> None:
 
     def change(table: str, row: dict[str, Any]) -> bool | None:
         if table == "episodes" and row["episode_id"] == over:
-            row["max_steps"] = 501
+            row["ground_truth_steps"] = 251
         return not (table == "episodes" and row["episode_id"] == lost)
 
     other = changed(first, "other", change)

@@ -26,7 +26,7 @@ def move_object(files: Files, rng: np.random.Generator, world: World) -> bool:
         subgoal["position"] = moved(subgoal["position"])
     else:
         leaf["goals"] = [moved(goal) for goal in leaf["goals"]]
-        leaf["reference_path"][-1] = leaf["goals"][0]
+        leaf["reference_path"][-1] = moved(leaf["reference_path"][-1])
     files.repeat_gold()
     return True
 

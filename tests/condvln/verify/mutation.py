@@ -54,10 +54,6 @@ class Files:
         self.manifest["instruction_text"] = text
         self.manifest["words"] = self.record["info"]["words"] = len(text.split())
         self.record["instruction"]["instruction_text"] = text
-        if self.manifest["max_steps"] == 10 * self.manifest["words"]:
-            return
-        if self.manifest["max_steps"] < 10 * self.manifest["words"] <= 500:
-            self.manifest["max_steps"] = self.record["info"]["max_steps"] = 10 * self.manifest["words"]
 
     def word(self) -> None:
         """The text that the program as it is now would have."""
