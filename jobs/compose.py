@@ -20,7 +20,7 @@ from jobs.report import Report
 from schemas.config import Config
 from schemas.errors import ConfigError, UsageError
 
-__all__ = ["NAVMESH", "compose", "refuse_export", "shipped_navmesh", "write_changed"]
+__all__ = ["NAVMESH", "compose", "found_scene", "refuse_export", "shipped_navmesh", "write_changed"]
 
 SUFFIX: Final = ".glb"
 NAVMESH: Final = ".navmesh"
@@ -46,7 +46,7 @@ def compose(config: Config, scene_id: str, out: Path, *, own_navmesh: bool = Fal
     if out.suffix != SUFFIX:
         raise UsageError(f"{out} is not a {SUFFIX} file", place="OUT.glb", remedy=f"Name it {out.name}{SUFFIX}.")
     refuse_export(config.export, out.parent)
-    source, name = _found(config, scene_id)
+    source, name = found_scene(config, scene_id)
     scene = with_shipped_navmesh(source.read(name), config.agent)
     shipped = shipped_navmesh(scene) if own_navmesh else None
     if own_navmesh and shipped is None:
@@ -105,8 +105,13 @@ def shipped_navmesh(scene: Scene) -> NavMeshFile | None:
     return parse_navmesh(files.read(scene.navmesh.path, MAX_FILE_BYTES), str(files.folder / scene.navmesh.path))
 
 
-def _found(config: Config, scene_id: str) -> tuple[Source, str]:
-    """The one source that has the scene, and the scene's id there."""
+def found_scene(config: Config, scene_id: str) -> tuple[Source, str]:
+    """The one source that has the scene, and the scene's id there.
+
+    Raises
+    ------
+    UsageError : no source, or more than one, has it
+    """
     found: list[tuple[Source, str]] = []
     for one in config.sources:
         for name in dict.fromkeys((scene_id, scene_id.removeprefix(f"{one.family}/"))):

@@ -27,7 +27,7 @@ from schemas.config import Config
 from schemas.errors import UsageError
 from schemas.program import CATEGORIES, Program
 
-__all__ = ["episode_lines", "show_episodes", "spread"]
+__all__ = ["episode_lines", "named_rows", "show_episodes", "spread"]
 
 Item = TypeVar("Item")
 
@@ -65,7 +65,7 @@ def show_episodes(
 def _chosen(snapshot: Snapshot, name: str | None, sample: int) -> list[dict[str, Any]]:
     episodes = snapshot.table("episodes")
     if name is not None:
-        rows = _named(snapshot, episodes, name)
+        rows = named_rows(snapshot, episodes, name)
         if not rows:
             raise UsageError(
                 f"no episode and no instruction {name!r}", remedy="condvln show CONFIG --sample 5 lists some."
@@ -89,7 +89,7 @@ def _chosen(snapshot: Snapshot, name: str | None, sample: int) -> list[dict[str,
     return spread(first, sample)
 
 
-def _named(snapshot: Snapshot, episodes: pa.Table, name: str) -> list[dict[str, Any]]:
+def named_rows(snapshot: Snapshot, episodes: pa.Table, name: str) -> list[dict[str, Any]]:
     """Episodes whose id begins so; where there are none, those of such an instruction, or itself if it has none."""
     for column in ("episode_id", "episode_hash"):
         if column not in episodes.column_names:  # a snapshot of a former release, whose ids are hashes

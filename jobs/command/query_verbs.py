@@ -11,7 +11,7 @@ from jobs.command.answers import answer, console, leave
 from jobs.command.options import AsJson, ConfigPath, NavmeshRoots, Overrides, RefName, TargetName
 from schemas.errors import UsageError
 
-__all__ = ["query", "show", "sources", "status"]
+__all__ = ["query", "render", "show", "sources", "status"]
 
 
 def sources(
@@ -112,3 +112,36 @@ def show(
         raise UsageError("a configuration names its datasets", place="--navmesh-root", remedy="Name an export instead.")
     loaded = load_config(target, overrides or (), check_roots=picture is not None)
     answer(show_episodes(loaded, episode=episode, sample=sample, picture=picture), as_json)
+
+
+def render(
+    config: ConfigPath,
+    name: Annotated[
+        str, typer.Argument(metavar="SCENE|EPISODE", help="scene id (FAMILY/ID where several have it), or episode id")
+    ],
+    out: Annotated[
+        Path, typer.Argument(metavar="OUT", help=".png for one sheet, .gif for a clip, else a folder of frames")
+    ],
+    camera: Annotated[
+        str, typer.Option(metavar="PRESET", help="vlnce, streamvln, internvla-n1 or panorama")
+    ] = "streamvln",
+    position: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option(metavar="X Y Z", help="where to stand in a scene, metres; else some place that can be stood on"),
+    ] = None,
+    heading: Annotated[
+        float | None,
+        typer.Option(metavar="DEGREES", help="where to look, clockwise from north; else all four quarters"),
+    ] = None,
+    overrides: Overrides = None,
+    as_json: AsJson = False,
+) -> None:
+    """Draw what is seen from a pose in a scene, or along the right way of an episode; no simulator is needed.
+
+    A folder gets colours, depth in millimetres and instance numbers (index in the objects table plus 1) of each camera.
+    """
+    from jobs.configuration import load_config
+    from jobs.render import render as render_scene
+
+    loaded = load_config(config, overrides or ())
+    answer(render_scene(loaded, name, out, camera=camera, position=position, heading=heading), as_json)

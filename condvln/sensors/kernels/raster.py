@@ -125,10 +125,10 @@ def rasterize(
             if not distance < 0.0:
                 continue  # seen from behind, or edge-on
             left, right, bottom, top = _image_bounds(v, near, tan_x, tan_y)
-            x_from = max(0.0, math.ceil((left + 1.0) * 0.5 * width - 0.5 - SLACK))
-            x_to = min(width - 1.0, math.floor((right + 1.0) * 0.5 * width - 0.5 + SLACK))
-            y_from = max(0.0, math.ceil((1.0 - top) * 0.5 * height - 0.5 - SLACK))
-            y_to = min(height - 1.0, math.floor((1.0 - bottom) * 0.5 * height - 0.5 + SLACK))
+            x_from = max(0.0, np.ceil((left + 1.0) * 0.5 * width - 0.5 - SLACK))
+            x_to = min(width - 1.0, np.floor((right + 1.0) * 0.5 * width - 0.5 + SLACK))
+            y_from = max(0.0, np.ceil((1.0 - top) * 0.5 * height - 0.5 - SLACK))
+            y_to = min(height - 1.0, np.floor((1.0 - bottom) * 0.5 * height - 0.5 + SLACK))
             if not (x_from <= x_to and y_from <= y_to):
                 continue
             # A ray d = (x, y, -1) is inside where d·m is at least 0 for all three.
@@ -148,10 +148,10 @@ def rasterize(
                     c = c0 if i == 0 else (c1 if i == 1 else c2)
                     if m[i, 0] > 0.0:
                         bound = (-c / (m[i, 0] * tan_x) + 1.0) * 0.5 * width - 0.5
-                        first = max(first, math.ceil(bound - SLACK))
+                        first = max(first, np.ceil(bound - SLACK))
                     elif m[i, 0] < 0.0:
                         bound = (-c / (m[i, 0] * tan_x) + 1.0) * 0.5 * width - 0.5
-                        last = min(last, math.floor(bound + SLACK))
+                        last = min(last, np.floor(bound + SLACK))
                     elif c < 0.0:
                         last = -1.0
                 if first > last:
