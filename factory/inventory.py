@@ -106,13 +106,8 @@ def missing_parts(store: Store, snapshot_id: str) -> list[str]:
         return [manifest_path(snapshot_id)]
     folder = f"snapshots/{snapshot_id}"
     there = {entry.path: entry.size for entry in store.list(folder)}
-    sizes = {
-        part.path: part.bytes
-        for table in manifest.tables.values()
-        for partition in table.partitions.values()
-        for part in partition.parts
-    } | {record.path: record.bytes for record in manifest.shared.values()}
-    return [f"{folder}/{path}" for path, size in sorted(sizes.items()) if there.get(f"{folder}/{path}") != size]
+    sizes = {f"{folder}/{file.path}": file.bytes for file in manifest.files()}
+    return [path for path, size in sorted(sizes.items()) if there.get(path) != size]
 
 
 def glance(store: Store, ref: str) -> list[Any]:

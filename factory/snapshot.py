@@ -204,19 +204,13 @@ def damaged_parts(store: Store, snapshot_id: str) -> Iterator[str]:
     manifest = read_manifest(store, snapshot_id)
     if manifest is None:
         return
-    hashes = {
-        part.path: part.sha256
-        for table in manifest.tables.values()
-        for partition in table.partitions.values()
-        for part in partition.parts
-    } | {record.path: record.sha256 for record in manifest.shared.values()}
-    for name, sha256 in hashes.items():
-        path = f"snapshots/{snapshot_id}/{name}"
+    for file in manifest.files():
+        path = f"snapshots/{snapshot_id}/{file.path}"
         try:
             data = store.read(path)
         except FileNotFoundError:
             data = b""
-        if hashlib.sha256(data).hexdigest() != sha256:
+        if hashlib.sha256(data).hexdigest() != file.sha256:
             yield path
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated
 
 from pydantic import Field
@@ -111,6 +112,13 @@ class SnapshotManifest(VersionedDocument):
     """Recorded, never keyed: git revision, versions of libraries."""
     checksum: Hash64 | None = None
     """SHA-256 of the rest as canonical JSON; None in documents from before there was one."""
+
+    def files(self) -> Iterator[PartRecord | SharedRecord]:
+        """Every file of the snapshot but this manifest; paths are relative to the snapshot's folder."""
+        for table in self.tables.values():
+            for partition in table.partitions.values():
+                yield from partition.parts
+        yield from self.shared.values()
 
 
 class Published(Document):

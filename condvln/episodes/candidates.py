@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -16,10 +17,22 @@ from schemas.config import InstructionCell
 from schemas.program import CATEGORIES, Program
 from schemas.tables import INSTRUCTIONS
 
-__all__ = ["Candidate", "candidates_from_table", "candidates_table", "cell_name", "draw_candidates"]
+__all__ = [
+    "UNPLACED",
+    "Candidate",
+    "candidates_from_table",
+    "candidates_table",
+    "cell_name",
+    "draw_candidates",
+    "unplaced_programs",
+    "unplaced_table",
+]
 
 GROUPS: Final = "counterfactual groups"
 """In place of a cell's name."""
+
+UNPLACED: Final = pa.schema([("instruction_id", pa.string())])
+"""Ids of instructions that are published without an episode, since their scene has no navmesh; kept in the unit."""
 
 _CELL: Final = pa.field("cell", pa.string(), nullable=False)
 _GROUP: Final = INSTRUCTIONS.field("group_id")
@@ -70,3 +83,31 @@ def candidates_from_table(table: pa.Table, cells: Iterable[InstructionCell]) -> 
         Candidate(name, program, None if group is not None else named[cell], group)
         for (name, program), cell, group in zip(programs_from_table(table), *columns, strict=True)
     ]
+
+
+def unplaced_programs(candidates: Iterable[Candidate]) -> list[str]:
+    """Ids of the first programs of each cell, in their order, up to what is wanted of it.
+
+    As in a pool of episodes, no gold index gets more than its equal share of a cell. Where nobody can stand nothing is
+    seen and no route begins, so what a cell asks of observability and of routes is left open, and what shares a start
+    has none to share.
+    """
+    taken: Counter[InstructionCell] = Counter()
+    golds: dict[InstructionCell, Counter[int]] = defaultdict(Counter)
+    chosen = []
+    for candidate in candidates:
+        cell, gold = candidate.cell, candidate.program.gold_leaf()
+        if cell is None:
+            continue
+        quota = -(-cell.count // len(candidate.program.leaves))
+        if taken[cell] >= cell.count or golds[cell][gold] >= quota:
+            continue
+        taken[cell] += 1
+        golds[cell][gold] += 1
+        chosen.append(candidate.instruction_id)
+    return chosen
+
+
+def unplaced_table(names: Iterable[str]) -> pa.Table:
+    """The ids as UNPLACED rows."""
+    return pa.table({"instruction_id": pa.array(names, pa.string())}, schema=UNPLACED)

@@ -39,16 +39,7 @@ def with_shipped_navmesh(scene: Scene, agent: AgentConfig) -> Scene:
         data = root.read(path, MAX_FILE_BYTES)
         own = parse_navmesh(data, str(scene.root / path)).known_settings
         fits = own.fits(agent.radius, agent.height, agent.max_climb, agent.max_slope)
-        file = NavmeshFile(
-            path=posixpath.normpath(path),
-            sha256=hashlib.sha256(data).hexdigest(),
-            built=False,
-            fits=fits,
-            agent_radius=own.agent_radius,
-            agent_height=own.agent_height,
-            agent_max_climb=own.agent_max_climb,
-            agent_max_slope=own.agent_max_slope,
-        )
+        file = _record(posixpath.normpath(path), data, own, built=False, fits=fits)
         if fits:
             return replace(scene, navmesh=file)
         first = first or file
@@ -81,24 +72,29 @@ def with_built_navmesh(scene: Scene, geometry: SceneGeometry, agent: AgentConfig
     agent : whom the navmesh must fit
     """
     scene = replace(scene, warnings=tuple(warning for warning in scene.warnings if warning.code != "no_navmesh"))
+    settings = NavMeshSettings.furnished(agent)
     try:
-        built = build_navmesh(geometry.vertices, geometry.faces, NavMeshSettings.furnished(agent))
+        built = build_navmesh(geometry.vertices, geometry.faces, settings)
     except InputError as error:
         return _with_warning(scene, SceneWarning("navmesh_not_built", "navmesh", error.what)), None
     data = built.to_bytes()
-    file = NavmeshFile(
-        path=built_path(scene.family, scene.scene_id),
-        sha256=hashlib.sha256(data).hexdigest(),
-        built=True,
-        fits=True,
-        agent_radius=agent.radius,
-        agent_height=agent.height,
-        agent_max_climb=agent.max_climb,
-        agent_max_slope=agent.max_slope,
-    )
+    file = _record(built_path(scene.family, scene.scene_id), data, settings, built=True, fits=True)
     surfaces = "its walls and the boxes of its objects" if geometry.approximate else "the scene's surfaces"
     note = SceneWarning("navmesh_built", "navmesh", f"the dataset ships none: built from {surfaces}")
     return _with_warning(replace(scene, navmesh=file), note), data
+
+
+def _record(path: str, data: bytes, settings: NavMeshSettings, *, built: bool, fits: bool) -> NavmeshFile:
+    return NavmeshFile(
+        path=path,
+        sha256=hashlib.sha256(data).hexdigest(),
+        built=built,
+        fits=fits,
+        agent_radius=settings.agent_radius,
+        agent_height=settings.agent_height,
+        agent_max_climb=settings.agent_max_climb,
+        agent_max_slope=settings.agent_max_slope,
+    )
 
 
 def _with_warning(scene: Scene, warning: SceneWarning) -> Scene:

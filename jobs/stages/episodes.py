@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from condvln.episodes.candidates import Candidate, candidates_from_table
+from condvln.episodes.candidates import Candidate, candidates_from_table, unplaced_programs, unplaced_table
 from condvln.episodes.pool import EpisodePool
 from condvln.episodes.steps import place_programs
 from condvln.episodes.table import (
@@ -14,7 +14,6 @@ from condvln.episodes.table import (
     placements_table,
     rejections_table,
 )
-from condvln.episodes.unplaced import unplaced_programs, unplaced_table
 from condvln.episodes.visibility import sightings_from_table
 from condvln.scene import Scene
 from factory.stage import Stage, StageOutput

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from factory import Aggregate, InputFile, Pipeline, Stage, StageOutput, TableSpec, Unit
+from factory import Aggregate, InputFile, LocalStore, Pipeline, Stage, StageOutput, TableSpec, Unit
 from schemas.canonical import JSON
 from schemas.errors import FormatError, TransientIOError
 
@@ -221,3 +221,14 @@ def units(count: int = 12, **payload: JSON) -> list[Unit]:
         unit(f"{'ab'[n % 2]}/u{n:05d}", n % 7 + (n != 7), partition="ab"[n % 2], cost=1.0 + n % 5, **payload)
         for n in range(count)
     ]
+
+
+def files(store: LocalStore, snapshot_id: str) -> dict[str, bytes]:
+    """Every Parquet file of a snapshot."""
+    folder = store.root / "snapshots" / snapshot_id
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*.parquet"))}
+
+
+def counts(folder: Path) -> dict[str, int]:
+    """How often each stage ran for each unit."""
+    return {path.name: len(path.read_text().splitlines()) for path in folder.iterdir()}

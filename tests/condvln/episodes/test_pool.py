@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from condvln.episodes import pool as pool_module
-from condvln.episodes.candidates import Candidate, candidates_from_table, candidates_table
+from condvln.episodes.candidates import Candidate, candidates_from_table, candidates_table, unplaced_programs
 from condvln.episodes.identity import content_hash
 from condvln.episodes.label_share import allowed_share, most_leaves, over_share
 from condvln.episodes.observability import Observer
@@ -23,7 +23,6 @@ from condvln.episodes.placing import Placement, Placer, Rejected
 from condvln.episodes.pool import EpisodePool, fill_pool
 from condvln.episodes.rules import REASONS
 from condvln.episodes.table import funnel_table, placements_table, rejections_table, with_text
-from condvln.episodes.unplaced import unplaced_programs
 from condvln.episodes.view import SceneView
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Scene
