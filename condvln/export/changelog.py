@@ -121,7 +121,7 @@ class Generated:
 
     @classmethod
     def of(cls, pool: ExportPool) -> Generated:
-        """What of a pool is needed to tell why an episode came or went."""
+        """The columns of a pool that explain why an episode is new or gone."""
         order = np.argsort(pool.episode)
         return cls(pool.episode[order], pool.unfit[order], pool.reasons)
 
@@ -203,7 +203,7 @@ def changes_between(
 
 
 class _Words(NamedTuple):
-    """How the reasons read for episodes that stand in one of two exports only."""
+    """Wording of the reasons for episodes that are in one of two exports only."""
 
     left_out: str
     scene: str

@@ -90,7 +90,7 @@ def _twin(episode: dict[str, Any], text: str, vocabulary: Vocabulary | None) -> 
 
 
 def _tokens(vocabulary: Vocabulary | None, text: str, former: Any) -> list[int]:
-    """Padded as the split's own instructions are, or bare where they are bare; none without a vocabulary."""
+    """Tokens, padded if the split's own instructions are padded; none without a vocabulary."""
     if vocabulary is None:
         return []
     if isinstance(former, list) and former and former[-1] == PAD_INDEX:

@@ -1,4 +1,4 @@
-"""Stock R2R_VLNCE v1-3 episodes, as VLN-CE's strict loader takes them: anything of ours stands under ``info``.
+"""Stock R2R_VLNCE v1-3 episodes, as VLN-CE's strict loader takes them: our own fields are under ``info``.
 
 A split is two files: ``<split>.json.gz`` (episodes, then the vocabulary) and ``<split>_gt.json.gz`` (dense locations
 and actions by episode id, for nDTW and imitation learning).

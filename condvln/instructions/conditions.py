@@ -1,4 +1,4 @@
-"""What can be asked of a room: statements known true and statements known false, each with a margin.
+"""Statements about a room that a condition can ask: known true or known false, each with a margin.
 
 Presence: "there is a lamp in the bedroom". Relation: "there is a lamp near the bed", its false twins asking for the
 same lamps near something else, or for something else that is there but not near the bed. Presence claims absence when

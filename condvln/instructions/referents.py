@@ -294,7 +294,7 @@ def _qualifications(referents: Referents) -> tuple[tuple[Qualification, ...], ..
 
 
 def room_refs(referents: Sequence[Referents], vocabulary: Vocabulary) -> dict[str, tuple[RoomRef, ...]]:
-    """Names of the rooms that text can tell apart, with all their alternatives, by room id.
+    """Names of the rooms that have a unique one, with all alternatives, by room id.
 
     A room's label alone serves where no other room could be meant by it; else an object that is unique in the room
     and that each of those others is known to lack under any word ("the bedroom with the piano"). The one room of a

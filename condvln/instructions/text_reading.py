@@ -15,7 +15,7 @@ __all__ = ["Phrase", "Place", "Reading", "reading_of"]
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A room as named: its label, and the label of the thing that tells it apart."""
+    """A room as named: its label, and the label of the object that distinguishes it."""
 
     label: str
     anchor: str | None = None

@@ -1,4 +1,4 @@
-"""How the boxes of a room stand over, on and beside each other; a counter with a corner is the boxes of its arms.
+"""Which objects of a room are over, on and beside each other, by boxes; a counter with a corner is its arms.
 
 All lengths are whole millimetres, in which sums, products and square roots are the same wherever they are computed.
 """
@@ -25,7 +25,7 @@ _GROUND: Final = [0, 2]
 
 
 def exact_mm(metres: float) -> float:
-    """A threshold in millimetres. 1.15 · 1000 is not a whole number in binary; a nanometre decides nothing."""
+    """A threshold in millimetres. 1.15 · 1000 is not a whole number in binary; a nanometre is ignored."""
     return round(metres * 1000.0, 6)
 
 

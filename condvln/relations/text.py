@@ -219,7 +219,7 @@ def _on(s: Stacking, t: Thresholds) -> _Fact:
 
 
 def _under(s: Stacking, t: Thresholds) -> _Fact:
-    """On the floor below an anchor that hangs or stands clear of it; its box's bottom bounds its underside."""
+    """On the floor below an anchor with space beneath it; the bottom of the anchor's box bounds its underside."""
     floor = s.off_floor[:, None] <= exact_mm(t.on_floor)
     true = floor & (s.gap.T >= 0.0) & (s.covered >= t.under_footprint_true)
     apart = exact_mm(t.over_apart_false)
@@ -245,7 +245,7 @@ def _higher(s: Stacking, t: Thresholds) -> _Fact:
 
 
 def _above(s: Stacking, horizontal: F64, footprint_overlap: F64, t: Thresholds) -> _Fact:
-    """With air in between: what rests on a thing is on it."""
+    """With a gap between them: an object that rests on another is "on" it."""
     rise, air = exact_mm(t.height_true), exact_mm(t.over_gap_true)
     true = (
         (s.rise >= rise)

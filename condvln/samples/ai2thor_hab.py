@@ -54,7 +54,7 @@ def ai2thor_hab_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, byte
 
 
 def in_house_frame(layout: Layout) -> Layout:
-    """The same apartment where its house stands: Unity's lowest corner at the origin, then z mirrored."""
+    """The same apartment in the frame of its house: Unity's lowest corner at the origin, then z mirrored."""
     (x0, _), (_, z1) = layout.bounds
 
     def point(x: float, z: float) -> tuple[float, float]:

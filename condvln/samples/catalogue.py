@@ -1,4 +1,4 @@
-"""The kinds of objects that stand in made apartments, read from ``catalogue.csv``: label, sizes, shape, habits.
+"""The kinds of objects in made apartments, read from ``catalogue.csv``: label, sizes, shape, habits.
 
 Every kind comes in a few sizes (variants), so that scenes share models the way real datasets do.
 """

@@ -309,7 +309,7 @@ def _reluctance(one: str, other: str) -> float:
 
 
 def _doors(rng: random.Random, rooms: Sequence[PlanRoom]) -> tuple[PlanDoor, ...] | None:
-    """Doors that join all cells and make nobody walk through a private room; None where the plan allows none."""
+    """Doors that join all cells without a way through a private room; None if the plan has no such doors."""
     room_for_door = max(DOOR_WIDTHS) + 2 * DOOR_CORNER_MARGIN
     walls = [wall for wall in _walls(rooms) if wall.high - wall.low >= room_for_door]
     ranked = sorted(

@@ -1,4 +1,4 @@
-"""One room while it is being furnished: what stands where, and whether one more piece may stand there.
+"""One room while it is furnished: the pieces placed so far, and whether one more piece fits at a place.
 
 Millimetres throughout. A piece fits if its box overlaps no other, stands clear of doorways and of the space that others
 need in front of them, and leaves the floor in one part for the agent, with people's passages between all doors.

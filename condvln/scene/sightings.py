@@ -25,7 +25,7 @@ class Sightings:
     doubtful: frozenset[str] = frozenset()
 
     def hidden(self, arrays: RoomArrays) -> NDArray[np.bool_]:
-        """(n,) objects of a room that nobody sees, those in shut containers among them."""
+        """(n,) objects of a room that can't be seen, including those in shut containers."""
         return np.asarray(arrays.hidden | np.array([name in self.unseen for name in arrays.object_ids], dtype=bool))
 
     def in_doubt(self, arrays: RoomArrays) -> NDArray[np.bool_]:
@@ -33,7 +33,7 @@ class Sightings:
         return np.asarray(~arrays.hidden & np.array([name in self.doubtful for name in arrays.object_ids], dtype=bool))
 
     def hidden_ids(self, scene: Scene) -> frozenset[str]:
-        """All objects of a scene that nobody sees, by id."""
+        """Ids of all objects of a scene that can't be seen."""
         return self.unseen | {item.object_id for item in scene.objects if item.hidden}
 
 

@@ -224,7 +224,7 @@ def _objects(
 
 
 def _whole(items: list[SceneObject], family: str, complete: bool) -> Room:
-    """The one room of a building whose rooms nobody annotated."""
+    """The one room of a building without annotated rooms."""
     ends = [y for o in items for y in (o.center[1:2] if o.aabb is None else o.aabb[:, 1])]
     return Room(
         room_id="building",

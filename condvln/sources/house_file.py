@@ -61,7 +61,7 @@ class HouseObject:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Panorama:
-    """A camera's stand: its name, region by index, and position (3,)."""
+    """A camera position: its name, region by index, and position (3,)."""
 
     name: str
     region: int

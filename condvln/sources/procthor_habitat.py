@@ -1,4 +1,4 @@
-"""ProcTHOR as Habitat has it (``ai2thor-hab``): scene instances, whose rooms stand in the houses' own JSON only.
+"""ProcTHOR as Habitat has it (``ai2thor-hab``): scene instances, whose rooms are in the houses' own JSON only.
 
 A scene and its house are joined by name: ``ProcTHOR-Train-293`` is line 293 of ``train.jsonl``. Whether they are one is
 then seen from their objects, which stand in the same places: in Unity's coordinates with z mirrored, or, as exporters
@@ -84,7 +84,7 @@ def _house_id(scene_id: str) -> str:
 
 
 def _turn(house: House, objects: Sequence[SceneObject]) -> int | None:
-    """1 where the house stands as the scene does, −1 where it is half a turn away; None where neither fits."""
+    """1 if house and scene have the same orientation, −1 if they are half a turn apart; None if neither fits."""
     if not house.objects or not objects:
         return 1
     tree = cKDTree(np.array([item.center for item in objects]))

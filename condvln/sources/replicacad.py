@@ -55,7 +55,7 @@ class Assembly:
 
 
 class ReplicaCadSource(SceneSource):
-    """The scenes of a Habitat scene dataset; a folder that is none is a ConfigError."""
+    """The scenes of a Habitat scene dataset; any other folder is a ConfigError."""
 
     family: ClassVar[str] = "replicacad"
 

@@ -1,4 +1,4 @@
-"""RoboTHOR: apartments of movable walls, in which nobody annotated rooms."""
+"""RoboTHOR: apartments of movable walls, without annotated rooms."""
 
 from __future__ import annotations
 

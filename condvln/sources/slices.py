@@ -147,6 +147,6 @@ def _root(whole: list[int], k: int) -> int:
 
 
 def _unite(whole: list[int], i: int, j: int) -> None:
-    """Trees of indices, the least on top, so that the order of the pairs changes nothing."""
+    """Union-find over indices; the least index is the root, so that the order of the pairs changes nothing."""
     low, high = sorted((_root(whole, i), _root(whole, j)))
     whole[high] = low

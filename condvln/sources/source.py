@@ -90,7 +90,7 @@ class Source(Protocol):
 
     @property
     def root(self) -> Path:
-        """Folder that all relative paths of its scenes stand in."""
+        """Folder that all relative paths of its scenes count from."""
         ...
 
     def handles(self) -> list[SceneHandle]:
@@ -116,7 +116,7 @@ class Source(Protocol):
         ...
 
     def geometry(self, scene: Scene) -> SceneGeometry | None:
-        """The surfaces of a scene that `read` gave; None where the dataset on disk tells neither mesh nor walls.
+        """The surfaces of a scene that `read` gave; None if the dataset on disk has neither meshes nor walls.
 
         Raises
         ------

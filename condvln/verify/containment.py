@@ -1,4 +1,4 @@
-"""Which things are shut away, found from what the source says and from boxes, one thing at a time.
+"""Which objects are in shut containers, from the source's own statements and from boxes, one object at a time.
 
 The scene's own `parent`, `support` and `hidden` are not read: they are what is to be proven.
 """
@@ -38,7 +38,7 @@ _Box = tuple[tuple[int, int, int], tuple[int, int, int]]
 def shut_away(
     items: Sequence[SceneObject], family: str, label_of: Callable[[SceneObject], str], meaning: Words
 ) -> frozenset[str]:
-    """Ids of the things that nobody in the room can know of: inside something shut, or in or on such a thing."""
+    """Ids of objects that a person in the room can't know of: inside something shut, or in or on such an object."""
     if family in FROM_SCANS:
         return frozenset()
     things = {item.object_id: _Holder(item, label_of(item), meaning) for item in items}

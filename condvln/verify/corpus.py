@@ -14,7 +14,7 @@ _GROUP_OF_SPLIT = {"train": "train", "val_seen": "train", "val_unseen": "val_uns
 
 
 class Corpus:
-    """Remembers, of each episode that was seen, what another must not repeat; some 200 bytes an episode."""
+    """Remembers what no second episode may repeat; some 200 bytes an episode."""
 
     def __init__(self) -> None:
         self._ids: set[int | str] = set()
@@ -70,7 +70,7 @@ def _number(episode_hash: str) -> int:
 
 
 def _told(program: Program) -> str:
-    """A program by all that tells it from another of its scene; a third of the time that its JSON takes."""
+    """A program as a hashable key, unique in its scene; takes a third of the time of its JSON."""
     conditions = [(c.label, c.truth, *_ids(c)) for c in program.conditions]
     leaves = [[(move.object_id, *_ids(move)) for move in leaf.moves] for leaf in program.leaves]
     return repr((program.category, conditions, leaves))

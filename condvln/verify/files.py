@@ -35,7 +35,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Unread:
-    """An entry of a file that stands alone or can't be read."""
+    """An entry of a file without its counterpart, or one that can't be read."""
 
     split: str
     episode_id: str
@@ -161,7 +161,7 @@ class _Lookup:
         return entry
 
     def rest(self) -> Iterator[str]:
-        """Names of the entries that nobody asked for."""
+        """Names of the entries that were not requested."""
         for name, waiting in self._passed.items():
             yield from [name] * len(waiting)
         yield from (name for name, _ in self._stream)

@@ -38,7 +38,7 @@ class _Rectangle(NamedTuple):
 
 
 class Ground:
-    """What an object stands over in the (x, z) plane: a rectangle, or one for each of its parts.
+    """Footprint of an object in the (x, z) plane: a rectangle, or one for each of its parts.
 
     centre : (2,) of the largest rectangle
     """
@@ -86,7 +86,7 @@ def _below(box: OrientedBox) -> _Rectangle | None:
 
 
 class Reach:
-    """How points stand to the objects of a scene. An object's goals are those of many episodes: each is asked once."""
+    """Points against the objects of a scene. Many episodes share an object's goals, so each result is cached."""
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene

@@ -1,4 +1,4 @@
-"""The floor of a room as the points that tell how much of it was seen.
+"""The floor of a room as points, to measure how much of it is seen.
 
 Of a room with an outline these are the points of a grid, some 256 of them and none closer than 0.2 m, that an agent can
 stand at; where it can stand at none, all of them. Of a room without one, 512 places drawn over the navmesh, with the

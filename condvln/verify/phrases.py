@@ -14,7 +14,7 @@ __all__ = ["Moves", "Named", "Phrase", "PhraseReader"]
 
 
 class Named(NamedTuple):
-    """A room as named: its type, and the label of the thing that tells it apart."""
+    """A room as named: its type, and the label of the object that distinguishes it."""
 
     label: str
     anchor: str | None

@@ -131,7 +131,7 @@ def _settled(condition: Condition) -> bool:
 
 
 def _follows(one: Condition, other: Condition) -> bool:
-    """Whether `other` takes for granted, or asks, what `one` asks."""
+    """Whether `other` asks or presupposes what `one` asks."""
     if one.room.room_id != other.room.room_id:
         return False
     own = words().meant_by(one.label)

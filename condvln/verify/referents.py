@@ -111,12 +111,12 @@ class RoomView:
         return (thing for thing in self._all if thing.label in own or own & self._open[thing.object_id])
 
     def nameless(self, label: str) -> list[Thing]:
-        """Things that nobody named, and that might be called `label` for all that is known of them."""
+        """Unlabelled objects that might be a `label`, as far as is known."""
         own = self._meaning.meant_by(label)
         return [thing for thing in self._all if own & self._vague[thing.object_id]]
 
     def knows_absence(self, label: str) -> bool:
-        """Whether nothing that nobody named could be called `label`, and the annotation is complete."""
+        """Whether no unlabelled object might be a `label`, and the annotation is complete."""
         return self.room.complete and not self.nameless(label)
 
     def only(self, label: str) -> Thing | None:
@@ -126,7 +126,7 @@ class RoomView:
 
 
 class SceneReferents:
-    """The phrases of all texts of one scene; what one phrase means is found once.
+    """The phrases of all texts of one scene; each phrase is resolved once.
 
     anchor_size : metres; what is shorter and not fixed is nothing to find others by
     """

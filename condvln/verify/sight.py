@@ -88,7 +88,7 @@ class _Look:
 
 
 class Sight:
-    """Looks in one scene; what a place sees of a thing is asked once.
+    """Lines of sight in one scene; each (place, target) is computed once.
 
     Surfaces that are exact hide what is behind them. Where boxes stand in for them, walls and floors hide as they are
     drawn, and every thing as a solid box. Where no surface is known, things alone hide.

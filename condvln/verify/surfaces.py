@@ -86,7 +86,7 @@ class Shapes:
         return [_placed(_shape(trimesh.creation.box(extents=extents), True), rotation, centre)]
 
     def _placed(self, path: str, transform: F64) -> _Part:
-        """A mesh file where it stands; what of its placement is not a rotation is worked into the triangles."""
+        """A placed mesh file; the part of its placement that is not a rotation is applied to the triangles."""
         linear = transform[:3, :3]
         scale = np.linalg.norm(linear, axis=0)
         rotation = linear / scale if (scale > 0).all() else np.eye(3)

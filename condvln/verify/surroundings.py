@@ -145,7 +145,7 @@ class Surroundings:
 
 
 def whole_mm(metres: float) -> float:
-    """Millimetres. 1.15 · 1000 is not a whole number in binary; a millionth of a millimetre decides nothing."""
+    """Millimetres. 1.15 · 1000 is not a whole number in binary; a nanometre is ignored."""
     return round(metres * 1000.0, 6)
 
 

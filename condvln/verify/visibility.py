@@ -36,7 +36,7 @@ FEW: Final = 8
 
 
 class Onlookers:
-    """What is seen from all places of each room where an agent can stand. Each thing is asked once.
+    """What is seen from all places of each room where an agent can stand; each object is computed once.
 
     hidden : ids of what is inside something shut
     """

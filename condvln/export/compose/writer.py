@@ -1,4 +1,4 @@
-"""One GLB file of many parts: each file's meshes once, and a tree of nodes wherever it stands.
+"""One GLB file of many parts: each file's meshes once, and a tree of nodes for each placement.
 
 The bytes follow from the calls alone: nothing in them tells a clock, a machine or a path.
 """
