@@ -58,13 +58,13 @@ Predicate = Literal[
     "lower than",
     "far from",
 ]
-"""Predicates that may stand in text. ``S north of T`` holds iff S lies north of T."""
+"""Predicates that text may use. ``S north of T`` holds iff S lies north of T."""
 
 SUPERLATIVES: Final = ("bigger", "smaller")
 """Predicates without an anchor: of two things of one label the one."""
 
 QUALIFIER_ONLY: Final = ("under", "closest to", *SUPERLATIVES)
-"""Predicates that tell a stop from its rivals and that no condition asks for."""
+"""Predicates that distinguish a stop from its rivals and that no condition asks for."""
 
 
 _SECTORS: Final = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
@@ -78,8 +78,8 @@ _ASKED_BESIDES: Final = {
 def asked_in(family: str) -> frozenset[str]:
     """Predicates that conditions of a family's scenes may ask for.
 
-    Those of which both truths were counted of at least 20 pairs of labels over at least 5 scenes of the family
-    (docs/predicates.md). With fewer the words would tell the truth, and they only tell stops apart.
+    Predicates with at least 20 pairs of labels of either truth over at least 5 scenes of the family
+    (docs/predicates.md). With fewer, the words would give the truth away, and they only distinguish stops.
     """
     return _ASKED_EVERYWHERE | _ASKED_BESIDES.get(family, frozenset())
 
@@ -171,7 +171,7 @@ class Condition(Frozen):
         if self.truth != bool(self.witnesses):
             raise ValueError("a condition has witnesses exactly when it is true")
         if self.qualifier is not None and self.qualifier.predicate in QUALIFIER_ONLY:
-            raise ValueError(f"{self.qualifier.predicate!r} tells stops apart; no condition asks for it")
+            raise ValueError(f"{self.qualifier.predicate!r} only distinguishes stops; no condition asks for it")
         if self.definite and self.qualifier is None:
             raise ValueError("only a condition with a relation can be about one definite thing")
         return self
@@ -236,7 +236,7 @@ CATEGORIES: Final[tuple[Category, ...]] = tuple(SHAPES)
 class Program(Frozen):
     """A typed conditional instruction.
 
-    ``branches[0]`` is the root; conditions stand in the order in which the text asks them.
+    ``branches[0]`` is the root; conditions are in the order in which the text asks them.
     """
 
     category: Category

@@ -48,7 +48,7 @@ class InstructionCell(Section):
         None, description="from where the evidence is seen; O0f: O0 within the first view"
     )
     moves: int | None = Field(
-        None, ge=1, le=3, description="moves of every leaf, so that their number doesn't tell the gold one"
+        None, ge=1, le=3, description="moves of every leaf, so that their number doesn't give away the gold leaf"
     )
     route: tuple[Finite, Finite] | None = Field(
         None,
@@ -193,14 +193,14 @@ class PredicateWeights(Section):
 
     # What people say most comes first; heights are correct but stilted.
     on: Weight = Field(0.20, description="weight of on")
-    under: Weight = Field(0.10, description="weight of under, which only tells stops apart")
+    under: Weight = Field(0.10, description="weight of under, which only distinguishes stops")
     inside: Weight = Field(0.10, description="weight of in")
     near: Weight = Field(0.40, description="weight of near")
     vertical: Weight = Field(0.10, description="weight of above and below")
     between: Weight = Field(0.15, description="weight of between")
-    closest: Weight = Field(0.20, description="weight of closest to, which only tells stops apart")
+    closest: Weight = Field(0.20, description="weight of closest to, which only distinguishes stops")
     compass: Weight = Field(0.25, description="weight of the eight compass words")
-    size: Weight = Field(0.20, description="weight of the bigger and the smaller, which only tell stops apart")
+    size: Weight = Field(0.20, description="weight of the bigger and the smaller, which only distinguish stops")
     height: Weight = Field(0.05, description="weight of higher than and lower than")
     far: Weight = Field(0.0, description="weight of far from")
 
