@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from condvln.bias.guesser_view import Asked, GuesserView
+from condvln.instructions.language import LANGUAGES, language
 from condvln.labels import vocabulary
 from schemas.program import SHAPES, Category
 
@@ -36,6 +38,9 @@ MOST_TEXTS: Final = 0.95
 """Share of the episodes up to which a word may stand in them: what is in all tells nothing."""
 WORDS_A_CLASS: Final = 10
 """Words by which two texts differ in length."""
+MOST_TIMES: Final = 4
+"""Times that a word is counted in one text."""
+_SENTENCE_END: Final = re.compile(r"(?<=[.?!])\s+")
 ITERATIONS: Final = 50
 TOLERANCE: Final = 1e-3
 """Gradient at which a regression ends; the guesses no longer change long before."""
@@ -227,6 +232,49 @@ def _form(view: GuesserView) -> Iterator[str]:
     yield from (f"{one} {other}" for one, other in pairwise(words))
 
 
+def _voice(view: GuesserView) -> Iterator[str]:
+    """In which voice a text is said: which of the words that hold clauses together it has, how often, and first."""
+    phrases = _voice_words()
+    said = [word for word in _words(view) if word in phrases]
+    yield from (f"{word} {min(count, MOST_TIMES)} times" for word, count in Counter(said).items())
+    yield f"first {' '.join(said[:3])}"
+
+
+def _length(view: GuesserView) -> Iterator[str]:
+    """How long a text is: its words, coarsely and finely, its sentences, and the words of its longest sentence."""
+    sentences = [sentence.split() for sentence in _SENTENCE_END.split(view.text)]
+    count = sum(map(len, sentences))
+    yield f"{count // WORDS_A_CLASS} tens"
+    yield f"{count // 3} threes"
+    yield f"{len(sentences)} sentences"
+    yield f"{max(map(len, sentences)) // 5} fives in the longest"
+
+
+def _definiteness(view: GuesserView) -> Iterator[str]:
+    """Which conditions speak of a thing that is known to be there, one by one and together."""
+    flags = ["definite" if asked.definite else "indefinite" for asked in view.asked]
+    yield from (f"{k} {flag}" for k, flag in enumerate(flags))
+    yield " ".join(flags)
+
+
+def _manner(view: GuesserView) -> Iterator[str]:
+    """Voice, length and definiteness, and nothing else: none of them may tell the leaf, nor all together."""
+    yield from _voice(view)
+    yield from _length(view)
+    yield from _definiteness(view)
+
+
+@cache
+def _voice_words() -> frozenset[str]:
+    """Words of all phrases of all voices of the languages, without those of things and rooms."""
+    found: set[str] = set()
+    for code in LANGUAGES:
+        words = language(code)
+        for phrases in (*words.slots.values(), *words.connectives.values()):
+            found.update(word.strip(",.;:?¿") for phrase in phrases for word in phrase.lower().split())
+    return frozenset(found - _content_words() - {""}) | {"?", ";", ":"}
+
+
 @cache
 def _content_words() -> frozenset[str]:
     """Words of the nouns of things and rooms."""
@@ -244,6 +292,7 @@ LEARNED: Final[Mapping[str, Learner]] = {
     "statement in its layout": _in_layout(_whole_statement),
     "definite or not": _prior(lambda asked: (str(asked.definite), asked.predicate)),
     "form of the text": _regression(_form),
+    "voice and length": _regression(_manner),
     "bag of words": _regression(_text_words),
     "words in place": _regression(_cues),
 }

@@ -79,7 +79,7 @@ def test_priors_of_fewer_scenes_are_named_as_a_cause(leaking: Path, tmp_path: Pa
     add_bias(told, judged, "warn", (5, 8))
     add_bias(silent, judged, "warn")
     assert told.lines[:1] == silent.lines
-    assert "counted over 5 scenes, and 8 are published" in told.lines[1]
+    assert "counted over 5 scenes, but 8 are published" in told.lines[1]
     assert "condvln rebuild CONFIG --priors" in told.lines[1]
     full = Pin(tables={"priors": PinnedTable(version=2, hash="0" * 32, rows=1, units=8)})
     store.write("pins/condvln/main.json", full.model_dump_json().encode())

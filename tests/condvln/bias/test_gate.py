@@ -25,7 +25,7 @@ def test_fair_rows_pass(made_rows, seed: int) -> None:
     assert report.passed, report.verdict()
     assert report.verdict().startswith("no guesser beats chance")
     # A test a guesser and part, and the leaves of the cells with 200 episodes and more.
-    assert report.tests == 13 * 4 + len(report.uniformity)
+    assert report.tests == 14 * 4 + len(report.uniformity)
     assert {cell.category: cell.p for cell in report.uniformity} == {"chain": 1.0, "nested_chain": 1.0}
 
 
@@ -59,7 +59,51 @@ def test_a_word_that_goes_with_a_leaf_is_found(made_rows) -> None:
         if row["gold_leaf"] == 0 and rng.random() < 0.6:
             row["instruction_text"] = row["instruction_text"].replace("go to", "please go to")
 
-    assert caught(made_rows(0, leak=leak)) == {"bag of words", "form of the text"}
+    assert caught(made_rows(0, leak=leak)) >= {"bag of words", "form of the text"}
+
+
+def test_a_voice_that_goes_with_a_leaf_is_found(made_rows) -> None:
+    def leak(row: dict[str, Any], rng: np.random.Generator) -> None:
+        if rng.random() < 0.7:
+            row["instruction_text"] = row["instruction_text"].replace(
+                "go to", ("walk to", "head to", "go to")[row["gold_leaf"]]
+            )
+
+    assert caught(made_rows(0, leak=leak)) >= {"voice and length"}
+
+
+def test_a_length_that_goes_with_a_leaf_is_found(made_rows) -> None:
+    """Longer by words of things alone, which say nothing else."""
+
+    def leak(row: dict[str, Any], rng: np.random.Generator) -> None:
+        if rng.random() < 0.6:
+            things = rng.choice(["lamp", "sofa", "bed"], 12 * row["gold_leaf"])
+            row["instruction_text"] = row["instruction_text"].replace("go to", f"{' '.join(things)} go to")
+
+    assert "voice and length" in caught(made_rows(0, leak=leak))
+
+
+def test_definiteness_that_goes_with_a_leaf_is_found(made_rows) -> None:
+    """What is known to be there is said "the lamp": where only true things are, the words tell."""
+
+    def leak(row: dict[str, Any], rng: np.random.Generator) -> None:
+        for condition in row["program"]["conditions"]:
+            condition["definite"] = bool(condition["truth"]) == (rng.random() < 0.75)
+
+    assert {"voice and length", "definite or not"} <= caught(made_rows(0, leak=leak))
+
+
+def test_a_pair_of_conditions_that_is_definite_together_is_found(made_rows) -> None:
+    """Neither alone tells: of a chain's two conditions both are definite, or neither, where its last leaf is gold."""
+
+    def leak(row: dict[str, Any], rng: np.random.Generator) -> None:
+        if row["category"] == "chain":
+            one = bool(rng.integers(2))
+            same = (row["gold_leaf"] == 2) == (rng.random() < 0.85)
+            for condition, flag in zip(row["program"]["conditions"], (one, one == same), strict=True):
+                condition["definite"] = flag
+
+    assert "voice and length" in caught(made_rows(0, each=8, categories=("chain",), leak=leak))
 
 
 def test_a_leaf_that_is_gold_too_often_is_found(made_rows) -> None:
@@ -192,5 +236,5 @@ def test_exports_are_read(made_rows, tmp_path: Path) -> None:
 )
 def test_rows_that_are_none_are_refused(made_rows, change: dict[str, Any]) -> None:
     row = made_rows(0, scenes=1, categories=("simple",))[0]
-    with pytest.raises(FormatError, match="manifest row"):
+    with pytest.raises(FormatError, match="row of a manifest"):
         judge([{**row, **change}])
