@@ -205,6 +205,7 @@ class World:
             sampling=sampling,
             places=places,
             rules=episodes,
+            thresholds=thresholds,
             preamble=text.preamble,
             seed=seed,
         )

@@ -69,6 +69,7 @@ def build_pipeline(config: Config) -> Pipeline:
                 config.instructions,
                 config.sampling,
                 config.episodes,
+                config.thresholds,
                 agent.max_climb,
                 preamble,
                 config.seed,

@@ -14,6 +14,7 @@ from pydantic import Field, field_validator, model_validator
 from schemas.base import Frozen
 
 __all__ = [
+    "BEARINGS",
     "CATEGORIES",
     "QUALIFIER_ONLY",
     "SHAPES",
@@ -57,8 +58,16 @@ Predicate = Literal[
     "higher than",
     "lower than",
     "far from",
+    "left",
+    "right",
+    "ahead",
+    "behind",
 ]
-"""Predicates that text may use. ``S north of T`` holds iff S lies north of T."""
+"""Predicates that text may use. ``S north of T`` holds iff S lies north of T, ``S left`` iff S lies to the left of an
+agent that stands at the start as the episode begins."""
+
+BEARINGS: Final = ("left", "right", "ahead", "behind")
+"""Predicates without an anchor: where a thing lies for an agent at the start."""
 
 SUPERLATIVES: Final = ("bigger", "smaller")
 """Predicates without an anchor: of two things of one label the one."""
@@ -68,7 +77,7 @@ QUALIFIER_ONLY: Final = ("under", "closest to", *SUPERLATIVES)
 
 
 _SECTORS: Final = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
-_ASKED_EVERYWHERE: Final = frozenset(("near", "far from", *(f"{sector} of" for sector in _SECTORS)))
+_ASKED_EVERYWHERE: Final = frozenset(("near", "far from", *BEARINGS, *(f"{sector} of" for sector in _SECTORS)))
 _ASKED_BESIDES: Final = {
     "ithor": frozenset(("on", "lower than")),
     "procthor": frozenset(("on", "between", "higher than", "lower than")),
@@ -79,14 +88,15 @@ def asked_in(family: str) -> frozenset[str]:
     """Predicates that conditions of a family's scenes may ask for.
 
     Predicates with at least 20 pairs of labels of either truth over at least 5 scenes of the family
-    (docs/predicates.md). With fewer, the words would give the truth away, and they only distinguish stops.
+    (docs/predicates.md). With fewer, the words would give the truth away, and they only distinguish stops. Bearings are
+    true or false as the start is chosen.
     """
     return _ASKED_EVERYWHERE | _ASKED_BESIDES.get(family, frozenset())
 
 
 def anchors_of(predicate: Predicate) -> int:
     """Number of anchors that a predicate has."""
-    return 0 if predicate in SUPERLATIVES else 2 if predicate == "between" else 1
+    return 0 if predicate in SUPERLATIVES or predicate in BEARINGS else 2 if predicate == "between" else 1
 
 
 class Anchor(Frozen):
@@ -146,6 +156,11 @@ class ObjectRef(Frozen):
     room: RoomRef
     qualifier: Qualifier | None = None
 
+    @property
+    def is_bearing(self) -> bool:
+        """Whether its qualifier says where it lies at the start."""
+        return self.qualifier is not None and self.qualifier.predicate in BEARINGS
+
 
 class Condition(Frozen):
     """``there is a <label> [<qualifier>] in <room>``, with its truth and the objects that make it true.
@@ -174,7 +189,14 @@ class Condition(Frozen):
             raise ValueError(f"{self.qualifier.predicate!r} only distinguishes stops; no condition asks for it")
         if self.definite and self.qualifier is None:
             raise ValueError("only a condition with a relation can be about one definite thing")
+        if self.qualifier is not None and self.qualifier.predicate in BEARINGS and not self.definite:
+            raise ValueError(f"{self.qualifier.predicate!r} is asked of one definite thing only")
         return self
+
+    @property
+    def is_bearing(self) -> bool:
+        """Whether it asks where a thing lies at the start."""
+        return self.qualifier is not None and self.qualifier.predicate in BEARINGS
 
     @property
     def kind(self) -> Literal["presence", "relation"]:
@@ -251,7 +273,20 @@ class Program(Frozen):
             raise ValueError(f"branches and leaves are not those of category {self.category!r}")
         if len(self.conditions) != len(self.branches):
             raise ValueError("one condition a branch")
+        rooms = {named.room.room_id for named in self.named if named.is_bearing}
+        if len(rooms) > 1:
+            raise ValueError(f"bearings are of things in the room of the start, and these are in {sorted(rooms)}")
         return self
+
+    @property
+    def named(self) -> tuple[Condition | ObjectRef, ...]:
+        """The conditions, and the stops of all leaves."""
+        return (*self.conditions, *(move for leaf in self.leaves for move in leaf.moves))
+
+    @property
+    def start_room(self) -> str | None:
+        """Id of the room that the start must be in, since bearings are said of things there; None without bearings."""
+        return next((named.room.room_id for named in self.named if named.is_bearing), None)
 
     def gold_leaf(self, truths: Sequence[bool] | None = None) -> int:
         """Index of the leaf that the conditions' truths (or `truths`, in their order) lead to."""

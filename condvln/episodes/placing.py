@@ -13,6 +13,7 @@ from typing import Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.episodes.facing import HEADINGS, Facings, Headings
 from condvln.episodes.footprint import Footprints
 from condvln.episodes.goals import blocked_footprints, is_standable, wide_islands
 from condvln.episodes.routes import GoalField, Route, clearance
@@ -20,8 +21,9 @@ from condvln.instructions.stops import Stops
 from condvln.navigation.follower import FollowedRoute, Follower
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Scene, round_mm
+from condvln.scene.sightings import EVERYTHING_SEEN, Sightings
 from condvln.seeding import generator
-from schemas.config import EpisodeConfig, PlacesConfig
+from schemas.config import EpisodeConfig, PlacesConfig, Thresholds
 from schemas.program import Program
 
 __all__ = [
@@ -140,6 +142,8 @@ class Placer:
     ----------
     goals : goal points (k, 3) by object id, see ``goals.scene_goals``
     max_climb : metres that the agent steps up
+    thresholds : what may be said to lie left, right, ahead and behind
+    sightings : what nobody can see, and so no word means
     """
 
     def __init__(
@@ -152,7 +156,10 @@ class Placer:
         seed: int,
         *,
         max_climb: float,
+        thresholds: Thresholds | None = None,
+        sightings: Sightings = EVERYTHING_SEEN,
     ) -> None:
+        self.thresholds, self.sightings = thresholds or Thresholds(), sightings
         self.scene = scene
         self.pathfinder = pathfinder
         self.places = places
@@ -227,6 +234,7 @@ class Placer:
         compass: bool,
         fit: Fit | None = None,
         lengths: tuple[float, float] | None = None,
+        members: Sequence[Program] | None = None,
     ) -> Placement:
         """One start for `program` under which every leaf keeps every rule; raises `Rejected` with the reason.
 
@@ -235,6 +243,7 @@ class Placer:
         compass : the text names the start heading, so that the yaw is a compass point
         fit : what else the start and the ways must be: the yaw with which they are, or None
         lengths : least and most metres of every leaf's route, both allowed
+        members : the programs that share the start, `program` alone by default
         """
         if not len(self.starts):
             raise Rejected("no_start")
@@ -250,10 +259,17 @@ class Placer:
             possible = self._starts_not_too_far(program, possible, lengths)
             if not len(possible):
                 raise Rejected(ROUTE_MISSED)
+        facing = self._facing(members or (program,), rng)
+        if facing is not None:
+            possible = possible[facing.possible[possible]]
+            if not len(possible):
+                raise Rejected("no_heading")
         failures: Counter[str] = Counter()
         for k in rng.permutation(possible)[: self.rules.starts_per_program]:
             yaw = float(rng.uniform(-math.pi, math.pi))
-            if compass:
+            if facing is not None:
+                yaw = math.radians(-float(rng.choice(facing.headings[facing.fit[k]])))
+            elif compass:
                 yaw = round(yaw / COMPASS_STEP) * COMPASS_STEP
             try:
                 return self._place_at(program, self.starts[k], yaw, fit, lengths)
@@ -263,6 +279,16 @@ class Placer:
             if reason in failures:
                 raise Rejected(reason)
         raise Rejected(max(sorted(failures), key=lambda reason: failures[reason]))
+
+    def _facing(self, programs: Sequence[Program], rng: np.random.Generator) -> Headings | None:
+        """The headings that the bearings in the text allow; None where there are none."""
+        if all(program.start_room is None for program in programs):
+            return None
+        return self._facings.headings(programs, float(rng.uniform(0.0, 360.0 / HEADINGS)))
+
+    @cached_property
+    def _facings(self) -> Facings:
+        return Facings(self.scene, self.starts, self.thresholds, self.sightings)
 
     def _starts_in_range(self, program: Program) -> NDArray[np.int64]:
         low, high = self.rules.range(self.scene.single_room)

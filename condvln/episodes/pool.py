@@ -251,7 +251,12 @@ class _Filling:
         lengths = None if cell is None else cell.route
         try:
             one.placement = self._placer.place(
-                first.program, first.instruction_id, compass=compass, fit=fit, lengths=lengths
+                first.program,
+                first.instruction_id,
+                compass=compass,
+                fit=fit,
+                lengths=lengths,
+                members=[member.program for member in one.members],
             )
         except Rejected as rejected:
             return rejected.reason
@@ -279,7 +284,8 @@ class _Filling:
         if asked is None:
             return None
         assert observer is not None, "a cell asks for an observability and nothing tells it"
-        turns = QUARTERS if asked == FIRST_VIEW else QUARTERS[:1]
+        # Turning would make false what is said of left and right.
+        turns = QUARTERS if asked == FIRST_VIEW and program.start_room is None else QUARTERS[:1]
 
         def fit(outlook: Outlook) -> float | None:
             for turn in turns:

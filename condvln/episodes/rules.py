@@ -7,6 +7,7 @@ from typing import Final
 __all__ = ["REASONS"]
 
 REASONS: Final[dict[str, str]] = {
+    "no_heading": "from no start in the room do things lie left, right, ahead and behind as the text needs",
     "object_without_goal_point": "no navigable point of the main floor lies near the object",
     "leaves_too_close": "two leaves' goals are less than 2τ + the leaf gap apart",
     "moves_too_close": "two stops of one leaf lie less than 2τ apart",

@@ -33,6 +33,7 @@ from schemas.config import (
     PlacesConfig,
     SamplingConfig,
     TextConfig,
+    Thresholds,
     WordingConfig,
 )
 from schemas.program import Program
@@ -110,7 +111,16 @@ def draw_programs(
     rejections: Counter[tuple[InstructionCell | None, str]] = Counter()
     for stops in ways:
         sampler = ProgramSampler(
-            scene, facts, bits, instructions, sampling, seed, stops=stops, preamble=preamble, sightings=sightings
+            scene,
+            facts,
+            bits,
+            instructions,
+            sampling,
+            seed,
+            stops=stops,
+            preamble=preamble,
+            placed=walkable is not None,
+            sightings=sightings,
         )
         drawn = draw_candidates(sampler)
         rejections += sampler.rejections
@@ -170,11 +180,22 @@ def place_programs(
     sampling: SamplingConfig,
     places: PlacesConfig,
     rules: EpisodeConfig,
+    thresholds: Thresholds,
     preamble: bool,
     seed: int,
 ) -> EpisodePool:
     """The episodes that candidates become, and why the others failed."""
-    placer = Placer(scene, walkable.pathfinder, goals, places, rules, seed, max_climb=walkable.max_climb)
+    placer = Placer(
+        scene,
+        walkable.pathfinder,
+        goals,
+        places,
+        rules,
+        seed,
+        max_climb=walkable.max_climb,
+        thresholds=thresholds,
+        sightings=sightings,
+    )
     observer = Observer(scene, walkable.view, walkable.pathfinder, places, rules, placer.obstacles, sightings=sightings)
     pool = fill_pool(
         candidates,

@@ -29,7 +29,7 @@ from condvln.export.vlnce import (
 )
 from condvln.formats.streams import ByteStream, JsonArrayStream, atomic_copy, atomic_stream
 from condvln.manifest import manifest_path, manifest_row
-from schemas.program import SHAPES
+from schemas.program import BEARINGS, SHAPES
 
 __all__ = ["ExportWriter", "Layout"]
 
@@ -191,11 +191,13 @@ class ExportWriter:
         files.manifest.write(encode(manifest_row(row, instruction, **names)) + b"\n")
         self._note_shape(source, row, files.name)
         if self._graphs and source == _MP3D:
-            self._add_r2r(files, row)
+            self._add_r2r(files, row, instruction)
 
-    def _add_r2r(self, files: _SplitFiles, row: Row) -> None:
+    def _add_r2r(self, files: _SplitFiles, row: Row, instruction: Row) -> None:
         graph = (self._graphs or {}).get(row["scene_id"])
         found: dict[str, Any] | str = "no connectivity graph of its scan" if graph is None else r2r_episode(row, graph)
+        if _says_bearings(instruction):
+            found = "it says what lies left or right of a start that is no viewpoint"
         if isinstance(found, str):
             self._r2r_left_out[found] += 1
             return
@@ -236,3 +238,9 @@ class ExportWriter:
     def _note(self, stream: ByteStream) -> None:
         name = stream.path.relative_to(self._out).as_posix()
         self._report.files[name] = WrittenFile(stream.size, stream.digest.hexdigest())
+
+
+def _says_bearings(instruction: Row) -> bool:
+    """Whether the words of an instruction are true at its own start only."""
+    named = [*instruction["conditions"], *(move for leaf in instruction["leaves"] for move in leaf["moves"])]
+    return any(one["qualifier"] is not None and one["qualifier"]["predicate"] in BEARINGS for one in named)

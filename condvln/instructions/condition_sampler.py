@@ -19,7 +19,7 @@ from condvln.instructions.rejection import GivenUp
 from condvln.labels import Vocabulary
 from condvln.seeding import Draws
 from schemas.config import SamplingConfig
-from schemas.program import Condition, ObjectRef, Predicate, Program, RoomRef
+from schemas.program import BEARINGS, Condition, ObjectRef, Predicate, Program, RoomRef
 
 __all__ = ["ConditionSampler"]
 
@@ -32,6 +32,14 @@ class _Room:
     referents: Referents
     pool: ConditionPool
     groups: tuple[tuple[tuple[Predicate, ...], float], ...]
+    bearings: bool = False
+
+    def here(self, start: bool) -> tuple[tuple[tuple[Predicate, ...], float], ...]:
+        """The groups of predicates that it may be asked for; bearings only in the room of the start."""
+        if start or not self.bearings:
+            return self.groups
+        rest = [(predicates, weight) for predicates, weight in self.groups if predicates[0] not in BEARINGS]
+        return tuple(rest if any(weight for _, weight in rest) else [(predicates, 1.0) for predicates, _ in rest])
 
 
 class ConditionSampler:
@@ -44,6 +52,7 @@ class ConditionSampler:
     Attributes
     ----------
     rooms : ids of the rooms where something can be asked with either truth
+    start_rooms : ids of the rooms where bearings can be asked, if the start is in them
     clashes : how often each rule of ``degeneracy`` cost a condition another try
     """
 
@@ -57,11 +66,15 @@ class ConditionSampler:
     ) -> None:
         self._sampling, self._vocabulary = sampling, vocabulary
         self._label_only = sampling.label_only(single_room)
-        parts = {name: _Room(referents, pool, self._groups(pool)) for name, (referents, pool) in sorted(rooms.items())}
+        parts = {name: self._room(referents, pool) for name, (referents, pool) in sorted(rooms.items())}
         self._rooms = {name: part for name, part in parts.items() if part.groups or part.pool.presence}
+        self.start_rooms = tuple(name for name, part in self._rooms.items() if part.bearings)
         self.rooms = tuple(self._rooms)
         self.clashes: Counter[str] = Counter()
         self._made: dict[tuple[RoomRef, Question], Condition] = {}
+
+    def _room(self, referents: Referents, pool: ConditionPool) -> _Room:
+        return _Room(referents, pool, self._groups(pool), any(bearing in pool.relations for bearing in BEARINGS))
 
     def _groups(self, pool: ConditionPool) -> tuple[tuple[tuple[Predicate, ...], float], ...]:
         weights = self._sampling.predicates
@@ -74,13 +87,20 @@ class ConditionSampler:
         return tuple(there if any(weight for _, weight in there) else [(predicates, 1.0) for predicates, _ in there])
 
     def conditions(
-        self, truths: Sequence[bool], stops: Iterable[ObjectRef], names: Mapping[str, RoomRef], draws: Draws
+        self,
+        truths: Sequence[bool],
+        stops: Iterable[ObjectRef],
+        names: Mapping[str, RoomRef],
+        draws: Draws,
+        start_room: str | None = None,
+        bearings: int = 0,
     ) -> tuple[Condition, ...]:
         """Conditions of these truths, in their order, that break no rule beside each other and the stops.
 
         Parameters
         ----------
         names : the rooms to ask about, by id, as the text calls them
+        start_room : the one in which bearings may be asked for; bearings : how many at most
 
         Raises
         ------
@@ -94,8 +114,10 @@ class ConditionSampler:
             claims = [Claim.of(condition) for condition in asked]
             for _ in range(self._sampling.attempts if rooms else 0):
                 room = draws.choice(rooms)
-                pair = self._pair(names[room], self._statements(room, draws), claims, given, draws)
-                if pair is not None:
+                free = bearings > sum(condition.is_bearing for condition in asked)
+                statements = self._statements(room, draws, room == start_room and free)
+                pair = statements and self._pair(names[room], statements, claims, given, draws)
+                if pair:
                     asked.append(pair[truth])
                     break
             else:
@@ -126,6 +148,9 @@ class ConditionSampler:
             for condition, weight in zip(made, weights, strict=True)
             if clash(Claim.of(condition), claims, given, self._vocabulary) is None
         ]
+        if old.is_bearing:
+            # From one start a thing can't both lie in a direction and not.
+            sound = [(condition, weight) for condition, weight in sound if condition.label != old.label]
         alike = [(condition, weight) for condition, weight in sound if condition.label == old.label]
         return draws.weighted(*zip(*(alike or sound), strict=True)) if sound else None
 
@@ -149,16 +174,19 @@ class ConditionSampler:
                 return None
         return found
 
-    def _statements(self, room: str, draws: Draws) -> Statements:
-        """Statements of one kind and predicate."""
+    def _statements(self, room: str, draws: Draws, start: bool) -> Statements | None:
+        """Statements of one kind and predicate; None where there are none unless the start is in the room."""
         part = self._rooms[room]
+        groups = part.here(start)
         presence = part.pool.presence
         if presence is not None:
             # Where hardly anything that varies can be asked, it is asked hardly ever.
             share = self._label_only * min(1.0, *(sums[-1] for sums in presence.sums.values()))
-            if draws.uniform() < share or not part.groups:
+            if draws.uniform() < share or not groups:
                 return presence.question, presence.sums
-        predicates = draws.weighted(part.groups, [weight for _, weight in part.groups])[0]
+        if not groups:
+            return None
+        predicates = draws.weighted(groups, [weight for _, weight in groups])[0]
         relation = part.pool.relations[draws.weighted(predicates, [part.pool.relations[p].mass for p in predicates])]
         return relation.question, relation.sums
 

@@ -23,7 +23,7 @@ from condvln.instructions.referents import Referents
 from condvln.instructions.statements import StatementTruths, statement_truths
 from condvln.labels import Vocabulary
 from schemas.config.constants import EVIDENCE
-from schemas.program import Predicate
+from schemas.program import BEARINGS, Predicate
 
 __all__ = ["ConditionPool", "Question", "RelationPool", "balanced_weights", "informative_weights"]
 
@@ -117,7 +117,7 @@ class ConditionPool:
         if not referents.room.asked:
             return cls(None, {})
         presence = _presence(referents, bits, elsewhere, vocabulary) if referents.room.complete else None
-        return cls(presence, _relations(referents, bits, vocabulary, asked))
+        return cls(presence, {**_relations(referents, bits, vocabulary, asked), **_bearings(referents, asked)})
 
 
 def _presence(
@@ -166,6 +166,40 @@ def _relations(
             mass=float(min(weights[True].sum(), weights[False].sum())),
         )
     return pools
+
+
+def _bearings(referents: Referents, asked: Container[str]) -> dict[Predicate, RelationPool]:
+    """Where a thing lies at the start, asked of what is alone in its label and not small.
+
+    The start is chosen by the truths that are wanted, so that each thing can be asked with either.
+    """
+    own = referents.arrays.labels
+    labels = tuple(sorted({own[i] for i in np.flatnonzero(referents.unique & referents.sized & ~referents.small)}))
+    if not labels:
+        return {}
+    exact = np.array([[x == label for x in own] for label in labels], dtype=bool)
+    any_of_them = np.ones((len(labels), 1), dtype=bool)
+    cells = tuple((row, 0) for row in range(len(labels)))
+    sums = tuple(float(k + 1) for k in range(len(labels)))
+    return {
+        bearing: RelationPool(
+            truths=StatementTruths(
+                predicate=bearing,
+                labels=labels,
+                anchors=np.empty((1, 0), dtype=np.intp),
+                exact=exact,
+                held=np.ones((len(own), 1), dtype=bool),
+                true=any_of_them,
+                false=any_of_them,
+            ),
+            object_ids=referents.arrays.object_ids,
+            cells={True: cells, False: cells},
+            sums={True: sums, False: sums},
+            mass=float(len(labels)),
+        )
+        for bearing in BEARINGS
+        if bearing in asked
+    }
 
 
 def informative_weights(n_true: int, n_false: int, evidence: int = EVIDENCE) -> dict[bool, float]:

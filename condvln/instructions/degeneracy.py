@@ -44,18 +44,24 @@ REASONS: Final[dict[str, str]] = {
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """What a condition's text asks: a label in a room, perhaps in relation to one or two anchors."""
+    """What a condition's text asks: a label in a room, perhaps in relation to one or two anchors.
+
+    presence : it asks nothing but whether such a thing is there
+    """
 
     room_id: str
     room_anchor: str | None
     label: str
     anchors: tuple[str, ...] = ()
+    presence: bool = True
 
     @classmethod
     def of(cls, condition: Condition) -> Claim:
         """The claim a condition makes."""
         anchors = condition.qualifier.anchor_labels if condition.qualifier else ()
-        return cls(condition.room.room_id, condition.room.anchor_label, condition.label, anchors)
+        return cls(
+            condition.room.room_id, condition.room.anchor_label, condition.label, anchors, condition.qualifier is None
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +95,7 @@ def clash(claim: Claim, others: Sequence[Claim], given: Presupposed, vocabulary:
     if words.intersection(claim.anchors) or claim.room_anchor in words:
         return "tautology"
     # What is absent here can be a stop only elsewhere; asking presence of no stop anywhere keeps the two truths alike.
-    everywhere = not claim.anchors
+    everywhere = claim.presence
     if any((everywhere or room == claim.room_id) and label in words for room, label in given.stops):
         return "names_stop"
     if everywhere and any(label in words for _, label in given.things):
@@ -106,9 +112,9 @@ def clash(claim: Claim, others: Sequence[Claim], given: Presupposed, vocabulary:
         if other.label in words:
             return "implied"
         # "a lamp near the bed" takes the bed for granted.
-        if not claim.anchors and words.intersection(other.anchors):
+        if claim.presence and words.intersection(other.anchors):
             return "implied"
-        if not other.anchors and vocabulary.overlapping(other.label).intersection(claim.anchors):
+        if other.presence and vocabulary.overlapping(other.label).intersection(claim.anchors):
             return "implied"
     return "implied" if _closes_cycle(claim, same_room, vocabulary) else None
 

@@ -19,7 +19,7 @@ import yaml
 
 from condvln.instructions.predicates import PREDICATES
 from condvln.labels import vocabulary
-from schemas.program import CATEGORIES, SHAPES, SUPERLATIVES, Category, Predicate
+from schemas.program import BEARINGS, CATEGORIES, SHAPES, SUPERLATIVES, Category, Predicate
 
 __all__ = ["LANGUAGES", "LEAF_LETTERS", "SLOTS", "Language", "Noun", "Piece", "Slot", "Template", "Voice", "language"]
 
@@ -106,6 +106,7 @@ class Language:
     elliptic : answers that say again the verb of "there is", and go with a question that had it
     connectives : the words that hold clauses together, by what they do
     predicates : phrases of those with anchors; both : the word between two anchors
+    bearings : phrases of those at the start; a text takes those of one place of each list
     superlatives : "bigger" and "smaller" by class of noun; superlative_first : before the noun, else behind it
     voices : those that an instruction may be said in
     """
@@ -116,6 +117,7 @@ class Language:
     elliptic: frozenset[str]
     connectives: Mapping[str, tuple[str, ...]]
     predicates: Mapping[Predicate, tuple[str, ...]]
+    bearings: Mapping[Predicate, tuple[str, ...]]
     both: str
     superlatives: Mapping[Predicate, Mapping[str, str]]
     superlative_first: bool
@@ -172,7 +174,8 @@ def language(code: str = "en") -> Language:
         slots={slot: tuple(dict.fromkeys(p for voice in voices for p in voice.slots[slot])) for slot in SLOTS},
         elliptic=frozenset(document["elliptic"]),
         connectives={name: tuple(phrases) for name, phrases in document["connectives"].items()},
-        predicates={p: _predicate(document, p) for p in PREDICATES if p not in SUPERLATIVES},
+        predicates={p: _predicate(document, p) for p in PREDICATES if p not in (*SUPERLATIVES, *BEARINGS)},
+        bearings={p: tuple(document["bearings"][p]) for p in BEARINGS},
         both=document["both"],
         superlatives={p: document["superlatives"][p] for p in SUPERLATIVES},
         superlative_first=document["superlatives"]["before_noun"],

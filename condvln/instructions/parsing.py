@@ -19,7 +19,7 @@ from condvln.instructions.language import Language, Slot, Template, language
 from condvln.instructions.predicates import PREDICATES
 from condvln.instructions.text_reading import Phrase, Place, Reading
 from schemas.errors import FormatError
-from schemas.program import CATEGORIES, SHAPES, Category, Predicate, anchors_of
+from schemas.program import BEARINGS, CATEGORIES, SHAPES, Category, Predicate, anchors_of
 
 __all__ = ["grammar_source", "parse", "parser", "reading_from_tree", "template_of"]
 
@@ -98,27 +98,29 @@ class _GrammarWriter:
         rules += [f"{_rule(predicate)}: {self._any(phrases)}" for predicate, phrases in w.predicates.items()]
         rules += [f"{_rule(name)}: {self._any(words.values())}" for name, words in w.superlatives.items()]
         rules += [f"direction_{_rule(name)}: {self._any([text])}" for name, text in w.directions.items()]
+        rules += [f"{_rule(bearing)}: {self._any(phrases)}" for bearing, phrases in w.bearings.items()]
         compared = "_THE superlative _noun" if w.superlative_first else "_THE _noun superlative"
         one_anchor = " | ".join(_rule(p) for p in w.predicates if anchors_of(p) == 1)
         rules += [
             "start: [_facing direction] [_scope room COMMA] body",
             "direction: (" + " | ".join(f"direction_{_rule(d)}" for d in w.directions) + ") STOP",
             "moves: _go object (_joint object)*",
-            f"object: _THE _noun [_where_of] | _THE _noun qualifier [_where] | {compared} [_where_of]",
+            f"object: _THE _noun [_where_of] | _THE _noun (qualifier [_where] | bearing) | {compared} [_where_of]",
             "_where: _in room | there",
             "_where_of: _of room | there_of",
             "room: _THE (ROOM | BOTH) [_with _THE _noun]",
             f"qualifier: ({one_anchor}) _THE _noun | {_rule('between')} _THE _noun {self._terminal(w.both)} _THE _noun",
+            "bearing: " + " | ".join(_rule(b) for b in w.bearings),
             "superlative: " + " | ".join(_rule(p) for p in w.superlatives),
             "asserted: _exists _noun [qualifier] [_where] -> some",
             "    | room _has _noun [qualifier] -> some",
-            "    | _THE _noun [_where_of] _is qualifier -> the",
+            "    | _THE _noun [_where_of] _is (qualifier | bearing) -> the",
             "denied: _absent _noun [qualifier] [_where] -> some",
             "    | room _lacks _noun [qualifier] -> some",
-            "    | _THE _noun [_where_of] _is_not qualifier -> the",
+            "    | _THE _noun [_where_of] _is_not (qualifier | bearing) -> the",
             "question: _is_there _noun [qualifier] [_where] QUESTION -> some",
             "    | _does room _have _noun [qualifier] QUESTION -> some",
-            "    | _asks_is _THE _noun [_where_of] qualifier QUESTION -> the",
+            "    | _asks_is _THE _noun [_where_of] (qualifier | bearing) QUESTION -> the",
             "see: _see asserted",
             "    | _look _noun [qualifier] [_where] -> some",
             "    | _check room _for _noun [qualifier] -> some",
@@ -249,7 +251,8 @@ class _TreeReader:
         found: list[Phrase] = []
         for tree in trees:
             stop = self._stop(tree)
-            if stop.room is None and found:
+            at_start = stop.qualifier is not None and stop.qualifier[0] in BEARINGS
+            if stop.room is None and found and not at_start:
                 stop = replace(stop, room=found[-1].room)
             found.append(stop)
         return tuple(found)
@@ -277,9 +280,12 @@ class _TreeReader:
                 elif child.data == "qualifier":
                     (relation,) = _subtrees(child)
                     qualifier = self.predicates[str(relation.data)], self._labels(child)
-                elif child.data == "superlative":
+                elif child.data in ("superlative", "bearing"):
                     (relation,) = _subtrees(child)
                     qualifier = self.predicates[str(relation.data)], ()
+                    if child.data == "bearing" and tree.data == "object":
+                        # Such a stop is in the room of the start, and no room was named last.
+                        room = self.last_room = None
         return Phrase(label, qualifier, room)
 
     def _place(self, tree: Node) -> Place:

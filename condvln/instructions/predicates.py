@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from schemas.program import QUALIFIER_ONLY, Predicate
+from schemas.program import BEARINGS, QUALIFIER_ONLY, Predicate
 
-__all__ = ["ASKED", "COMPASS", "GROUP_OF", "PREDICATES", "PREDICATE_GROUPS", "sayable"]
+__all__ = ["ASKED", "COMPASS", "GROUP_OF", "OF_THINGS", "PREDICATES", "PREDICATE_GROUPS", "sayable"]
 
 COMPASS: Final[tuple[Predicate, ...]] = (
     "east of",
@@ -30,6 +30,7 @@ PREDICATE_GROUPS: Final[Mapping[str, tuple[Predicate, ...]]] = {
     "between": ("between",),
     "closest": ("closest to",),
     "compass": COMPASS,
+    "bearing": BEARINGS,
     "size": ("bigger", "smaller"),
     "height": ("higher than", "lower than"),
     "far": ("far from",),
@@ -38,13 +39,20 @@ PREDICATE_GROUPS: Final[Mapping[str, tuple[Predicate, ...]]] = {
 
 PREDICATES: Final[tuple[Predicate, ...]] = tuple(p for group in PREDICATE_GROUPS.values() for p in group)
 
+OF_THINGS: Final[tuple[Predicate, ...]] = tuple(p for p in PREDICATES if p not in BEARINGS)
+"""Predicates that a scene decides, wherever the start is."""
+
 GROUP_OF: Final[Mapping[Predicate, str]] = {p: group for group, those in PREDICATE_GROUPS.items() for p in those}
 """Group of each predicate."""
 
-ASKED: Final[tuple[Predicate, ...]] = tuple(p for p in PREDICATES if p not in QUALIFIER_ONLY)
-"""Predicates that a condition may ask for."""
+ASKED: Final[tuple[Predicate, ...]] = tuple(p for p in OF_THINGS if p not in QUALIFIER_ONLY)
+"""Predicates of things and their anchors that a condition may ask for; it may ask for bearings too."""
 
 
-def sayable(directions: str) -> frozenset[Predicate]:
-    """Predicates that text may use under a value of ``instructions.directions``."""
-    return frozenset(PREDICATES) - (frozenset() if directions == "compass" else frozenset(COMPASS))
+def sayable(directions: str, *, placed: bool = True) -> frozenset[Predicate]:
+    """Predicates that text may use under a value of ``instructions.directions``.
+
+    placed : programs are placed on a navmesh, so that the start can be chosen by what is said of it
+    """
+    allowed = {"compass": COMPASS, "egocentric": BEARINGS if placed else ()}.get(directions, ())
+    return frozenset(p for p in PREDICATES if p in allowed or p not in (*COMPASS, *BEARINGS))

@@ -20,15 +20,24 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.instructions.predicates import PREDICATE_GROUPS, PREDICATES
+from condvln.instructions.predicates import OF_THINGS, PREDICATE_GROUPS
 from condvln.labels import Vocabulary
 from condvln.labels.roles import labels_with_role
 from condvln.scene import Room, RoomArrays
 from condvln.scene.sightings import EVERYTHING_SEEN, Sightings
 from schemas.config.constants import LANDMARK_SIZE
-from schemas.program import SUPERLATIVES, Anchor, ObjectRef, Predicate, Qualifier, RoomRef
+from schemas.program import BEARINGS, SUPERLATIVES, Anchor, ObjectRef, Predicate, Qualifier, RoomRef
 
-__all__ = ["ALTERNATIVES", "Facts", "Qualification", "Referents", "object_refs", "qualifier_of", "room_refs"]
+__all__ = [
+    "ALTERNATIVES",
+    "Facts",
+    "Qualification",
+    "Referents",
+    "object_refs",
+    "qualifier_of",
+    "room_refs",
+    "things_meant",
+]
 
 ALTERNATIVES: Final = 2
 """Qualifiers kept per object and predicate group, those of largest margin; enough for texts to differ."""
@@ -159,6 +168,17 @@ class Referents:
         """(n,) objects that text can name."""
         return np.asarray(self.unique | np.array([bool(q) for q in self.qualifications], dtype=bool))
 
+    @cached_property
+    def usable_anywhere(self) -> Bools:
+        """(n,) objects that text can name wherever the start is."""
+        told = [any(q.predicate not in BEARINGS for q in found) for found in self.qualifications]
+        return np.asarray(self.unique | np.array(told, dtype=bool))
+
+    @cached_property
+    def sized(self) -> Bools:
+        """(n,) objects whose extent is known."""
+        return np.asarray(~np.isnan(self.arrays.aabb_max - self.arrays.aabb_min).any(axis=1))
+
     @classmethod
     def of(
         cls,
@@ -169,7 +189,7 @@ class Referents:
         anchor_size: float,
         family: str | None = None,
         sightings: Sightings = EVERYTHING_SEEN,
-        sayable: Container[str] = PREDICATES,
+        sayable: Container[str] = OF_THINGS,
     ) -> Referents:
         """Names of all objects of a room.
 
@@ -227,6 +247,14 @@ def meant_by(
     return np.asarray(table[[rows[word] for word in words]])
 
 
+def things_meant(
+    arrays: RoomArrays, label: str, vocabulary: Vocabulary, family: str | None, sightings: Sightings = EVERYTHING_SEEN
+) -> tuple[str, ...]:
+    """Ids of the things of a room that can be seen and that a word for `label` might mean."""
+    meant = meant_by((label,), arrays.labels, _nameless(arrays, vocabulary, family)[0], vocabulary)[0]
+    return tuple(arrays.object_ids[i] for i in np.flatnonzero(meant & ~sightings.hidden(arrays)))
+
+
 def _nameless(
     arrays: RoomArrays, vocabulary: Vocabulary, family: str | None
 ) -> tuple[tuple[frozenset[str], ...], tuple[frozenset[str], ...], frozenset[str], frozenset[str]]:
@@ -268,10 +296,16 @@ def _qualifications(referents: Referents) -> tuple[tuple[Qualification, ...], ..
     sizes, rows = referents.facts.sizes(referents.rival), np.flatnonzero(referents.nameable & ~referents.unique)
     found: list[list[Qualification]] = [[] for _ in referents.nameable]
     rivals = referents.rival[rows].astype(np.float32)
+    located = referents.sized & ~(referents.rival & ~referents.sized).any(axis=1)
     for group, predicates in PREDICATE_GROUPS.items():
         ways: list[list[tuple[float, tuple[int, ...], Predicate]]] = [[] for _ in rows]
         for predicate in predicates:
             if predicate not in referents.sayable:
+                continue
+            if predicate in BEARINGS:
+                # Whether it can be so is found when the start is chosen.
+                for k in np.flatnonzero(located[rows]).tolist():
+                    ways[k].append((0.0, (), predicate))
                 continue
             if predicate in SUPERLATIVES:
                 for k in np.flatnonzero(sizes[predicate][rows] == 1).tolist():
@@ -288,7 +322,7 @@ def _qualifications(referents: Referents) -> tuple[tuple[Qualification, ...], ..
                 continue
             kept.extend(
                 Qualification(predicate, anchors, -negated)
-                for negated, anchors, predicate in sorted(options)[:ALTERNATIVES]
+                for negated, anchors, predicate in sorted(options)[: None if group == "bearing" else ALTERNATIVES]
             )
     return tuple(tuple(kept) for kept in found)
 

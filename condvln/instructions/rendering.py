@@ -19,7 +19,7 @@ from condvln.seeding import Draws, generator, stable_hash
 from schemas.config import WordingConfig
 from schemas.config.constants import HEADING_TOLERANCE
 from schemas.errors import UsageError
-from schemas.program import SUPERLATIVES, Condition, Leaf, ObjectRef, Program, Qualifier, RoomRef
+from schemas.program import BEARINGS, SUPERLATIVES, Condition, Leaf, ObjectRef, Predicate, Program, Qualifier, RoomRef
 
 __all__ = [
     "HEADINGS",
@@ -153,6 +153,7 @@ class _Renderer:
         self._rooms_here: list[RoomRef] = []
         self._types: Counter[str] = Counter()
         self._introduced: set[RoomRef] = set()
+        self._bearing: int | None = None
 
     def program(self, program: Program) -> str:
         self._types = Counter(room.label for room in _rooms(program))
@@ -282,6 +283,8 @@ class _Renderer:
             return ""
         if qualifier.predicate in SUPERLATIVES:
             return ""
+        if qualifier.predicate in BEARINGS:
+            return f" {self._at_start(qualifier.predicate)}"
         relation = self._relations.get(qualifier)
         if relation is None:
             phrases = self.words.predicates[qualifier.predicate]
@@ -289,6 +292,13 @@ class _Renderer:
             self._relations[qualifier] = relation
         anchors = [self.words.definite(self.words.nouns[label]) for label in qualifier.anchor_labels]
         return f" {relation} {f' {self.words.both} '.join(anchors)}"
+
+    def _at_start(self, bearing: Predicate) -> str:
+        """ "On your left as you start": all bearings of a text in the same way."""
+        phrases = self.words.bearings[bearing]
+        if self._bearing is None:
+            self._bearing = self.draws.index(len(phrases))
+        return phrases[self._bearing]
 
     # -- places --------------------------------------------------------------------------------------------------------
 
@@ -298,7 +308,9 @@ class _Renderer:
         texts = [f"{self._phrase('go')} {self._stop(stops[0])}"]
         for k, stop in enumerate(stops[1:], start=1):
             joint = "second" if len(stops) == 2 else "last" if k == len(stops) - 1 else "then"
-            texts.append(f"{self._phrase(joint)} {self._stop(stop, same_room=stop.room == stops[k - 1].room)}")
+            # Behind one that goes by its bearing no room was said.
+            same_room = stop.room == stops[k - 1].room and not stops[k - 1].is_bearing
+            texts.append(f"{self._phrase(joint)} {self._stop(stop, same_room=same_room)}")
         return "".join(texts)
 
     def _stop(self, ref: ObjectRef, *, same_room: bool = False) -> str:
@@ -310,6 +322,10 @@ class _Renderer:
         elif ref.qualifier is not None:
             # Behind a relation, "of the bedroom" would go with the anchor.
             kind = ""
+        if ref.is_bearing:
+            # It is in the room of the start, which is not named again; "there" would be said of it next.
+            self.last_room = None
+            return f"{noun}{self._relation(ref)}"
         return f"{noun}{self._relation(ref)}{'' if same_room else self._where(ref.room, kind)}"
 
     def _where(self, room: RoomRef, kind: str = "", subject: bool = False) -> str:

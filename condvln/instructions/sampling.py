@@ -45,10 +45,14 @@ VAIN_TRIES: Final = 100
 
 @dataclass(frozen=True, slots=True)
 class _Shape:
-    """What a candidate should be: its composition (None where no room allows any) and the moves of each leaf."""
+    """What a candidate should be: its composition (None where no room allows any) and the moves of each leaf.
+
+    bearings : it may say where things lie at the start
+    """
 
     composition: str | None
     moves: tuple[int, ...]
+    bearings: bool
 
 
 class ProgramSampler:
@@ -61,6 +65,7 @@ class ProgramSampler:
     stops : what the navigation knows; ``apart_by_centres`` where there is no navmesh
     sightings : which objects nobody can see; without them all can be seen that are in no shut container
     preamble : whether texts that use compass words open with the start heading; cells may bound the number of words
+    placed : programs are placed on a navmesh, so that a start can be chosen by what is said of it
 
     Attributes
     ----------
@@ -79,11 +84,13 @@ class ProgramSampler:
         *,
         stops: Stops,
         preamble: bool,
+        placed: bool = True,
         words: Vocabulary = vocabulary,
         sightings: Sightings = EVERYTHING_SEEN,
     ) -> None:
         self.scene, self.wanted, self.sampling, self.seed = scene, wanted, sampling, seed
         self.preamble = preamble
+        self._sayable = sayable(wanted.directions, placed=placed)
         self.words = words
         self.rejections: Counter[tuple[InstructionCell | None, str]] = Counter()
         self.referents = {
@@ -95,7 +102,7 @@ class ProgramSampler:
                 sampling.anchor_size,
                 scene.family,
                 sightings,
-                sayable(wanted.directions),
+                self._sayable,
             )
             for room in sorted(scene.rooms, key=lambda r: r.room_id)
             if room.room_id in facts
@@ -112,9 +119,7 @@ class ProgramSampler:
             elsewhere = set(bits.plausible.get(referents.room.label, ()))
         else:
             elsewhere = {o.label for o in self.scene.objects if o.room_id != room_id and not o.hidden}
-        return ConditionPool.of(
-            referents, bits, elsewhere, self.words, asked_in(self.scene.family) & sayable(self.wanted.directions)
-        )
+        return ConditionPool.of(referents, bits, elsewhere, self.words, asked_in(self.scene.family) & self._sayable)
 
     @cached_property
     def _held(self) -> dict[str, int]:
@@ -253,10 +258,12 @@ class ProgramSampler:
             if any(options.values()):
                 wanted = draws.weighted(tuple(options), tuple(options.values()))
         n_leaves = SHAPES[category].leaves
+        # What must be in the first view is never behind, which would tell.
+        bearings = cell.observability != "O0f"
         if cell.moves is not None:
-            return _Shape(wanted, (cell.moves,) * n_leaves)
+            return _Shape(wanted, (cell.moves,) * n_leaves, bearings)
         shares = tuple(accumulate(self.sampling.move_shares(category)))
-        return _Shape(wanted, tuple(1 + draws.cumulative(shares) for _ in range(n_leaves)))
+        return _Shape(wanted, tuple(1 + draws.cumulative(shares) for _ in range(n_leaves)), bearings)
 
     def _roomy(self, category: Category) -> tuple[str, ...]:
         """Rooms that can hold a whole program."""
@@ -272,14 +279,28 @@ class ProgramSampler:
         stops = [self._moves(goal, goals, n, allowed, draws) for goal, n in zip(goals, shape.moves, strict=True)]
         visited = [target for moves in stops for target in moves]
         names = {room_id: draws.choice(self._room_names(room_id, visited)) for room_id in rooms}
-        leaves = tuple(Leaf(moves=tuple(self._named(t, names[t.room_id], draws) for t in moves)) for moves in stops)
+        near = [room for room in self.condition_sampler.start_rooms if room in names] if shape.bearings else []
+        start_room = draws.choice(near) if near else None
+        # Each bearing more leaves fewer starts. One at least is left for a condition.
+        bearings = self.sampling.bearings
+        leaves = []
+        for targets_of_leaf in stops:
+            named = []
+            for target in targets_of_leaf:
+                here = target.room_id == start_room and bearings > 1
+                named.append(self._named(target, names[target.room_id], draws, here))
+                bearings -= named[-1].is_bearing
+            leaves.append(Leaf(moves=tuple(named)))
         # A leaf drawn evenly; truths that don't matter on the way to it are fair coins.
         gold = draws.index(len(leaves))
         truths = draws.choice([assignment for assignment, leaf in outcomes(category).items() if leaf == gold])
-        conditions = self.condition_sampler.conditions(truths, (m for leaf in leaves for m in leaf.moves), names, draws)
+        moves = [move for leaf in leaves for move in leaf.moves]
+        conditions = self.condition_sampler.conditions(truths, moves, names, draws, start_room, bearings)
         if idle_conditions(category, [leaf.goal.object_id for leaf in leaves]):
             raise GivenUp("idle_condition")
-        program = Program(category=category, conditions=conditions, branches=SHAPES[category].branches, leaves=leaves)
+        program = Program(
+            category=category, conditions=conditions, branches=SHAPES[category].branches, leaves=tuple(leaves)
+        )
         if composition(program) != shape.composition:
             raise GivenUp("composition_missed")
         return program
@@ -362,15 +383,16 @@ class ProgramSampler:
             raise GivenUp("circular")
         return names[:ALTERNATIVES]
 
-    def _named(self, target: Target, room: RoomRef, draws: Draws) -> ObjectRef:
+    def _named(self, target: Target, room: RoomRef, draws: Draws, start: bool) -> ObjectRef:
+        """One of the names of a target; by its bearing only where the start is in its room."""
         key = (room, target.object_id)
         if key not in self._refs:
             refs = object_refs(self.referents[target.room_id], target.index, room)
             sound = tuple(ref for ref in refs if not is_circular(ref, self.words))
             self._refs[key] = tuple(ref for ref in sound if not repeats_anchor(ref, self.words)) or sound
-        if not self._refs[key]:
+        refs = self._refs[key] if start else tuple(ref for ref in self._refs[key] if not ref.is_bearing)
+        if not refs:
             raise GivenUp("circular")
-        refs = self._refs[key]
         return draws.weighted(refs, self._preferences(refs))
 
     def _preferences(self, refs: Sequence[ObjectRef]) -> list[float]:

@@ -98,11 +98,12 @@ def targets(
     referents: Mapping[str, Referents], rooms: Iterable[str], stops: Stops, sampling: SamplingConfig
 ) -> tuple[Target, ...]:
     """The usable objects of the named `rooms` that can be stood at, in order of room and object id."""
+    alone = len(referents) == 1
     row_of = {name: k for k, name in enumerate(stops.object_ids)}
     chosen = [
         (room_id, int(i), row_of[referents[room_id].arrays.object_ids[i]])
         for room_id in sorted(rooms)
-        for i in np.flatnonzero(referents[room_id].usable)
+        for i in np.flatnonzero(referents[room_id].usable if alone else referents[room_id].usable_anywhere)
         if referents[room_id].arrays.object_ids[i] in row_of
     ]
     rows = [row for _, _, row in chosen]

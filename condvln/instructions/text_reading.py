@@ -60,7 +60,9 @@ def reading_of(program: Program, heading: str | None = None) -> Reading:
 def _phrase(named: Condition | ObjectRef) -> Phrase:
     qualifier = named.qualifier
     stated = None if qualifier is None else (qualifier.predicate, qualifier.anchor_labels)
-    return Phrase(named.label, stated, _place(named.room), isinstance(named, Condition) and named.definite)
+    # A stop that goes by its bearing is in the room of the start, which text does not name.
+    place = None if isinstance(named, ObjectRef) and named.is_bearing else _place(named.room)
+    return Phrase(named.label, stated, place, isinstance(named, Condition) and named.definite)
 
 
 def _place(room: RoomRef) -> Place | None:

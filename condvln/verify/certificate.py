@@ -16,7 +16,7 @@ FACTS: Final[Mapping[str, str]] = {
     "text_branches": "in every case the text sends the agent where the program does",
     "heading": "the heading that the text states is the start's",
     "heading_stated": "a text with compass words states the start's heading",
-    "directions": "a text says where things lie by compass words only where the configuration allows them",
+    "directions": "a text says where things lie by compass words or by bearings only as the configuration says",
     "words": "number of words of the text",
     # scene
     "room_named": "a room goes by the type that the scene has for it",
@@ -30,6 +30,7 @@ FACTS: Final[Mapping[str, str]] = {
     "qualifier_sufficient": "a qualified phrase fits one thing with margin and all others not, with margin",
     "absence_known": "absence is claimed only of rooms that are annotated completely",
     "absent_is_elsewhere": "a label claimed absent is that of a thing in another room of the scene",
+    "bearing_room": "what is said to lie left, right, ahead or behind is in the room of the start, and in no other",
     "condition_decided": "a condition is true or false with margin",
     "predicate_asked": "a condition asks for a predicate that varies enough in scenes of this family",
     "condition_definite": "a condition speaks of a definite thing exactly where its label fits one thing of the room",

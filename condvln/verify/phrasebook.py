@@ -76,6 +76,9 @@ def phrasebook(code: str = "en") -> Phrasebook:
     for connective, phrases in document["connectives"].items():
         for phrase in phrases:
             book.add(phrase, connective, "", book.classes)
+    for bearing, phrases in document["bearings"].items():
+        for phrase in phrases:
+            book.add(phrase, "bearing", bearing, book.classes)
     for predicate, phrases in document["predicates"].items():
         direction = document["directions"].get(predicate.removesuffix(" of"), "")
         for phrase in phrases:

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any, Final, NamedTuple
 
 from condvln.verify.phrasebook import SO_FAR, Matches, Phrasebook
+from condvln.verify.standpoint import BEARINGS
 
 __all__ = ["Moves", "Named", "Phrase", "PhraseReader"]
 
@@ -55,8 +56,9 @@ _STOPS: Final = frozenset(".;:")
 
 
 def _beside(thing: Phrase, before: Phrase) -> Phrase:
-    """A stop without a room is in that of the stop before it."""
-    return thing._replace(room=before.room) if thing.room is None else thing
+    """A stop without a room is in that of the stop before it, unless it says where it lies at the start."""
+    at_start = thing.qualifier is not None and thing.qualifier[0] in BEARINGS
+    return thing._replace(room=before.room) if thing.room is None and not at_start else thing
 
 
 class PhraseReader:
@@ -197,6 +199,9 @@ class PhraseReader:
             for stop, qualifier in self._qualified(end):
                 for after, room, named in self._where(stop, last, belonging=qualifier is None):
                     yield after, Phrase(label, qualifier, room), named
+            for stop, bearing, _ in self._of(end, "bearing"):
+                # It is where the agent starts; what "there" would mean after it, nobody could tell.
+                yield stop, Phrase(label, (bearing, ()), None), None
         for end, label, compared in self._compared(at):
             for after, room, named in self._where(end, last, belonging=True):
                 yield after, Phrase(label, compared, room), named
@@ -227,6 +232,8 @@ class PhraseReader:
                 for verb in verbs:
                     for stop, qualifier in self._related(verb):
                         yield stop, Phrase(label, qualifier, room, True), named
+                    for stop, bearing, _ in self._of(verb, "bearing"):
+                        yield stop, Phrase(label, (bearing, ()), room, True), named
 
     def _said(self, at: int, last: Named | None) -> Iterator[tuple[int, bool, Phrase, Named | None]]:
         """Claims: (end, whether it is said to hold, what, room named last)."""

@@ -11,6 +11,7 @@ from condvln.scene import Room, Scene, SceneObject
 from condvln.verify.containment import said_of, shut_away
 from condvln.verify.phrases import Named, Phrase
 from condvln.verify.predicates import FALSE, TRUE, Judge, Judgement, Thing
+from condvln.verify.standpoint import BEARINGS, Standpoint
 from condvln.verify.surfaces import Shapes, SurfaceGauge
 from condvln.verify.surroundings import Said, Surroundings
 from condvln.verify.words import Words, words
@@ -140,7 +141,7 @@ class SceneReferents:
         can_be_seen: Callable[[str], bool] = lambda object_id: True,
     ) -> None:
         self.scene = scene
-        self._anchor_size = anchor_size
+        self._anchor_size, self._thresholds = anchor_size, thresholds
         self.meaning = words()
         self.judge = Judge(thresholds, SurfaceGauge(shapes))
         held: dict[str, list[SceneObject]] = {room.room_id: [] for room in scene.rooms}
@@ -189,14 +190,21 @@ class SceneReferents:
             self._rooms[named] = self._room(named)
         return self._rooms[named]
 
-    def thing(self, phrase: Phrase) -> Referent | Problem:
-        """The one thing that a stop's phrase means; its qualifier must be needed and must suffice."""
+    def thing(self, phrase: Phrase, start: Standpoint | None = None) -> Referent | Problem:
+        """The one thing that a stop's phrase means; its qualifier must be needed and must suffice.
+
+        start : where the agent stands and faces; what lies left, right, ahead or behind depends on it
+        """
+        if phrase.qualifier is not None and phrase.qualifier[0] in BEARINGS:
+            return self._thing_at(phrase, start)
         if phrase not in self._things:
             self._things[phrase] = self._thing(phrase)
         return self._things[phrase]
 
-    def claim(self, phrase: Phrase) -> Answer | Problem:
-        """Whether there is such a thing, certainly or certainly not."""
+    def claim(self, phrase: Phrase, start: Standpoint | None = None) -> Answer | Problem:
+        """Whether there is such a thing, certainly or certainly not; bearings are those at the `start`."""
+        if phrase.qualifier is not None and phrase.qualifier[0] in BEARINGS:
+            return self._claim_at(phrase, start)
         if phrase not in self._claims:
             self._claims[phrase] = self._claim(phrase)
         return self._claims[phrase]
@@ -345,6 +353,52 @@ class SceneReferents:
             return Problem("absent_is_elsewhere", f"a {phrase.label} in another room", "none in the scene")
         witnesses = frozenset(thing.object_id for thing in sure)
         return Answer(bool(sure), definite, witnesses, view.room.room_id, _ids(anchors), room_anchor, numbers)
+
+    # -- bearings ------------------------------------------------------------------------------------------------------
+
+    def _here(self, start: Standpoint | None) -> RoomView | Problem:
+        """The one room that the start is in."""
+        around = [] if start is None else [view for view in self.rooms.values() if start.is_in(view.room)]
+        if len(around) != 1:
+            return Problem("bearing_room", "a start in one room", [view.room.room_id for view in around])
+        return around[0]
+
+    def _thing_at(self, phrase: Phrase, start: Standpoint | None) -> Referent | Problem:
+        view = self._here(start)
+        if isinstance(view, Problem):
+            return view
+        assert start is not None
+        assert phrase.qualifier is not None
+        meant = view.meant(phrase.label)
+        if len(meant) < 2:
+            return Problem("qualifier_needed", f"several things like a {phrase.label}", len(meant))
+        related = [(thing, start.judge(phrase.qualifier[0], thing, self._thresholds)) for thing in meant]
+        fitting = [thing for thing, how in related if how.verdict == TRUE and thing.label == phrase.label]
+        open_ones = [thing.object_id for thing, how in related if how.verdict != FALSE]
+        if len(fitting) != 1 or len(open_ones) != 1:
+            return Problem("qualifier_sufficient", f"one {phrase}", open_ones)
+        return Referent(fitting[0].object_id, view.room.room_id, (), None)
+
+    def _claim_at(self, phrase: Phrase, start: Standpoint | None) -> Answer | Problem:
+        room, here = self.room(phrase.room), self._here(start)
+        if isinstance(room, Problem):
+            return room
+        if isinstance(here, Problem):
+            return here
+        view, room_anchor = room
+        if view is not here:
+            return Problem("bearing_room", here.room.room_id, view.room.room_id)
+        assert start is not None
+        assert phrase.qualifier is not None
+        only = view.only(phrase.label)
+        if only is None:
+            return Problem("referent_unique", f"one {phrase.label}", [x.object_id for x in view.meant(phrase.label)])
+        how = start.judge(phrase.qualifier[0], only, self._thresholds)
+        if how.verdict not in (TRUE, FALSE):
+            return Problem("condition_decided", f"surely {phrase.qualifier[0]} or surely not", dict(how.numbers))
+        truth = how.verdict == TRUE
+        witnesses = frozenset((only.object_id,) if truth else ())
+        return Answer(truth, True, witnesses, view.room.room_id, (), room_anchor, how.numbers)
 
     def _doubt(self, view: RoomView, phrase: Phrase, anchors: Sequence[Thing]) -> str | None:
         """What keeps the absence of a thing from being known: the room, or a nameless thing that may be one."""

@@ -11,6 +11,7 @@ from condvln.verify.predicates import DIRECTIONS
 from condvln.verify.program_check import leaf_of
 from condvln.verify.referents import Answer, Problem, Referent, SceneReferents
 from condvln.verify.rules import VerifierRules
+from condvln.verify.standpoint import BEARINGS, Standpoint
 from condvln.verify.text_reader import TextReading, Unreadable, read
 from schemas.config.constants import HEADING_TOLERANCE
 from schemas.evaluation import ManifestEpisode
@@ -35,11 +36,12 @@ def check_meaning(
     order = _check_conditions(row.program, reading, referents.single_room, certificate)
     if order is None:
         return
-    truths = _check_claims(row.program, reading, order, referents, certificate)
+    start = Standpoint.of(row)
+    truths = _check_claims(row.program, reading, order, referents, start, certificate)
     leaves = _check_branches(row.program, reading, order, referents.single_room, certificate)
     if leaves is None:
         return
-    _check_stops(row.program, leaves, referents, certificate)
+    _check_stops(row.program, leaves, referents, start, certificate)
     if truths is not None:
         case = sum(1 << place for place, truth in zip(order, truths, strict=True) if truth)
         certificate.same("gold_leaf", row.gold_leaf, leaves.index(reading.moves[case]))
@@ -57,7 +59,9 @@ def _check_heading(row: ManifestEpisode, reading: TextReading, rules: VerifierRu
     phrases = [*reading.conditions, *(stop for moves in reading.moves for stop in moves)]
     said = {phrase.qualifier[0] for phrase in phrases if phrase.qualifier is not None}
     directed = not said.isdisjoint(DIRECTIONS)
-    certificate.holds("directions", not directed or rules.directions == "compass", rules.directions, sorted(said))
+    used = {"compass"} if directed else set()
+    used |= set() if said.isdisjoint(BEARINGS) else {"egocentric"}
+    certificate.holds("directions", used <= {rules.directions}, rules.directions, sorted(used))
     if directed and rules.text.preamble:
         certificate.holds("heading_stated", reading.heading is not None, "compass words", "no heading")
     yaw = yaw_of(row.start_rotation)
@@ -98,13 +102,18 @@ def _check_branches(
 
 
 def _check_claims(
-    program: Program, reading: TextReading, order: Sequence[int], referents: SceneReferents, certificate: Certificate
+    program: Program,
+    reading: TextReading,
+    order: Sequence[int],
+    referents: SceneReferents,
+    start: Standpoint | None,
+    certificate: Certificate,
 ) -> list[bool] | None:
     """Truths of the program's conditions as the scene has them; None where one can't be decided."""
     truths: list[bool] = []
     for k, (condition, place) in enumerate(zip(program.conditions, order, strict=True)):
         name = f"condition {k}"
-        answer = referents.claim(reading.conditions[place])
+        answer = referents.claim(reading.conditions[place], start)
         if isinstance(answer, Problem):
             certificate.holds(answer.fact, False, answer.needed, answer.found, f"{name} ({reading.conditions[place]})")
             continue
@@ -129,24 +138,40 @@ def _check_claims(
 
 
 def _check_stops(
-    program: Program, leaves: Sequence[Moves], referents: SceneReferents, certificate: Certificate
+    program: Program,
+    leaves: Sequence[Moves],
+    referents: SceneReferents,
+    start: Standpoint | None,
+    certificate: Certificate,
 ) -> None:
     """Every stop means one thing, the program's."""
     for k, (leaf, moves) in enumerate(zip(program.leaves, leaves, strict=True)):
         for j, (move, stop) in enumerate(zip(leaf.moves, moves, strict=True)):
-            found = referents.thing(stop)
+            found = referents.thing(stop, start)
             name = f"leaf {k} stop {j}"
             if isinstance(found, Problem):
                 certificate.holds(found.fact, False, found.needed, found.found, f"{name} ({stop})")
             else:
+                if move.is_bearing:
+                    # Its room is not said. The program's name for it must fit all the same.
+                    found = _with_room(found, move, referents)
                 claimed = (move.object_id, *_ids(move))
                 certificate.same("referents", claimed, (found.object_id, *_found_ids(found)), name)
+
+
+def _with_room(found: Referent, move: ObjectRef, referents: SceneReferents) -> Referent:
+    room = referents.room(None if referents.single_room else Named(move.room.label, move.room.anchor_label))
+    if isinstance(room, Problem) or room[0].room.room_id != found.room_id:
+        return found
+    return found._replace(room_anchor_id=room[1])
 
 
 def _phrase(named: Condition | ObjectRef, single_room: bool) -> Phrase:
     """A part of the program as its text must name it."""
     qualifier = None if named.qualifier is None else (named.qualifier.predicate, named.qualifier.anchor_labels)
-    room = None if single_room else Named(named.room.label, named.room.anchor_label)
+    # Where a stop lies at the start also says its room.
+    unnamed = single_room or (isinstance(named, ObjectRef) and qualifier is not None and qualifier[0] in BEARINGS)
+    room = None if unnamed else Named(named.room.label, named.room.anchor_label)
     return Phrase(named.label, qualifier, room, isinstance(named, Condition) and named.definite)
 
 

@@ -25,6 +25,7 @@ from schemas.config import (
     InstructionsConfig,
     PlacesConfig,
     SamplingConfig,
+    Thresholds,
 )
 
 __all__ = ["EpisodeStage"]
@@ -38,6 +39,7 @@ class EpisodeStage(Stage):
     instructions: InstructionsConfig
     sampling: SamplingConfig
     rules: EpisodeConfig
+    thresholds: Thresholds
     max_climb: float
     preamble: bool
     seed: int
@@ -53,6 +55,7 @@ class EpisodeStage(Stage):
             "instructions": asked_of(self.instructions),
             "sampling": self.sampling.model_dump(mode="json", include={"moves", "moves_four_leaves"}),
             "episodes": dump(self.rules),
+            "thresholds": {key: value for key, value in dump(self.thresholds).items() if key.startswith("bearing_")},
             "agent": {"max_climb": self.max_climb},
             "text": {"preamble": self.preamble},
             "seed": self.seed,
@@ -76,6 +79,7 @@ class EpisodeStage(Stage):
             sampling=self.sampling,
             places=self.places,
             rules=self.rules,
+            thresholds=self.thresholds,
             preamble=self.preamble,
             seed=self.seed,
         )

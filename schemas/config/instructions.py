@@ -135,10 +135,10 @@ class WordingConfig(Section):
 class InstructionsConfig(WordingConfig):
     """What is wanted of each scene, and how it is said."""
 
-    directions: Literal["compass", "none"] = Field(
+    directions: Literal["compass", "egocentric", "none"] = Field(
         "compass",
         description="compass: texts may say where a thing lies by compass words, and then open with the start heading; "
-        "none: they don't",
+        "egocentric: by left, right, ahead and behind as one starts; none: by neither",
     )
     per_category: dict[Category, Wanted] = Field(
         default_factory=lambda: dict.fromkeys(CATEGORIES, 20), description="episodes wanted a scene, by category"
@@ -200,6 +200,9 @@ class PredicateWeights(Section):
     between: Weight = Field(0.15, description="weight of between")
     closest: Weight = Field(0.20, description="weight of closest to, which only distinguishes stops")
     compass: Weight = Field(0.25, description="weight of the eight compass words")
+    bearing: Weight = Field(
+        0.30, description="weight of left, right, ahead and behind, where directions are egocentric"
+    )
     size: Weight = Field(0.20, description="weight of the bigger and the smaller, which only distinguish stops")
     height: Weight = Field(0.05, description="weight of higher than and lower than")
     far: Weight = Field(0.0, description="weight of far from")
@@ -229,6 +232,12 @@ class SamplingConfig(Section):
     )
     small_target_weight: Weight = Field(
         0.25, description="weight, as targets, of labels whose objects are all shorter than anchor_size"
+    )
+    bearings: int = Field(
+        2,
+        ge=1,
+        le=4,
+        description="most phrases of a program that say where a thing lies at the start; one start must do for all",
     )
     attempts: int = Field(12, ge=1, le=10_000, description="draws of a condition before the candidate is given up")
     draws_per_candidate: int = Field(

@@ -82,6 +82,15 @@ class Thresholds(Section):
     sector_horizontal_true: Metres = Field(
         0.5, description="text may use a compass word from this horizontal distance of centres"
     )
+    bearing_true: Degrees = Field(
+        30.0, lt=45, description="text may say left, right, ahead and behind up to this angle off the direction"
+    )
+    bearing_false: Degrees = Field(
+        60.0, gt=45, le=90, description="text may deny them from this angle off the direction"
+    )
+    bearing_distance: Metres = Field(
+        1.0, description="they are said of things whose centres are this far from the start on the ground"
+    )
     level: Degrees = Field(22.5, lt=90, description="a pair is level where its elevation is smaller")
     degenerate_horizontal: Metres = Field(
         0.1, description="edges are flagged as degenerate where the horizontal distance of centres is smaller"

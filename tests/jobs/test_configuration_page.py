@@ -71,6 +71,9 @@ CHANGED: dict[str, Any] = {
     "thresholds.sector_true": 5.0,
     "thresholds.sector_false": 60.0,
     "thresholds.sector_horizontal_true": 2.0,
+    "thresholds.bearing_true": 10.0,
+    "thresholds.bearing_false": 80.0,
+    "thresholds.bearing_distance": 3.0,
     "thresholds.level": 40.0,
     "thresholds.degenerate_horizontal": 1.0,
     "thresholds.surface_within": 2.5,
@@ -112,11 +115,13 @@ CHANGED: dict[str, Any] = {
     "sampling.predicates.between": 5.0,
     "sampling.predicates.closest": 5.0,
     "sampling.predicates.compass": 0.0,
+    "sampling.predicates.bearing": 5.0,
     "sampling.predicates.size": 5.0,
     "sampling.predicates.height": 0.9,
     "sampling.predicates.far": 0.9,
     "sampling.anchor_size": 1.5,
     "sampling.small_target_weight": 9.0,
+    "sampling.bearings": 1,
     "sampling.attempts": 1,
     "sampling.draws_per_candidate": 1,
     "goals.reach": 0.3,
@@ -164,6 +169,15 @@ QUOTING = {"origin.json", "export.json"}
 
 WORDING = {"text.preamble", "instructions.language", "instructions.voices", "instructions.length"}
 """Keys that programs read only where a cell bounds the number of words."""
+
+BEARINGS = {
+    "thresholds.bearing_true",
+    "thresholds.bearing_false",
+    "thresholds.bearing_distance",
+    "sampling.predicates.bearing",
+    "sampling.bearings",
+}
+"""Keys that change nothing unless directions are egocentric."""
 
 EXEMPT = {"store", "export", "ray", "keep"}
 """Where things lie and how work is spread: they change no row and no file."""
@@ -252,12 +266,13 @@ def test_a_key_makes_stale_what_its_page_says(stock, path: str) -> None:
 
 @pytest.mark.soak
 @pytest.mark.parametrize("path", CHANGED)
-def test_a_key_changes_what_is_made(stock, stock_run, tmp_path: Path, path: str) -> None:
-    folder, before = stock_run
+def test_a_key_changes_what_is_made(stock, request: pytest.FixtureRequest, tmp_path: Path, path: str) -> None:
+    folder, before = request.getfixturevalue("egocentric_run" if path in BEARINGS else "stock_run")
     for name in ("units", "pins", "aggregates"):  # what is not stale need not be made again
         shutil.copytree(folder / "store" / name, tmp_path / "store" / name)
     try:
-        made = outputs(changed(stock(str(tmp_path)), path), tmp_path)
+        document = egocentric(stock(str(tmp_path))) if path in BEARINGS else stock(str(tmp_path))
+        made = outputs(changed(document, path), tmp_path)
     except CondVLNError:
         return  # refused
     assert made != before
@@ -274,6 +289,18 @@ def stock_run(stock, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, di
     """A folder with what the configuration makes as it is, and a digest of it."""
     folder = tmp_path_factory.mktemp("stock")
     return folder, outputs(stock(str(folder)), folder)
+
+
+def egocentric(document: dict[str, Any]) -> dict[str, Any]:
+    """The document with things said to lie left and right."""
+    return document | {"instructions": document["instructions"] | {"directions": "egocentric"}}
+
+
+@pytest.fixture(scope="session")
+def egocentric_run(stock, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, str]]:
+    """The same as `stock_run`, with things said to lie left and right."""
+    folder = tmp_path_factory.mktemp("egocentric")
+    return folder, outputs(egocentric(stock(str(folder))), folder)
 
 
 def outputs(document: dict[str, Any], folder: Path) -> dict[str, str]:

@@ -26,6 +26,7 @@ TECHNICAL = {
     "relations/box_distances.py": {"PARALLEL", "PAIRS_AT_ONCE"},
     "relations/metrics.py": {"MILLIMETRES_PER_METRE"},
     "relations/compass.py": {"SECTOR_DEGREES", "COINCIDENT"},
+    "relations/bearing.py": {"SLACK"},
     "episodes/footprint.py": {"ROUNDING"},
     "verify/containment.py": {"_MM"},
     "verify/surfaces.py": {"KEPT_TRIANGLES", "ORTHOGONAL"},
@@ -52,6 +53,7 @@ TECHNICAL = {
     "instructions/programs.py": {"ID_LENGTH"},
     "episodes/identity.py": {"HASH_DIGITS", "ID_BITS"},
     # How hard a search tries; what it finds is checked by rules that are keys.
+    "episodes/facing.py": {"HEADINGS"},
     "instructions/sampling.py": {"TRIES_PER_CANDIDATE", "VAIN_TRIES"},
     "instructions/referents.py": {"ALTERNATIVES", "ROOM_NAMES"},
     "instructions/conditions.py": {"BALANCING_ROUNDS", "LEAST_WEIGHT", "PSEUDOCOUNT"},

@@ -10,7 +10,9 @@ from pydantic import ValidationError
 from condvln.instructions import LabelPriors, instruction_id, parse, reading_of, render, voice_of
 from condvln.instructions.language import LANGUAGES, language
 from condvln.instructions.predicates import COMPASS
+from condvln.verify.text_reader import read
 from schemas.config import InstructionsConfig, Thresholds, VoiceName, WordingConfig
+from schemas.program import BEARINGS, SHAPES, Condition, Leaf, ObjectRef, Program, Qualifier, RoomRef
 from tests.condvln.instructions.made_sampler import made_sampler
 
 
@@ -71,3 +73,40 @@ def test_without_directions_no_program_uses_compass_words(make_scene, facts_make
     assert said(programs)
     assert said(programs).isdisjoint(COMPASS)
     assert not said(with_compass).isdisjoint(COMPASS)
+
+
+@pytest.mark.parametrize("code", LANGUAGES)
+def test_texts_with_bearings_are_read_back_by_both_readers(make_scene, facts_maker, sampled, code: str) -> None:
+    said = []
+    for scene, facts, _, _ in (sampled[0], sampled[2]):
+        bits = LabelPriors.of_scene(scene, Thresholds(), 0.3).bits(scene, 0.05)
+        wanted = {"simple": 5, "nested": 5, "nested_chain": 5}
+        sampler = made_sampler(scene, facts, bits, directions="egocentric", per_category=wanted)
+        for program in (p for c in wanted for p in sampler.candidates(c)):  # type: ignore[attr-defined]
+            text = render(program, 0, instruction_id(scene.family, scene.scene_id, program), code)
+            assert parse(text, code) == reading_of(program)
+            reading = read(text, code)
+            bearings = [one.qualifier.predicate for one in program.named if one.is_bearing]
+            found = {p for p in (*reading.conditions, *(s for m in reading.moves for s in m)) if p.qualifier}
+            assert {p.qualifier[0] for p in found} & set(BEARINGS) == set(bearings)
+            assert len(bearings) <= 2
+            assert all(p.room is None for m in reading.moves for p in m if p.qualifier and p.qualifier[0] in BEARINGS)
+            assert (program.start_room is None) == (not bearings)
+            said += bearings
+    assert set(said) == set(BEARINGS)
+
+
+def test_a_program_s_bearings_are_of_one_room_and_of_definite_things() -> None:
+    def condition(room: str, definite: bool = True) -> Condition:
+        where = RoomRef(room_id=room, label="kitchen")
+        left = Qualifier(predicate="left")
+        return Condition(label="sink", room=where, qualifier=left, definite=definite, truth=False)
+
+    with pytest.raises(ValidationError, match="definite"):
+        condition("a", definite=False)
+    stops = [ObjectRef(object_id=n, label=n, room=RoomRef(room_id="a", label="kitchen")) for n in ("x", "y", "z")]
+    leaves = tuple(Leaf(moves=(stop,)) for stop in stops)
+    shape = SHAPES["chain"].branches
+    Program(category="chain", conditions=(condition("a"), condition("a")), branches=shape, leaves=leaves)
+    with pytest.raises(ValidationError, match="the room of the start"):
+        Program(category="chain", conditions=(condition("a"), condition("b")), branches=shape, leaves=leaves)

@@ -22,7 +22,7 @@ from condvln.relations.text import TextFacts
 from condvln.scene import OrientedBox, RoomArrays, SceneObject
 from condvln.scene.meshes import WorldMesh
 from schemas.config import Thresholds
-from schemas.program import Predicate
+from schemas.program import BEARINGS, Predicate
 
 T = Thresholds()
 
@@ -40,7 +40,7 @@ def facts_of(make: Maker, room_of: RoomOf, center: Sequence[float], half: Sequen
 
 
 def test_predicates_are_those_of_the_program() -> None:
-    assert set(TEXT_PREDICATES) == set(Predicate.__args__)  # type: ignore[attr-defined]
+    assert {*TEXT_PREDICATES, *BEARINGS} == set(Predicate.__args__)  # type: ignore[attr-defined]
     assert len(TEXT_PREDICATES) == 21
     assert set(PAIR_PREDICATES) | {"between", "closest to"} | set(SIZE_PREDICATES) == set(TEXT_PREDICATES)
 

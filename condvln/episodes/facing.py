@@ -1,0 +1,144 @@
+"""Choosing a start by what text says of it: left, right, ahead and behind.
+
+What a text asks of bearings is true or false by where the agent stands and faces, so the start is chosen for the truths
+that the program has. So that nothing but the heading tells them, a place is a start only if each assignment of truths
+to the bearings that are asked has a heading there: the place, the ways and the words are the same whichever is so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import Final
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from condvln.instructions.referents import things_meant
+from condvln.labels import Vocabulary, vocabulary
+from condvln.relations.bearing import Sighting, bearing_status, sighted
+from condvln.scene import Scene
+from condvln.scene.sightings import EVERYTHING_SEEN, Sightings
+from schemas.config import Thresholds
+from schemas.config.constants import SINK
+from schemas.program import Program
+
+__all__ = ["HEADINGS", "Facings", "Headings"]
+
+F64 = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+HEADINGS: Final = 360
+"""Headings that are tried at a place, evenly spaced from a random first one."""
+
+Claim = tuple[str, str, bool]
+"""Object id, direction, whether it lies there."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Headings:
+    """possible (s,) : places where a program may start; headings (h,) degrees clockwise from north; fit (s, h) : those
+    headings under which the program is as it says"""
+
+    possible: Bools
+    headings: F64
+    fit: Bools
+
+
+class Facings:
+    """The headings that programs may have at places of one scene.
+
+    Parameters
+    ----------
+    places : (s, 3) where an agent may start
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        places: F64,
+        thresholds: Thresholds,
+        sightings: Sightings = EVERYTHING_SEEN,
+        words: Vocabulary = vocabulary,
+    ) -> None:
+        self._scene, self._places, self._thresholds = scene, places, thresholds
+        self._sightings, self._words = sightings, words
+        self._sighted: dict[str, Sighting | None] = {}
+
+    def headings(self, programs: Sequence[Program], first: float) -> Headings | None:
+        """What the start of `programs`, which share it, may be; None where nothing is asked of it.
+
+        first : degrees of the first heading that is tried, below ``360 / HEADINGS``
+        """
+        room_id = next((p.start_room for p in programs if p.start_room is not None), None)
+        if room_id is None:
+            return None
+        headings: F64 = np.asarray(first + np.arange(HEADINGS) * (360.0 / HEADINGS), dtype=np.float64)
+        fixed = {claim for program in programs for claim in self._of_stops(program)}
+        fit = self._all(fixed, headings)
+        possible = self._in_room[room_id].copy()
+        if len(programs) == 1:
+            asked = self._asked(programs[0])
+            for truths in product((True, False), repeat=len(asked)):
+                case = {(name, direction, truth) for (name, direction, _), truth in zip(asked, truths, strict=True)}
+                possible &= (fit & self._all(case, headings)).any(axis=1)
+        said = {claim for program in programs for claim in self._asked(program)}
+        fit = fit & self._all(said, headings)
+        return Headings(possible & fit.any(axis=1), headings, fit)
+
+    def _all(self, claims: set[Claim], headings: F64) -> Bools:
+        """(s, h) whether all claims hold."""
+        fit = np.ones((len(self._places), len(headings)), dtype=bool)
+        for name, direction, truth in sorted(claims):
+            seen = self._sighting(name)
+            if seen is None:
+                return np.zeros_like(fit)
+            fit &= bearing_status(seen, direction, headings, self._thresholds) == (1 if truth else -1)
+        return fit
+
+    def _asked(self, program: Program) -> list[Claim]:
+        """One claim for each condition about a bearing."""
+        found: list[Claim] = []
+        for condition in program.conditions:
+            if condition.is_bearing and condition.qualifier is not None:
+                for name in self._meant(condition.room.room_id, condition.label):
+                    found.append((name, condition.qualifier.predicate, condition.truth))
+        return found
+
+    def _of_stops(self, program: Program) -> list[Claim]:
+        """Each stop that goes by its bearing lies there, and what else its label might mean does not."""
+        found: list[Claim] = []
+        for leaf in program.leaves:
+            for move in leaf.moves:
+                if move.is_bearing and move.qualifier is not None:
+                    for name in self._meant(move.room.room_id, move.label):
+                        found.append((name, move.qualifier.predicate, name == move.object_id))
+        return found
+
+    def _meant(self, room_id: str, label: str) -> tuple[str, ...]:
+        arrays = self._scene.arrays(room_id)
+        return things_meant(arrays, label, self._words, self._scene.family, self._sightings)
+
+    def _sighting(self, name: str) -> Sighting | None:
+        if name not in self._sighted:
+            box = self._scene.object_of[name].box
+            self._sighted[name] = None if box is None else sighted(self._places, box, self._thresholds)
+        return self._sighted[name]
+
+    @cached_property
+    def _in_room(self) -> Mapping[str, Bools]:
+        """By room the places (s,) that are inside it, and in no other nor on its border."""
+        inside = {room.room_id: np.ones(len(self._places), dtype=bool) for room in self._scene.rooms}
+        held = dict(inside)
+        x, z = self._places[:, 0], self._places[:, 2]
+        for room in self._scene.rooms:
+            if room.polygon is not None:
+                outline = shapely.make_valid(shapely.Polygon(room.polygon))
+                level = np.abs(self._places[:, 1] - room.floor_y) <= SINK
+                inside[room.room_id] = level & shapely.contains_xy(outline, x, z)
+                held[room.room_id] = level & shapely.intersects_xy(outline, x, z)
+        alone = np.sum(list(held.values()), axis=0) == 1
+        return {name: np.asarray(own & alone) for name, own in inside.items()}

@@ -1,0 +1,108 @@
+"""Where things lie for an agent at the start: left, right, ahead or behind, by code of this package's own.
+
+The agent's own axes are taken from its rotation. A thing is a rectangle on the ground; a direction is a wedge about one
+of the axes, and both are compared as shapes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+from condvln.scene import Room
+from condvln.verify.heading import yaw_of
+from condvln.verify.judgement import Judgement, judged
+from condvln.verify.surroundings import Thing, whole_mm
+from schemas.config import Thresholds
+from schemas.config.constants import SINK
+from schemas.evaluation import ManifestEpisode
+
+__all__ = ["BEARINGS", "Standpoint", "inside_outline"]
+
+BEARINGS: Final = {"ahead": (1, 0), "right": (0, 1), "behind": (-1, 0), "left": (0, -1)}
+"""(ahead, to the right) of the middle of each direction."""
+
+_Point = tuple[float, float]
+
+
+class Standpoint(NamedTuple):
+    """The start of an episode; x, height and z in millimetres, and its heading's unit vector on the ground (x, z)."""
+
+    x: float
+    height: float
+    z: float
+    forward: _Point
+
+    @classmethod
+    def of(cls, row: ManifestEpisode) -> Standpoint | None:
+        """From a row; None where the rotation is not a turn about the vertical."""
+        yaw = yaw_of(row.start_rotation)
+        if yaw is None:
+            return None
+        x, y, z = (1000.0 * value for value in row.start_position)
+        return cls(x, y, z, (-math.sin(yaw), -math.cos(yaw)))
+
+    def is_in(self, room: Room) -> bool:
+        """Whether it stands in a room: within its outline, at about its floor; a room without one is everywhere."""
+        if room.polygon is None:
+            return True
+        outline = [(1000.0 * float(x), 1000.0 * float(z)) for x, z in room.polygon]
+        return inside_outline(self.x, self.z, outline) and abs(self.height - 1000.0 * room.floor_y) <= whole_mm(SINK)
+
+    def judge(self, direction: str, thing: Thing, t: Thresholds) -> Judgement:
+        """Does `thing` lie in a direction?"""
+        if thing.box is None:
+            return judged(False, False, distance=None)
+        (west, _, north), (east, _, south) = thing.box
+        corners = [self._seen(x, z, direction) for x, z in ((west, north), (east, north), (east, south), (west, south))]
+        middle = self._seen((west + east) / 2, (north + south) / 2, direction)
+        distance, off = math.hypot(*middle), _off(middle)
+        stands_in_it = west <= self.x <= east and north <= self.z <= south
+        clear = not stands_in_it and distance >= whole_mm(t.bearing_distance)
+        true = clear and off <= t.bearing_true and all(_off(corner) <= t.bearing_false for corner in corners)
+        false = clear and off >= t.bearing_false and not _meets(corners, t.bearing_true)
+        found = judged(true, false, distance=distance)
+        return found._replace(numbers={**found.numbers, "degrees_off": round(off, 3)})
+
+    def _seen(self, x: float, z: float, direction: str) -> _Point:
+        """(along the direction, to the right of it) of a point, in millimetres."""
+        dx, dz = x - self.x, z - self.z
+        ahead = dx * self.forward[0] + dz * self.forward[1]
+        right = -dx * self.forward[1] + dz * self.forward[0]
+        a, r = BEARINGS[direction]
+        return a * ahead + r * right, a * right - r * ahead
+
+
+def _off(point: _Point) -> float:
+    """Degrees between a point and the direction."""
+    return math.degrees(math.atan2(abs(point[1]), point[0]))
+
+
+def _meets(corners: Sequence[_Point], half_width: float) -> bool:
+    """Whether a rectangle that does not hold the origin reaches into the wedge of `half_width` degrees about an axis.
+
+    It does where a corner lies in the wedge, or where one of the wedge's two edges crosses one of its sides.
+    """
+    if any(_off(corner) < half_width for corner in corners):
+        return True
+    edge = math.radians(half_width)
+    for ray in ((math.cos(edge), math.sin(edge)), (math.cos(edge), -math.sin(edge))):
+        for one, other in zip(corners, (*corners[1:], corners[0]), strict=True):
+            a = ray[0] * one[1] - ray[1] * one[0]
+            b = ray[0] * other[1] - ray[1] * other[0]
+            if (a < 0.0) != (b < 0.0):
+                part = a / (a - b)
+                along = [one[k] + part * (other[k] - one[k]) for k in (0, 1)]
+                if along[0] * ray[0] + along[1] * ray[1] > 0.0:
+                    return True
+    return False
+
+
+def inside_outline(x: float, z: float, outline: Sequence[_Point]) -> bool:
+    """Whether a point lies in a polygon, by how many of its sides a ray towards +x crosses."""
+    inside = False
+    for (x0, z0), (x1, z1) in zip(outline, (*outline[1:], outline[0]), strict=True):
+        if (z0 > z) != (z1 > z) and x < x0 + (z - z0) / (z1 - z0) * (x1 - x0):
+            inside = not inside
+    return inside
