@@ -103,7 +103,7 @@ class World:
 
     @cached_property
     def view(self) -> SceneView:
-        """What can be seen from where."""
+        """Lines of sight in the scene."""
         return SceneView(self.scene, self.geometry)
 
     @cached_property
@@ -139,7 +139,7 @@ class World:
     def referents(
         self, thresholds: Thresholds | None = None, sampling: SamplingConfig | None = None
     ) -> dict[str, Referents]:
-        """What text may call each object, by room: by its label where that is unique, else with a qualifier."""
+        """The phrases for each object, by room: its label where that is unique, else with a qualifier."""
         anchor_size = (sampling or SamplingConfig()).anchor_size
         facts = self._facts(thresholds or Thresholds())
         return {

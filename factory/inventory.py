@@ -111,9 +111,9 @@ def missing_parts(store: Store, snapshot_id: str) -> list[str]:
 
 
 def glance(store: Store, ref: str) -> list[Any]:
-    """What tells at once whether anything came, went or was written again of what a ref names: equal now and then,
-    nothing did. It reads two small files, however many units there are.
+    """A cheap fingerprint of everything that a ref names: if two are equal, nothing was added, removed or rewritten.
 
+    It reads two small files, however many units there are.
     Covered are the ref, the snapshot's files, the index, the pins and their tables, each by size and time; and on disk
     the units, see ``_units_at_a_glance``. On an object store units are left to the next plan: listing them takes a
     request for a thousand files.

@@ -70,7 +70,7 @@ class PackJob:
 
 @dataclass(frozen=True, slots=True)
 class Packed:
-    """What became of a job: the file, or the units whose committed files are damaged (and were removed)."""
+    """Result of a job: the file, or the units whose damaged committed files were removed."""
 
     table: str
     partition: str

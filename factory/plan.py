@@ -74,7 +74,7 @@ class Plan:
 
     @property
     def unchanged(self) -> bool:
-        """What is published is what a run would publish, and whole as far as a listing tells."""
+        """Whether a run would publish what is published now, and a listing finds all of it."""
         return self.empty and self.snapshot_id is not None and self.carried == len(self.entries)
 
     def add(self, entry: PlanEntry) -> None:

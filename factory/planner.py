@@ -138,7 +138,7 @@ class Planner:
                 yield Work(unit, fingerprint, seconds, self._model.memory(unit, row))
 
     def entry(self, unit: Unit, row: int, fresh: bool) -> PlanEntry:
-        """What would become of one unit, exactly."""
+        """The exact plan for one unit."""
         if fresh and self._statuses[row] == "ok":
             return PlanEntry(unit.unit_id, unit.partition, "FRESH", stages=self._all_fresh)
         old = self.index.receipt(row, self.pipeline) if row >= 0 else None

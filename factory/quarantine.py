@@ -52,7 +52,7 @@ class Quarantine:
         self._commits = commits
 
     def known(self, stage: str, key: str, attempt: int) -> Failure | None:
-        """What stands against trying: an older record, or, when an earlier attempt died, one of this very run."""
+        """The record that forbids another try: an older one, or one of this run if an earlier attempt died."""
         listed = (stage, key) in self._context.quarantined
         if not listed and attempt == 1:
             return None

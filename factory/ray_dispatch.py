@@ -308,7 +308,7 @@ class Dispatch:
                 self._more_memory(flight, replace(task, work=(item,), memory=item.memory))
 
     def _more_memory(self, flight: _Flight, task: Task) -> None:
-        """Once more, with nothing else on its node, with twice the memory."""
+        """Retry once, alone on a node, with twice the memory."""
         doubled = replace(task, attempt=task.attempt + 1, last_try=True, memory=2 * task.memory, alone=True)
         self._again.append(_Flight(doubled, flight.tries, flight.nodes))
 

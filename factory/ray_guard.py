@@ -48,7 +48,7 @@ class Guard:
         atexit.register(self.end)
 
     def done(self, units: int) -> None:
-        """So many units of this pass are done."""
+        """Set how many units of this pass are done."""
         self._write(b"%d\n" % units)
 
     def end(self) -> None:

@@ -62,5 +62,5 @@ class RunMetrics:
         self._failures.inc(1, {"kind": kind})
 
     def in_flight(self, tasks: int) -> None:
-        """So many tasks are with Ray now."""
+        """Set how many tasks are with Ray now."""
         self._flying.set(tasks)

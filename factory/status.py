@@ -93,7 +93,7 @@ def store_status(store: Store, *, sizes: bool = False) -> StoreStatus:
 
 
 def _damage(store: Store, ref: Ref, manifest: SnapshotManifest | None) -> Iterator[str]:
-    """What of a published state is missing or damaged, as far as names and sizes tell."""
+    """Missing or damaged files of a published state, found by names and sizes."""
     for path in missing_parts(store, ref.snapshot_id):
         yield f"{store.url}/{path} is missing or damaged"
     commits = Commits(store)

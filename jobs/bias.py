@@ -47,7 +47,7 @@ def add_bias(
 
 
 def priors_behind(snapshot: Snapshot, ref: str) -> tuple[int, int] | None:
-    """Over how many scenes the pinned priors were counted, and how many are published; None where no more are."""
+    """How many scenes the pinned priors were counted over, and how many are published; None if not more."""
     now = max((stage.units - stage.skipped for stage in snapshot.manifest.stages.values()), default=0)
     for entry in snapshot.store.list("pins"):
         if entry.path.endswith(f"/{ref}.json"):

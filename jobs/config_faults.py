@@ -71,7 +71,7 @@ def _faults(error: ValidationError) -> list[tuple[str, str, str]]:
 
 
 def _is_echo(fault: Mapping[str, Any], faults: Sequence[Mapping[str, Any]]) -> bool:
-    """Is a list short only because entries of it are wrong, each of them a fault of its own?"""
+    """Is a list too short only because entries of it are wrong, which are reported themselves?"""
     own = fault["loc"]
     return any(other["loc"][: len(own)] == own for other in faults if len(other["loc"]) > len(own))
 

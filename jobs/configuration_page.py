@@ -186,7 +186,7 @@ def _type(annotation: Any) -> str:
 
 
 def _unit(field: FieldInfo) -> str:
-    """Of the field, or of the numbers inside it."""
+    """Metadata of the field, or of the numbers inside it."""
     found: list[object] = [field.json_schema_extra]
     pending: list[Any] = [field.annotation]
     while pending:

@@ -38,7 +38,7 @@ PLACING: Final = "episodes"
 
 @dataclass
 class Flow:
-    """What went in and what came out of one scene, or of one cell over all scenes.
+    """Counts of one scene, or of one cell over all scenes: wanted, drawn, rejected, placed.
 
     rejected : candidates by the filter that ended them; undrawn : draws by what ended them
     short : episodes that were wanted and could not be had
@@ -188,7 +188,7 @@ def _rows(table: pa.Table) -> Iterable[dict[str, Any]]:
 
 
 def _explained(flow: Flow) -> str:
-    """What kept a scene from yielding anything: its costliest cause, or what ended its draws."""
+    """Why a scene has no episodes: its most frequent cause, or the reason that ended its draws."""
     # The science is needed for its words alone, and only here.
     from condvln.episodes.rules import REASONS as PLACING_REASONS
     from condvln.instructions.rejection import REASONS as DRAWING_REASONS

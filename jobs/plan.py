@@ -67,7 +67,7 @@ def make_plan(config: Config, *, every_scene: bool = False) -> Report:
 
 
 def _groups(entries: list[dict[str, Any]]) -> Section:
-    """What is to do, the scenes of one cause in one row; the most expensive first."""
+    """The work to do, one row for each cause; the most expensive first."""
     groups: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
     for entry in entries:
         key = (entry["status"], ", ".join(entry["reasons"]), _stages(entry["stages"]))

@@ -125,7 +125,7 @@ class LoggedRun:
 
     @property
     def progress(self) -> RunLog:
-        """What a run tells its progress to."""
+        """The receiver of a run's progress."""
         return self._log
 
     def keep(self, done: RunReport) -> None:

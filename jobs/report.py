@@ -31,7 +31,7 @@ class Section:
     rows: list[Sequence[Any]] = field(default_factory=list)
 
     def table(self) -> Table:
-        """As rich draws it."""
+        """The table for rich."""
         table = Table(title=self.title, title_justify="left", header_style="bold")
         for k, column in enumerate(self.columns):
             numeric = bool(self.rows) and all(isinstance(row[k], int | float) for row in self.rows)

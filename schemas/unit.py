@@ -1,4 +1,4 @@
-"""What the store keeps of one stage of one unit: its commit, or why it has none.
+"""Documents that the store keeps for one stage of one unit: its commit, or why it failed.
 
 ``unit.json`` is written last of a unit's files, so its presence means that all the others are there and whole.
 """

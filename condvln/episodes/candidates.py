@@ -49,12 +49,12 @@ class Candidate:
 
 
 def cell_name(cell: InstructionCell | None) -> str:
-    """What the tables call a cell, or with None what is of counterfactual groups."""
+    """Name of a cell in the tables; of counterfactual groups with None."""
     return GROUPS if cell is None else cell.name
 
 
 def draw_candidates(sampler: ProgramSampler) -> list[Candidate]:
-    """All that a sampler draws: each cell's programs, then counterfactual groups, whose programs may be among them."""
+    """All candidates of a sampler: each cell's programs, then counterfactual groups, which may repeat some of them."""
     family, scene_id = sampler.scene.family, sampler.scene.scene_id
     found = [
         Candidate(instruction_id(family, scene_id, program), program, cell)

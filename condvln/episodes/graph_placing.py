@@ -176,7 +176,7 @@ class GraphPlacer:
 
 
 def viewpoint_stops(scene: Scene, graph: GraphPathfinder) -> Stops:
-    """What a sampler of programs needs to know of a scan on viewpoints: objects with a viewpoint, and which lie apart.
+    """What a sampler of programs needs for a scan on viewpoints: objects with a viewpoint, and which are apart.
 
     Two objects are apart where the ways between their viewpoints are as long as R2R's success distance, so that no
     program is drawn that `GraphPlacer` must refuse for where its objects are.

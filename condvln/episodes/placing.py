@@ -302,7 +302,7 @@ class Placer:
         return np.flatnonzero(good)
 
     def _starts_without_detour(self, program: Program, possible: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Those of `possible` from which no leaf's route is longer than its distance allows."""
+        """The starts of `possible` from which no leaf's route is longer than its distance allows."""
         if self.scene.single_room:
             return possible
         rows = self._start_rows[possible]
@@ -317,8 +317,8 @@ class Placer:
     def _starts_not_too_far(
         self, program: Program, possible: NDArray[np.int64], lengths: tuple[float, float]
     ) -> NDArray[np.int64]:
-        """Those of `possible` whose routes may have these lengths: a route is never shorter than the way to its goal,
-        and as long where it has no other stop."""
+        """The starts of `possible` whose routes may have these lengths: a route is never shorter than its geodesic,
+        and equal to it if the leaf has no other stop."""
         low, high = lengths
         rows = self._start_rows[possible]
         good = np.ones(len(rows), dtype=bool)

@@ -177,7 +177,7 @@ def rejections_table(
 
 
 def funnel_table(scene_id: str, cells: Sequence[InstructionCell], pool: EpisodePool, groups: int = 0) -> pa.Table:
-    """What came of each cell that was wanted, and of counterfactual groups, as FUNNEL rows; all count episodes."""
+    """Episodes wanted, drawn and placed of each cell, and of counterfactual groups, as FUNNEL rows."""
     placed = pool.placed
     wanted: list[tuple[InstructionCell | None, int]] = [(cell, cell.count) for cell in cells]
     if groups:

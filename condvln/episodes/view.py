@@ -87,7 +87,7 @@ class SceneView:
         return self._targets[object_id]
 
     def denser_target(self, object_id: str, count: int) -> SightTarget:
-        """The same with `count` points of the surface, or of each part's."""
+        """The target with `count` points of its surface, or of the surface of each part."""
         return self._target(self._scene.object_of[object_id], count)
 
     def _target(self, item: SceneObject, count: int = DEFAULT_SAMPLES) -> SightTarget:

@@ -132,7 +132,7 @@ class GroupAccuracy:
 
 
 def group_accuracy(evaluation: Evaluation, *, seed: int = 0) -> GroupAccuracy:
-    """Over the groups that have at least two episodes in the split."""
+    """Summary over the groups that have at least two episodes in the split."""
     members: dict[str, list[int]] = defaultdict(list)
     for row, group in enumerate(evaluation.group_ids):
         if group is not None:

@@ -57,7 +57,7 @@ _HEAD: Final = 1 << 12
 
 
 def is_episode_stats(path: Path) -> bool:
-    """Is this a folder or file of measures, and none of predictions?"""
+    """Is this a folder or file of measures, and not of predictions?"""
     if path.is_dir() or path.name.startswith(_PREFIX):
         return True
     return _BY_ID.match(head(path, _HEAD)) is not None

@@ -46,7 +46,7 @@ def written(cell: Cell, column: Column, *, interval: bool = True) -> str:
 
 
 def _narrow(cell: Cell, column: Column) -> str:
-    """As :func:`written` on lines of their own, bounds with a digit less: a dozen columns must fit a terminal."""
+    """As :func:`written`, with bounds on a line of their own and a digit less: a dozen columns must fit a terminal."""
     lines = [written(replace(cell, low=math.nan, high=math.nan, n=cell.total), column)]
     if not math.isnan(cell.low):
         digits = max(0, _DECIMALS[column.kind] - 1)

@@ -195,7 +195,7 @@ def _reached(task: Task, walk: _Walk, nearness: Nearness, rules: ScoreRules, rad
 
 
 def _subgoal_accuracy(reached: int, subgoals: int, success: bool) -> tuple[float, float]:
-    """Over all episodes, and by the paper's rule (NaN: left out)."""
+    """(value over all episodes, value by the paper's rule, which is NaN for episodes that it leaves out)."""
     if subgoals:
         return reached / subgoals, reached / subgoals
     return float(success), 1.0 if success else NAN

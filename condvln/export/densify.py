@@ -40,7 +40,7 @@ def densify(points: npt.ArrayLike, spacing: float = PATH_SPACING) -> Array:
 def densify_many(
     points: Array, offsets: npt.NDArray[np.integer[Any]], spacing: float = PATH_SPACING
 ) -> tuple[Array, npt.NDArray[np.int64]]:
-    """As :func:`densify` for many polylines that stand one after another.
+    """As :func:`densify` for many polylines, one after another in the arrays.
 
     Parameters
     ----------

@@ -268,7 +268,7 @@ _NUMBERS: Final = ("gold_leaf", "n_leaves", "ground_truth_steps", "max_steps")
 
 
 def _units(column: Mapping[str, list[Any]]) -> list[str]:
-    """What is kept together: a counterfactual group, or the episodes of an instruction outside of one."""
+    """Groups of episodes that stay together: a counterfactual group, or the episodes of one instruction."""
     pairs = zip(column["group_id"], column["instruction_id"], strict=True)
     return [f"group {group}" if group is not None else f"instruction {instruction}" for group, instruction in pairs]
 

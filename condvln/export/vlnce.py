@@ -80,7 +80,7 @@ def vlnce_episode(row: Row, scene_id: str, tokens: list[int]) -> dict[str, Any]:
 
 
 def _info(row: Row, leaf: Row) -> dict[str, Any]:
-    """What stock loaders carry along unread. The gold leaf is not among it: only the manifest knows."""
+    """Extra fields that stock loaders ignore. The gold leaf is only in the manifest."""
     shape = SHAPES[row["category"]]
     return {
         "geodesic_distance": row["geodesic_distance"],

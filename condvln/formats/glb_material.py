@@ -106,7 +106,7 @@ class MaterialReader:
         return found
 
     def _placement(self, slot: JsonNode) -> Tree:
-        """What a reference to a texture says beside its index."""
+        """Settings of a texture reference beside its index."""
         made: Tree = {"texCoord": _one_of(slot["texCoord"], _COORDINATES)} if "texCoord" in slot else {}
         made |= {key: slot[key].number(_LIMIT) for key in ("scale", "strength") if key in slot}
         extensions = slot.get("extensions")

@@ -276,7 +276,7 @@ def nonstandard_number(data: bytes) -> str:
 
 
 def _python_parsed(data: bytes, path: Path, place: str) -> Any:
-    """What Python's own parser, which knows NaN, makes of ``data``."""
+    """``data`` parsed by Python's own parser, which accepts NaN."""
     try:
         return json.loads(data.decode("utf-8"))
     except json.JSONDecodeError as error:

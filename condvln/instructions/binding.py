@@ -27,7 +27,7 @@ _WORD: Final = re.compile(r"\(\d\)|[^\s,;:.?]+|[,;:.?]")
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What a listener may take in another way."""
+    """A wording that a listener may understand in another way."""
 
     template: str
     what: str
@@ -47,7 +47,7 @@ class _Listener:
 
 
 def findings(words: Language, category: Category, template: Template) -> Iterator[Finding]:
-    """What is doubtful in one template; nothing where a listener comes to the leaves of its category."""
+    """Ambiguities of one template; none if a listener reaches the leaves of its category."""
     shape = SHAPES[category]
     text = written(template)
     try:

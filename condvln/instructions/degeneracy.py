@@ -1,4 +1,4 @@
-"""What an instruction must not be. Each rule is named, counted by the sampler, and holds for whole programs.
+"""Rules against degenerate instructions. Each has a name, is counted by the sampler, and holds for whole programs.
 
 All rules work on what the text says, not on what is true, except that rooms and objects are distinguished by id. Two
 labels clash where a speaker might use one word for both (``Vocabulary.overlapping``).
@@ -66,7 +66,7 @@ class Claim:
 
 @dataclass(frozen=True, slots=True)
 class Presupposed:
-    """What the stops' phrases take for granted, by room id.
+    """Presuppositions of the stops' phrases, by room id.
 
     stops : labels of stops; things : those, the anchors of their qualifiers and of room names ("the … with the piano");
     pairs : (label, anchor) that a qualifier states
@@ -78,7 +78,7 @@ class Presupposed:
 
     @classmethod
     def by(cls, stops: Iterable[ObjectRef]) -> Presupposed:
-        """What all phrases of `stops` take for granted together."""
+        """Presuppositions of all phrases of `stops` together."""
         stops = tuple(stops)
         named = {(s.room.room_id, s.label) for s in stops}
         qualified = [

@@ -117,7 +117,7 @@ class Referents:
     unplaced: frozenset[str]
 
     def lacks(self, label: str, vocabulary: Vocabulary) -> bool:
-        """Whether it can be said that nothing in the room goes by a word for `label`."""
+        """Whether text may claim that the room has no `label`."""
         meant = vocabulary.overlapping(label)
         return self.room.complete and not meant & self.blocked and meant.isdisjoint(self.arrays.labels)
 
@@ -143,7 +143,7 @@ class Referents:
         return np.stack([self.anchors[one], self.anchors[other]], axis=1).astype(np.intp)
 
     def related(self, predicate: Predicate) -> tuple[NDArray[np.intp], NDArray[np.int8], NDArray[np.float64], Bools]:
-        """Of a predicate with anchors: the anchors (a, k), and status, margin and `suits` (n, a) of all objects."""
+        """Facts of a predicate with anchors: anchors (a, k), and status, margin and `suits` (n, a) of all objects."""
         columns = self.anchor_pairs if predicate == "between" else self.anchors[:, None]
         if predicate == "between":
             status, margin = self.facts.between(columns)
@@ -258,7 +258,7 @@ def things_meant(
 def _nameless(
     arrays: RoomArrays, vocabulary: Vocabulary, family: str | None
 ) -> tuple[tuple[frozenset[str], ...], tuple[frozenset[str], ...], frozenset[str], frozenset[str]]:
-    """What things may be besides what they are called: `may_be`, `open`, `blocked` and `unplaced` of `Referents`."""
+    """Labels that objects may have beside their own: `may_be`, `open`, `blocked` and `unplaced` of `Referents`."""
     none: frozenset[str] = frozenset()
     if family is None:
         return (none,) * len(arrays), (none,) * len(arrays), none, none

@@ -372,7 +372,7 @@ def _sentences(words: Language, text: str) -> str:
 
 @lru_cache
 def _shortest(phrases: tuple[str, ...]) -> tuple[str, ...]:
-    """Those of fewest words."""
+    """The renderings with the fewest words."""
     least = min(phrase.count(" ") for phrase in phrases)
     return tuple(phrase for phrase in phrases if phrase.count(" ") == least)
 

@@ -20,7 +20,7 @@ __all__ = ["Stops", "Target", "TargetPool", "apart_by_centres", "targets"]
 
 @dataclass(frozen=True, eq=False)
 class Stops:
-    """What the navigation knows about objects as stops.
+    """Navigation data of objects as stops.
 
     object_ids (n,) : objects that can be stood at; an object not listed is never a stop
     apart (n, n) : two stops lie far enough from each other to be leaves of one program, or two moves of one leaf

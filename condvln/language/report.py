@@ -71,7 +71,7 @@ class LanguageReport:
     lint: dict[str, int] | None
 
     def document(self) -> dict[str, Any]:
-        """As JSON has it."""
+        """The report as JSON."""
         return {
             "lengths": {name: vars(found) for name, found in self.lengths.items()},
             "piece_words": self.piece,

@@ -30,7 +30,7 @@ _REMEDY: Final = "Name an export, or a file of R2R, VLN-CE, RxR or NavSpace (.js
 
 @dataclass(frozen=True, slots=True)
 class InstructionText:
-    """A text; of ours with its category, its program and the heading that it may open with."""
+    """A text; one of ours also has a category, a program and the heading that it may open with."""
 
     text: str
     category: str | None = None

@@ -80,7 +80,7 @@ class TextFacts:
 
 
 def text_facts(relations: RoomRelations, thresholds: Thresholds) -> TextFacts:
-    """What text may say of a room's things.
+    """Facts that text may state about a room's objects.
 
     Of a thing of several pieces, "on", "under", "in", "near" and "above" are true where they are of some piece, and
     false where they are of all; the compass, "higher than" and "far from" are true where they are of all pieces.
@@ -141,17 +141,17 @@ def _turned(fact: _Fact) -> _Fact:
 
 
 def _some(pieces: Pieces, fact: _Fact) -> _Fact:
-    """Of objects: true where it is of some of their pieces, false where it is of all."""
+    """Object facts from facts of pieces: true if true for some pieces, false if false for all."""
     return _of_objects(pieces, fact, pieces.any(fact[0] == 1), pieces.all(fact[0] == -1), pieces.most(fact[1]))
 
 
 def _each(pieces: Pieces, fact: _Fact) -> _Fact:
-    """Of objects: true, and false, where it is of all their pieces."""
+    """Object facts from facts of pieces: true if true for all pieces, false if false for all."""
     return _of_objects(pieces, fact, pieces.all(fact[0] == 1), pieces.all(fact[0] == -1), pieces.least(fact[1]))
 
 
 def _far_of(pieces: Pieces, fact: _Fact) -> _Fact:
-    """Of objects: true where it is of all their pieces, false where it is of some."""
+    """Object facts from facts of pieces: true if true for all pieces, false if false for some."""
     return _of_objects(pieces, fact, pieces.all(fact[0] == 1), pieces.any(fact[0] == -1), pieces.least(fact[1]))
 
 
@@ -160,7 +160,7 @@ def _of_objects(pieces: Pieces, fact: _Fact, true: Mask, false: Mask, margin: F6
 
 
 def _said_on(fact: _Fact, holding: Holding) -> _Fact:
-    """What the source says decides where boxes leave it open; where they contradict it, nothing is decided."""
+    """The source decides where boxes leave a fact open; where they contradict each other, nothing is decided."""
     status, margin = fact
     true = (status == 1) | (holding.on & (status == 0))
     false = ((status == -1) & ~holding.on) | (holding.denied & (status == 0))
@@ -169,7 +169,7 @@ def _said_on(fact: _Fact, holding: Holding) -> _Fact:
 
 
 def _said_in(fact: _Fact, holding: Holding) -> _Fact:
-    """As the source says it of what one can look into."""
+    """Containment as the source states it, for containers that are open."""
     status, margin = fact
     said = holding.inside & holding.open[None, :]
     true = (status == 1) | (said & (status == 0))
@@ -227,7 +227,7 @@ def _under(s: Stacking, t: Thresholds) -> _Fact:
 
 
 def _in(s: Stacking, container: Mask, t: Thresholds) -> _Fact:
-    """Inside a container that is open; of other anchors it is never said."""
+    """Inside an open container; never true of other anchors."""
     true = container[None, :] & (s.inside >= t.in_share_true)
     false = container[None, :] & (s.distance > 0.0)
     return _fact(true, false, np.where(true, 0.2 + s.inside, -np.inf), 1.0 + s.distance / 1000.0)

@@ -76,7 +76,7 @@ class Edge(NamedTuple):
 
     @property
     def yaw(self) -> Yaw:
-        """Of a piece that stands against this wall and faces the room."""
+        """Yaw of a piece against this wall that faces the room."""
         nx, nz = self.normal
         return Yaw(25 * nz, 25 * nx)
 

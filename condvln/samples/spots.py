@@ -225,7 +225,7 @@ def on_middle(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anc
 
 
 def on_back(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anchor: Piece | None) -> Iterator[Piece]:
-    """At the back of the anchor's top: pillows, screens."""
+    """Places at the back of the anchor's top: pillows, screens."""
     for across in (0.0, -0.95, 0.95, -0.5, 0.5):
         yield from _on(rng, kind, variant, anchor, share=(across, -1.0))
 

@@ -79,8 +79,7 @@ def with_containment(objects: Sequence[SceneObject], family: str) -> tuple[Scene
 
 
 def stated_holders(objects: Sequence[SceneObject]) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
-    """By object the ids of the others that it is on, and in, as its source says; objects of which it says nothing are
-    left out."""
+    """By object, the ids of the objects that it is on, and in, as its source states; others are left out."""
     links, of = _Links(), {item.object_id: item for item in objects}
     for item in objects:
         _stated(item, of, links)

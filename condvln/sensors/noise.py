@@ -29,6 +29,6 @@ def noisy_pose(
 def noisy_move(
     forward: float, turn: float, noise: NoiseConfig, seed: int, names: Sequence[object] = ()
 ) -> tuple[float, float]:
-    """What becomes of a step forward (metres) and a turn (radians): each is off by a share of itself."""
+    """A step forward (metres) and a turn (radians) with errors that are a share of each."""
     step, angle = generator(seed, "move", *names).normal(size=2)
     return max(0.0, forward * (1 + noise.step * step)), turn * (1 + noise.turn * angle)

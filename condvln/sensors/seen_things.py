@@ -40,7 +40,7 @@ def noisy_sightings(
     seed: int,
     names: Sequence[object] = (),
 ) -> list[SeenThing]:
-    """What a detector makes of the things in view: some are missed, some have another's label, some are not there.
+    """Detections of the objects in view: some are missed, some have a wrong label, some are false.
 
     Each thing is missed or confused by draws of its own, so that with a greater share of errors the same errors occur,
     and more.

@@ -67,7 +67,7 @@ def downloads(family: str) -> tuple[Download, ...]:
 
 
 def look_for(family: str, root: Path, houses: Path | None = None) -> list[Found]:
-    """What of a family's dataset is in a folder; opens nothing.
+    """The parts of a family's dataset that are in a folder; no file is opened.
 
     houses : the folder of the house JSON, where `root` holds Habitat's scenes of ProcTHOR
     """

@@ -1,4 +1,4 @@
-"""What is known of each family of datasets beside how it is read: names, terms, official splits, paths of scenes.
+"""Facts about each family of datasets, without its reader: names, terms, official splits, paths of scenes.
 
 A new family is an entry here, a reader in ``registry``, its downloads in ``downloads.csv``, its raw labels in
 ``condvln.labels``, and its name in ``schemas.config.Family``; ``CONTRIBUTING.md`` goes through them.

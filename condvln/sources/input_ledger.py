@@ -38,7 +38,7 @@ class InputLedger:
         self._entries[name] = data
 
     def inputs(self, root: DatasetRoot, hash_file: HashFile) -> tuple[SceneInput, ...]:
-        """All that was noted, sorted by path; a file that has gone away is left out.
+        """All noted inputs, sorted by path; files that no longer exist are left out.
 
         Raises
         ------

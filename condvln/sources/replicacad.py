@@ -117,7 +117,7 @@ class ReplicaCadSource(SceneSource):
         return Assembly(bodies, stage, regions, navmeshes, [*reader.warnings, *said])
 
     def _rooms(self, scene_id: str, assembly: Assembly, objects: Sequence[SceneObject]) -> tuple[Room, ...]:
-        """Rooms of a scene whose objects are in none yet: its regions, else the whole of it."""
+        """Rooms of a scene before its objects are assigned: its regions, else one room for the whole scene."""
         return assembly.regions or (_whole_scene(objects, self.family),)
 
     def _navmeshes(

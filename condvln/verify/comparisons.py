@@ -28,7 +28,7 @@ def is_closest(subject: Thing, anchor: Thing, rivals: Sequence[Thing], t: Thresh
 
 
 def compare_sizes(subject: Thing, rivals: Sequence[Thing], t: Thresholds, sign: int) -> Judgement:
-    """Of two things of one label, whether this is the bigger (`sign` 1) or the smaller (−1)."""
+    """Whether this is the bigger (`sign` 1) or the smaller (−1) of two objects with one label."""
     if len(rivals) != 1 or rivals[0].label != subject.label:
         return Judgement(UNDECIDED, {"rivals": float(len(rivals))})
     one, other = subject.sides(), rivals[0].sides()

@@ -57,7 +57,7 @@ def shut_away(
 
 
 def said_of(items: Sequence[SceneObject], label_of: Callable[[SceneObject], str], meaning: Words) -> Said:
-    """What the source says of where things are; see `Said`."""
+    """The source's own statements about where objects are; see `Said`."""
     things = {item.object_id: _Holder(item, label_of(item), meaning) for item in items}
     return {
         name: [(holder.name, inside) for holder, inside in _stated(thing, things)]
@@ -82,7 +82,7 @@ class _Holder:
 
 
 def _below(thing: _Holder, things: dict[str, _Holder]) -> list[tuple[_Holder, bool]]:
-    """What a thing is in (True) and on (False)."""
+    """The objects that a thing is in (True) and on (False)."""
     if thing.links is None:
         thing.links = list(_stated(thing, things)) if thing.item.receptacles is not None else []
         others = [x for x in things.values() if x is not thing and x.item.room_id == thing.item.room_id]

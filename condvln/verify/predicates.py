@@ -68,7 +68,7 @@ class Judge:
         return as_said_in(found, subject, anchor, room) if predicate == "in" else found
 
     def _of_pieces(self, predicate: str, subject: Thing, anchor: Thing, room: Surroundings) -> Judgement:
-        """Of things of several pieces, from what holds of each two of these."""
+        """The fact for objects of several pieces, from the facts of each pair of pieces."""
         found = [self._of_one(predicate, a, b, room) for a in subject.solids() for b in anchor.solids()]
         when_true, when_false = (
             (any, all) if predicate in SOME else (all, any) if predicate == "far from" else (all, all)

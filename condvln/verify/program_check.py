@@ -15,7 +15,7 @@ __all__ = ["check_program", "leaf_of"]
 
 
 def check_program(row: ManifestEpisode, certificate: Certificate) -> None:
-    """What the tree says of itself, and DESIGN's rules of degeneracy."""
+    """What the tree says of itself, and the rules of degeneracy."""
     program = row.program
     claimed = (row.category, row.depth, row.chain, row.composition, row.moves)
     moves = len(program.leaves[row.gold_leaf].moves) if 0 <= row.gold_leaf < len(program.leaves) else None

@@ -90,7 +90,7 @@ class RoomView:
 
     @cached_property
     def labels(self) -> frozenset[str]:
-        """Labels of its things that are in nothing shut."""
+        """Labels of its objects that are not in a shut container."""
         return frozenset(thing.label for thing in self.things)
 
     def meant(self, label: str) -> tuple[Thing, ...]:
@@ -401,7 +401,7 @@ class SceneReferents:
         return Answer(truth, True, witnesses, view.room.room_id, (), room_anchor, how.numbers)
 
     def _doubt(self, view: RoomView, phrase: Phrase, anchors: Sequence[Thing]) -> str | None:
-        """What keeps the absence of a thing from being known: the room, or a nameless thing that may be one."""
+        """Why absence of a label can't be known: the room, or an unlabelled object that may have it."""
         if not view.room.complete:
             return view.room.room_id
         for thing in view.nameless(phrase.label):

@@ -1,4 +1,4 @@
-"""What can be seen of a scene's things, and of its rooms' floors, from where.
+"""Visibility of a scene's objects, and of its rooms' floors, from given places.
 
 A thing's surface is looked for at two sets of points: the 64 that `navigation.surface_samples` gives of it, by which
 observability is published, and 64 of this package's own. Where these see much of it, or next to nothing of what the
@@ -256,7 +256,7 @@ class Sight:
         return _Points(points, count, self._own_boxes(object_id, points), least)
 
     def _own_boxes(self, object_id: str, points: F64) -> NDArray[np.int64]:
-        """Of points (k, 3) of a thing, the number of the box that each is on, the nearest of several; -1 for none."""
+        """Number of the box that each point (k, 3) of an object lies on, the nearest of several; -1 for none."""
         numbers = np.array(self._boxes.get(object_id, [-1]), dtype=np.int64)
         if len(numbers) == 1:
             return np.full(len(points), numbers[0])

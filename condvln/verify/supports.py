@@ -34,7 +34,7 @@ def is_on(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -> J
 
 
 def as_said_on(found: Judgement, subject: Thing, anchor: Thing, room: Surroundings) -> Judgement:
-    """What the source says decides where boxes leave it open; where they contradict it, nothing is decided."""
+    """The source decides where boxes leave a fact open; where they contradict each other, nothing is decided."""
     if room.is_said_on(subject, anchor):
         return found._replace(verdict=UNDECIDED if found.verdict == FALSE else TRUE)
     if found.verdict == UNDECIDED and room.is_said_elsewhere(subject, anchor):

@@ -99,7 +99,7 @@ class Surroundings:
         return (outer.object_id, True) in self._said.get(inner.object_id, ())
 
     def is_said_elsewhere(self, thing: Thing, other: Thing) -> bool:
-        """Whether the source says where a thing is, and that this is neither `other` nor in or on it."""
+        """Whether the source says that a thing is somewhere else than in or on `other`."""
         if not self._said.get(thing.object_id):
             return False
         receptacles = {x.object_id: x.item.receptacles or () for x in self._things}

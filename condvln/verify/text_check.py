@@ -176,7 +176,7 @@ def _phrase(named: Condition | ObjectRef, single_room: bool) -> Phrase:
 
 
 def _unplaced(phrase: Phrase, single_room: bool) -> Phrase:
-    """Without the room where there is but one: a text may name it or not."""
+    """The phrase without its room in a scene of one room, where a text may name it or not."""
     return phrase._replace(room=None) if single_room and phrase.room is not None else phrase
 
 

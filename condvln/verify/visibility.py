@@ -76,7 +76,7 @@ class Onlookers:
 
 
 def check_seen(program: Program, onlookers: Onlookers, certificate: Certificate) -> None:
-    """Every thing that a text speaks of as there can be seen: stops, anchors and witnesses."""
+    """Check that every object that a text presupposes can be seen: stops, anchors and witnesses."""
     named: set[str | None] = set()
     for condition in program.conditions:
         named |= {*condition.witnesses, condition.room.anchor_id}

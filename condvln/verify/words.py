@@ -99,7 +99,7 @@ class Words:
         return label in self._general_rooms
 
     def may_be(self, label: str, family: str, side: float | None) -> tuple[frozenset[str], bool]:
-        """What a thing labelled so may be besides, and whether it may be anything that its size allows.
+        """Other labels that an object with this label may have, and whether it may be anything of its size.
 
         side : its longest side in metres
         """

@@ -94,7 +94,7 @@ def scene_of(unit: Unit, tables: Tables) -> Scene:
 
 
 def pathfinder_of(scene: Scene, tables: Tables) -> Pathfinder:
-    """Over the navmesh that the first stage chose or built."""
+    """Pathfinder over the navmesh that the first stage chose or built."""
     assert scene.navmesh is not None
     if scene.navmesh.built:
         return Pathfinder(parse_navmesh(tables["navmeshes"]["data"][0].as_py(), scene.navmesh.path))
@@ -115,6 +115,6 @@ def dump(section: Section) -> dict[str, JSON]:
 
 
 def asked_of(instructions: InstructionsConfig) -> dict[str, JSON]:
-    """What is wanted of a scene, whatever its wording."""
+    """The instructions asked for, without their wording."""
     said = InstructionsConfig.model_fields.keys() & WordingConfig.model_fields.keys()
     return {key: value for key, value in dump(instructions).items() if key not in said}

@@ -169,14 +169,14 @@ class InstructionsConfig(WordingConfig):
         return self
 
     def cells_of(self, category: Category) -> tuple[InstructionCell, ...]:
-        """What is wanted of a category: its cells, or its number in `per_category` with all else free."""
+        """The cells of a category, or one cell of its number in `per_category` with all else free."""
         asked = tuple(cell for cell in self.cells if cell.category == category)
         count = self.per_category.get(category, 0)
         return asked or ((InstructionCell(category=category, count=count),) if count else ())
 
     @property
     def wanted(self) -> tuple[InstructionCell, ...]:
-        """All that is wanted of a scene, in the order of the categories."""
+        """All cells of a scene, in the order of the categories."""
         return tuple(cell for category in CATEGORIES for cell in self.cells_of(category))
 
 

@@ -164,7 +164,7 @@ class RayConfig(Section):
 
 
 class KeepConfig(Section):
-    """What the sweep after a rebuild leaves in the store: nothing that a ref names ever goes."""
+    """What the sweep after a rebuild keeps in the store. Nothing that a ref names is ever removed."""
 
     sweep: bool = Field(True, description="whether a rebuild that published removes what no ref needs")
     snapshots: int = Field(3, ge=1, description="snapshots kept for each ref, the published one included")

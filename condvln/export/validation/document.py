@@ -21,7 +21,7 @@ PathfinderOf = Callable[[dict[str, Any]], PathfinderProtocol | None]
 
 @dataclass
 class Document:
-    """What later checks need of a document."""
+    """The parts of a document that later checks need."""
 
     kind: Kind
     vocabulary: Vocabulary | None = None
@@ -51,7 +51,7 @@ def is_point(value: Any, size: int = 3) -> bool:
 
 
 def points(report: LintReport, place: str, value: Any, size: int = 3) -> bool:
-    """Is ``value`` a list of points? What it is instead is noted."""
+    """Is ``value`` a list of points? If not, a finding is added."""
     if not isinstance(value, list):
         report.add(place, "wrong-type", f"not a list of points but {type(value).__name__}")
         return False
@@ -71,7 +71,7 @@ def straight(a: Iterable[float], b: Iterable[float]) -> float:
 
 
 def check_keys(report: LintReport, place: str, record: Any, required: frozenset[str], allowed: frozenset[str]) -> bool:
-    """Is ``record`` an object with all ``required`` keys? Unknown and missing ones are noted."""
+    """Is ``record`` an object with all ``required`` keys? Unknown and missing keys are added as findings."""
     if not isinstance(record, dict):
         report.add(place, "wrong-type", f"not an object but {type(record).__name__}")
         return False

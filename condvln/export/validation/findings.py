@@ -99,12 +99,12 @@ class Finding:
 
     @property
     def severity(self) -> Severity:
-        """Of the code."""
+        """Severity of the finding's code."""
         return CODES[self.code].severity
 
     @property
     def remedy(self) -> str:
-        """Of the code."""
+        """Severity of the finding's code."""
         return CODES[self.code].remedy
 
     def line(self) -> str:

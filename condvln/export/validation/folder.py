@@ -35,7 +35,7 @@ _GROUPS: Final = {"train": "train", "val_seen": "train", "joint_train_envdrop": 
 
 @dataclass(frozen=True)
 class Options:
-    """What the files are checked against besides themselves."""
+    """The navmeshes and graphs that files are checked against."""
 
     pathfinder_of: PathfinderOf | None = None
     graphs: Mapping[str, GraphPathfinder] = field(default_factory=dict)

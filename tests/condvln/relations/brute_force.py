@@ -1,4 +1,4 @@
-"""DESIGN's table of what text may say, once more: plain loops over raw boxes, in exact fractions of millimetres."""
+"""The table of docs/predicates.md once more: plain loops over raw boxes, in exact fractions of millimetres."""
 
 from __future__ import annotations
 
