@@ -10,6 +10,7 @@ import yaml
 from condvln.export.report import ExportReport
 from condvln.export.splits import SPLITS
 from condvln.sources.family import FAMILIES, composed_datasets
+from schemas.program import CATEGORIES
 
 __all__ = ["dataset_card"]
 
@@ -40,6 +41,8 @@ def dataset_card(report: ExportReport, name: str) -> str:
         _meshes(report),
         "## Episodes",
         _counts(report),
+        "## Examples",
+        _examples(report),
         "## Balance",
         _balance(report),
         "## Bias",
@@ -138,6 +141,15 @@ def _counts(report: ExportReport) -> str:
     if report.r2r_episodes:
         lines += ["", f"Of these, {report.r2r_episodes:,} are also in the discrete R2R files."]
     return "\n".join(lines)
+
+
+def _examples(report: ExportReport) -> str:
+    """One text of each category, as it is in the files."""
+    return "\n".join(
+        f"* {category} (episode {report.examples[category][0]}): “{report.examples[category][1]}”"
+        for category in CATEGORIES
+        if category in report.examples
+    )
 
 
 def _balance(report: ExportReport) -> str:

@@ -39,6 +39,8 @@ class ExportReport:
     """By source: 0 = conditions on a label in a room type are true as often as false; 1 = the label gives it away."""
     shapes: dict[str, dict[str, dict[str, int]]] = field(default_factory=dict)
     """Episodes by split, axis and value."""
+    examples: dict[str, tuple[int, str]] = field(default_factory=dict)
+    """By category the episode of the least id, and its text."""
     most_steps: int = 0
     """Largest step budget of an episode, and of all where the configuration sets one number."""
     least_steps: int = 0

@@ -224,6 +224,8 @@ class ExportWriter:
         ):
             counts = shape.setdefault(key, {})
             counts[str(value)] = counts.get(str(value), 0) + 1
+        example = (row["episode_id"], row["instruction_text"])
+        self._report.examples[row["category"]] = min(self._report.examples.get(row["category"], example), example)
         self._report.most_steps = max(self._report.most_steps, row["max_steps"])
         self._report.least_steps = min(self._report.least_steps or row["max_steps"], row["max_steps"])
 

@@ -63,6 +63,14 @@ def test_every_axis_is_counted(exported: Path, index: dict[str, Any]) -> None:
         assert shape["observability"].get("O0f", 0) == at_once
 
 
+def test_the_card_shows_an_episode_of_each_category(exported: Path) -> None:
+    body = (exported / "README.md").read_text()
+    rows = [json.loads(line) for path in (exported / "manifest").glob("*.jsonl") for line in path.open()]
+    for category in {row["category"] for row in rows}:
+        first = min((row for row in rows if row["category"] == category), key=lambda row: row["episode_id"])
+        assert f"* {category} (episode {first['episode_id']}): “{first['instruction_text']}”\n" in body
+
+
 def test_every_table_of_the_card_is_a_table(exported: Path) -> None:
     widths: list[int] = []
     for line in (*(exported / "README.md").read_text().splitlines(), ""):
