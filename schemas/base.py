@@ -28,6 +28,6 @@ class Frozen(Document):
 
 
 class VersionedDocument(Document):
-    """A document that stands in a file of its own and so carries the version of its contract."""
+    """A document with a file of its own, which therefore carries the version of its contract."""
 
     schema_version: Literal["1.0"] = "1.0"

@@ -27,7 +27,7 @@ class Evidence(Document):
 
 
 class Subgoal(Document):
-    """A place to pass through on the way, snapped to the navmesh, and the object it stands for."""
+    """A place to pass through on the way, snapped to the navmesh, and the object it leads to."""
 
     object_id: str
     position: Vec3
@@ -46,7 +46,7 @@ class EpisodeLeaf(Document):
 
 
 class EpisodeRecord(Document):
-    """One row of the episodes table; its program stands in the instructions table under ``instruction_id``."""
+    """One row of the episodes table; its program is in the instructions table under ``instruction_id``."""
 
     scene_id: str
     episode_id: int = Field(ge=0, lt=2**53, description="made from `episode_hash`; stock loaders call int() on it")

@@ -47,7 +47,7 @@ DOCUMENTS: Final[dict[str, type[BaseModel]]] = {
 
 
 def generated_files() -> dict[str, str]:
-    """File name → text, as they must stand in ``schemas/json``."""
+    """File name → text of every file in ``schemas/json``."""
     files = {}
     for name, model in DOCUMENTS.items():
         schema = {

@@ -38,7 +38,7 @@ class Instruction(Document):
 
 
 class VlnCeEpisode(Document):
-    """One episode; anything of ours stands under ``info``."""
+    """One episode; our own fields are under ``info``."""
 
     episode_id: int | str
     trajectory_id: int | str

@@ -160,7 +160,7 @@ def _guesses(views: Sequence[GuesserView], source: NDArray[np.str_]) -> dict[str
 
 
 def _asked(views: Sequence[GuesserView]) -> dict[str, NDArray[np.bool_]]:
-    """By predicate which episodes have a condition that asks for it."""
+    """By predicate, the episodes that have a condition with it."""
     found: dict[str, NDArray[np.bool_]] = {}
     for k, view in enumerate(views):
         for asked in view.asked:

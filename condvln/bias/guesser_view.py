@@ -15,7 +15,7 @@ __all__ = ["Asked", "GuesserView", "LeafView"]
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """A condition as asked, and its truth: known of episodes to learn from, hidden of one to guess.
+    """A condition and its truth, which is known when learning and hidden when guessing.
 
     definite : it speaks of one thing that is known to be there
     """

@@ -182,7 +182,7 @@ def _regressed(views: Sequence[GuesserView], words: Words) -> Guesses:
 
 
 def _features(views: Sequence[GuesserView], words: Words) -> csr_matrix:
-    """(episodes, words) 1 where a word stands in an episode, of words that are neither too rare nor everywhere."""
+    """(episodes, words) 1 where an episode's text has a word; words that are too rare or everywhere are left out."""
     index: dict[str, int] = {}
     rows = [np.unique([index.setdefault(word, len(index)) for word in words(view)]) for view in views]
     columns = np.concatenate(rows).astype(np.int64)

@@ -40,7 +40,7 @@ class Finding:
 
     @property
     def part(self) -> str:
-        """Its category, or the predicate that some condition of its episodes asks for."""
+        """The category, or the predicate that a condition of its episodes asks for."""
         return self.category if self.predicate == ALL else f"asks: {self.predicate}"
 
     @property

@@ -40,7 +40,7 @@ _GROUP: Final = INSTRUCTIONS.field("group_id")
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A program to be placed, and the cell that it was drawn for; None with the counterfactual group that it is of."""
+    """A program to be placed, with the cell that it was drawn for, or None and its counterfactual group."""
 
     instruction_id: str
     program: Program

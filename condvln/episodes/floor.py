@@ -89,7 +89,7 @@ def _whole_floor(scene: Scene, pathfinder: PathfinderProtocol, islands: Sequence
 def _room_floor(
     room: Room, polygon: F64, pathfinder: PathfinderProtocol, islands: Sequence[int]
 ) -> tuple[F64, NDArray[np.bool_]]:
-    """The points (n, 3) of a grid in a room's outline, on the navmesh where they can be stood at; which can, (n,).
+    """Grid points (n, 3) in a room's outline, snapped to the navmesh where possible; and which were snapped, (n,).
 
     Where none can, they are at the height of the room's floor.
     """

@@ -77,7 +77,7 @@ class Observation:
         return all(e.in_view for e in self.evidence)
 
     def fits(self, asked: str) -> bool:
-        """Whether it is what a cell asks for: a level, or O0f for O0 in the first view."""
+        """Whether it matches a cell: a level, or O0f for O0 in the first view."""
         return self.in_view if asked == FIRST_VIEW else self.observability == asked
 
 

@@ -30,7 +30,7 @@ LATER: Final = "later"
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PooledEpisode:
-    """A candidate that found its place, and from where what it asks can be seen."""
+    """A placed candidate, with its observability."""
 
     candidate: Candidate
     placement: Placement
@@ -175,7 +175,7 @@ class _Filling:
                     self._count(one, 1)
 
     def trim(self, tries: Sequence[_Try], label_cap: float) -> None:
-        """Drop what is over the share of its labels, and fill its places with what was turned away for want of room."""
+        """Drop episodes above the share of their labels; candidates that met a full quota take their places."""
         placed = [one for one in tries if one.refused is None]
         share = allowed_share(label_cap, len(self._labels))
         dropped = over_share([one.labels for one in placed], label_cap)

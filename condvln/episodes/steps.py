@@ -154,7 +154,7 @@ def _placeable(
 
 
 def _filled(candidates: list[Candidate], others: list[Candidate]) -> list[Candidate]:
-    """`candidates`, and of the `others` as many as their cells are short of what is asked.
+    """`candidates`, and from `others` as many as their cells lack.
 
     At most one other for two candidates, so that most of what is published has an episode.
     """

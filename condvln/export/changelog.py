@@ -217,7 +217,7 @@ _DROPPED: Final = _Words("left out now", "their scene is gone", "no longer gener
 def _why_alone(
     words: _Words, own: PublishedEpisodes, row: int, navmeshes: Mapping[str, str], other: Generated | None
 ) -> str:
-    """Why an episode stands in its own export only; navmeshes and generated episodes are those of the other one."""
+    """Why an episode is in one export only; navmeshes and generated episodes are those of the other one."""
     told = other.reason(int(own.ids[row])) if other is not None else None
     if told is not None:
         return f"{words.left_out}: {told or 'beyond the balance'}"

@@ -70,7 +70,7 @@ def exported_snapshot(folder: Path) -> str:
 
 
 def file_hashes(folder: Path) -> dict[str, str]:
-    """SHA-256 of each file by path, as the export's own record lists them; nothing where it can't be read."""
+    """SHA-256 of each file by path, as the export's own record lists them; empty if that can't be read."""
     try:
         return {str(path): str(entry["sha256"]) for path, entry in (read_index(folder) or {})["files"].items()}
     except (KeyError, TypeError, AttributeError):

@@ -247,7 +247,7 @@ class PoolBuilder:
         return colliding(numbers.tolist(), [name for _, hashes in self._ids for name in hashes.to_pylist()])
 
     def _conditions(self, instructions: Hashes) -> tuple[Codes, Codes, npt.NDArray[np.bool_]]:
-        """What each episode's instruction asks; nothing where it is not known."""
+        """Conditions of each episode's instruction; empty if unknown."""
         names = _joined([part[0] for part in self._asked], np.uint64)
         if not len(names):
             nothing = np.zeros(0, dtype=np.int64)

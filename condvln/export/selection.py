@@ -105,7 +105,7 @@ def select(pool: ExportPool, config: SplitsConfig) -> Selection:
 
 
 def _empty_splits(pool: ExportPool, config: SplitsConfig, selection: Selection) -> dict[Split, str]:
-    """Why splits have no episode. One that the configuration gives no share and no scenes is not asked for."""
+    """Why splits have no episode. A split without a share and without scenes in the configuration is left out."""
     groups = Counter(scene_group(family, scene, config) for family, scene in pool.scenes)
     shares = dict(zip(GROUPS, config.fractions, strict=True))
     found: dict[Split, str] = {}

@@ -27,7 +27,7 @@ _SOURCE: Final = "mp3d"
 
 @dataclass
 class ViewpointReport:
-    """Episodes by split, the scans they stand in, and what could not be placed by reason."""
+    """Episodes by split, their scans, and the number that could not be placed by reason."""
 
     episodes: dict[str, int] = field(default_factory=dict)
     scans: dict[str, list[str]] = field(default_factory=dict)

@@ -63,7 +63,7 @@ def read_glb(data: bytes, where: str) -> GlbGeometry:
 
 
 def glb_scene(data: bytes, where: str) -> trimesh.Scene:
-    """The default scene of a GLB file with its vertices and faces as they stand in it, and nothing but its geometry.
+    """The default scene of a GLB file with its vertices and faces unchanged, geometry only.
 
     Nodes are named `node0`, `node1`, … depth first, in the order of the file; a mesh of several primitives hangs below
     its node, as `node0_…`, in their order.

@@ -152,7 +152,7 @@ class MaterialReader:
         return made or None
 
     def _image(self, node: JsonNode) -> int | None:
-        """Number of an image whose bytes stand in the file; None for one that is elsewhere."""
+        """Number of an image whose bytes are in the file; None for any other."""
         index = node.index(len(self._root.array("images")))
         if ("images", index) not in self._number:
             source = self._root.array("images")[index]
@@ -195,7 +195,7 @@ class MaterialReader:
 
 
 def shifted(material: Tree, textures: int) -> Tree:
-    """A material whose textures stand that much later."""
+    """A material with its texture numbers shifted."""
 
     def moved(inner: Tree, names: tuple[str, ...]) -> Tree:
         return {

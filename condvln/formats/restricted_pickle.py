@@ -136,7 +136,7 @@ class _Unpickler(pickle._Unpickler):
             raise UnsafePickleError(f"it asks for {module}.{name}") from None
 
     def load_build(self) -> None:
-        """Give a stand-in its state; nothing else has one."""
+        """Set the state of a stand-in; other objects are refused."""
         state = self.stack.pop()
         target = self.stack[-1]
         if isinstance(target, _Array):

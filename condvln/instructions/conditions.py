@@ -169,7 +169,7 @@ def _relations(
 
 
 def _bearings(referents: Referents, asked: Container[str]) -> dict[Predicate, RelationPool]:
-    """Where a thing lies at the start, asked of what is alone in its label and not small.
+    """Bearings at the start, of objects that are unique in their label and not small.
 
     The start is chosen by the truths that are wanted, so that each thing can be asked with either.
     """

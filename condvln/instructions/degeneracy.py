@@ -90,7 +90,7 @@ class Presupposed:
 
 
 def clash(claim: Claim, others: Sequence[Claim], given: Presupposed, vocabulary: Vocabulary) -> str | None:
-    """The first rule that a condition breaks beside the `others` and the stops' phrases; None if it may stand."""
+    """The first rule that a condition breaks beside the `others` and the stops' phrases; None if it breaks none."""
     words = vocabulary.overlapping(claim.label)
     if words.intersection(claim.anchors) or claim.room_anchor in words:
         return "tautology"

@@ -264,7 +264,7 @@ class _TreeReader:
         return replace(self._stop(clause), definite=clause.data == "the")
 
     def _stop(self, tree: Node) -> Phrase:
-        """What is named, in the order of its words: a room may stand before the thing, or behind it."""
+        """The named object and room, in the order of the words: a room may come before the object or after it."""
         label, room = "", self.scope
         qualifier: tuple[Predicate, tuple[str, ...]] | None = None
         for child in tree.children:

@@ -368,7 +368,7 @@ def _anchored(one: Referents, others: Sequence[Referents], vocabulary: Vocabular
 
 
 def object_refs(referents: Referents, index: int, room: RoomRef) -> tuple[ObjectRef, ...]:
-    """All ways to name one object of a room that goes by `room`, best first; empty where there is none."""
+    """All ways to name one object of a room named `room`, best first; empty if there is none."""
     arrays = referents.arrays
     name, label = arrays.object_ids[index], arrays.labels[index]
     if referents.unique[index]:

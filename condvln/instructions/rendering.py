@@ -66,7 +66,7 @@ def heading_name(heading_degrees: float) -> str:
 
 
 def voice_of(seed: int, instruction_id: str, wording: WordingConfig | str = "en") -> Voice:
-    """The voice in which an instruction is said, one of those allowed; a language's code alone allows all."""
+    """The voice of an instruction, one of those allowed; a language's code alone allows all."""
     said = _wording(wording)
     voices, sums = _allowed(said)
     share = stable_hash("voice", seed, instruction_id, said.language) / 2**256

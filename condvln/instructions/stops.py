@@ -86,7 +86,7 @@ class TargetPool:
 
 
 def apart_by_centres(scene: Scene, places: PlacesConfig) -> Stops:
-    """Every object, apart where the horizontal distance of centres says so; for want of geodesics."""
+    """Stops of a scene without geodesics: objects are apart by the horizontal distance of their centres."""
     ordered = sorted(scene.objects, key=lambda o: o.object_id)
     least = places.leaf_separation(scene.single_room)
     ground = np.array([o.center[[0, 2]] for o in ordered], dtype=np.float64).reshape(-1, 2)

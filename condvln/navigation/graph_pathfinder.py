@@ -102,7 +102,7 @@ class GraphPathfinder:
     # -- points --------------------------------------------------------------------------------------------------------
 
     def viewpoint(self, point: npt.ArrayLike) -> str | None:
-        """Name of the viewpoint that a point stands for; None if none is in reach."""
+        """Name of the viewpoint that a point snaps to; None if none is in reach."""
         number = int(self._nearest(one_point(point))[0])
         return self.graph.ids[number] if number != NOWHERE else None
 

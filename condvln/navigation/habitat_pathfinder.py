@@ -56,7 +56,7 @@ class HabitatPathfinder:
 
     @property
     def settings(self) -> NavMeshSettings | None:
-        """What the navmesh was built with, if habitat-sim tells."""
+        """Settings that the navmesh was built with, if habitat-sim has them."""
         found = self._habitat.nav_mesh_settings
         if found is None:
             return None

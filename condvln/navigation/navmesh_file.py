@@ -106,7 +106,7 @@ class NavMeshFile:
 
     @property
     def known_settings(self) -> NavMeshSettings:
-        """The settings; for version 1 the defaults with what the tile's header tells (agent sizes, cell size)."""
+        """The settings; for version 1 the defaults with agent sizes and cell size from the tile's header."""
         if self.settings is not None:
             return self.settings
         header = self.tile.header

@@ -59,7 +59,7 @@ class NavmeshFolder:
         return self.load(episode.navmesh, episode.navmesh_sha256, f"episode {episode.episode_id}")
 
     def load(self, navmesh: str, sha256: str, place: str) -> Pathfinder:
-        """The pathfinder of a navmesh by its path below a root and its hash; ``place`` is who asks, for messages.
+        """The pathfinder of a navmesh by its path below a root and its hash; ``place`` names the caller in messages.
 
         Raises
         ------

@@ -113,7 +113,7 @@ class Pathfinder:
 
     @property
     def settings(self) -> NavMeshSettings:
-        """What the navmesh was built with (a file of version 1 tells agent and cell sizes; the rest are defaults)."""
+        """What the navmesh was built with (version 1 has agent and cell sizes only; the rest are defaults)."""
         return self.navmesh.known_settings
 
     @property

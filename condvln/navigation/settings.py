@@ -53,7 +53,7 @@ class NavMeshSettings:
 
     @classmethod
     def furnished(cls, agent: AgentConfig) -> NavMeshSettings:
-        """For this agent, with the scene's objects as part of the floor plan: they stand in its way."""
+        """Settings for this agent, with the scene's objects as obstacles."""
         return cls(
             agent_height=agent.height,
             agent_radius=agent.radius,

@@ -117,7 +117,7 @@ def visible_points(
 
 
 def in_view(eyes: Points, points: Points, view: View, headings: npt.ArrayLike | None = None) -> Flags:
-    """Which points (m, 3) lie within the view of each eye (n, 3), were there nothing between, (n, m).
+    """Which points (m, 3) lie in the field of view of each eye (n, 3), occluders ignored, (n, m).
 
     Raises
     ------

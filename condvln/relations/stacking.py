@@ -102,5 +102,5 @@ def stacking_of(pieces: Pieces, holding: Holding, thresholds: Thresholds) -> Sta
 
 
 def _parts(some: F64, whole: F64) -> F64:
-    """some / whole; NaN where there is nothing to be a part of."""
+    """some / whole; NaN where `whole` is 0."""
     return np.divide(some, whole, out=np.full_like(some, np.nan), where=whole > 0)

@@ -94,7 +94,7 @@ def _lexicon(content: bytes) -> bytes:
 
 
 def _articulated(name: str) -> bytes:
-    """A body by its own type: Habitat's ProcTHOR has no names that tell it."""
+    """A body by its own type, since Habitat's ProcTHOR has no names for types."""
     (label,) = {kind.label for kind in catalogue().values() if kind.urdf == name}
     number = sorted({kind.label for kind in catalogue().values()}).index(label) + 1
     return orjson.dumps({"urdf_filepath": f"{name}.urdf", "semantic_id": number})

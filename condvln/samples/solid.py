@@ -32,7 +32,7 @@ FACES: Final = np.array(
 
 
 def piece_corners(piece: Furniture) -> F64:
-    """(n, 8, 3) corners of the parts of one piece, where it stands."""
+    """(n, 8, 3) corners of the parts of one placed piece."""
     boxes = part_boxes(catalogue()[piece.kind].shape, piece.size)
     placed: F64 = _corners(boxes) @ piece.yaw.matrix.T + np.array(piece.center)
     return placed

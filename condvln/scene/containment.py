@@ -130,7 +130,7 @@ def _is_inside(item: SceneObject, holder: SceneObject) -> bool:
 
 
 def _measured(members: Sequence[SceneObject], links: _Links) -> None:
-    """What the boxes of one room say: containers where the source says nothing, supports where it names nothing."""
+    """Links from the boxes of one room: containers and supports where the source states none."""
     things = [item for item in members if item.box is not None and not _is_structure(item)]
     if not things:
         return

@@ -84,7 +84,7 @@ def _scene_row(scene: Scene, status: str, reason: str | None) -> Row:
 
 
 def _bounds(scene: Scene) -> F64 | None:
-    """(2, 3) box of all objects and room polygons; None where nothing has a place."""
+    """(2, 3) box of all objects and room polygons; None if nothing has a position."""
     points = [o.center[None] if o.aabb is None else o.aabb for o in scene.objects]
     for room in scene.rooms:
         if room.polygon is not None:

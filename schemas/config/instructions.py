@@ -89,7 +89,7 @@ class InstructionCell(Section):
 
     @property
     def name(self) -> str:
-        """What the tables call it: ``nested C2 O1 3 moves 5-15 m 20-60 words``; a category alone where nothing else is
+        """Name in the tables: ``nested C2 O1 3 moves 5-15 m 20-60 words``; a category alone where nothing else is
         fixed. Different cells have different names."""
         moves = None if self.moves is None else f"{self.moves} move{'s' if self.moves > 1 else ''}"
         route = None if self.route is None else f"{_span(self.route)} m"

@@ -96,13 +96,13 @@ def _check_file(report: LintReport, file: Path, options: Options) -> Document | 
 
 
 def _without_shards(report: LintReport, file: Path) -> Iterator[Finding]:
-    """The findings, but that a split whose episodes stand in shards holds none itself."""
+    """The findings, without that of an empty split whose episodes are in shards."""
     has_shards = any((file.parent / _SHARDS).glob("*.json.gz"))
     return (finding for finding in report if not (has_shards and finding.code == "no-episodes"))
 
 
 def _joined(split: Document, shard: Document, file: str) -> Iterator[Finding]:
-    """Take a shard into its split, and tell what they may not share or must."""
+    """Add a shard to its split; yields findings about what they must or must not share."""
     for name in sorted(split.starts.keys() & shard.starts.keys()):
         yield Finding(file, f"episode {name}", "duplicate-id", f"id {name} is in another shard too", name)
     if None not in (split.vocabulary, shard.vocabulary) and split.vocabulary != shard.vocabulary:
