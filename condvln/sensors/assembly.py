@@ -119,7 +119,9 @@ def _drawn(scene: Scene, geometry: SceneGeometry, notes: Sequence[str], words: V
     holders = _holders(scene.objects)
     order = np.argsort(geometry.owner, kind="stable")
     owners, starts = np.unique(geometry.owner[order], return_index=True)
-    for owner, rows in zip(owners.tolist(), np.split(order, starts[1:]), strict=True):
+    ends = np.append(starts[1:], len(order))
+    for owner, start, end in zip(owners.tolist(), starts, ends[: len(starts)], strict=True):
+        rows = order[start:end]
         if owner == STRUCTURE:
             upright = np.flatnonzero(~level[rows])
             floors = int(upright[0]) if len(upright) else len(rows)  # floors come first; walls have level tops, too

@@ -7,24 +7,22 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import check_env
 
-gymnasium = pytest.importorskip("gymnasium", reason="the extra 'gym' is not installed")
-
-from gymnasium.utils.env_checker import check_env  # noqa: E402
-
-from condvln.evaluation.agents import agent_named  # noqa: E402
-from condvln.evaluation.environment import ENVIRONMENT_ID, NavigationEnv, SceneViews  # noqa: E402
-from condvln.evaluation.export_folder import Export, open_export  # noqa: E402
-from condvln.evaluation.predictions import Prediction, read_predictions, write_predictions  # noqa: E402
-from condvln.evaluation.score import score  # noqa: E402
-from condvln.navigation.follower import Follower  # noqa: E402
-from condvln.samples import make_samples  # noqa: E402
-from condvln.sources.registry import open_source  # noqa: E402
-from condvln.world import open_world  # noqa: E402
-from schemas.config import CameraConfig, InstructionsConfig, NoiseConfig  # noqa: E402
-from schemas.errors import UsageError  # noqa: E402
+from condvln.evaluation.agents import agent_named
+from condvln.evaluation.environment import ENVIRONMENT_ID, NavigationEnv, SceneViews
+from condvln.evaluation.export_folder import Export, open_export
+from condvln.evaluation.predictions import Prediction, read_predictions, write_predictions
+from condvln.evaluation.score import score
+from condvln.navigation.follower import Follower
+from condvln.samples import make_samples
+from condvln.sources.registry import open_source
+from condvln.world import open_world
+from schemas.config import CameraConfig, InstructionsConfig, NoiseConfig
+from schemas.errors import UsageError
 
 SMALL = {
     "rgb": CameraConfig(width=24, height=18),

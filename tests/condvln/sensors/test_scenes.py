@@ -125,6 +125,8 @@ def test_scenes_without_walls_or_stage_say_so(worlds: dict[str, World]) -> None:
     renderer = open_renderer(scene, None)
     assert renderer.notes == (BOXES, NO_WALLS)
     assert len(renderer.surfaces.corners) > 12
+    nothing = open_renderer(replace(scene, rooms=(), objects=()), None)
+    assert not nothing.look(CAMERA, [0, 0, 0]).depth.any()
     bare = replace(worlds["replicacad"].scene, stage=())
     assert open_renderer(bare, None).notes == (NO_STAGE,)
 
