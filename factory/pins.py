@@ -77,7 +77,7 @@ class Pins:
         return Pin(tables=tables)
 
     def hashes(self, renew: Iterable[str] = ()) -> dict[str, str]:
-        """Hashes of the aggregates that hold: pinned under this version and these parameters, not to be renewed, and
+        """Hashes of the valid aggregates: pinned under this version and these parameters, not to be renewed, and
         there (in their place or in the snapshot)."""
         found = {}
         for aggregate in self._aggregates:

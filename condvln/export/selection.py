@@ -131,7 +131,7 @@ def _empty_splits(pool: ExportPool, config: SplitsConfig, selection: Selection) 
 
 
 def _place(pool: ExportPool, config: SplitsConfig, left_out: Counter[str]) -> npt.NDArray[np.int8]:
-    """Split of each episode fit for one; no unit and no program falls into two."""
+    """Split of each eligible episode; no unit and no program is in two splits."""
     groups = [scene_group(family, scene, config) for family, scene in pool.scenes]
     by_group = {"train": SPLITS.index("train"), "val_unseen": SPLITS.index("val_unseen"), "test": SPLITS.index("test")}
     placed = np.array([by_group[group] for group in groups], dtype=np.int8)[pool.scene]

@@ -258,7 +258,7 @@ class _TreeReader:
         return tuple(found)
 
     def _asked(self, tree: Node) -> Phrase:
-        """A condition; a request to see whether something is so holds the clause that says it."""
+        """A condition. In a request to check something, the condition is the clause inside it."""
         inner = [child for child in _subtrees(tree) if child.data in ("some", "the")]
         clause = inner[0] if inner else tree
         return replace(self._stop(clause), definite=clause.data == "the")

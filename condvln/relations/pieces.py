@@ -79,7 +79,7 @@ class Pieces:
         return np.asarray(self._reduced(np.logical_or, mask), dtype=np.bool_)
 
     def all(self, mask: Mask) -> Mask:
-        """(n, n) whether it is so of all pieces of both objects."""
+        """(n, n) whether a fact holds for all pieces of both objects."""
         return np.asarray(self._reduced(np.logical_and, mask), dtype=np.bool_)
 
     def least(self, values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -27,7 +27,7 @@ class Lexicon:
             self._classes[number] = (name, node)
 
     def name(self, number: int, ledger: InputLedger) -> str | None:
-        """The name of a class; None where there is none with this id."""
+        """The name of a class; None if no class has this id."""
         name, node = self._classes.get(number, (None, None))
         ledger.entry(self._path, f"classes.{number}", None if node is None else node.value)
         return name

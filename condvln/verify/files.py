@@ -72,7 +72,7 @@ class ExportFiles:
             )
 
     def runs(self) -> Iterator[SceneRun]:
-        """The scenes, each once where all files have them in one order, as exports do."""
+        """The scenes; each comes once if all files have the same order, as in exports."""
         cursors = [_SplitCursor(self.folder, split, self.unread) for split in self.splits]
         while waiting := [cursor.scene for cursor in cursors if cursor.scene is not None]:
             # Not held here while the reader is at it, so that it goes when the reader is done.

@@ -134,7 +134,7 @@ def prove_scene(
 def _check_words(
     rows: Sequence[Row], certificates: Sequence[Certificate], referents: SceneReferents, rules: VerifierRules
 ) -> None:
-    """What the texts mean, and what follows from the programs and the records alone."""
+    """Check what the texts mean, and what follows from the programs and the records alone."""
     for row, certificate in zip(rows, certificates, strict=True):
         check_meaning(row.manifest, referents, rules, certificate)
         check_program(row.manifest, certificate)

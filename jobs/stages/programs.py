@@ -131,6 +131,6 @@ class ProgramStage(Stage):
         )
 
     def _graph(self, unit: Unit, scene: Scene) -> GraphPathfinder | None:
-        """The viewpoints of a scan that nobody can walk; None where there is a navmesh, or no graph."""
+        """The viewpoints of a scan without a navmesh; None if there is a navmesh, or no graph."""
         path = None if scene.navmesh is not None else source_of(unit).connectivity(scene.scene_id)
         return None if path is None else GraphPathfinder.load(path)

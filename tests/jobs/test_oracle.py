@@ -133,7 +133,7 @@ def test_a_strangers_file_keeps_its_own_vocabulary(export: Path, split: str, tmp
 
 def test_what_is_amiss_is_said(export: Path, split: str, tmp_path: Path) -> None:
     stock = export / "vlnce" / split / f"{split}.json.gz"
-    with pytest.raises(UsageError, match="original's place"):
+    with pytest.raises(UsageError, match="would replace its original"):
         oracle_split(export, split, out=stock)
     with pytest.raises(MissingFileError):
         oracle_split(export, "all")
