@@ -73,7 +73,7 @@ def refuse_export(export: Path | None, folder: Path) -> None:
     """
     if export is not None and folder.resolve().is_relative_to(export.resolve()):
         raise UsageError(
-            f"{folder} lies in the export {export}, which must not hold meshes",
+            f"{folder} lies in the export {export}, which must not hold meshes or images",
             remedy="Choose a folder outside of it, such as the loader's data/scene_datasets.",
         )
 

@@ -101,5 +101,5 @@ def test_an_episode_is_shown_along_its_right_way(made_run: Run, tmp_path: Path) 
 def test_frames_never_go_into_an_export(made_run: Run, named: str, tmp_path: Path) -> None:
     config = made_run[0].model_copy(update={"export": tmp_path / "export"})
     for out in (tmp_path / "export" / "a.png", tmp_path / "export" / "frames"):
-        with pytest.raises(UsageError, match="must not hold meshes"):
+        with pytest.raises(UsageError, match="must not hold meshes or images"):
             render(config, named, out)

@@ -158,7 +158,7 @@ def test_a_box_is_closed_and_has_its_volume(glb_of_box: Callable[..., bytes]) ->
         (changed("meshes", 0, "primitives", 0, "mode", to=1), "no triangles"),
         (changed("meshes", 0, "primitives", 0, "extensions", to={"KHR_draco_mesh_compression": {}}), "draco"),
         (changed("extensionsRequired", to=["KHR_draco_mesh_compression"]), "draco"),
-        (changed("nodes", 0, "children", to=[0]), "from itself"),
+        (changed("nodes", 0, "children", to=[0]), "its own ancestor"),
         (changed("nodes", 0, "children", to=[9]), "not among 1"),
         (changed("nodes", 0, "matrix", to=[1, 2]), "16 numbers"),
         (changed("nodes", 0, "rotation", to=[0, 0, 0, 0]), "not a rotation"),
