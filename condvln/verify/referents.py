@@ -11,6 +11,7 @@ from condvln.scene import Room, Scene, SceneObject
 from condvln.verify.containment import said_of, shut_away
 from condvln.verify.phrases import Named, Phrase
 from condvln.verify.predicates import FALSE, TRUE, Judge, Judgement, Thing
+from condvln.verify.slices import left_apart
 from condvln.verify.standpoint import BEARINGS, Standpoint
 from condvln.verify.surfaces import Shapes, SurfaceGauge
 from condvln.verify.surroundings import Said, Surroundings
@@ -142,6 +143,7 @@ class SceneReferents:
     ) -> None:
         self.scene = scene
         self._anchor_size, self._thresholds = anchor_size, thresholds
+        self._pieces = left_apart(scene)
         self.meaning = words()
         self.judge = Judge(thresholds, SurfaceGauge(shapes))
         held: dict[str, list[SceneObject]] = {room.room_id: [] for room in scene.rooms}
@@ -198,7 +200,11 @@ class SceneReferents:
         if phrase.qualifier is not None and phrase.qualifier[0] in BEARINGS:
             return self._thing_at(phrase, start)
         if phrase not in self._things:
-            self._things[phrase] = self._thing(phrase)
+            found = self._thing(phrase)
+            if isinstance(found, Referent):
+                used = {found.object_id, *found.anchor_ids, found.room_anchor_id}
+                found = self._cut(used) or found
+            self._things[phrase] = found
         return self._things[phrase]
 
     def claim(self, phrase: Phrase, start: Standpoint | None = None) -> Answer | Problem:
@@ -206,8 +212,17 @@ class SceneReferents:
         if phrase.qualifier is not None and phrase.qualifier[0] in BEARINGS:
             return self._claim_at(phrase, start)
         if phrase not in self._claims:
-            self._claims[phrase] = self._claim(phrase)
+            found = self._claim(phrase)
+            if isinstance(found, Answer):
+                used = {*found.witnesses, *found.anchor_ids, found.room_anchor_id}
+                found = self._cut(used) or found
+            self._claims[phrase] = found
         return self._claims[phrase]
+
+    def _cut(self, used: Set[str | None]) -> Problem | None:
+        """The fault that something used is a piece of a thing whose rest is another object."""
+        pieces = sorted(name for name in used if name in self._pieces)
+        return Problem("whole_object", "things that no region border cuts", pieces) if pieces else None
 
     def _room(self, named: Named | None) -> tuple[RoomView, str | None] | Problem:
         if named is None:

@@ -42,12 +42,13 @@ def mutants(row: Row, scene: Scene) -> Iterator[tuple[str, SceneObject]]:
         yield "hidden target", scene.object_of[name]
     for condition in program.conditions:
         if condition.qualifier is not None:
-            yield "hidden anchor", scene.object_of[condition.qualifier.anchor_id]
+            for name in condition.qualifier.anchor_ids:
+                yield "hidden anchor", scene.object_of[name]
         for name in condition.witnesses:
             yield "hidden witness", scene.object_of[name]
         if not condition.truth:
             # For a relation, where the anchor is: so near that it would hold if it were seen.
-            beside = condition.qualifier.anchor_id if condition.qualifier is not None else None
+            beside = condition.qualifier.anchor_ids[0] if condition.qualifier is not None else None
             if beside is not None and condition.qualifier.predicate != "near":
                 continue
             place = (
@@ -73,7 +74,10 @@ def mutants(row: Row, scene: Scene) -> Iterator[tuple[str, SceneObject]]:
 def problems(row: Row, scene: Scene, made_export, shapes: Shapes) -> set[str]:
     certificate = Certificate(row.manifest.episode_id, row.manifest.source, row.manifest.scene_id, row.split)
     check_meaning(
-        row.manifest, SceneReferents(scene, made_export.rules.thresholds, shapes), made_export.rules, certificate
+        row.manifest,
+        SceneReferents(scene, made_export.rules.thresholds, made_export.rules.anchor_size, shapes),
+        made_export.rules,
+        certificate,
     )
     return {disagreement.fact for disagreement in certificate.disagreements}
 
