@@ -144,13 +144,14 @@ class PhraseReader:
     def _set_apart(self) -> Sequence[tuple[int, Named]]:
         """Places of the text where a room is named by a thing in it, and the room."""
         if self._apart is None:
-            self._apart = [
-                (at, Named(label, anchor))
-                for at in range(len(self.tokens))
-                for end, label in self._definite(at, "room")
-                for after, _, _ in self._of(end, "with")
-                for _, anchor in self._definite(after, "noun")
-            ]
+            self._apart = []
+            for at in range(len(self.tokens)):
+                for end, label in self._definite(at, "room"):
+                    for after, _, _ in self._of(end, "with"):
+                        # The longest noun: "the table lamp" is no table.
+                        ends = dict(self._definite(after, "noun"))
+                        if ends:
+                            self._apart.append((at, Named(label, ends[max(ends)])))
         return self._apart
 
     def _related(self, at: int) -> Iterator[tuple[int, _Qualifier]]:

@@ -68,9 +68,10 @@ def cut(row: Row, scene: Scene) -> Iterator[tuple[str, Scene]]:
         ground = np.array([[x0 - 9, z0 - 9], [x1, z0 - 9], [x1, z1 + 9], [x0 - 9, z1 + 9]])
         own = scene.room_of[item.room_id]
         beyond = replace(
-            own, room_id="beyond", polygon=ground + np.array([x1 - x0 + 18, 0.0]), raw_label="Z", label="void"
+            own, room_id="beyond", polygon=ground + np.array([x1 - x0 + 9, 0.0]), raw_label="Z", label="void"
         )
         rooms = (*(replace(r, polygon=ground) if r is own else r for r in scene.rooms), beyond)
+        item = replace(item, aabb=item.box)
         rest = replace(
             item,
             object_id="rest",
@@ -81,7 +82,8 @@ def cut(row: Row, scene: Scene) -> Iterator[tuple[str, Scene]]:
             parts=(),
             mesh=(),
         )
-        yield "a piece of one object", replace(scene, rooms=rooms, objects=(*scene.objects, rest))
+        others = (other for other in scene.objects if other.object_id != name)
+        yield "a piece of one object", replace(scene, rooms=rooms, objects=(*others, item, rest))
 
 
 def check(made_export, every: int) -> None:

@@ -271,3 +271,13 @@ def test_every_noun_of_the_phrasebook_is_one_label() -> None:
         for token in book.tokens(words().nouns[label][0]):
             node = node[token]
         assert [value for kind, value, _ in node[""] if kind == "noun"] == [label]
+
+
+def test_a_room_is_set_apart_by_the_longest_noun() -> None:
+    """ "The bedroom with the table lamp" is one room, not also one with a table."""
+    text = "If there is a box in the bedroom with the table lamp, walk to the mirror in the bedroom. If not, walk to"
+    text += " the sofa in the bedroom."
+    reading = read(text, "en")
+    assert {stop.room for moves in reading.moves for stop in moves if stop.label == "mirror"} == {
+        Named("bedroom", "table lamp")
+    }
