@@ -95,7 +95,7 @@ def test_a_scene_of_several_sources_is_to_be_named_with_its_family(tmp_path: Pat
 
 
 @pytest.mark.parametrize(
-    ("scene", "out", "message"), [("nowhere", "a.glb", "no source has"), ("x", "a.ply", "no .glb")]
+    ("scene", "out", "message"), [("nowhere", "a.glb", "no source has"), ("x", "a.ply", "not a .glb")]
 )
 def test_wrong_use_is_told_and_nothing_is_written(
     tmp_path: Path, datasets: Datasets, scene: str, out: str, message: str
