@@ -133,6 +133,10 @@ def _left_out(done: ExportReport) -> list[str]:
     """Splits that stayed empty, and episodes that are in none, with the reasons."""
     chosen, left = sum(done.episodes.values()), sum(done.left_out.values())
     lines = [f"split {split} is EMPTY: {why}" for split, why in done.empty_splits.items()]
+    lines += [
+        f"WARNING: split {split} is lopsided: {what}; splits.scenes gives it more scenes"
+        for split, what in done.lopsided.items()
+    ]
     if not chosen:
         lines.insert(0, "WARNING: the export holds no episodes")
     if left:

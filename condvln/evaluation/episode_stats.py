@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, Final, NoReturn
@@ -38,6 +38,7 @@ NAMES: Final[Mapping[str, str]] = {
     "collisions": "collisions",
     "bsa": "bsa_all",
     "branch_subgoal_accuracy": "bsa_all",
+    "branch_selection_accuracy": "bsa_all",
     "csr": "csr_all",
     "conditional_success_rate": "csr_all",
 }
@@ -132,7 +133,8 @@ def _refuse(path: Path, place: str, what: str) -> NoReturn:
 def evaluation_of_stats(
     tasks: Sequence[Task], stats: Mapping[str, Mapping[str, float]], *, agent: str = "agent", where: str = ""
 ) -> Evaluation:
-    """Scores of a split from such results; an episode without any is a failure.
+    """Scores of a split from such results; an episode without any is a failure. A measure that none of them has is
+    undefined: BSA and CSR of stock VLN-CE's results are not made of its success.
 
     Raises
     ------
@@ -149,7 +151,8 @@ def evaluation_of_stats(
             raise FormatError(f"two results of episode {name!r}", where=where or None, remedy="Keep one of the two")
         results[known[name]] = measures
     names = [item.name for item in fields(Score)]
-    rows = [_row(task, results.get(task.episode_id)) for task in tasks]
+    told = set().union(*results.values()) if results else set(NAMES.values())
+    rows = [_row(task, results.get(task.episode_id), told) for task in tasks]
     return Evaluation(
         agent,
         ScoreRules(),
@@ -162,15 +165,24 @@ def evaluation_of_stats(
     )
 
 
-def _row(task: Task, stats: Mapping[str, float] | None) -> dict[str, float]:
+def _row(task: Task, stats: Mapping[str, float] | None, told: Set[str]) -> dict[str, float]:
+    """Scores of one task; ``told`` are the measures that any of the results has."""
+    branches = "bsa_all" in told or "csr_all" in told
     if stats is None:
-        failed = dict.fromkeys(set(NAMES.values()) - {"navigation_error", "steps", "collisions"}, 0.0)
-        return {**failed, "missing": 1.0, **_by_the_paper(task, 0.0, 0.0, 0.0), "committed_leaf": float(NO_LEAF)}
+        failed = dict.fromkeys(told - {"navigation_error", "steps", "collisions"}, 0.0)
+        row = {**failed, "missing": 1.0, "committed_leaf": float(NO_LEAF)}
+        if not branches:
+            return row
+        kept = row | _by_the_paper(task, 0.0, 0.0, 0.0)
+        return kept if "bsa_all" in told else kept | {"bsa": math.nan, "bsa_all": math.nan}
     row = {**stats, "missing": 0.0, "committed_leaf": float(NO_LEAF)}
+    if not branches:
+        return row
     success = stats.get("success", math.nan)
     bsa = stats.get("bsa_all", math.nan) if len(task.gold.subgoals) else success
     csr = stats.get("csr_all", float(bsa == 1 and success == 1) if not math.isnan(bsa) else math.nan)
-    return row | _by_the_paper(task, success, bsa, csr)
+    row |= _by_the_paper(task, success, bsa, csr)
+    return row if "bsa_all" in told else row | {"bsa": math.nan, "bsa_all": math.nan}
 
 
 def _by_the_paper(task: Task, success: float, bsa: float, csr: float) -> dict[str, float]:

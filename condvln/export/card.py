@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from typing import Final
 
@@ -71,11 +72,19 @@ def _front_matter(report: ExportReport, name: str) -> str:
             {
                 "config_name": "episodes",
                 "default": True,
+                "version": _version(report),
                 "data_files": [{"split": split, "path": f"manifest/{split}.jsonl"} for split in filled],
             }
         ],
     }
     return "---\n" + yaml.safe_dump(fields, sort_keys=False, allow_unicode=True) + "---"
+
+
+def _version(report: ExportReport) -> str:
+    """A version by the contents of the manifests: the ``datasets`` library caches by it, and not by the contents."""
+    hashes = [f"{path} {file.sha256}" for path, file in sorted(report.files.items()) if path.startswith("manifest/")]
+    number = int(hashlib.sha256("\n".join(hashes).encode()).hexdigest()[:12], 16)
+    return f"1.{number >> 24}.{number & 0xFFFFFF}"
 
 
 def _introduction(report: ExportReport) -> str:
@@ -164,6 +173,9 @@ def _balance(report: ExportReport) -> str:
         left, pool = sum(report.left_out.values()), sum(report.episodes.values()) + sum(report.left_out.values())
         lines += ["", f"{left:,} of {pool:,} episodes are in no split:", ""]
         lines += [f"* {count:,} {reason}" for reason, count in sorted(report.left_out.items())]
+    if report.lopsided:
+        lines += ["", "Splits that could not be filled as the others are (`splits.scenes` gives them more scenes):", ""]
+        lines += [f"* `{split}`: {what}" for split, what in report.lopsided.items()]
     short = report.shortfalls
     if short:
         lines += [

@@ -8,7 +8,7 @@ of Open-Nav and VLN-Zero.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import yaml
@@ -44,13 +44,15 @@ def consumer_files(report: ExportReport) -> dict[str, str]:
         "configs/vlnce/condvln_rxr_task.yaml": _rxr(split, radius, steps, RXR_LANGUAGES[report.language]),
         "configs/habitat_lab/condvln.yaml": _habitat_lab(split, radius, steps),
         "configs/open_nav/condvln_task.yaml": _ansr(split, radius, _OPEN_NAV, _WAYPOINTS),
-        "configs/open_nav/condvln_experiment.yaml": _experiment("open_nav", split),
+        "configs/open_nav/condvln_experiment.yaml": _experiment("open_nav", split, trainer="schedulesampler-OPENNAV"),
         "configs/vln_zero/condvln_task.yaml": _ansr(split, radius, _VLN_ZERO, steps),
-        "configs/vln_zero/condvln_experiment.yaml": _experiment("vln_zero", split, _VLN_ZERO.root),
-        "configs/navid/condvln_task.yaml": _vlnce("vlnce", "VLN-CE-v1", split, radius, steps),
-        "configs/navid/condvln_experiment.yaml": _experiment("navid", split),
+        "configs/vln_zero/condvln_experiment.yaml": _experiment(
+            "vln_zero", split, _VLN_ZERO.root, early_stop=(100, 10)
+        ),
+        "configs/navid/condvln_task.yaml": _navid(split, radius, steps),
+        "configs/navid/condvln_experiment.yaml": _experiment("navid", split, early_stop=(400, 25)),
         "configs/navila/condvln_task.yaml": _vlnce("vlnce", "VLN-CE-v1", split, radius, steps),
-        "configs/navila/condvln_experiment.yaml": _experiment("navila", split),
+        "configs/navila/condvln_experiment.yaml": _experiment("navila", split, trainer="navila"),
     }
     if not any("oracle/" in name for name in report.files):
         del files["configs/vlnce/condvln_oracle_task.yaml"]
@@ -81,12 +83,14 @@ class _AnsrAgent:
     forward: float
     turn: int
     actions: tuple[str, ...] = ()
+    simulator: dict[str, str] = field(default_factory=dict)
+    measured: tuple[str, ...] = ()
 
 
-_OPEN_NAV: Final = _AnsrAgent("", 0.25, 15, ("HIGHTOLOW",))
+_OPEN_NAV: Final = _AnsrAgent("", 0.25, 15, ("HIGHTOLOW",), {"TYPE": "Sim-v1"})
 _WAYPOINTS: Final = 20
 """Open-Nav counts waypoint moves, not steps."""
-_VLN_ZERO: Final = _AnsrAgent("VLN_CE/", 1.0, 30)
+_VLN_ZERO: Final = _AnsrAgent("VLN_CE/", 1.0, 30, measured=("TOP_DOWN_MAP_VLNCE",))
 
 
 def _note(root: str, radius: float, mixed: bool, composed: list[str]) -> str:
@@ -145,11 +149,20 @@ def _ansr(split: str, radius: float, agent: _AnsrAgent, steps: int) -> dict[str,
         "ACTION_SPACE_CONFIG": "v0",
         "FORWARD_STEP_SIZE": agent.forward,
         "TURN_ANGLE": agent.turn,
+        **agent.simulator,
     }
     task = document["TASK"]
     task["POSSIBLE_ACTIONS"] += agent.actions
-    task["MEASUREMENTS"] += ["COLLISIONS", "BRANCH_SELECTION_ACCURACY", "CONDITIONAL_SUCCESS_RATE"]
+    task["MEASUREMENTS"] += [*agent.measured, "COLLISIONS", "BRANCH_SELECTION_ACCURACY", "CONDITIONAL_SUCCESS_RATE"]
     task["BRANCH_SELECTION_ACCURACY"] = {"SUCCESS_DISTANCE": radius}
+    return document
+
+
+def _navid(split: str, radius: float, steps: int) -> dict[str, Any]:
+    """NaVid answers angles, which its evaluator cuts into turns of 30°, and looks at the map that VLN-CE draws."""
+    document = _vlnce("vlnce", "VLN-CE-v1", split, radius, steps)
+    document["SIMULATOR"]["TURN_ANGLE"] = 30
+    document["TASK"]["MEASUREMENTS"].append("TOP_DOWN_MAP_VLNCE")
     return document
 
 
@@ -185,9 +198,17 @@ def _habitat_lab(split: str, radius: float, steps: int) -> dict[str, Any]:
     }
 
 
-def _experiment(name: str, split: str, root: str = "") -> dict[str, Any]:
+def _experiment(
+    name: str, split: str, root: str = "", *, trainer: str = "", early_stop: tuple[int, int] | None = None
+) -> dict[str, Any]:
+    """An experiment file; ``early_stop`` gives the steps and the turns in a row after which NaVid's loop gives up."""
+    evaluation: dict[str, Any] = {"SPLIT": split, "EPISODE_COUNT": -1}
+    if early_stop is not None:
+        steps, turns = early_stop
+        evaluation |= {"IDENTIFICATION": "condvln", "EARLY_STOP_STEPS": steps, "EARLY_STOP_ROTATION": turns}
     return {
         "BASE_TASK_CONFIG_PATH": f"{root}{LINK}/configs/{name}/condvln_task.yaml",
-        "EVAL": {"SPLIT": split, "EPISODE_COUNT": -1},
+        **({"TRAINER_NAME": trainer} if trainer else {}),
+        "EVAL": evaluation,
         "RESULTS_DIR": f"results/{name}_condvln",
     }

@@ -2,14 +2,30 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, Final
 
 from condvln.bias import BiasReport
 from condvln.export.selection import SelectionCell
 from schemas.version import SCHEMA_VERSION
 
 __all__ = ["ExportReport", "WrittenFile"]
+
+
+SMALL_SPLIT: Final = 0.05
+"""A split with less than this share of the largest one's episodes is named."""
+
+FEW_SCENES: Final = 5
+"""Fewer scenes than these are named, where another split has twice as many at least."""
+
+
+def _sums(counts: Iterable[Mapping[str, int]]) -> dict[str, int]:
+    found: Counter[str] = Counter()
+    for one in counts:
+        found.update(one)
+    return dict(found)
 
 
 @dataclass(frozen=True)
@@ -66,12 +82,41 @@ class ExportReport:
         """Cells with fewer episodes than were wanted."""
         return [cell for cell in self.cells if cell.shortfall]
 
+    @property
+    def lopsided(self) -> dict[str, str]:
+        """Splits that could not be filled as the others are, with what is odd about each."""
+        largest = max(self.episodes.values(), default=0)
+        total = sum(self.episodes.values())
+        categories = _sums(found.get("category", {}) for found in self.shapes.values())
+        most_scenes = max((len(scenes) for scenes in self.scenes.values()), default=0)
+        told = {}
+        for split, count in self.episodes.items():
+            if not count or count == largest:
+                continue
+            own = self.shapes.get(split, {}).get("category", {})
+            scenes = len(self.scenes[split])
+            odd = []
+            if count < SMALL_SPLIT * largest:
+                odd.append(f"{count:,} episodes where the largest split has {largest:,}")
+            if scenes < FEW_SCENES <= most_scenes / 2:
+                odd.append(f"{scenes} scenes where another split has {most_scenes:,}")
+            missing = [name for name in categories if not own.get(name)]
+            if missing:
+                odd.append(f"no {', no '.join(missing)}")
+            for name, held in own.items():
+                if held > count / 2 and held / count > 2 * categories[name] / total:
+                    odd.append(f"{held:,} of them {name}")
+            if odd:
+                told[split] = "; ".join(odd)
+        return told
+
     def document(self) -> dict[str, Any]:
         """The report as JSON; the same export gives the same document."""
         cells = [{**asdict(cell), "shortfall": cell.shortfall} for cell in self.cells]
         return {
             "schema_version": SCHEMA_VERSION,
             **{key: value for key, value in asdict(self).items() if key not in ("cells", "files", "bias")},
+            "lopsided_splits": self.lopsided,
             "bias": None if self.bias is None else self.bias.document(),
             "cells": cells,
             "files": {path: asdict(self.files[path]) for path in sorted(self.files)},

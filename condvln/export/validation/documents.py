@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from condvln.export.tokens import PAD_INDEX, UNK_INDEX, Vocabulary
 from condvln.export.validation.document import Document, Kind, PathfinderOf
-from condvln.export.validation.episodes import EpisodeChecks
+from condvln.export.validation.episodes import WITHHELD, EpisodeChecks
 from condvln.export.validation.findings import LintReport
 
 __all__ = ["check_document"]
@@ -26,7 +26,10 @@ def check_document(report: LintReport, content: dict[str, Any], pathfinder_of: P
         report.add("episodes", "no-episodes", "there is none")
     document = Document(_kind(report.file, episodes))
     document.vocabulary = _vocabulary(report, content.get("instruction_vocab"), document.kind)
-    checks = EpisodeChecks(report, document, pathfinder_of)
+    withheld = all(isinstance(one, dict) and not one.keys() & WITHHELD for one in episodes)
+    checks = EpisodeChecks(report, document, pathfinder_of, withheld=bool(episodes) and withheld)
+    if episodes and withheld:
+        report.add("episodes", "goals-withheld", "no episode has goals or a reference path")
     for number, episode in enumerate(episodes):
         report.episode = ""
         checks.check(f"episodes[{number}]", episode)

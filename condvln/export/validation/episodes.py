@@ -16,16 +16,16 @@ from condvln.export.tokens import PAD_INDEX, UNK_INDEX, tokenize
 from condvln.export.validation.document import Document, PathfinderOf, check_keys, is_number, is_point, points, straight
 from condvln.export.validation.findings import LintReport
 
-__all__ = ["EpisodeChecks"]
+__all__ = ["WITHHELD", "EpisodeChecks"]
 
 _REQUIRED: Final = frozenset(
     {"episode_id", "trajectory_id", "scene_id", "start_position", "start_rotation", "instruction"}
 )
-_NEEDED: Final = frozenset({"goals", "reference_path"})
-"""habitat-lab's own loader fails without these, VLN-CE's only when it scores."""
+WITHHELD: Final = frozenset({"goals", "reference_path"})
+"""habitat-lab's own loader fails without these, VLN-CE's only when it scores. A test split may lack both throughout."""
 _ALLOWED: Final = (
     _REQUIRED
-    | _NEEDED
+    | WITHHELD
     | {"info", "start_room", "shortest_paths", "scene_dataset_config", "additional_obj_config_paths"}
 )
 _INSTRUCTION: Final = frozenset({"instruction_text", "instruction_tokens"})
@@ -55,17 +55,36 @@ _GEODESIC: Final = 0.02
 """Metres by which a stored geodesic may differ from the navmesh's, and this share of it."""
 
 
+_BERT_START, _BERT_END, _BERT_WORDS = 101, 102, 30_522
+"""``[CLS]``, ``[SEP]`` and the size of BERT's uncased vocabulary, by which ``<split>_bertidx`` files are indexed."""
+
+
+def _is_bert(tokens: list[int]) -> bool:
+    """Are these BERT's tokens? They begin with [CLS], and nothing but padding follows [SEP]."""
+    said = [token for token in tokens if token != PAD_INDEX]
+    ends = said[:1] == [_BERT_START] and (said[-1] == _BERT_END or len(said) == len(tokens))
+    return ends and all(0 < token < _BERT_WORDS for token in said)
+
+
 class EpisodeChecks:
     """Checks of one document's episodes, one after the other; what they hold goes into ``document``."""
 
-    def __init__(self, report: LintReport, document: Document, pathfinder_of: PathfinderOf | None) -> None:
+    def __init__(
+        self,
+        report: LintReport,
+        document: Document,
+        pathfinder_of: PathfinderOf | None,
+        *,
+        withheld: bool = False,
+    ) -> None:
         self._report = report
         self._document = document
         self._pathfinder_of = pathfinder_of
         self._length: int | None = None
         self._id_named = False
         ansr = {"subgoals"} if document.kind == "ansr" else set()
-        self._required = _REQUIRED | _NEEDED | ansr
+        self._required = _REQUIRED | (frozenset() if withheld else WITHHELD) | ansr
+        self._withheld = withheld
         self._allowed = _ALLOWED | ansr
         self._instruction_keys = _RXR_INSTRUCTION if document.kind == "rxr" else _INSTRUCTION
 
@@ -196,6 +215,8 @@ class EpisodeChecks:
             self._report.add(f"{place}.info", "wrong-type", f"not an object but {type(info).__name__}")
             return
         place = f"{place}.info.geodesic_distance"
+        if self._withheld and (not info or "geodesic_distance" not in info):
+            return
         if not info or "geodesic_distance" not in info:
             self._report.add(place, "missing-geodesic", "is not given")
             return
@@ -240,7 +261,7 @@ class EpisodeChecks:
         if len(tokens) != self._length and PAD_INDEX in tokens:
             self._report.add(place, "token-length", f"{len(tokens)} tokens, {self._length} before")
         vocabulary = self._document.vocabulary
-        if vocabulary is None:
+        if vocabulary is None or _is_bert(tokens):
             return
         outside = [token for token in tokens if not 0 <= token < len(vocabulary.words)]
         if outside:

@@ -35,6 +35,7 @@ CODES: Final[dict[str, Rule]] = {
     "unknown-key": Rule("error", "strict loaders raise TypeError: move it under info"),
     "missing-key": Rule("error", "strict loaders need it"),
     "wrong-type": Rule("error", "give a value of the type that loaders expect"),
+    "goals-withheld": Rule("warning", "a split whose goals are kept back can't be scored; lawful for a test split"),
     # ids and scenes
     "duplicate-id": Rule("error", "ids are compared as text and must differ: later results overwrite earlier ones"),
     "id-not-integer": Rule("warning", "collectors of StreamVLN and DAgger call int() on it: export again"),

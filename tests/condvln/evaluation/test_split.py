@@ -249,6 +249,29 @@ def test_episode_stats_are_aggregated_without_flattery(tmp_path: Path) -> None:
         evaluation_of_stats(tasks, {"z": {}})
 
 
+BRANCHES = ("bsa", "csr", "bsa_all", "csr_all")
+
+
+def test_results_of_the_forks_have_their_own_bsa_and_those_of_vlnce_none(tmp_path: Path) -> None:
+    with_stop = [{**LEAVES[0], "subgoals": [[0, 0, 1]]}, LEAVES[1]]
+    tasks = [task_with(with_stop if name in "cd" else LEAVES, episode_id=name) for name in "abcde"]
+    path = tmp_path / "stats.json"
+    stock = {name: {"success": float(name in "ac"), "spl": 0.5} for name in "abcd"}
+    path.write_text(json.dumps(stock))
+    plain = evaluation_of_stats(tasks, read_episode_stats(path))
+    for name in BRANCHES:
+        assert np.isnan(plain.scores[name]).all(), "what is not there is undefined"
+    assert plain.scores["success"].tolist() == [1, 0, 1, 0, 0]
+    assert plain.scores["spl"].tolist() == [0.5, 0.5, 0.5, 0.5, 0]
+    assert np.isnan(plain.scores["ndtw"]).all(), "not even where an episode is missing"
+    theirs = {"a": 1.0, "b": 0.0, "c": 0.25, "d": 1.0}
+    path.write_text(json.dumps({name: {**stock[name], "branch_selection_accuracy": theirs[name]} for name in stock}))
+    fork = evaluation_of_stats(tasks, read_episode_stats(path))
+    assert fork.scores["bsa_all"].tolist() == [1, 0, 0.25, 1, 0]
+    assert fork.scores["csr_all"].tolist() == [1, 0, 0, 0, 0]
+    np.testing.assert_array_equal(fork.scores["bsa"], [1, np.nan, 0.25, 1, np.nan])
+
+
 @pytest.mark.parametrize(
     ("name", "text", "says"),
     [

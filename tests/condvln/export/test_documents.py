@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -14,9 +15,11 @@ import pytest
 import yaml
 
 from condvln.export.axes import route_class, words_class
+from condvln.export.card import dataset_card
 from condvln.export.changelog import Changes, PublishedEpisodes, changes_between, with_entry
 from condvln.export.consumers import LINK
 from condvln.export.contents import CHANGELOG
+from condvln.export.report import ExportReport
 from condvln.export.snapshot import export_snapshot
 from condvln.export.splits import SPLITS
 from condvln.export.tables import MemoryTables
@@ -163,6 +166,68 @@ def test_a_task_file_stands_alone(exported: Path, name: str) -> None:
         assert task["BRANCH_SELECTION_ACCURACY"] == {"SUCCESS_DISTANCE": 1.0}
     assert document["DATASET"]["SPLIT"] == "val_unseen"
     assert document["ENVIRONMENT"]["MAX_EPISODE_STEPS"] > 0
+    # NaVid's evaluator emits int(degrees / 30) turns, and reads the drawn map as VLN-Zero's does
+    assert document["SIMULATOR"]["TURN_ANGLE"] == (30 if name.startswith(("navid", "vln_zero")) else 15)
+    assert ("TOP_DOWN_MAP_VLNCE" in task["MEASUREMENTS"]) == name.startswith(("navid", "vln_zero"))
+    assert document["SIMULATOR"].get("TYPE") == ("Sim-v1" if name.startswith("open_nav") else None)
+
+
+def test_experiment_files_name_what_their_agents_need(exported: Path) -> None:
+    def of(name: str) -> dict[str, Any]:
+        found: dict[str, Any] = yaml.safe_load((exported / "configs" / name / "condvln_experiment.yaml").read_text())
+        return found
+
+    assert of("open_nav")["TRAINER_NAME"] == "schedulesampler-OPENNAV"
+    assert of("navila")["TRAINER_NAME"] == "navila"
+    for name, steps, turns in (("navid", 400, 25), ("vln_zero", 100, 10)):
+        evaluation = of(name)["EVAL"]
+        assert (evaluation["EARLY_STOP_STEPS"], evaluation["EARLY_STOP_ROTATION"]) == (steps, turns)
+        assert evaluation["IDENTIFICATION"] == "condvln"
+
+
+def test_the_card_has_another_version_for_other_contents(exported: Path, tmp_path: Path) -> None:
+    def version(folder: Path) -> str:
+        front = yaml.safe_load((folder / "README.md").read_text().split("---")[1])
+        return str(front["configs"][0]["version"])
+
+    first = made_snapshot({"replicacad": SCENES})
+    versions = []
+    for number, tables in enumerate((first, second(first), first)):
+        export_snapshot(tables, tmp_path / str(number))
+        versions.append(version(tmp_path / str(number)))
+    assert versions[0] == versions[2] != versions[1]
+    assert all(re.fullmatch(r"\d+\.\d+\.\d+", one) for one in (*versions, version(exported)))
+
+
+@pytest.mark.soak
+def test_the_datasets_library_reads_the_newest_export_of_a_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HF_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+    datasets = pytest.importorskip("datasets", reason="the package datasets is not installed")
+    first = made_snapshot({"replicacad": SCENES})
+    for tables in (first, second(first), first):
+        export_snapshot(tables, tmp_path / "export")
+        found = datasets.load_dataset(str(tmp_path / "export"), cache_dir=str(tmp_path / "cache"))
+        for split, rows in found.items():
+            written = (tmp_path / "export" / "manifest" / f"{split}.jsonl").read_text().splitlines()
+            assert rows["instruction_text"] == [json.loads(line)["instruction_text"] for line in written]
+
+
+def test_a_split_that_can_not_be_filled_is_named() -> None:
+    counts = {"train": 1408, "val_seen": 112, "val_unseen": 1549, "test": 59}
+    even = ("simple", "nested", "deep_nested", "chain", "long_chain", "nested_chain")
+    shapes = {split: {"category": dict.fromkeys(even, count // 6)} for split, count in counts.items()}
+    shapes["test"] = {"category": {"simple": 44, "nested": 15}}
+    scenes = {split: [f"s{k}" for k in range(3 if split == "test" else 21)] for split in counts}
+    report = ExportReport("s", episodes=counts, scenes=scenes, shapes=shapes)
+    assert report.lopsided == {
+        "test": "59 episodes where the largest split has 1,549; 3 scenes where another split has 21; "
+        "no deep_nested, no chain, no long_chain, no nested_chain; 44 of them simple"
+    }
+    assert report.document()["lopsided_splits"] == report.lopsided
+    assert "* `test`: 59 episodes where" in dataset_card(report, "x")
 
 
 # -- changelog ---------------------------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import gzip
 import json
 from pathlib import Path
@@ -72,6 +73,41 @@ def test_a_missing_subgoals_key_is_named_where_others_have_one(exported: Path, t
     del document["episodes"][3]["subgoals"]
     (finding,) = validate(write(tmp_path / "test.json.gz", document))
     assert (finding.code, finding.place) == ("missing-key", f"episode {document['episodes'][3]['episode_id']}")
+
+
+# -- genuine files of others -------------------------------------------------------------------------------------------
+
+
+def test_a_split_whose_goals_are_kept_back_is_lawful(exported: Path, tmp_path: Path) -> None:
+    """As the test split of R2R_VLNCE v1-3: 3,408 episodes without goals and reference_path were 6,816 errors."""
+    document = read(exported / "vlnce" / "test" / "test.json.gz")
+    full = [dict(episode) for episode in document["episodes"]]
+    for episode in document["episodes"]:
+        del episode["goals"], episode["reference_path"], episode["info"]
+    (finding,) = validate(write(tmp_path / "test.json.gz", document))
+    assert (finding.code, finding.severity) == ("goals-withheld", "warning")
+    for key in ("goals", "reference_path"):  # one episode that has either: the others lack it
+        document["episodes"][2][key] = full[2][key]
+        found = validate(write(tmp_path / "test.json.gz", document))
+        errors = [finding for finding in found if finding.severity == "error"]
+        assert {finding.code for finding in errors} == {"missing-key"}
+        assert len(errors) == 2 * len(full) - (1 if key == "goals" else 2)
+
+
+def test_files_indexed_by_bert_are_lawful(exported: Path, tmp_path: Path) -> None:
+    """As ``<split>_bertidx.json.gz``, Open-Nav's 100 episodes among them: the vocabulary beside them is of words."""
+    document = read(exported / "vlnce" / "test" / "test.json.gz")
+    for number, episode in enumerate(document["episodes"]):
+        tokens = [101, 2065, 2045, 29000 + number, 102]
+        episode["instruction"]["instruction_tokens"] = tokens + [0] * (200 - len(tokens))
+    assert validate(write(tmp_path / "test_bertidx.json.gz", document)) == []
+
+    def spoilt(at: int, token: int) -> set[str]:
+        other = copy.deepcopy(document)
+        other["episodes"][1]["instruction"]["instruction_tokens"][at] = token
+        return codes(validate(write(tmp_path / "spoilt.json.gz", other)))
+
+    assert spoilt(2, 30_522) == spoilt(0, 29_999) == spoilt(9, 29_999) == {"token-range"}
 
 
 # -- across splits -----------------------------------------------------------------------------------------------------
