@@ -138,7 +138,7 @@ def test_rows_are_written_to_files(target: Target, snapshot: Snapshot, tmp_path:
         assert query_target(target, sql, tmp_path / name).document["rows"] == len(expected)
     assert [(r["episode_id"], r["words"]) for r in pq.read_table(tmp_path / "a.parquet").to_pylist()] == expected
     with open(tmp_path / "b" / "c.csv", newline="") as handle:
-        assert [(r["episode_id"], int(r["words"])) for r in csv.DictReader(handle)] == expected
+        assert [(int(r["episode_id"]), int(r["words"])) for r in csv.DictReader(handle)] == expected
     lines = [json.loads(line) for line in (tmp_path / "d.jsonl").read_text().splitlines()]
     assert [(r["episode_id"], r["words"]) for r in lines] == expected
     with pytest.raises(UsageError, match="Write to"):

@@ -96,7 +96,7 @@ def test_command_prints_a_line_a_finding_and_ends_with_three(export: Path, tmp_p
     names = []
 
     def extend(episode: dict[str, Any]) -> None:
-        names.append(episode["episode_id"])
+        names.append(str(episode["episode_id"]))
         episode["gold_leaf"] = 1
         del episode["trajectory_id"]
 
