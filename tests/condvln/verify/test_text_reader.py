@@ -67,6 +67,14 @@ def test_a_stop_without_a_room_is_beside_the_one_before_it() -> None:
     assert [[stop.room for stop in moves] for moves in reading.moves] == [[BEDROOM, KITCHEN], [BEDROOM, BEDROOM]]
 
 
+def test_a_room_is_named_by_a_thing_once_whatever_begins_the_thing_s_noun() -> None:
+    reading = read(
+        "If there's a lamp in the bedroom with the desk lamp, go to the sofa in the bedroom. If not, go to the sink in "
+        "the kitchen."
+    )
+    assert {stop.room for stop in reading.moves[1]} == {Named("bedroom", "desk lamp")}
+
+
 def test_a_relation_named_again_needs_no_room() -> None:
     text = (
         "If there's a lamp near the bed in the bedroom with the piano, see if there's a sink in the kitchen. If there "
