@@ -15,7 +15,7 @@ from condvln.scene.boxes import placement, transform_points
 from condvln.scene.quaternions import to_matrix
 from condvln.sensors.kernels.shading import CLAMP
 from condvln.sensors.surfaces import Material, SurfaceBuilder
-from condvln.sensors.textures import READABLE, read_picture
+from condvln.sensors.textures import READABLE, allowed_edge, read_picture
 
 __all__ = ["DrawnFile", "drawn_file"]
 
@@ -166,7 +166,7 @@ class _Painter:
             return -1, (0, 0)
         if known[0] not in self._textures:
             image = self._look.images[known[0]]
-            levels = read_picture(image.data, image.mime)
+            levels = read_picture(image.data, image.mime, allowed_edge(self._builder.texture_bytes))
             self.unread += levels is None
             self._textures[known[0]] = -1 if levels is None else self._builder.texture(levels)
         return self._textures[known[0]], wrap

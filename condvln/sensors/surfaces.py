@@ -68,17 +68,24 @@ class Surfaces:
 
 
 class SurfaceBuilder:
-    """Collects triangles, materials and textures."""
+    """Collects triangles, materials and textures.
+
+    Attributes
+    ----------
+    texture_bytes : what the textures take so far
+    """
 
     def __init__(self) -> None:
         self._pieces: list[tuple[F64, int, Floats | None, Bytes | None, Ints]] = []
         self._materials: list[Material] = []
         self._number: dict[Material, int] = {}
         self._pictures: list[list[Bytes]] = []
+        self.texture_bytes = 0
 
     def texture(self, levels: list[Bytes]) -> int:
         """Takes in a texture, by its levels; gives its number."""
         self._pictures.append(levels)
+        self.texture_bytes += sum(level.size for level in levels)
         return len(self._pictures) - 1
 
     def material(self, material: Material) -> int:

@@ -13,15 +13,17 @@ from numpy.typing import ArrayLike, NDArray
 if TYPE_CHECKING:
     from PIL.Image import Image as Picture
 
-__all__ = ["MAX_EDGE", "READABLE", "Texels", "read_picture", "stored"]
+__all__ = ["MAX_BYTES", "MAX_EDGE", "READABLE", "Texels", "allowed_edge", "read_picture", "stored"]
 
 MAX_EDGE: Final = 1024
 """Texels of a texture's longer side that are kept. A camera of 640 columns that stands a metre before a surface of four
 square metres resolves fewer."""
-MAX_TEXELS: Final = 1 << 28
-"""Texels of a scene's textures; beyond that the largest are halved. 0.75 GiB."""
-MAX_PICTURE: Final = 1 << 28
-"""Pixels of an image that are decoded: 16,384 by 16,384."""
+MAX_BYTES: Final = 3 << 28
+"""Bytes of a scene's textures; see `allowed_edge`. Scans have some sixty of 4 MB."""
+SMALL_EDGE: Final = 128
+"""Texels of the longer side of textures that come when half of that is used."""
+MAX_PICTURE: Final = 1 << 26
+"""Pixels of an image that are decoded: 8,192 by 8,192."""
 READABLE: Final = {"image/png": "PNG", "image/jpeg": "JPEG", "image/webp": "WEBP"}
 
 Bytes = NDArray[np.uint8]
@@ -42,6 +44,14 @@ class Texels:
     offsets: NDArray[np.int64]
     widths: NDArray[np.int32]
     heights: NDArray[np.int32]
+
+
+def allowed_edge(used: int) -> int:
+    """Texels of the longer side of a scene's next texture, when its textures take so many bytes already.
+
+    A file of some megabytes may hold thousands of large images of one colour each: the last ones are single texels.
+    """
+    return MAX_EDGE if used < MAX_BYTES // 2 else SMALL_EDGE if used < MAX_BYTES else 1
 
 
 def read_picture(data: bytes, mime: str, edge: int = MAX_EDGE) -> list[Bytes] | None:
@@ -79,12 +89,8 @@ def _levels(picture: Picture, edge: int) -> Iterator[Bytes]:
 
 def stored(pictures: Sequence[list[Bytes]]) -> Texels:
     """Textures, by their levels, as one array."""
-    kept = [list(levels) for levels in pictures]
-    while sum(level.size for levels in kept for level in levels) > 3 * MAX_TEXELS:
-        largest = max(kept, key=lambda levels: levels[0].size)
-        del largest[0]
-    flat = [level for levels in kept for level in levels]
-    counts = np.array([len(levels) for levels in kept], dtype=np.int32)
+    flat = [level for levels in pictures for level in levels]
+    counts = np.array([len(levels) for levels in pictures], dtype=np.int32)
     ends = np.cumsum([0, *(level.size for level in flat)])
 
     def numbers(values: ArrayLike) -> NDArray[np.int32]:

@@ -7,13 +7,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from condvln.formats.glb_part import read_part
 from condvln.sensors.gltf_faces import drawn_file
 from condvln.sensors.renderer import Renderer
 from condvln.sensors.surfaces import SurfaceBuilder
-from condvln.sensors.textures import read_picture
+from condvln.sensors.textures import MAX_BYTES, allowed_edge, read_picture
 from schemas.config import CameraConfig
 from tests.condvln.sensors.glb_pictures import encoded, square_glb
 
@@ -107,6 +109,29 @@ def test_large_images_are_reduced() -> None:
     levels = read_picture(encoded(np.zeros((300, 600, 3), np.uint8)), "image/png", edge=100)
     assert levels is not None
     assert [level.shape[:2] for level in levels] == [(50, 100), (25, 50), (12, 25), (6, 12), (3, 6), (1, 3), (1, 1)]
+
+
+def test_memory_of_textures_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many images a file holds: half of the memory goes to large ones, then they are small, then one texel."""
+    assert [allowed_edge(used) for used in (0, MAX_BYTES // 2 - 1, MAX_BYTES // 2, MAX_BYTES)] == [1024, 1024, 128, 1]
+    builder = SurfaceBuilder()
+    builder.texture_bytes = MAX_BYTES
+    drawn_file(read_part(square_glb(encoded(IMAGE)), "x"), builder)
+    assert builder.texture_bytes == MAX_BYTES + 3
+    # The one texel is the image's mean.
+    found = builder.surfaces().texels
+    np.testing.assert_allclose(found.data, IMAGE.reshape(-1, 3).mean(axis=0), atol=1)
+    monkeypatch.setattr("condvln.sensors.textures.MAX_PICTURE", 64 * 64 - 1)
+    assert read_picture(encoded(IMAGE), "image/png") is None
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.sampled_from(["PNG", "JPEG", "WEBP"]), st.integers(0), st.integers(0, 255), st.integers(1))
+def test_no_image_breaks_the_reader(kind: str, place: int, value: int, length: int) -> None:
+    data = bytearray(encoded(IMAGE, kind))
+    data[place % len(data)] = value
+    levels = read_picture(bytes(data[: 1 + length % len(data)]), f"image/{kind.lower()}")
+    assert levels is None or levels[-1].shape == (1, 1, 3)
 
 
 @pytest.mark.parametrize(
