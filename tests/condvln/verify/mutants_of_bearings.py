@@ -74,8 +74,8 @@ def flip_the_truth_of_a_bearing(files: Files, rng: np.random.Generator, world: W
 
 @mutator
 def turn_the_start(files: Files, rng: np.random.Generator, world: World) -> bool:
-    """The agent faces another way by a quarter or a half turn."""
-    if not _bearings(files.conditions) and not _stops(files):
+    """The agent faces another way by a quarter or a half turn, so that nothing lies where it is said to lie."""
+    if not any(one["truth"] for one in _bearings(files.conditions)) and not _stops(files):
         return False
     y, w = files.manifest["start_rotation"][1], files.manifest["start_rotation"][3]
     yaw = 2.0 * math.atan2(y, w) + math.pi / 2 * pick(rng, (1, 2, 3))
