@@ -31,6 +31,7 @@ __all__ = [
 REASONS: Final[dict[str, str]] = {
     "tautology": "a condition is settled by its own words: by its room's name, or by its own anchor",
     "implied": "one condition's truth follows from another, or from what another takes for granted",
+    "one_label": "two conditions ask about things that may have one name, so that 'if there is one' may mean either",
     "given_away": "what the stops or room names take for granted tells a condition's truth",
     "names_stop": "a condition asks for something that is also a stop in that room, so that 'the lamp' may mean either",
     "circular": "a phrase names an object by its room and that room by the same object",
@@ -116,6 +117,8 @@ def clash(claim: Claim, others: Sequence[Claim], given: Presupposed, vocabulary:
             return "implied"
         if other.presence and vocabulary.overlapping(other.label).intersection(claim.anchors):
             return "implied"
+    if any(other.label in words for other in others):
+        return "one_label"
     return "implied" if _closes_cycle(claim, same_room, vocabulary) else None
 
 

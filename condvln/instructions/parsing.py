@@ -108,7 +108,7 @@ class _GrammarWriter:
             f"object: _THE _noun [_where_of] | _THE _noun (qualifier [_where] | bearing) | {compared} [_where_of]",
             "_where: _in room | there",
             "_where_of: _of room | there_of",
-            "room: _THE (ROOM | BOTH) [_with _THE _noun]",
+            "room: _THE (ROOM | BOTH) [_with _THE _noun] | THAT (ROOM | BOTH)",
             f"qualifier: ({one_anchor}) _THE _noun | {_rule('between')} _THE _noun {self._terminal(w.both)} _THE _noun",
             "bearing: " + " | ".join(_rule(b) for b in w.bearings),
             "superlative: " + " | ".join(_rule(p) for p in w.superlatives),
@@ -160,6 +160,7 @@ class _GrammarWriter:
             "ROOM": _alternatives(rooms - nouns, nouns),
             "BOTH": _alternatives(nouns & rooms) if nouns & rooms else "(?!)x",
             "_THE": _alternatives(w.articles["definite"].values()),
+            "THAT": _alternatives(w.articles["that"].values()),
         }
         lines = [f"{name}: /{pattern}/" for pattern, name in self.terminals.items()]
         lines += [f"{name}: /{pattern}/" for name, pattern in named.items()]
@@ -295,11 +296,13 @@ class _TreeReader:
             self.last_room = Place(label, self.labels[_plain(anchor[0])])
             self.introduced.add(self.last_room)
             return self.last_room
-        # "The bedroom" behind "the bedroom with the desk" is that one.
-        before = [place for place in self.introduced if place.label == label]
-        if len(before) > 1:
-            raise FormatError(f"the text names {len(before)} rooms, and then one of them as 'the {_plain(room)}'")
-        self.last_room = before[0] if before else Place(label)
+        if any(isinstance(child, Token) and child.type == "THAT" for child in tree.children):
+            before = [place for place in self.introduced if place.label == label]
+            if len(before) != 1:
+                raise FormatError(f"the text says 'that {_plain(room)}' where {len(before)} could be meant")
+            self.last_room = before[0]
+        else:
+            self.last_room = Place(label)
         return self.last_room
 
     def _labels(self, tree: Node) -> tuple[str, ...]:

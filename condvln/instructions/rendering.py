@@ -331,14 +331,13 @@ class _Renderer:
     def _where(self, room: RoomRef, kind: str = "", subject: bool = False) -> str:
         """The room as a place ("in the bedroom"); with `kind` "_of" as what a thing belongs to ("del dormitorio").
 
-        A subject is said with the longest word for its room: "is the bowl in that room on the table?", not "there on".
+        A subject is said with its room: "is the bowl in the kitchen on the table?", not "the bowl there on".
         """
         if self._elided(room):
             return ""
-        if self._is_there(room):
+        if self._is_there(room) and not subject:
             self._rooms_here.append(room)
-            longest = max(self.voice.slots[f"there{kind}"], key=len)
-            return f" {longest if subject else self._phrase(f'there{kind}')}"
+            return f" {self._phrase(f'there{kind}')}"
         return f" {self._phrase('of' if kind else 'in')} {self._room(room)}"
 
     def _is_there(self, room: RoomRef) -> bool:
@@ -350,9 +349,12 @@ class _Renderer:
     def _room(self, room: RoomRef) -> str:
         self.last_room = room
         self._rooms_here.append(room)
-        phrase = self.words.definite(self.words.rooms[room.label])
-        if room.anchor_label is None or (room in self._introduced and self._types[room.label] == 1):
+        noun = self.words.rooms[room.label]
+        phrase = self.words.definite(noun)
+        if room.anchor_label is None:
             return phrase
+        if room in self._introduced and self._types[room.label] == 1:
+            return f"{self.words.articles['that'][noun.kind]} {noun.text}"
         self._introduced.add(room)
         return f"{phrase} {self._phrase('with')} {self.words.definite(self.words.nouns[room.anchor_label])}"
 

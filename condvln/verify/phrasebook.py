@@ -91,8 +91,9 @@ def phrasebook(code: str = "en") -> Phrasebook:
             book.add(word, place, predicate, (noun_class,))
     for name, word in document["directions"].items():
         book.add(word, "direction", name, book.classes)
-    for text, classes in _with_articles("{the}", {**articles, "{the}": articles["definite"]}):
-        book.add(text, "the", "", classes)
+    for name, kind in (("the", "definite"), ("that", "that")):
+        for text, classes in _with_articles("{the}", {**articles, "{the}": articles[kind]}):
+            book.add(text, name, "", classes)
     for kind, entries in (("noun", _nouns(code, "nouns")), ("room", _nouns(code, "rooms"))):
         for label, (noun, noun_class) in entries.items():
             book.add(noun, kind, label, (noun_class,))

@@ -132,11 +132,14 @@ class PhraseReader:
             yield from self._agreeing(end, kind, classes)
 
     def _rooms(self, at: int) -> Iterator[tuple[int, Named]]:
-        """ "The bedroom with the desk"; "the bedroom" is that one too where no other was named before."""
+        """ "The bedroom", "the bedroom with the desk", and "that bedroom" where one was named so before."""
+        for end, _, classes in self._of(at, "that"):
+            for stop, label in self._agreeing(end, "room", classes):
+                before = {room for place, room in self._set_apart() if place < at and room.label == label}
+                if len(before) == 1:
+                    yield stop, before.pop()
         for end, label in self._definite(at, "room"):
-            before = {room for place, room in self._set_apart() if place < at and room.label == label}
-            if len(before) < 2:
-                yield end, next(iter(before), Named(label, None))
+            yield end, Named(label, None)
             for after, _, _ in self._of(end, "with"):
                 for stop, anchor in self._definite(after, "noun"):
                     yield stop, Named(label, anchor)

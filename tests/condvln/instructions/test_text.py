@@ -222,8 +222,8 @@ def test_a_stop_in_the_room_of_the_one_before_it_needs_no_room() -> None:
 def test_a_relation_asked_again_needs_no_room() -> None:
     text = (
         "If there's a lamp near the bed in the bedroom, see if there's a sink in the kitchen. If there is, go to the "
-        "table in the kitchen. If not, go to the stove there. If there's no lamp near the bed, see if there's "
-        "a stool in the kitchen. If there is, go to the sofa in the living room. If not, go to the plant there."
+        "table in the kitchen; if not, go to the stove there. If there's no lamp near the bed, see if there's a stool "
+        "in the kitchen. If there is, go to the sofa in the living room; if not, go to the plant there."
     )
     reading = parse(text)
     assert reading.conditions[0] == Phrase("lamp", ("near", ("bed",)), Place("bedroom"))
@@ -273,10 +273,9 @@ PROGRAM = Program(
     "text",
     [
         "If there's a lamp north-east of the bed in the bedroom with the piano, go to the alarm clock there, then stop "
-        "at the desk in that room. If not, go to the sink in the kitchen.",
-        "Check the bedroom with the piano for a lamp north-east of the bed. If there isn't, walk to the sink in "
-        "the kitchen. If there is one, walk to the alarm clock in the bedroom with the piano and stop at the desk "
-        "there.",
+        "at the desk there. If not, go to the sink in the kitchen.",
+        "Check the bedroom with the piano for a lamp north-east of the bed. If there isn't one, walk to the sink in "
+        "the kitchen. If there is one, walk to the alarm clock in that bedroom and then the desk.",
         "Is there a lamp north-east of the bed in the bedroom with the piano? If so, head to the alarm clock there, "
         "then the desk there. If not, head to the sink in the kitchen.",
         "If the bedroom with the piano has no lamp north-east of the bed, go to the sink in the kitchen. If there is "
@@ -290,7 +289,7 @@ def test_texts_written_by_hand(text: str) -> None:
 
 
 def test_a_room_named_by_a_thing_needs_it_once() -> None:
-    """ "The bedroom" is the one with the piano, where the text has no other."""
+    """ "That bedroom" is the one with the piano, where the text has no other."""
     for seed in range(40):
         text = render(PROGRAM, seed, "x")
         assert text.count("with the piano") == 1, text
@@ -319,7 +318,8 @@ def test_a_room_named_by_a_thing_needs_it_once() -> None:
     "text",
     [
         "If there's a lamp in the bedroom with the piano, go to the sink in the bedroom with the toilet. If not, go to "
-        "the desk in the bedroom.",
+        "the desk in that bedroom.",
+        "If there's a lamp in the bedroom, go to the sink there. If not, go to the desk in that bedroom.",
     ],
 )
 def test_a_room_that_is_not_clear_is_refused(text: str) -> None:

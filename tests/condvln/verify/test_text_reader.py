@@ -52,7 +52,7 @@ def test_a_simple_text() -> None:
 
 def test_there_is_the_room_named_last() -> None:
     reading = read(
-        "If there's a lamp in the kitchen, go to the bed in the bedroom with the piano, then the desk in that room, "
+        "If there's a lamp in the kitchen, go to the bed in the bedroom with the piano, then the desk there, "
         "and stop at the lamp there. Otherwise, go to the sofa there."
     )
     assert {stop.room for stop in reading.moves[1]} == {BEDROOM}
