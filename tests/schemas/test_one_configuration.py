@@ -43,6 +43,7 @@ TECHNICAL = {
     "verify/files.py": {"_BLOCK"},
     "verify/completeness.py": {"_BLOCK"},
     "verify/judgement.py": {"TRUE", "FALSE", "UNDECIDED"},
+    "verify/slices.py": {"SAME_SECTION", "TOUCHING"},
     "verify/text_reader.py": {"MAX_CONDITIONS", "_CASES", "_ALWAYS"},
     # Order of work and memory; the result is the same whatever they are.
     "instructions/priors.py": {"MERGE_ROWS"},
