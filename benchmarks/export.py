@@ -21,6 +21,7 @@ import orjson
 import pyarrow as pa
 from isal import igzip
 
+from condvln.episodes.identity import numeric_id
 from condvln.export.rows import rows_of
 from condvln.export.snapshot import export_snapshot
 from condvln.export.tables import MemoryTables
@@ -58,7 +59,7 @@ class Repeated:
 
     @staticmethod
     def _renamed(rows: pa.Table, name: str) -> pa.Table:
-        for key in ("scene_id", "episode_id", "instruction_id", "group_id", "instruction_text"):
+        for key in ("scene_id", "episode_hash", "instruction_id", "group_id", "instruction_text"):
             if key not in rows.schema.names:
                 continue
             at = rows.schema.get_field_index(key)
@@ -69,6 +70,9 @@ class Repeated:
                     [None if v is None else f"{v} {name}" for v in rows.column(key).to_pylist()], pa.string()
                 )
             rows = rows.set_column(at, rows.schema.field(key), values)
+        if "episode_hash" in rows.schema.names:
+            numbers = pa.array([numeric_id(own) for own in rows.column("episode_hash").to_pylist()], pa.int64())
+            rows = rows.set_column(rows.schema.get_field_index("episode_id"), rows.schema.field("episode_id"), numbers)
         return rows
 
 

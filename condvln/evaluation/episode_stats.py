@@ -12,14 +12,13 @@ import re
 from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, Final, NoReturn
+from typing import Any, Final, NoReturn, Protocol
 
 import numpy as np
 
 from condvln.evaluation.evaluate import AXES, Evaluation
 from condvln.evaluation.measures import NO_LEAF
 from condvln.evaluation.score import Score, ScoreRules
-from condvln.evaluation.task import Task
 from condvln.formats.json_entries import document, head
 from schemas.errors import FormatError
 
@@ -55,6 +54,31 @@ _PREFIX: Final = "stats_"
 _BY_ID: Final = re.compile(rb'\s*\{\s*"(?:[^"\\]|\\.)*"\s*:\s*\{')
 """How ``{id: {measure: number}}`` begins; predictions by id are lists."""
 _HEAD: Final = 1 << 12
+
+
+class Judged(Protocol):
+    """What is asked of an episode that results are of: a task, or an episode of a stock file."""
+
+    @property
+    def episode_id(self) -> str: ...
+
+    @property
+    def aliases(self) -> tuple[str, ...]: ...
+
+    @property
+    def group_id(self) -> str | None: ...
+
+    @property
+    def axes(self) -> Mapping[str, str | int | None]: ...
+
+    @property
+    def gold_leaf(self) -> int: ...
+
+    @property
+    def n_leaves(self) -> int: ...
+
+    @property
+    def subgoals(self) -> int: ...
 
 
 def is_episode_stats(path: Path) -> bool:
@@ -131,7 +155,7 @@ def _refuse(path: Path, place: str, what: str) -> NoReturn:
 
 
 def evaluation_of_stats(
-    tasks: Sequence[Task], stats: Mapping[str, Mapping[str, float]], *, agent: str = "agent", where: str = ""
+    tasks: Sequence[Judged], stats: Mapping[str, Mapping[str, float]], *, agent: str = "agent", where: str = ""
 ) -> Evaluation:
     """Scores of a split from such results; an episode without any is a failure. A measure that none of them has is
     undefined: BSA and CSR of stock VLN-CE's results are not made of its success.
@@ -160,12 +184,12 @@ def evaluation_of_stats(
         tuple(task.group_id for task in tasks),
         {axis: np.array([task.axes[axis] for task in tasks], dtype=object) for axis in AXES},
         np.array([task.gold_leaf for task in tasks], dtype=np.int64),
-        np.array([len(task.leaves) for task in tasks], dtype=np.int64),
+        np.array([task.n_leaves for task in tasks], dtype=np.int64),
         {name: np.array([row.get(name, math.nan) for row in rows], dtype=np.float64) for name in names},
     )
 
 
-def _row(task: Task, stats: Mapping[str, float] | None, told: Set[str]) -> dict[str, float]:
+def _row(task: Judged, stats: Mapping[str, float] | None, told: Set[str]) -> dict[str, float]:
     """Scores of one task; ``told`` are the measures that any of the results has."""
     branches = "bsa_all" in told or "csr_all" in told
     if stats is None:
@@ -179,15 +203,15 @@ def _row(task: Task, stats: Mapping[str, float] | None, told: Set[str]) -> dict[
     if not branches:
         return row
     success = stats.get("success", math.nan)
-    bsa = stats.get("bsa_all", math.nan) if len(task.gold.subgoals) else success
+    bsa = stats.get("bsa_all", math.nan) if task.subgoals else success
     csr = stats.get("csr_all", float(bsa == 1 and success == 1) if not math.isnan(bsa) else math.nan)
     row |= _by_the_paper(task, success, bsa, csr)
     return row if "bsa_all" in told else row | {"bsa": math.nan, "bsa_all": math.nan}
 
 
-def _by_the_paper(task: Task, success: float, bsa: float, csr: float) -> dict[str, float]:
+def _by_the_paper(task: Judged, success: float, bsa: float, csr: float) -> dict[str, float]:
     """BSA and CSR over all episodes, and by the paper's rule for episodes without subgoals."""
-    if len(task.gold.subgoals):
+    if task.subgoals:
         return {"bsa": bsa, "csr": csr, "bsa_all": bsa, "csr_all": csr}
     paper = 1.0 if success == 1 else math.nan
     return {"bsa": paper, "csr": paper, "bsa_all": success, "csr_all": success}

@@ -11,6 +11,7 @@ from condvln.evaluation.evaluate import Evaluation, evaluate
 from condvln.evaluation.graph_split import GraphSplit, r2r_file
 from condvln.evaluation.predictions import detect_format, read_graph_predictions, read_predictions
 from condvln.evaluation.score import ScoreRules
+from condvln.evaluation.stock_split import stock_episodes, stock_file
 from condvln.evaluation.task import Task, read_tasks
 from condvln.manifest import manifest_path, manifest_paths
 from condvln.navigation.graph_pathfinder import GraphFolder
@@ -81,6 +82,9 @@ def evaluate_split(
             "some predictions are paths in space, others paths over viewpoints",
             remedy="They are judged by different rules: evaluate them in two calls",
         )
+    stock = None if manifest_paths(export) else stock_file(export, split)
+    if stock is not None:
+        return _evaluate_stock(stock, dict(zip(names, predictions, strict=True))), []
     tasks = split_tasks(export, split)
     navmeshes = NavmeshFolder((export, *options.navmesh_roots))
     found = []
@@ -93,6 +97,22 @@ def evaluate_split(
             evaluate(tasks, handed_in, navmeshes, options.rules, agent=name, where=str(path), radii=options.radii)
         )
     return found, tasks
+
+
+def _evaluate_stock(stock: Path, predictions: Mapping[str, Path]) -> list[Evaluation]:
+    """Results of a split that has no manifest, such as R2R_VLNCE's."""
+    episodes = stock_episodes(stock)
+    for path in predictions.values():
+        if not is_episode_stats(path):
+            raise UsageError(
+                "paths are judged on the navmesh that a manifest names, and this split has none",
+                where=path,
+                remedy="Of such splits evaluate reads results, stats_<id>.json or {id: {measure: number}}",
+            )
+    return [
+        evaluation_of_stats(episodes, read_episode_stats(path), agent=name, where=str(path))
+        for name, path in predictions.items()
+    ]
 
 
 def _evaluate_discrete(

@@ -76,6 +76,16 @@ class Task:
         return f"Task({self.episode_id}, {self.axes['scene']}: {self.text!r})"
 
     @property
+    def n_leaves(self) -> int:
+        """Number of leaves."""
+        return len(self.leaves)
+
+    @property
+    def subgoals(self) -> int:
+        """Number of stops on the gold leaf's route before its goal."""
+        return len(self.gold.subgoals)
+
+    @property
     def aliases(self) -> tuple[str, ...]:
         """Other names of the episode: its hash, the id of former releases; and the number of that hash, their id in
         RxR's files."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import hashlib
 import json
 import math
@@ -306,3 +307,32 @@ def test_predictions_read_back_from_vlnce_files_score_the_same(tasks: list[Task]
     found = evaluate(tasks, read_predictions(path), world)
     assert (found.scores["success"] == 1).all()
     np.testing.assert_array_equal(found.scores["steps"], [len(t.reference) - 1 for t in tasks])
+
+
+def test_results_of_a_stock_split_without_a_manifest(tmp_path: Path) -> None:
+    """As R2R_VLNCE's: {episodes} beside results of VLN-CE by id; paths are refused with a reason."""
+    episodes = [
+        {"episode_id": number, "scene_id": f"mp3d/{scene}/{scene}.glb"}
+        for number, scene in enumerate(("a", "a", "b", "c"))
+    ]
+    (tmp_path / "val_seen").mkdir()
+    (tmp_path / "val_seen" / "val_seen.json").write_text(json.dumps({"episodes": episodes}))
+    with gzip.open(tmp_path / "val_seen" / "val_seen.json.gz", "wt") as file:
+        json.dump({"episodes": episodes}, file)
+    results = tmp_path / "stats.json"
+    results.write_text(json.dumps({str(k): {"success": float(k < 2), "spl": k / 4} for k in range(4)}))
+    (found,), tasks = evaluate_split(tmp_path, "val_seen", [results])
+    assert tasks == []
+    assert found.means["success"] == 0.5
+    assert found.means["spl"] == pytest.approx(1.5 / 4, abs=1e-12)
+    assert np.isnan(found.means["bsa_all"])
+    assert np.isnan(found.means["csr"])
+    assert found.axes["scene"].tolist() == [episode["scene_id"] for episode in episodes]
+    paths = tmp_path / "paths.json"
+    paths.write_text(json.dumps({"0": [{"position": [0, 0, 0], "stop": True}]}))
+    with pytest.raises(UsageError, match="manifest"):
+        evaluate_split(tmp_path, "val_seen", [paths])
+    with gzip.open(tmp_path / "val_seen" / "val_seen.json.gz", "wt") as file:
+        json.dump({"episodes": [*episodes, episodes[0]]}, file)
+    with pytest.raises(FormatError, match="twice"):
+        evaluate_split(tmp_path, "val_seen", [results])

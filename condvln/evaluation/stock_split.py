@@ -1,0 +1,71 @@
+"""A split of R2R_VLNCE or another stock file without a manifest: its episodes, as far as others' results need them.
+
+Nothing tells branches there, so that only the measures in the results are summed up, by scene. Paths need the navmesh
+that an export's manifest names, and are not judged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from condvln.evaluation.evaluate import AXES
+from condvln.evaluation.measures import NO_LEAF
+from condvln.formats.json_entries import document
+from schemas.errors import FormatError
+
+__all__ = ["StockEpisode", "stock_episodes", "stock_file"]
+
+_SHAPES: Final = ("{split}.json.gz", "{split}/{split}.json.gz", "vlnce/{split}/{split}.json.gz")
+
+
+@dataclass(frozen=True)
+class StockEpisode:
+    """One episode of a stock file."""
+
+    episode_id: str
+    axes: Mapping[str, str | int | None]
+    aliases: tuple[str, ...] = ()
+    group_id: str | None = None
+    gold_leaf: int = NO_LEAF
+    n_leaves: int = 0
+    subgoals: int = field(default=0)
+
+
+def stock_file(folder: Path, split: str) -> Path | None:
+    """The split's file in a folder that is laid out as R2R_VLNCE's; None where there is none."""
+    paths = (folder / shape.format(split=split) for shape in _SHAPES)
+    return next((path for path in paths if path.is_file()), None)
+
+
+def stock_episodes(path: Path) -> list[StockEpisode]:
+    """The episodes of a stock VLN-CE, ANSR-v1 or RxR file.
+
+    Raises
+    ------
+    FormatError : not such a file, or one id twice
+    """
+    content = document(path)
+    episodes = content.get("episodes") if isinstance(content, dict) else None
+    if not isinstance(episodes, list):
+        raise FormatError("the file has no list of episodes", where=path, remedy="See condvln export --validate")
+    found: dict[str, StockEpisode] = {}
+    for number, episode in enumerate(episodes):
+        name, scene = (episode.get(key) if isinstance(episode, dict) else None for key in ("episode_id", "scene_id"))
+        if isinstance(name, bool) or not isinstance(name, str | int) or not isinstance(scene, str):
+            raise FormatError(
+                "an episode lacks its id or its scene",
+                where=path,
+                place=f"episodes.{number}",
+                remedy="See condvln export --validate",
+            )
+        if str(name) in found:
+            raise FormatError(
+                "the id occurs twice", where=path, place=f"episode {name}", remedy="See condvln export --validate"
+            )
+        stops = episode.get("subgoals")
+        axes = dict.fromkeys(AXES) | {"source": scene.split("/")[0], "scene": scene}
+        found[str(name)] = StockEpisode(str(name), axes, subgoals=len(stops) if isinstance(stops, list) else 0)
+    return list(found.values())
