@@ -106,7 +106,8 @@ class Language:
     elliptic : answers that say again the verb of "there is", and go with a question that had it
     connectives : the words that hold clauses together, by what they do
     predicates : phrases of those with anchors; both : the word between two anchors
-    bearings : phrases of those at the start; a text takes those of one place of each list
+    bearings : phrases of those at the start; a text takes those of one place of each list; bearing_stops : the same
+        behind the noun of a stop
     superlatives : "bigger" and "smaller" by class of noun; superlative_first : before the noun, else behind it
     voices : those that an instruction may be said in
     """
@@ -118,6 +119,7 @@ class Language:
     connectives: Mapping[str, tuple[str, ...]]
     predicates: Mapping[Predicate, tuple[str, ...]]
     bearings: Mapping[Predicate, tuple[str, ...]]
+    bearing_stops: Mapping[Predicate, tuple[str, ...]]
     both: str
     superlatives: Mapping[Predicate, Mapping[str, str]]
     superlative_first: bool
@@ -176,6 +178,7 @@ def language(code: str = "en") -> Language:
         connectives={name: tuple(phrases) for name, phrases in document["connectives"].items()},
         predicates={p: _predicate(document, p) for p in PREDICATES if p not in (*SUPERLATIVES, *BEARINGS)},
         bearings={p: tuple(document["bearings"][p]) for p in BEARINGS},
+        bearing_stops={p: tuple(document["bearing_stops"][p]) for p in BEARINGS},
         both=document["both"],
         superlatives={p: document["superlatives"][p] for p in SUPERLATIVES},
         superlative_first=document["superlatives"]["before_noun"],

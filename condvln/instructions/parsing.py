@@ -99,18 +99,20 @@ class _GrammarWriter:
         rules += [f"{_rule(name)}: {self._any(words.values())}" for name, words in w.superlatives.items()]
         rules += [f"direction_{_rule(name)}: {self._any([text])}" for name, text in w.directions.items()]
         rules += [f"{_rule(bearing)}: {self._any(phrases)}" for bearing, phrases in w.bearings.items()]
+        rules += [f"{_rule(bearing)}_stop: {self._any(phrases)}" for bearing, phrases in w.bearing_stops.items()]
         compared = "_THE superlative _noun" if w.superlative_first else "_THE _noun superlative"
         one_anchor = " | ".join(_rule(p) for p in w.predicates if anchors_of(p) == 1)
         rules += [
             "start: [_facing direction] [_scope room COMMA] body",
             "direction: (" + " | ".join(f"direction_{_rule(d)}" for d in w.directions) + ") STOP",
             "moves: _go object (_joint object)*",
-            f"object: _THE _noun [_where_of] | _THE _noun (qualifier [_where] | bearing) | {compared} [_where_of]",
+            f"object: _THE _noun [_where_of] | _THE _noun (qualifier [_where] | bearing_stop) | {compared} [_where_of]",
             "_where: _in room | there",
             "_where_of: _of room | there_of",
             "room: _THE (ROOM | BOTH) [_with _THE _noun] | THAT (ROOM | BOTH)",
             f"qualifier: ({one_anchor}) _THE _noun | {_rule('between')} _THE _noun {self._terminal(w.both)} _THE _noun",
             "bearing: " + " | ".join(_rule(b) for b in w.bearings),
+            "bearing_stop: " + " | ".join(f"{_rule(b)}_stop" for b in w.bearing_stops),
             "superlative: " + " | ".join(_rule(p) for p in w.superlatives),
             "asserted: _exists _noun [qualifier] [_where] -> some",
             "    | room _has _noun [qualifier] -> some",
@@ -281,10 +283,10 @@ class _TreeReader:
                 elif child.data == "qualifier":
                     (relation,) = _subtrees(child)
                     qualifier = self.predicates[str(relation.data)], self._labels(child)
-                elif child.data in ("superlative", "bearing"):
+                elif child.data in ("superlative", "bearing", "bearing_stop"):
                     (relation,) = _subtrees(child)
-                    qualifier = self.predicates[str(relation.data)], ()
-                    if child.data == "bearing" and tree.data == "object":
+                    qualifier = self.predicates[str(relation.data).removesuffix("_stop")], ()
+                    if child.data == "bearing_stop":
                         # Such a stop is in the room of the start, and no room was named last.
                         room = self.last_room = None
         return Phrase(label, qualifier, room)

@@ -284,7 +284,7 @@ class _Renderer:
         if qualifier.predicate in SUPERLATIVES:
             return ""
         if qualifier.predicate in BEARINGS:
-            return f" {self._at_start(qualifier.predicate)}"
+            return f" {self._at_start(qualifier.predicate, isinstance(named, ObjectRef))}"
         relation = self._relations.get(qualifier)
         if relation is None:
             phrases = self.words.predicates[qualifier.predicate]
@@ -293,9 +293,9 @@ class _Renderer:
         anchors = [self.words.definite(self.words.nouns[label]) for label in qualifier.anchor_labels]
         return f" {relation} {f' {self.words.both} '.join(anchors)}"
 
-    def _at_start(self, bearing: Predicate) -> str:
+    def _at_start(self, bearing: Predicate, of_stop: bool) -> str:
         """ "On your left as you start": all bearings of a text in the same way."""
-        phrases = self.words.bearings[bearing]
+        phrases = (self.words.bearing_stops if of_stop else self.words.bearings)[bearing]
         if self._bearing is None:
             self._bearing = self.draws.index(len(phrases))
         return phrases[self._bearing]

@@ -76,9 +76,10 @@ def phrasebook(code: str = "en") -> Phrasebook:
     for connective, phrases in document["connectives"].items():
         for phrase in phrases:
             book.add(phrase, connective, "", book.classes)
-    for bearing, phrases in document["bearings"].items():
-        for phrase in phrases:
-            book.add(phrase, "bearing", bearing, book.classes)
+    for section, kind in (("bearings", "bearing"), ("bearing_stops", "bearing_stop")):
+        for bearing, phrases in document[section].items():
+            for phrase in phrases:
+                book.add(phrase, kind, bearing, book.classes)
     for predicate, phrases in document["predicates"].items():
         direction = document["directions"].get(predicate.removesuffix(" of"), "")
         for phrase in phrases:

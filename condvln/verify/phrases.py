@@ -203,7 +203,7 @@ class PhraseReader:
             for stop, qualifier in self._qualified(end):
                 for after, room, named in self._where(stop, last, belonging=qualifier is None):
                     yield after, Phrase(label, qualifier, room), named
-            for stop, bearing, _ in self._of(end, "bearing"):
+            for stop, bearing, _ in self._of(end, "bearing_stop"):
                 # It is where the agent starts; what "there" would mean after it, nobody could tell.
                 yield stop, Phrase(label, (bearing, ()), None), None
         for end, label, compared in self._compared(at):
