@@ -181,7 +181,7 @@ def celled(made_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Conf
     folder = tmp_path_factory.mktemp("cells")
     cells = [
         InstructionCell(category="simple", moves=2, observability="O0", count=3),
-        InstructionCell(category="long_chain", composition="C0", moves=3, count=4),
+        InstructionCell(category="long_chain", composition="C0", moves=2, count=4),
         InstructionCell(category="nested", route=(3.0, 9.0), words=(60, 85), count=3),
     ]
     config = Config(
@@ -200,8 +200,8 @@ def test_a_cell_is_had_or_its_shortfall_is_told(celled: Config) -> None:
     funnel = funnel_of(snapshot)
     assert funnel is not None
     cells = {cell: flow for (_, cell), flow in funnel.cells.items()}
-    assert set(cells) == {"chain", "counterfactual groups", "long_chain C0 3 moves", "simple O0 2 moves", BOUNDED}
-    crowded = cells["long_chain C0 3 moves"]
+    assert set(cells) == {"chain", "counterfactual groups", "long_chain C0 2 moves", "simple O0 2 moves", BOUNDED}
+    crowded = cells["long_chain C0 2 moves"]
     assert (crowded.candidates, crowded.short) == (0, 8), "no room has so many places apart"
     assert crowded.causes == {"too_few_candidates": 8}
     assert crowded.why().startswith("too_few_candidates 8 (no_")
