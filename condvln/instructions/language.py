@@ -154,7 +154,8 @@ class Language:
     def contracted(self, text: str) -> str:
         """Text with its prepositions and articles run together where the language does so."""
         for apart, together in self.contractions.items():
-            text = re.sub(rf"\b{apart}\b", together, text)
+            # They stand before a noun and behind a word; a regular expression takes a tenth of the rendering's time.
+            text = text.replace(f" {apart} ", f" {together} ")
         return text
 
     def expanded(self, text: str) -> str:
