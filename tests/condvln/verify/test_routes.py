@@ -55,7 +55,7 @@ def test_detours_are_found_leaf_by_leaf(made_export, factor: float, slack: float
     run = made_export.runs[0]
     scene = made_export.scenes[run.scene_id]
     assert not scene.single_room
-    rows = run.rows[:8]
+    rows = [row for row in run.rows if row.manifest.group_id is None][:8]
     certificates = [Certificate(r.manifest.episode_id, "replicacad", run.scene_id, r.split) for r in rows]
     prove_scene(
         rows,
