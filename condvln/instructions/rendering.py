@@ -196,9 +196,10 @@ class _Renderer:
         if self._rooms_here:
             self._rooms_before, self._rooms_here = set(self._rooms_here), []
         if slot.form == "leaf":
+            before = set(self._introduced)
             said = self.moves(program.leaves[slot.index])
-            # Nobody takes "there" for a room of another branch, though it was the last one named.
-            self.last_room = None
+            # Nobody takes "there" or "that room" for a room of another branch, though it was the last one named.
+            self.last_room, self._introduced = None, before
             return said
         condition = program.conditions[slot.index]
         self._is_answered = slot.index in self._answered

@@ -377,8 +377,8 @@ def test_a_reading_in_full() -> None:
         ("If there's no lamp, go to the sofa. If it is, go to the bed.", "asks for something else"),
         ("If there's a lamp, go to the sofa there. If not, go to the bed.", "before it names a room"),
         (
-            "If there's a lamp, look for a bed: if there is, go to the sofa; if not, go to the desk. If there's no "
-            "chair, look for a sink: if there is, go to the table; if not, go to the stool.",
+            "If there's a lamp, look for a bed. If there is, go to the sofa; if not, go to the desk. If there's no "
+            "chair, look for a sink. If there is, go to the table; if not, go to the stool.",
             "names one condition as",
         ),
     ],
