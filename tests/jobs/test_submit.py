@@ -218,8 +218,8 @@ def test_every_verb_that_takes_a_configuration_can_be_submitted() -> None:
         if command.params and (command.params[0].metavar or "").startswith("CONFIG")
     }
     assert {*VERBS} <= takes
-    # These need what is on this machine: a screen, a path to write to.
-    assert takes - {*VERBS} <= {"submit", "compose"}
+    # These need what is on this machine: a screen, a file, a path to write to.
+    assert takes - {*VERBS} <= {"submit", "compose", "language", "render"}
 
 
 def test_words_survive_the_shell() -> None:

@@ -29,8 +29,8 @@ def test_against_the_navmesh(tmp_path: Path, change: dict[str, Any], code: str |
     vertices = [[0, 0, 0], [4, 0, 0], [4, 0, 2], [0, 0, 2], [10, 0, 0], [12, 0, 0], [12, 0, 2], [10, 0, 2]]
     pathfinder = Pathfinder.from_tile(tile_of_polygons(vertices, [[0, 1, 2, 3], [4, 5, 6, 7]]))
     episode = {
-        "episode_id": "a",
-        "trajectory_id": "a",
+        "episode_id": 1,
+        "trajectory_id": 1,
         "scene_id": "made/a/a.glb",
         "start_position": [1.0, 0.0, 1.0],
         "start_rotation": [0.0, 0.0, 0.0, 1.0],
