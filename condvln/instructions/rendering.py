@@ -236,7 +236,7 @@ class _Renderer:
             room = self._room(condition.room)
             return f"{room} {self._filled('has' if asserted else 'lacks', condition)}{self._relation(condition)}"
         there = self.words.filled(self._phrase("exists" if asserted else "absent"), noun)
-        return f"{there}{self._relation(condition)}{self._where(condition.room)}"
+        return f"{there}{self._relation(condition)}{self._where(condition.room, named=True)}"
 
     def _again(self, condition: Condition, *, asserted: bool) -> str:
         """A relation that was asked before, without its room. No "there" comes next: other rooms were named since."""
@@ -253,15 +253,15 @@ class _Renderer:
         if not self._asked_by_exists:
             room = self._room(condition.room)
             return f"{self._phrase('does')} {room} {self._filled('have', condition)}{self._relation(condition)}?"
-        return f"{self._filled('is_there', condition)}{self._relation(condition)}{self._where(condition.room)}?"
+        where = self._where(condition.room, named=True)
+        return f"{self._filled('is_there', condition)}{self._relation(condition)}{where}?"
 
     def _see(self, condition: Condition) -> str:
         if condition.definite or not self._chance(CHECK_SHARE):
             return f"{self._phrase('see')} {self._clause(condition, asserted=True)}"
         self._asked_by_exists = False
-        if self._elided(condition.room) or self._is_there(condition.room):
-            where = self._where(condition.room)
-            return f"{self._filled('look', condition)}{self._relation(condition)}{where}"
+        if self._elided(condition.room):
+            return f"{self._filled('look', condition)}{self._relation(condition)}"
         room = self._room(condition.room)
         return f"{self._phrase('check')} {room} {self._filled('for', condition)}{self._relation(condition)}"
 
@@ -269,14 +269,16 @@ class _Renderer:
         """Whether to say "the kitchen has a lamp", to which "there is" would be no answer."""
         elided = self._elided(condition.room) or condition.room == self.last_room
         return not elided and not self._is_answered and self._chance(ROOM_FIRST_SHARE)
-        elided = self._elided(condition.room) or self._is_there(condition.room)
+        elided = self._elided(condition.room)
         return not elided and self._chance(ROOM_FIRST_SHARE)
 
     def _filled(self, slot: str, condition: Condition) -> str:
         return self.words.filled(self._phrase(slot), self.words.nouns[condition.label])
 
     def _subject(self, condition: Condition) -> str:
-        return f"{self.words.definite(self.words.nouns[condition.label])}{self._where(condition.room, '_of', True)}"
+        return (
+            f"{self.words.definite(self.words.nouns[condition.label])}{self._where(condition.room, '_of', named=True)}"
+        )
 
     def _relation(self, named: Condition | ObjectRef) -> str:
         qualifier: Qualifier | None = named.qualifier
@@ -329,14 +331,14 @@ class _Renderer:
             return f"{noun}{self._relation(ref)}"
         return f"{noun}{self._relation(ref)}{'' if same_room else self._where(ref.room, kind)}"
 
-    def _where(self, room: RoomRef, kind: str = "", subject: bool = False) -> str:
+    def _where(self, room: RoomRef, kind: str = "", *, named: bool = False) -> str:
         """The room as a place ("in the bedroom"); with `kind` "_of" as what a thing belongs to ("del dormitorio").
 
-        A subject is said with its room: "is the bowl in the kitchen on the table?", not "the bowl there on".
+        A condition is said with its room: behind "the plant near the table", "a chair there" may be near the table too.
         """
         if self._elided(room):
             return ""
-        if self._is_there(room) and not subject:
+        if self._is_there(room) and not named:
             self._rooms_here.append(room)
             return f" {self._phrase(f'there{kind}')}"
         return f" {self._phrase('of' if kind else 'in')} {self._room(room)}"
