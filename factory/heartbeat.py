@@ -108,7 +108,7 @@ class Place:
         self._at = (unit_id, stage, time.monotonic())
 
     def leave(self) -> None:
-        """The stage has ended."""
+        """Record that the stage has ended."""
         self._at = None
 
     def busy(self) -> Busy | None:

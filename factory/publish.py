@@ -84,8 +84,8 @@ class Publisher:
             self._note(missing_parts(self._store, self.old.snapshot_id), "is missing or cut")
 
     def verify(self, commits: Commits, index: Index) -> None:
-        """Read every file again that what is published rests on, the units' included; those that differ from their
-        hash will be made again."""
+        """Read again every file that the published snapshot rests on, those of its units too. What differs from its hash
+        will be made again."""
         if self.old is None:
             return
         self._note(damaged_parts(self._store, self.old.snapshot_id), "differs from its hash")

@@ -28,7 +28,7 @@ _TAIL = 1 << 16
 
 
 class Guard:
-    """The driver's end.
+    """The driver's side of the guard: it starts the process and tells it of progress.
 
     logs : Ray's folder of logs
     """

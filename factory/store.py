@@ -76,7 +76,7 @@ class Store(Protocol):
         ...
 
     def folders(self, prefix: str) -> Iterator[tuple[str, dict[str, int]]]:
-        """(path below ``prefix``, size by name of the files right in it) of every folder with files; faster than
+        """Every folder below ``prefix`` with files in it, as (path, size of each file by name); faster than
         ``list`` for many small folders. Unfinished writes are left out."""
         ...
 

@@ -90,7 +90,7 @@ def _chosen(snapshot: Snapshot, name: str | None, sample: int) -> list[dict[str,
 
 
 def named_rows(snapshot: Snapshot, episodes: pa.Table, name: str) -> list[dict[str, Any]]:
-    """Episodes whose id begins so; where there are none, those of such an instruction, or itself if it has none."""
+    """Episodes whose id begins with `name`; failing these, those of the instruction whose id does, or it alone."""
     for column in ("episode_id", "episode_hash"):
         if column not in episodes.column_names:  # a snapshot of a former release, whose ids are hashes
             continue

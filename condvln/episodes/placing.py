@@ -204,7 +204,7 @@ class Placer:
         return self.places.leaf_separation(self.scene.single_room)
 
     def gap(self, one: str, other: str) -> float:
-        """Least geodesic between two objects' goal points, or the leaf separation where they are surely farther."""
+        """Shortest geodesic between two objects' goal points; the leaf separation where they are surely farther."""
         order = self._order
         return float(self._gaps[order[one], order[other]])
 

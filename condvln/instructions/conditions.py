@@ -92,7 +92,7 @@ class PresencePool:
 
 @dataclass(frozen=True, eq=False)
 class ConditionPool:
-    """All statements about one room; a kind or predicate is there only with both truths."""
+    """All statements about one room; a kind or predicate is in it only if some of it is true and some is false."""
 
     presence: PresencePool | None
     relations: Mapping[Predicate, RelationPool]

@@ -100,7 +100,7 @@ class Voice:
 
 @dataclass(frozen=True, eq=False)
 class Language:
-    """One language.
+    """What is needed to word programs in one language.
 
     slots : all phrases of each slot, over all voices
     elliptic : answers that say again the verb of "there is", and go with a question that had it

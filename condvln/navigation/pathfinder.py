@@ -239,7 +239,9 @@ class Pathfinder:
         """The steps of n pairs, (n, 3)."""
         first, second = many_points(starts), many_points(ends)
         if len(first) != len(second):
-            raise UsageError(f"{len(first)} starts and {len(second)} ends", remedy="Give as many of both")
+            raise UsageError(
+                f"{len(first)} starts but {len(second)} ends: a step needs one of both", remedy="Give as many of both"
+            )
         return steps(self.query_mesh, first, second, sliding)
 
     def distance_to_closest_obstacle(self, point: npt.ArrayLike, max_search_radius: float = 2.0) -> float:

@@ -133,7 +133,7 @@ def _panoramas(views: Viewpoints, ids: list[str], number: Mapping[str, int]) -> 
 
 
 def pose(spot: list[float]) -> list[float]:
-    """Camera to world, row by row: x right, y down, z forward, looking along +y."""
+    """4 × 4 camera-to-world matrix, row by row. The camera's axes: x right, y down, z forward; it looks along +y."""
     return [1.0, 0.0, 0.0, spot[0], 0.0, 0.0, 1.0, spot[1], 0.0, -1.0, 0.0, spot[2], 0.0, 0.0, 0.0, 1.0]
 
 

@@ -105,7 +105,7 @@ class Room:
 
     @property
     def shape(self) -> shapely.Polygon:
-        """The polygon over (x, z)."""
+        """The outline on the ground (x, z) in metres."""
         return shapely.Polygon(self.polygon)
 
 

@@ -10,7 +10,7 @@ __all__ = ["Rect", "metres"]
 
 
 def metres(millimetres: float) -> float:
-    """Whole millimetres as metres, without binary noise beyond the last bit."""
+    """Millimetres in metres, correctly rounded."""
     return millimetres / 1000
 
 

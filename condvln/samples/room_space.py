@@ -136,7 +136,7 @@ class Piece:
 
     @property
     def facing(self) -> tuple[int, int]:
-        """Unit vector of its front, of a square yaw."""
+        """Unit vector (x, z) that the front faces; its yaw is a multiple of a quarter turn."""
         return self.yaw.sine25 // 25, self.yaw.cosine25 // 25
 
     @property

@@ -116,6 +116,6 @@ def rotation_z(angle: float) -> F64:
 
 
 def rotation_rpy(roll: float, pitch: float, yaw: float) -> F64:
-    """URDF's roll, pitch, yaw in radians: about fixed X, then Y, then Z."""
+    """(3, 3) rotation by URDF's roll, pitch and yaw in radians: about fixed X, then Y, then Z."""
     rotation: F64 = rotation_z(yaw) @ rotation_y(pitch) @ rotation_x(roll)
     return rotation

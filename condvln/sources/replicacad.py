@@ -45,7 +45,7 @@ FLOOR_BAND: Final = 0.15
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
-    """A scene with everything but its geometry."""
+    """The parts of a scene as its files list them, before any of its triangles is placed."""
 
     bodies: list[Body]
     stage: tuple[MeshPart, ...]

@@ -86,7 +86,10 @@ def _below(box: OrientedBox) -> _Rectangle | None:
 
 
 class Reach:
-    """Points against the objects of a scene. Many episodes share an object's goals, so each result is cached."""
+    """Measures how far points lie from a scene's objects, on which floor and in which room.
+
+    Many episodes share an object's goals, so each result is cached.
+    """
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene

@@ -34,7 +34,7 @@ class VerifierRules:
 
     @classmethod
     def of(cls, config: Config) -> VerifierRules:
-        """The rules of a run."""
+        """The rules that a configuration sets."""
         return cls(
             config.thresholds,
             config.places,

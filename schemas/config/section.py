@@ -19,7 +19,7 @@ Share = Annotated[float, Field(ge=0, le=1, json_schema_extra={"unit": "share"})]
 
 
 class Section(Document):
-    """A part of the configuration: a value that is never changed in place. YAML's yes and no are not 1 and 0."""
+    """A part of the configuration: a value that is never changed in place. Booleans are not numbers."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
 

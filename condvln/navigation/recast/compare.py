@@ -74,7 +74,7 @@ class Difference:
 
 
 def first_difference(first: Mapping[str, Array], second: Mapping[str, Array]) -> Difference | None:
-    """Compare the arrays of :meth:`BuildStages.arrays` that both hold, in build order; None if all are equal."""
+    """The first array of :meth:`BuildStages.arrays`, in build order, in which two builds differ; None if none does."""
     return _first(first, second, STAGE_OF_ARRAY)
 
 
