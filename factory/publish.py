@@ -84,7 +84,7 @@ class Publisher:
             self._note(missing_parts(self._store, self.old.snapshot_id), "is missing or cut")
 
     def verify(self, commits: Commits, index: Index) -> None:
-        """Read again every file that the published snapshot rests on, those of its units too. What differs from its hash
+        """Read again every file that the published snapshot rests on, of its units too. What differs from its hash
         will be made again."""
         if self.old is None:
             return
