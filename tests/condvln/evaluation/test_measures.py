@@ -67,7 +67,7 @@ def test_fast_mode_equals_the_package_that_vlnce_uses(path: np.ndarray, referenc
 
 @pytest.mark.soak
 @given(long_paths, long_paths)
-@settings(max_examples=10_000)
+@settings(max_examples=3_000)
 def test_fast_mode_equals_the_package_at_length(path: np.ndarray, reference: np.ndarray) -> None:
     check_fast(path, reference)
 
