@@ -196,8 +196,9 @@ RARE = {
 }
 """Keys that decide about too few pairs of things in made scenes: they are tried in rooms full of such pairs."""
 
-UNUSED = {"sampling.predicates.under", "sampling.predicates.inside"}
-"""Weights of predicates that no made scene has a use for: nothing there lies in an open container, or under a table."""
+UNUSED = {"sampling.predicates.under", "sampling.predicates.inside", "sampling.predicates.height"}
+"""Weights of predicates that these made scenes have no use for: nothing lies in an open container or under a table, and
+what hangs or stands on top has something nearer to be told by."""
 
 EXEMPT = {"store", "export", "ray", "keep"}
 """Where things lie and how work is spread: they change no row and no file."""
