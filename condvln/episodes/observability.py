@@ -21,6 +21,7 @@ from condvln.episodes.footprint import Footprint
 from condvln.episodes.goals import wide_islands
 from condvln.episodes.placing import Outlook
 from condvln.episodes.view import SceneView
+from condvln.instructions.referents import things_meant
 from condvln.labels import Vocabulary, vocabulary
 from condvln.navigation.protocol import PathfinderProtocol
 from condvln.navigation.sight import SightTarget, View, eyes_at, in_view
@@ -96,7 +97,8 @@ class Observer:
         sightings: Sightings = EVERYTHING_SEEN,
     ) -> None:
         self._scene, self._view, self._pathfinder, self._words = scene, view, pathfinder, words
-        self._hidden = sightings.hidden_ids(scene)
+        self._sightings = sightings
+        self._things: dict[tuple[str, str], tuple[str, ...]] = {}
         self._places, self._rules = places, rules
         self._obstacles, self._islands = obstacles, wide_islands(pathfinder, places)
         self._around = View(range=places.sight_range)
@@ -151,13 +153,16 @@ class Observer:
         whole: _Needs = (frozenset({("floor", room)}),)
         if condition.qualifier is None:
             return whole
-        meant = self._words.overlapping(condition.label)
-        there = [
-            ("object", o.object_id)
-            for o in self._scene.objects
-            if o.room_id == room and o.label in meant and o.object_id not in self._hidden
-        ]
+        there = [("object", name) for name in self._meant(room, condition.label)]
         return (frozenset({*there, *anchor}), *whole) if there else whole
+
+    def _meant(self, room_id: str, label: str) -> tuple[str, ...]:
+        """Ids of the things in sight that a word for `label` might mean, nameless ones among them."""
+        if (room_id, label) not in self._things:
+            arrays = self._scene.arrays(room_id)
+            found = things_meant(arrays, label, self._words, self._scene.family, self._sightings)
+            self._things[room_id, label] = found
+        return self._things[room_id, label]
 
     def _target(self, name: _Target) -> SightTarget | None:
         """The target of a condition's evidence; None for a room whose floor is unknown."""

@@ -176,6 +176,19 @@ def test_a_relation_is_refuted_by_all_that_could_hold_it() -> None:
     assert observed(asking(present("sofa", WEST, near="table")), STAYING).observability == "O0"
 
 
+def test_a_relation_is_refuted_by_nameless_things_too() -> None:
+    """A "stand" may be a coat rack: who has not seen it does not know that no coat rack is near the table."""
+    never = RULES.model_copy(update={"floor_seen": 2.0})
+    refuted = asking(present("coat rack", WEST, near="table"))
+    hidden = ways([[2, 2], [2, 2.1]], [[2, 2], [1.9, 2]])
+    seen = (*OBJECTS, thing("coat rack", "west", 1, 2.5))
+    assert observed(refuted, hidden, *seen, rules=never).observability == "O0"
+    screen = thing("screen", "west", 3, 2.2, half=0.3, top=2.4)
+    assert observed(refuted, hidden, *seen, screen, rules=never).observability == "O0"
+    stand = thing("stand", "west", 3.6, 2.3)
+    assert observed(refuted, hidden, *seen, screen, stand, rules=never).observability == "O2"
+
+
 def test_without_surfaces_boxes_hide_and_walls_do_not() -> None:
     vase = asking(present("vase", EAST, "vase"))
     assert observed(vase, STAYING, geometry="none").observability == "O0"
