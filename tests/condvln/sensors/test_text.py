@@ -79,7 +79,9 @@ def test_a_camera_that_is_turned_tells_the_same(heading: float, down: float, tur
     wide = CameraConfig(width=512, height=512, hfov=140, normalized=False)
     known = told(TextSensor(SCENE, open_renderer(SCENE, None), wide).observe([0, 0, 0], math.radians(heading)))
     for label in ("chair", "bed"):
-        if label in there and label in known and abs(there[label].bearing + turn) < 35 and abs(down) < 20:
+        # Neither picture's edge cuts it: half of the turned one is 45°, of the wide one 70°.
+        whole = label in there and label in known and abs(there[label].bearing) < 55
+        if whole and abs(there[label].bearing + turn) < 35 and abs(down) < 20:
             assert there[label].bearing == pytest.approx(known[label].bearing, abs=1.5)
             assert there[label].distance == pytest.approx(known[label].distance, abs=0.1)
 
