@@ -4,8 +4,8 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 OUT    ?= out/demo
 WORKERS ?= 2
-# fresh, or the seed that an earlier run printed
-DRAWS  ?= fresh
+# code: new examples after each change of the code; fresh: new ones in each run; or the seed that a run printed
+DRAWS  ?= code
 
 .PHONY: help setup demo test soak lint bench docs
 

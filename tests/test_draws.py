@@ -54,6 +54,13 @@ def drawn(project: Path, repository: Path, *options: str, **environment: str) ->
     return file.read_text(), done.stdout
 
 
+def seed_in(said: str) -> str:
+    """Return the seed that a run printed."""
+    found = re.search(r"--draws (\d+)", said)
+    assert found is not None, said
+    return found[1]
+
+
 def test_by_default_everyone_draws_the_same(project: Path, repository: Path) -> None:
     first, said = drawn(project, repository)
     assert "the same examples in every run" in said
@@ -69,13 +76,22 @@ def test_fresh_draws_differ_and_can_be_repeated(project: Path, repository: Path)
     first, said = drawn(project, repository, "--draws", "fresh", CI="true")
     second, _ = drawn(project, repository, "--draws", "fresh", CI="true")
     assert first != second
-    found = re.search(r"--draws (\d+)", said)
-    assert found is not None
-    assert drawn(project, repository, "--draws", found[1], "-p", "local")[0] == first
+    seed = seed_in(said)
+    assert drawn(project, repository, "--draws", seed, "-p", "local")[0] == first
     # The processes of pytest-xdist draw from the same seed.
-    assert sorted(drawn(project, repository, "--draws", found[1], "-n", "2")[0].splitlines()) == sorted(
-        first.splitlines()
-    )
+    assert sorted(drawn(project, repository, "--draws", seed, "-n", "2")[0].splitlines()) == sorted(first.splitlines())
+
+
+def test_draws_of_code_change_with_the_code_alone(project: Path, repository: Path) -> None:
+    first, said = drawn(project, repository, "--draws", "code")
+    (project / ".hidden").mkdir()
+    (project / ".hidden" / "more.py").write_text("MORE = 1\n")
+    again, said_again = drawn(project, repository, "--draws", "code", "-p", "local")
+    assert (again, seed_in(said_again)) == (first, seed_in(said))
+    (project / "local.py").write_text("NUMBERS = []\n")
+    changed, said_then = drawn(project, repository, "--draws", "code")
+    assert changed != first
+    assert seed_in(said_then) != seed_in(said)
 
 
 def test_each_round_has_a_seed_of_its_own(project: Path, repository: Path) -> None:

@@ -104,7 +104,9 @@ class Facings:
         found: list[Claim] = []
         for condition in program.conditions:
             if condition.is_bearing and condition.qualifier is not None:
-                for name in self._meant(condition.room.room_id, condition.label):
+                for name in things_meant(
+                    self._scene, condition.room.room_id, condition.label, self._words, self._sightings
+                ):
                     found.append((name, condition.qualifier.predicate, condition.truth))
         return found
 
@@ -114,13 +116,9 @@ class Facings:
         for leaf in program.leaves:
             for move in leaf.moves:
                 if move.is_bearing and move.qualifier is not None:
-                    for name in self._meant(move.room.room_id, move.label):
+                    for name in things_meant(self._scene, move.room.room_id, move.label, self._words, self._sightings):
                         found.append((name, move.qualifier.predicate, name == move.object_id))
         return found
-
-    def _meant(self, room_id: str, label: str) -> tuple[str, ...]:
-        arrays = self._scene.arrays(room_id)
-        return things_meant(arrays, label, self._words, self._scene.family, self._sightings)
 
     def _sighting(self, name: str) -> Sighting | None:
         if name not in self._sighted:

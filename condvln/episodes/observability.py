@@ -159,8 +159,7 @@ class Observer:
     def _meant(self, room_id: str, label: str) -> tuple[str, ...]:
         """Ids of the things in sight that a word for `label` might mean, nameless ones among them."""
         if (room_id, label) not in self._things:
-            arrays = self._scene.arrays(room_id)
-            found = things_meant(arrays, label, self._words, self._scene.family, self._sightings)
+            found = things_meant(self._scene, room_id, label, self._words, self._sightings)
             self._things[room_id, label] = found
         return self._things[room_id, label]
 

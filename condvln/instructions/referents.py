@@ -248,10 +248,11 @@ def meant_by(
 
 
 def things_meant(
-    arrays: RoomArrays, label: str, vocabulary: Vocabulary, family: str | None, sightings: Sightings = EVERYTHING_SEEN
+    scene: Scene, room_id: str, label: str, vocabulary: Vocabulary, sightings: Sightings = EVERYTHING_SEEN
 ) -> tuple[str, ...]:
-    """Ids of the things of a room that can be seen and that a word for `label` might mean."""
-    meant = meant_by((label,), arrays.labels, _nameless(arrays, vocabulary, family)[0], vocabulary)[0]
+    """Ids of the things of a room that can be seen and that a word for `label` might mean, nameless ones among them."""
+    arrays = scene.arrays(room_id)
+    meant = meant_by((label,), arrays.labels, _nameless(arrays, vocabulary, scene.family)[0], vocabulary)[0]
     return tuple(arrays.object_ids[i] for i in np.flatnonzero(meant & ~sightings.hidden(arrays)))
 
 

@@ -1,8 +1,10 @@
 """Program → text. All wording comes from the language's data; the choices are seeded by the instruction's id.
 
 A text is in one voice and takes one phrase for each slot, so that it sounds like one person. A thing that is the only
-one of its label in its room is definite ("if the bike is next to the sofa"). A room that was the last one named is
-"there" or "that room" from then on. Where everything is in one named room, the text says so once, at its start.
+one of its label in its room is definite ("if the bike is near the sofa"). A room that is named by a thing in it ("the
+bedroom with the desk") is "that bedroom" from then on, and a stop in the room that was named last is "there", in the
+same clause or in the one behind the condition that named it. A condition always names its room, but for one that is
+said again. Where everything is in one named room, the text says so once, at its start.
 """
 
 from __future__ import annotations
@@ -137,7 +139,10 @@ def render_moves(
 
 
 class _Renderer:
-    """short : of phrases that mean the same one of fewest words is taken, and "there" wherever it can be said"""
+    """One text from left to right; each phrase that is chosen stays for the rest of it.
+
+    short : of phrases that mean the same one of fewest words is taken
+    """
 
     def __init__(self, words: Language, voice: Voice, draws: Draws, *, short: bool = False) -> None:
         self.words, self.voice, self.draws, self.short = words, voice, draws, short
@@ -147,10 +152,7 @@ class _Renderer:
         self._relations: dict[Qualifier, str] = {}
         self._said: set[Condition] = set()
         self._asked_by_exists = False
-        self._answered: frozenset[int] = frozenset()
-        self._is_answered = False
-        self._rooms_before: set[RoomRef] = set()
-        self._rooms_here: list[RoomRef] = []
+        self._answered: set[Condition] = set()
         self._types: Counter[str] = Counter()
         self._introduced: set[RoomRef] = set()
         self._bearing: int | None = None
@@ -161,7 +163,7 @@ class _Renderer:
         templates = (self.voice.short_templates if self.short else self.voice.templates)[program.category]
         template = self.draws.choice(templates)
         answers = (piece for piece in template.pieces if isinstance(piece, Slot) and piece.form in ("yes", "no"))
-        self._answered = frozenset(slot.index for slot in answers)
+        self._answered = {program.conditions[slot.index] for slot in answers}
         texts = [piece if isinstance(piece, str) else self._slot(piece, program) for piece in template.pieces]
         body = "".join(texts)
         return _sentences(self.words, f"{opening}{body[:1].lower()}{body[1:]}" if opening else body)
@@ -193,8 +195,6 @@ class _Renderer:
         return room == self.scope or room.label not in self.words.rooms
 
     def _slot(self, slot: Slot, program: Program) -> str:
-        if self._rooms_here:
-            self._rooms_before, self._rooms_here = set(self._rooms_here), []
         if slot.form == "leaf":
             before = set(self._introduced)
             said = self.moves(program.leaves[slot.index])
@@ -202,7 +202,6 @@ class _Renderer:
             self.last_room, self._introduced = None, before
             return said
         condition = program.conditions[slot.index]
-        self._is_answered = slot.index in self._answered
         if slot.form in ("yes", "no"):
             answer = self._answer(slot.form, condition)
             return self.words.answered(answer, self.words.nouns[condition.label])
@@ -268,9 +267,7 @@ class _Renderer:
     def _names_room_first(self, condition: Condition) -> bool:
         """Whether to say "the kitchen has a lamp", to which "there is" would be no answer."""
         elided = self._elided(condition.room) or condition.room == self.last_room
-        return not elided and not self._is_answered and self._chance(ROOM_FIRST_SHARE)
-        elided = self._elided(condition.room)
-        return not elided and self._chance(ROOM_FIRST_SHARE)
+        return not elided and condition not in self._answered and self._chance(ROOM_FIRST_SHARE)
 
     def _filled(self, slot: str, condition: Condition) -> str:
         return self.words.filled(self._phrase(slot), self.words.nouns[condition.label])
@@ -338,20 +335,12 @@ class _Renderer:
         """
         if self._elided(room):
             return ""
-        if self._is_there(room) and not named:
-            self._rooms_here.append(room)
+        if room == self.last_room and not named:
             return f" {self._phrase(f'there{kind}')}"
         return f" {self._phrase('of' if kind else 'in')} {self._room(room)}"
 
-    def _is_there(self, room: RoomRef) -> bool:
-        """Whether a listener knows which room "there" is: no other was named after it in this clause or the last."""
-        if room != self.last_room:
-            return False
-        return self._rooms_here[-1] == room if self._rooms_here else self._rooms_before == {room}
-
     def _room(self, room: RoomRef) -> str:
         self.last_room = room
-        self._rooms_here.append(room)
         noun = self.words.rooms[room.label]
         phrase = self.words.definite(noun)
         if room.anchor_label is None:

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.scene.scene import RoomArrays, Scene
+from condvln.scene.scene import RoomArrays
 
 __all__ = ["EVERYTHING_SEEN", "Sightings"]
 
@@ -31,10 +31,6 @@ class Sightings:
     def in_doubt(self, arrays: RoomArrays) -> NDArray[np.bool_]:
         """(n,) objects of a room that are perhaps seen."""
         return np.asarray(~arrays.hidden & np.array([name in self.doubtful for name in arrays.object_ids], dtype=bool))
-
-    def hidden_ids(self, scene: Scene) -> frozenset[str]:
-        """Ids of all objects of a scene that can't be seen."""
-        return self.unseen | {item.object_id for item in scene.objects if item.hidden}
 
 
 EVERYTHING_SEEN: Final = Sightings()

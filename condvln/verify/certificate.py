@@ -43,6 +43,7 @@ FACTS: Final[Mapping[str, str]] = {
     "axes": "depth, chain, composition, moves; evidence has places for what the gold route asks, the worst decides",
     "distinct_goals": "no two leaves have one goal, no leaf visits a thing twice",
     "room_types": "no two rooms of one type are named",
+    "labels_apart": "no two conditions ask about things that may have one name",
     "most_moves": "no leaf has more than two moves where a program has four leaves",
     "room_order": "no leaf's stops leave a room and come back to it",
     "condition_matters": "under some truths of the others, each condition changes the goal",

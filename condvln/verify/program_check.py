@@ -44,6 +44,8 @@ def check_program(row: ManifestEpisode, certificate: Certificate) -> None:
     for k, condition in enumerate(program.conditions):
         certificate.holds("independent_conditions", not _settled(condition), "open", "settled", f"condition {k}")
         for j, other in enumerate(program.conditions[:k]):
+            own_label = other.label not in words().meant_by(condition.label)
+            certificate.holds("labels_apart", own_label, "another label", other.label, f"condition {k}")
             apart = not (_follows(condition, other) or _follows(other, condition))
             certificate.holds("independent_conditions", apart, "independent", f"condition {j}", f"condition {k}")
 

@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence, Set
-from functools import cached_property
 from typing import Any, NamedTuple
 
-from condvln.scene import Room, Scene, SceneObject
+from condvln.scene import Scene, SceneObject
 from condvln.verify.containment import said_of, shut_away
 from condvln.verify.phrases import Named, Phrase
 from condvln.verify.predicates import FALSE, TRUE, Judge, Judgement, Thing
+from condvln.verify.room_view import RoomView, longest_side, model_of
 from condvln.verify.slices import left_apart
 from condvln.verify.standpoint import BEARINGS, Standpoint
 from condvln.verify.surfaces import Shapes, SurfaceGauge
-from condvln.verify.surroundings import Said, Surroundings
-from condvln.verify.words import Words, words
+from condvln.verify.words import words
 from schemas.config import Thresholds
 from schemas.config.constants import LANDMARK_SIZE
 
-__all__ = ["Answer", "Problem", "Referent", "RoomView", "SceneReferents"]
+__all__ = ["Answer", "Problem", "Referent", "SceneReferents"]
 
 
 class Problem(NamedTuple):
@@ -52,79 +51,6 @@ class Answer(NamedTuple):
     anchor_ids: tuple[str, ...]
     room_anchor_id: str | None
     numbers: Mapping[str, float | None]
-
-
-class RoomView:
-    """One room with its things, whose labels are found from their raw labels again.
-
-    things : all but what is inside something shut; not all of them can be seen
-    """
-
-    def __init__(
-        self,
-        room: Room,
-        label: str,
-        objects: Iterable[SceneObject],
-        family: str,
-        meaning: Words,
-        hidden: Set[str],
-        can_be_seen: Callable[[str], bool],
-        thresholds: Thresholds,
-        said: Said,
-    ) -> None:
-        self.room = room
-        self.label = label
-        self._hidden, self._can_be_seen = hidden, can_be_seen
-        ordered = sorted(objects, key=lambda item: item.object_id)
-        things = [Thing.of(item, meaning.label(item.raw_label, family, _model(item))) for item in ordered]
-        self.things = tuple(thing for thing in things if thing.object_id not in hidden)
-        self._all = tuple(things)
-        self.surroundings = Surroundings(things, room.floor_y, thresholds, said)
-        self._meaning = meaning
-        self._meant: dict[str, tuple[Thing, ...]] = {}
-        self._open: dict[str, frozenset[str]] = {}
-        self._vague: dict[str, frozenset[str]] = {}
-        for thing in things:
-            labels, anything = meaning.may_be(thing.label, family, _side(thing))
-            self._open[thing.object_id] = frozenset() if anything else labels
-            self._vague[thing.object_id] = labels
-
-    @cached_property
-    def labels(self) -> frozenset[str]:
-        """Labels of its objects that are not in a shut container."""
-        return frozenset(thing.label for thing in self.things)
-
-    def meant(self, label: str) -> tuple[Thing, ...]:
-        """All things in sight that a word for `label` might mean here."""
-        if label not in self._meant:
-            self._meant[label] = tuple(thing for thing in self._called(label) if self.is_seen(thing))
-        return self._meant[label]
-
-    def unknown(self, label: str) -> tuple[Thing, ...]:
-        """All things out of sight that a word for `label` might mean: none of them can be said to be absent."""
-        return tuple(thing for thing in self._called(label) if not self.is_seen(thing))
-
-    def is_seen(self, thing: Thing) -> bool:
-        """Whether a thing can be seen: not in something shut, and in sight of a place where an agent can stand."""
-        return thing.object_id not in self._hidden and self._can_be_seen(thing.object_id)
-
-    def _called(self, label: str) -> Iterable[Thing]:
-        own = self._meaning.meant_by(label)
-        return (thing for thing in self._all if thing.label in own or own & self._open[thing.object_id])
-
-    def nameless(self, label: str) -> list[Thing]:
-        """Unlabelled objects that might be a `label`, as far as is known."""
-        own = self._meaning.meant_by(label)
-        return [thing for thing in self._all if own & self._vague[thing.object_id]]
-
-    def knows_absence(self, label: str) -> bool:
-        """Whether no unlabelled object might be a `label`, and the annotation is complete."""
-        return self.room.complete and not self.nameless(label)
-
-    def only(self, label: str) -> Thing | None:
-        """The thing called so that is alone in it: no other could be meant."""
-        found = self.meant(label)
-        return found[0] if len(found) == 1 and found[0].label == label else None
 
 
 class SceneReferents:
@@ -176,7 +102,7 @@ class SceneReferents:
         return len(self.rooms) == 1
 
     def _label(self, item: SceneObject) -> str:
-        return self.meaning.label(item.raw_label, self.scene.family, _model(item))
+        return self.meaning.label(item.raw_label, self.scene.family, model_of(item))
 
     def is_structure(self, item: SceneObject) -> bool:
         """Whether an object is a wall, a floor or the like."""
@@ -268,14 +194,14 @@ class SceneReferents:
 
     def _marks(self, anchor: Thing) -> bool:
         """Whether others may be found by a thing: it has a size, and is fixed or too large to be carried about."""
-        side = _side(anchor)
+        side = longest_side(anchor)
         if side is None or anchor.label in self.meaning.roles["portable"]:
             return False
         return self._is_fixed(anchor) or side >= self._anchor_size
 
     def _is_fixed(self, thing: Thing) -> bool:
         """Whether a thing stays where it is: built in, heavy, or a large landmark."""
-        roles, side = self.meaning.roles, _side(thing)
+        roles, side = self.meaning.roles, longest_side(thing)
         if thing.label in roles["fixed"]:
             return True
         return thing.label in roles["landmark"] and side is not None and side >= LANDMARK_SIZE
@@ -445,16 +371,3 @@ def _ids(things: Iterable[Thing]) -> tuple[str, ...]:
 def _volume(thing: Thing) -> int:
     assert thing.box is not None
     return math.prod(high - low for low, high in zip(*thing.box, strict=True))
-
-
-def _side(thing: Thing) -> float | None:
-    """Longest side in metres; None where its extent is not known."""
-    if thing.box is None:
-        return None
-    low, high = thing.box
-    return max(b - a for a, b in zip(low, high, strict=True)) / 1000.0
-
-
-def _model(item: SceneObject) -> str:
-    """The model of an object, where its id is that and the number of the copy."""
-    return item.object_id.rpartition(":")[0]

@@ -47,6 +47,28 @@ def test_three_moves_beside_four_leaves_are_refuted(made_export) -> None:
         assert refuted(row, "most_moves", 1, (stop,) * 2) == []
 
 
+def test_two_rooms_of_a_type_and_two_conditions_of_a_label_are_refuted(made_export) -> None:
+    tried = 0
+    for row in (row.manifest for row in made_export.rows):
+        first, *others = row.program.conditions
+        for k, other in enumerate(others, start=1):
+            if other.room.room_id == first.room.room_id:
+                continue
+            for fact, update in (
+                ("room_types", {"room": other.room.model_copy(update={"label": first.room.label})}),
+                ("labels_apart", {"label": first.label}),
+            ):
+                conditions = [*row.program.conditions]
+                conditions[k] = other.model_copy(update=update)
+                program = row.program.model_copy(update={"conditions": tuple(conditions)})
+                for changed in (False, True):
+                    certificate = Certificate(row.episode_id, row.source, row.scene_id, row.split)
+                    check_program(row.model_copy(update={"program": program}) if changed else row, certificate)
+                    assert (fact in {d.fact for d in certificate.disagreements}) == changed, (fact, changed)
+                tried += 1
+    assert tried > 20
+
+
 @pytest.mark.parametrize(("factor", "slack"), [(1.0, 0.0), (1.2, 0.5)])
 def test_detours_are_found_leaf_by_leaf(made_export, factor: float, slack: float) -> None:
     """Under a tighter bound than that of the export, just the leaves beyond it are refuted."""
