@@ -76,7 +76,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def seed_of(root: Path) -> int:
-    """Return the seed of the Python files below a folder: their paths and contents, hidden folders and ``out`` left out."""
+    """Return the seed of the Python files below a folder, hidden folders and ``out`` left out."""
     digest = hashlib.sha256()
     for folder, below, files in os.walk(root):
         below[:] = sorted(name for name in below if not name.startswith(".") and name != "out")

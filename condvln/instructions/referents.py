@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from condvln.instructions.predicates import OF_THINGS, PREDICATE_GROUPS
 from condvln.labels import Vocabulary
 from condvln.labels.roles import labels_with_role
-from condvln.scene import Room, RoomArrays
+from condvln.scene import Room, RoomArrays, Scene
 from condvln.scene.sightings import EVERYTHING_SEEN, Sightings
 from schemas.config.constants import LANDMARK_SIZE
 from schemas.program import BEARINGS, SUPERLATIVES, Anchor, ObjectRef, Predicate, Qualifier, RoomRef

@@ -34,9 +34,9 @@ def check_program(row: ManifestEpisode, certificate: Certificate) -> None:
         rooms = [move.room.room_id for move in leaf.moves]
         back = [room for at, room in enumerate(rooms) if room in rooms[:at] and rooms[at - 1] != room]
         certificate.holds("room_order", not back, "rooms left once", rooms, f"leaf {k}")
-    rooms_named = {c.room.room_id: c.room.label for c in program.conditions}
-    rooms_named |= {move.room.room_id: move.room.label for leaf in program.leaves for move in leaf.moves}
-    types = sorted(rooms_named.values())
+    rooms_named = {(c.room.room_id, c.room.label) for c in program.conditions}
+    rooms_named |= {(move.room.room_id, move.room.label) for leaf in program.leaves for move in leaf.moves}
+    types = sorted(label for _, label in rooms_named)
     certificate.holds("room_types", len(set(types)) == len(types), "one room of a type", types)
     for k in range(len(program.conditions)):
         matters = any(goals[one] != goals[other] for one, other in _rivals(program.category, k))
