@@ -1,7 +1,7 @@
-"""CondVLN in Python: from a scene's files to conditional instructions, episodes, and the score of an agent.
+"""CondVLN in Python: from a scene's files to conditional instructions, episodes and an agent's score.
 
-``import condvln as cv`` costs next to nothing: each name is loaded when it is first used. ``docs/tutorial.md`` goes
-through all of them.
+``import condvln as cv`` is fast: each name is loaded when it is first used. ``docs/tutorial.md`` shows
+all of them.
 
 ========================  ==============================================================================================
 Scenes                    ``make_samples`` ``open_source`` ``open_world`` ``World`` ``Scene``

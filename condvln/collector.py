@@ -1,4 +1,6 @@
-"""Python's cycle collector, kept off where many rows are made: they hold no cycles, and it looks through them all."""
+"""Switch off Python's cyclic garbage collector where many rows are created: they have no cycles, and scanning is
+slow.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,7 @@ __all__ = ["no_collection"]
 
 @contextmanager
 def no_collection() -> Iterator[None]:
-    """Switch the garbage collector off within this block, and restore its state afterwards."""
+    """Return a context manager that switches the garbage collector off and restores its state afterwards."""
     was_on = gc.isenabled()
     gc.disable()
     try:

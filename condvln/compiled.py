@@ -1,14 +1,14 @@
-"""The one place that touches numba: how kernels are compiled, cached and announced.
+"""The only module that uses numba: how kernels are compiled, cached and announced.
 
 Rules every kernel of this package follows:
 
 * strict IEEE arithmetic: no ``fastmath`` and no contraction, so that float32 results equal the C++ they follow;
 * a kernel calls only kernels of its own folder. numba's cache notices an edit of a kernel's own file, not of the files
-  it calls into; the cache folder used here is therefore keyed on the content of the whole folder the kernel lives in;
-* no bounds checks happen inside kernels, so whoever builds their inputs validates every index first.
+  it calls into; the cache folder is therefore keyed on the content of the kernel's whole folder;
+* kernels do no bounds checks, so the caller validates every index first.
 
-The cache stands in the first of these folders that can be written: ``NUMBA_CACHE_DIR``, ``__pycache__`` beside the
-kernels, the user's cache folder. With none, kernels still compile, once a process.
+The cache is in the first of these folders that is writable: ``NUMBA_CACHE_DIR``, ``__pycache__`` beside the
+kernels, the user's cache folder. If none is, each process compiles the kernels again.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 Notify = Callable[[str], None]
 
-# Editing a kernel leaves the caches of earlier versions behind; this many are kept beside the current one.
+# Each edit of a kernel leaves an old cache behind; this many old caches are kept beside the current one.
 CACHE_VERSIONS_KEPT = 2
 
 _logger = logging.getLogger(__name__)
@@ -45,27 +45,28 @@ _warm_ups: dict[str, Callable[[], object]] = {}
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Compile ``function`` to machine code on its first call, and keep the code in a cache on disk.
 
-    The type of the function is kept, so callers stay statically checked.
+    The function's type is kept, so that mypy checks the callers.
     """
     folder = Path(function.__code__.co_filename).resolve().parent
     package = function.__module__.rpartition(".")[0] or folder.name
     with _numba_cache_in(_cache_folder(folder, package)):
         try:
             dispatcher = numba.njit(cache=True, fastmath=False, error_model="numpy", nogil=True)(function)
-        except RuntimeError:  # numba found no place that can be written
+        except RuntimeError:  # numba found no writable folder
             dispatcher = numba.njit(cache=False, fastmath=False, error_model="numpy", nogil=True)(function)
     return cast("Callable[P, R]", dispatcher)
 
 
 def register_warm_up(name: str, run: Callable[[], object]) -> None:
-    """Register ``run`` with :func:`warm_up`: a small call that compiles the kernels called ``name``."""
+    """Register ``run``, a small call that compiles the kernels called ``name``, for :func:`warm_up`."""
     _warm_ups[name] = run
 
 
 def warm_up(report: Notify | None = None, only: Collection[str] | None = None) -> None:
-    """Compile (or load from the cache) all registered kernels now, or the groups named, naming each to ``report``.
+    """Compile all registered kernels now, or only the named groups, or load them from the cache.
 
-    Call it before work is timed or fanned out; workers then find the code in the shared cache.
+    Call it before timing or before starting workers, which then find the code in the shared cache. ``report`` gets one
+    line per group.
     """
     with compilation_reported_to(report or _report_to_stderr):
         chosen = [(name, run) for name, run in sorted(_warm_ups.items()) if only is None or name in only]
@@ -77,7 +78,9 @@ def warm_up(report: Notify | None = None, only: Collection[str] | None = None) -
 
 @contextmanager
 def compilation_reported_to(report: Notify) -> Iterator[None]:
-    """Within this block, ``report`` gets a line for each kernel that really compiles (a cached one is silent)."""
+    """Within this block, call ``report`` with a line for each kernel that is compiled (not for one loaded from the
+    cache).
+    """
     before = _announcer.report
     _announcer.report = report
     try:
@@ -87,9 +90,9 @@ def compilation_reported_to(report: Notify) -> Iterator[None]:
 
 
 class _Announcer(numba_event.Listener):  # type: ignore[misc]
-    """Announces that kernels are compiling, which takes half a minute.
+    """Announces that kernels are being compiled, which takes half a minute.
 
-    Without a listener of the caller's own, one line on stderr per process is enough.
+    If no caller listens, one line per process goes to stderr.
     """
 
     def __init__(self) -> None:
@@ -102,7 +105,7 @@ class _Announcer(numba_event.Listener):  # type: ignore[misc]
         self._depth.value = depth + 1
         function = event.data["dispatcher"].py_func
         if depth or not function.__module__.startswith("condvln."):
-            return  # a callee of the kernel that was announced, or somebody else's kernel
+            return  # called by the kernel that was announced, or another package's kernel
         if self.report is not None:
             self.report(f"compiling {function.__module__}.{function.__name__}")
         elif not self._told:
@@ -131,7 +134,9 @@ def _numba_cache_in(folder: Path | None) -> Iterator[None]:
 
 @cache
 def _cache_folder(kernels: Path, package: str) -> Path | None:
-    """Cache folder of the kernels in folder ``kernels``, named after their content; None where nothing is writable."""
+    """Return the cache folder of the kernels in folder ``kernels``, named after their content; None if no folder is
+    writable.
+    """
     digest = hashlib.sha256()
     for file in sorted(kernels.glob("*.py")):
         with suppress(OSError):
@@ -147,7 +152,7 @@ def _cache_folder(kernels: Path, package: str) -> Path | None:
                     _forget_old_versions(folder, package)
                 return folder
     _logger.warning(
-        "no folder can be written for compiled kernels: each process will compile again; set NUMBA_CACHE_DIR"
+        "no writable folder for compiled kernels: each process will compile them again; set NUMBA_CACHE_DIR"
     )
     return None
 

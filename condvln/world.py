@@ -1,4 +1,4 @@
-"""One scene in memory: what is in it, where an agent can walk, and the episodes that a run would make of it.
+"""One scene in memory: its objects, where an agent can walk, and the episodes that a run would generate for it.
 
 The steps are those of a run (``condvln generate``) without a store: relations, candidate programs, placing, text.
 """
@@ -60,14 +60,14 @@ __all__ = ["World", "label_priors", "open_world"]
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """A scene with the navmesh that was chosen or built for an agent; see :func:`open_world`.
+    """A scene with the navmesh that was chosen or built for an agent; made by :func:`open_world`.
 
     Attributes
     ----------
     scene : rooms and objects, Habitat frame, metres
-    geometry : the scene's surfaces; None where its dataset has none
-    agent : whom the navmesh fits
-    navmesh_data : bytes of the navmesh where it was built; None where the dataset ships it
+    geometry : the scene's surfaces; None if its dataset has none
+    agent : the agent that the navmesh is for
+    navmesh_data : bytes of the navmesh if it was built here; None if the dataset ships it
     """
 
     scene: Scene
@@ -84,11 +84,11 @@ class World:
 
     @cached_property
     def pathfinder(self) -> Pathfinder:
-        """Paths, snapping and steps with Habitat's names and numbers.
+        """The pathfinder of the scene's navmesh, with habitat-sim's method names and results.
 
         Raises
         ------
-        InputError : the scene has no navmesh, and nothing to build one from
+        InputError : the scene has no navmesh, and neither mesh nor walls to build one from
         """
         navmesh = self.scene.navmesh
         if navmesh is None:
@@ -103,12 +103,12 @@ class World:
 
     @cached_property
     def view(self) -> SceneView:
-        """Lines of sight in the scene."""
+        """The scene's occluders and objects, for line-of-sight tests."""
         return SceneView(self.scene, self.geometry)
 
     @cached_property
     def renderer(self) -> Renderer:
-        """What cameras see of the scene; see `open_renderer`.
+        """The scene's renderer; see `open_renderer`.
 
         Raises
         ------
@@ -117,9 +117,10 @@ class World:
         return open_renderer(self.scene, self.geometry)
 
     def look(self, position: npt.ArrayLike, heading: float = 0.0, camera: CameraConfig | None = None) -> Frame:
-        """What an agent sees that stands at a position (3,), metres, with a heading, radians counter-clockwise from −Z.
+        """Return what a camera sees for an agent at a position (3,) in metres, heading in radians counter-clockwise
+        from −Z.
 
-        camera : VLN-CE's depth camera where None
+        camera : VLN-CE's depth camera if None
 
         Raises
         ------
@@ -128,18 +129,20 @@ class World:
         return self.renderer.look(camera or CameraConfig(), position, heading)
 
     def relations(self, thresholds: Thresholds | None = None) -> dict[str, RoomRelations]:
-        """Distances, directions and predicates of all ordered pairs of objects, by room."""
+        """Return distances, directions and predicates of all ordered pairs of objects, by room id."""
         return relate_scene(self.scene, thresholds or Thresholds(), MeshLibrary(self.scene.root).world_mesh)
 
     def relation_graph(self, thresholds: Thresholds | None = None) -> nx.MultiDiGraph[str]:
-        """The relation graph: nodes are rooms and objects, edges are predicates; see `to_networkx`."""
+        """Return the relation graph: nodes are rooms and objects, edges are predicates; see `to_networkx`."""
         thresholds = thresholds or Thresholds()
         return to_networkx(self.scene, self.relations(thresholds), thresholds)
 
     def referents(
         self, thresholds: Thresholds | None = None, sampling: SamplingConfig | None = None
     ) -> dict[str, Referents]:
-        """The phrases for each object, by room: its label where that is unique, else with a qualifier."""
+        """Return the phrases that identify each object, by room id: its label if that is unique, else with a
+        qualifier.
+        """
         anchor_size = (sampling or SamplingConfig()).anchor_size
         facts = self._facts(thresholds or Thresholds())
         return {
@@ -162,13 +165,13 @@ class World:
         text: TextConfig | None = None,
         seed: int = 0,
     ) -> list[ManifestEpisode]:
-        """The episodes that a run makes of this scene, in the order in which they were placed.
+        """Return the episodes that a run would generate for this scene, in the order in which they were placed.
 
         Parameters
         ----------
-        instructions : how many of which category
-        priors : which labels are usual in which rooms, see :func:`label_priors`; where None, those of this scene alone,
-            which knows little: a run pools all scenes of all sources
+        instructions : how many episodes of each category
+        priors : which labels are usual in which rooms, see :func:`label_priors`; if None, counted on this scene alone,
+            which is little data: a run pools all scenes
 
         Raises
         ------
@@ -212,7 +215,7 @@ class World:
         return self._published(pool, drawn.candidates, episodes, text, instructions.wording, seed)
 
     def draw(self, episode: ManifestEpisode, path: str | os.PathLike[str]) -> Path:
-        """A top-down picture of an episode as a PNG file: floor, furniture, start, the path to every leaf."""
+        """Write a top-down PNG of an episode (floor, furniture, start, the path to every leaf) and return its path."""
         tile = self.pathfinder.navmesh.tile
         floor = [tile.verts[polygon["verts"][: polygon["vert_count"]]] for polygon in tile.polys]
         draw_episode(Path(path), self.scene, floor, published_row(episode), program_tree(episode.program))
@@ -248,7 +251,7 @@ class World:
 
 
 def open_world(source: Source, scene_id: str, agent: AgentConfig | None = None) -> World:
-    """A scene of a source with its navmesh: the one that fits the agent, else another one, else one that is built now.
+    """Open a scene with its navmesh: the one that fits the agent, else another shipped one, else one that is built now.
 
     Raises
     ------
@@ -266,6 +269,8 @@ def open_world(source: Source, scene_id: str, agent: AgentConfig | None = None) 
 def label_priors(
     scenes: Iterable[Scene], *, thresholds: Thresholds | None = None, sampling: SamplingConfig | None = None
 ) -> LabelPriors:
-    """Which labels are usual in which type of room, and how often statements about such rooms are true, over scenes."""
+    """Count over scenes which labels are usual in which room types, and how often statements about such rooms are
+    true.
+    """
     thresholds, anchor_size = thresholds or Thresholds(), (sampling or SamplingConfig()).anchor_size
     return LabelPriors.merged(LabelPriors.of_scene(scene, thresholds, anchor_size) for scene in scenes)

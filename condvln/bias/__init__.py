@@ -1,4 +1,4 @@
-"""The bias gate: whoever can't see must not find the right leaf more often than chance does."""
+"""The bias gate: a guesser that sees only the text and distances must not find the gold leaf more often than chance."""
 
 from condvln.bias.gate import judge, judge_export
 from condvln.bias.report import BiasReport, Finding, Uniformity

@@ -1,11 +1,11 @@
-"""The gate: all guessers on all episodes of an export, and whether they beat chance.
+"""The bias gate: run every guesser on the episodes of an export and test whether any beats chance.
 
-Each guesser is tested on everything, on each source, on each category of a source, and on the episodes whose conditions
-ask for one predicate; all tests together are corrected for their number.
+Each guesser is tested on all episodes, on each source, on each category of a source, and on the episodes whose
+conditions use a given predicate. The p-values of all tests are corrected together.
 
-Of a counterfactual group one episode is guessed at, drawn by the hash of its id: its members mirror each other, so
-that they would hide a lean of the others, and their guesses are not independent. The evenness of gold leaves is
-counted over all episodes.
+Only one episode of each counterfactual group is guessed, the one with the smallest hash of its id. The members of a
+group mirror each other: their guesses are not independent, and together they would hide a bias of the other episodes.
+Whether gold leaves are evenly distributed is tested on all episodes.
 """
 
 from __future__ import annotations
@@ -34,30 +34,33 @@ from schemas.program import CATEGORIES
 __all__ = ["CELL_CAP", "LEAST_EPISODES", "UNIFORM_FROM", "judge", "judge_export"]
 
 CELL_CAP: Final = 5_000
-"""Episodes of a source and category that are guessed at, those of the least hashes of ids: a lean of 3 % shows with
-as many, and an export of any size fits in memory."""
+"""Largest number of episodes guessed per source and category, taken by the smallest hashes of their ids. So many are
+enough to detect a bias of 3 %, and an export of any size fits in memory.
+"""
 LEAST_EPISODES: Final = 30
-"""Guesses below which a category or predicate of a source has no test of its own; they count in those over all."""
+"""Smallest number of guesses for a separate test of a category or predicate; smaller ones count in the overall tests
+only.
+"""
 UNIFORM_FROM: Final = 200
-"""Episodes from which the gold leaves of a source and category must be even."""
+"""Number of episodes from which the gold leaves of a source and category are tested for evenness."""
 
 
 def judge_export(folder: str | os.PathLike[str]) -> BiasReport:
-    """Judge the splits of an export folder together.
+    """Run the bias gate on all splits of an export folder together.
 
     Raises
     ------
-    InputError : there is no manifest, or it can't be read
+    InputError : the folder has no manifest, or a manifest can't be read
     """
     return judge(_manifest_rows(Path(folder)))
 
 
 def judge(rows: Iterable[Mapping[str, Any]]) -> BiasReport:
-    """Judge rows of manifests, in any order.
+    """Run the bias gate on manifest rows (JSON objects) in any order.
 
     Raises
     ------
-    FormatError : a row is not a row of a manifest
+    FormatError : a row is not a valid manifest row
     """
     sample = _Sample()
     for row in rows:
@@ -81,7 +84,7 @@ def judge(rows: Iterable[Mapping[str, Any]]) -> BiasReport:
 
 
 class _Sample:
-    """The episodes to guess at, and how often each leaf is gold among all."""
+    """The episodes to guess, and how often each leaf is gold among all episodes."""
 
     def __init__(self) -> None:
         self.gold: dict[tuple[str, str], list[int]] = {}
@@ -89,7 +92,7 @@ class _Sample:
         self._cells: dict[tuple[str, str], list[tuple[int, str, GuesserView]]] = {}
 
     def add(self, view: GuesserView) -> None:
-        """One more episode."""
+        """Add one episode."""
         counts = self.gold.setdefault((view.source, view.category), [0] * len(view.leaves))
         counts[view.gold] += 1
         rank = _rank(view.episode_hash)
@@ -110,7 +113,7 @@ class _Sample:
             heapq.heappushpop(cell, entry)
 
     def views(self) -> list[GuesserView]:
-        """The episodes to guess at, in an order of their own."""
+        """Return the episodes to guess, in an order that does not depend on the order in which they were added."""
         for rank, view in self.groups.values():
             self._keep(rank, view)
         found = [view for cell in self._cells.values() for _, _, view in cell]
@@ -149,7 +152,7 @@ def _findings(views: Sequence[GuesserView]) -> Iterator[Finding]:
 
 
 def _guesses(views: Sequence[GuesserView], source: NDArray[np.str_]) -> dict[str, NDArray[np.int64]]:
-    """By guesser, the leaf guessed for each episode; a learner learns from one source only."""
+    """Return the guessed leaf of each episode by guesser name; a learner learns from one source only."""
     found = {name: np.array([guesser(g) for g in views], dtype=np.int64) for name, guesser in FIXED.items()}
     for name, learner in LEARNED.items():
         found[name] = np.full(len(views), NO_GUESS, dtype=np.int64)
@@ -160,7 +163,7 @@ def _guesses(views: Sequence[GuesserView], source: NDArray[np.str_]) -> dict[str
 
 
 def _asked(views: Sequence[GuesserView]) -> dict[str, NDArray[np.bool_]]:
-    """By predicate, the episodes that have a condition with it."""
+    """Return, for each predicate, a mask of the episodes that have a condition with it."""
     found: dict[str, NDArray[np.bool_]] = {}
     for k, view in enumerate(views):
         for asked in view.asked:
@@ -174,10 +177,10 @@ def _parts(
     asked: Mapping[str, NDArray[np.bool_]],
     guessed: NDArray[np.bool_],
 ) -> Iterator[tuple[str, str, str, NDArray[np.int64]]]:
-    """(source, category, predicate, indices of its guesses): everything, each source, each category of a source, and
-    each predicate of everything and of a source.
+    """Yield each part to test as (source, category, predicate, indices of its episodes).
 
-    What a condition asks for stands in the text, so that chance is the same for the episodes that ask for it.
+    The parts are: all episodes, each source, each category of a source, and each predicate overall and within a source.
+    The text states the predicates, so chance level is unchanged among the episodes that use one.
     """
     families = np.unique(source).tolist()
     everything = [(ALL, np.ones(len(source), dtype=np.bool_))] if len(families) > 1 else []
@@ -186,7 +189,7 @@ def _parts(
         parts = [(ALL, ALL, inside)]
         if where != ALL:
             parts += [(name, ALL, inside & (category == k)) for k, name in enumerate(CATEGORIES)]
-        # Where all episodes ask for a predicate, its test would be that of the source once more.
+        # If every episode uses the predicate, this test would repeat the one of the source.
         parts += [(ALL, name, inside & own) for name, own in asked.items() if (inside & ~own).any()]
         for what, predicate, chosen in parts:
             if chosen.sum() >= LEAST_EPISODES:

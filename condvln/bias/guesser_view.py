@@ -1,4 +1,4 @@
-"""What a guesser sees of an episode: its words and how far its leaves lie, and nothing of the scene."""
+"""What a guesser may see of an episode: its text and the distances to its leaves, but nothing of the scene."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ __all__ = ["Asked", "GuesserView", "LeafView"]
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """A condition and its truth, which is known when learning and hidden when guessing.
+    """A condition and its truth. The truth is used for learning and hidden for guessing.
 
-    definite : it speaks of one thing that is known to be there
+    definite : the condition is about one object that is known to exist
     """
 
     label: str
@@ -30,10 +30,10 @@ class Asked:
 
 @dataclass(frozen=True, slots=True)
 class LeafView:
-    """A leaf by its words and lengths.
+    """What a guesser sees of one leaf.
 
-    labels : of its stops in their order, the goal last; room : type of the goal's room
-    distance : geodesic metres from the start to the goal; route : metres by the subgoals
+    labels : labels of its stops in order, the goal last; room : type of the goal's room
+    distance : geodesic metres from the start to the goal; route : metres from the start through all stops
     """
 
     labels: tuple[str, ...]
@@ -44,9 +44,10 @@ class LeafView:
 
 @dataclass(frozen=True, slots=True)
 class GuesserView:
-    """An episode without its scene; ``scene`` is only a name that episodes of one scene share.
+    """An episode without its scene. ``scene`` only says which episodes share a scene.
 
-    layout : name of what its scene is a staging of, which words may well tell; empty where it is none
+    layout : name of the layout that the scene is a variant of; empty if there is none. Objects of one layout rarely
+        move, so that the words of a text may predict the truth
     """
 
     episode_hash: str
@@ -62,11 +63,11 @@ class GuesserView:
 
     @classmethod
     def of(cls, row: Mapping[str, Any]) -> GuesserView:
-        """From a row of a manifest.
+        """Build the view from a manifest row.
 
         Raises
         ------
-        FormatError : the row is not a row of a manifest
+        FormatError : the row is not a valid manifest row
         """
         try:
             program = row["program"]
@@ -96,7 +97,7 @@ class GuesserView:
 
 def _asked(condition: Mapping[str, Any]) -> Asked:
     qualifier = condition["qualifier"] or {"predicate": "", "anchors": ()}
-    # Rows written before a qualifier could have two anchors hold the one's label as a field.
+    # Rows written before a qualifier could have two anchors hold the single anchor's label directly.
     anchors = [qualifier["anchor_label"]] if "anchor_label" in qualifier else [a["label"] for a in qualifier["anchors"]]
     return Asked(
         label=condition["label"],

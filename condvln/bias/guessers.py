@@ -1,4 +1,6 @@
-"""Guessers that need no learning: each points at a leaf by its place in the tree, in the text, or by its distance."""
+"""Guessers without learning: each picks a leaf by its position in the tree, its position in the text, or its
+distance.
+"""
 
 from __future__ import annotations
 
@@ -23,17 +25,17 @@ def _constant(view: GuesserView, truth: bool) -> int:
 
 
 def always_then(view: GuesserView) -> int:
-    """The leaf that is reached if every condition is true."""
+    """Return the leaf that is reached if every condition is true."""
     return _constant(view, True)
 
 
 def always_else(view: GuesserView) -> int:
-    """The leaf that is reached if every condition is false."""
+    """Return the leaf that is reached if every condition is false."""
     return _constant(view, False)
 
 
 def last_named(view: GuesserView) -> int:
-    """The leaf whose goal the text names last; texts may give the else part first."""
+    """Return the leaf whose goal the text names last. A text may give the else part first."""
     text = view.text.lower()
     places = [text.rfind(_noun(leaf.labels[-1])) for leaf in view.leaves]
     return places.index(max(places))
@@ -44,17 +46,17 @@ def _noun(label: str) -> str:
 
 
 def nearest(view: GuesserView) -> int:
-    """The leaf whose goal is nearest."""
+    """Return the leaf whose goal is nearest to the start by geodesic distance."""
     return _least([leaf.distance for leaf in view.leaves])
 
 
 def farthest(view: GuesserView) -> int:
-    """The leaf whose goal is farthest."""
+    """Return the leaf whose goal is farthest from the start by geodesic distance."""
     return _least([-leaf.distance for leaf in view.leaves])
 
 
 def longest_route(view: GuesserView) -> int:
-    """The leaf with the longest way by its subgoals."""
+    """Return the leaf whose route through all its stops is longest."""
     return _least([-leaf.route for leaf in view.leaves])
 
 
@@ -70,4 +72,4 @@ FIXED: Final[Mapping[str, Guesser]] = {
     "farthest target": farthest,
     "longest route": longest_route,
 }
-"""By the name in reports."""
+"""Guessers without learning, by their names in reports."""

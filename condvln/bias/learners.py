@@ -1,4 +1,6 @@
-"""Guessers that learn from other scenes: which leaf is usual, what is usually so, and what words go with which leaf."""
+"""Guessers that learn from other scenes: the usual leaf, the usual truth of a statement, the words that predict a
+leaf.
+"""
 
 from __future__ import annotations
 
@@ -23,34 +25,40 @@ __all__ = ["BLOCKS", "LEARNED", "NO_GUESS", "Indices", "Learner", "blocks", "lea
 
 Guesses = NDArray[np.int64]
 Learner = Callable[[Sequence[GuesserView]], Guesses]
-"""Guesses for the episodes of one source, each learned from scenes that come before; `NO_GUESS` in the first block."""
+"""A learner returns one guess per episode of a source. It learns each block from the blocks before it, so that the
+first block gets `NO_GUESS`.
+"""
 
 NO_GUESS: Final = -1
 PRIOR_WEIGHT: Final = 2.0
-"""Imagined statements, as often true as chance has them, beside those seen: one seen says little."""
+"""Weight of the prior in observations: a statement seen once should hardly change the estimate."""
 PENALTY: Final = 0.1
-"""scikit-learn's C of the regressions; smaller is more cautious."""
+"""Inverse regularisation strength ``C`` of scikit-learn's logistic regression; smaller means stronger
+regularisation.
+"""
 LEAST_EPISODES: Final = 30
-"""Episodes of a category from which a regression is tried."""
+"""Smallest number of episodes of a category for which a regression is fitted."""
 LEAST_TEXTS: Final = 2
-"""Episodes that a word must stand in to be learned about."""
+"""A word is a feature only if at least this many episodes contain it."""
 MOST_TEXTS: Final = 0.95
-"""Share of the episodes up to which a word may stand in them: what is in all tells nothing."""
+"""A word is a feature only if at most this share of the episodes contains it; a word in every text carries no
+information.
+"""
 WORDS_A_CLASS: Final = 10
-"""Words by which two texts differ in length."""
+"""Width in words of a length class: texts of one class count as equally long."""
 MOST_TIMES: Final = 4
-"""Times that a word is counted in one text."""
+"""Largest count of one word in one text; more occurrences count as this many."""
 _SENTENCE_END: Final = re.compile(r"(?<=[.?!])\s+")
 ITERATIONS: Final = 50
 TOLERANCE: Final = 1e-3
-"""Gradient at which a regression ends; the guesses no longer change long before."""
+"""Gradient at which the optimiser stops; the guesses stop changing much earlier."""
 
 Words = Callable[[GuesserView], Iterable[str]]
 
 
 @cache
 def leaf_truths(category: Category) -> tuple[tuple[tuple[int, bool], ...], ...]:
-    """By leaf, the (condition, truth) pairs on the way to it."""
+    """Return, for each leaf, the (condition index, truth) pairs on the path to it."""
     shape = SHAPES[category]
     found: dict[int, tuple[tuple[int, bool], ...]] = {}
     ahead: list[tuple[int, tuple[tuple[int, bool], ...]]] = [(0, ())]
@@ -67,7 +75,10 @@ def leaf_truths(category: Category) -> tuple[tuple[tuple[int, bool], ...], ...]:
 
 @cache
 def _usual_truth(category: Category) -> tuple[float, ...]:
-    """How often each condition is true if all leaves are gold equally often and all other conditions are fair coins."""
+    """Return how often each condition is true if all leaves are equally often gold.
+
+    Conditions that are not on the path to the gold leaf count as true with probability 1/2.
+    """
     shape = SHAPES[category]
     n = len(shape.branches)
     share = np.zeros(n)
@@ -82,7 +93,7 @@ def _usual_truth(category: Category) -> tuple[float, ...]:
 
 
 def majority_leaf(views: Sequence[GuesserView]) -> Guesses:
-    """The leaf that was gold most often in its category."""
+    """Guess the leaf that was gold most often in the same category."""
     guesses = np.full(len(views), NO_GUESS, dtype=np.int64)
     for learned, guessed in progressive([view.scene for view in views]):
         seen: defaultdict[str, Counter[int]] = defaultdict(Counter)
@@ -95,10 +106,11 @@ def majority_leaf(views: Sequence[GuesserView]) -> Guesses:
 
 
 def _prior(key: Callable[[Asked], tuple[str, ...]]) -> Learner:
-    """Guesses from how often such conditions are true: takes the leaf whose truths are likeliest by their words.
+    """Return a learner that picks the leaf whose conditions' truths are likeliest, given how often such statements were
+    true.
 
-    The truth of a condition leans with its place in the tree, whatever it asks. So what counts is how much oftener
-    than its place has it a statement was true.
+    `key` maps a condition to the statement that is counted. A condition's position in the tree alone changes how often
+    it is true, so the estimate uses the ratio of observed to expected counts.
     """
 
     def learner(views: Sequence[GuesserView]) -> Guesses:
@@ -137,7 +149,9 @@ def _likeliest(
 
 
 def _in_layout(learner: Learner) -> Learner:
-    """One learner for each layout; it sees stagings of that layout only, and guesses for them only."""
+    """Return a learner that is applied to each layout separately: it learns from and guesses variants of one layout
+    only.
+    """
 
     def guesser(views: Sequence[GuesserView]) -> Guesses:
         guesses = np.full(len(views), NO_GUESS, dtype=np.int64)
@@ -150,7 +164,7 @@ def _in_layout(learner: Learner) -> Learner:
 
 
 def _regression(words: Words) -> Learner:
-    """Multinomial logistic regression, one a category."""
+    """Return a learner that fits one multinomial logistic regression per category."""
 
     def learner(views: Sequence[GuesserView]) -> Guesses:
         guesses = np.full(len(views), NO_GUESS, dtype=np.int64)
@@ -164,7 +178,7 @@ def _regression(words: Words) -> Learner:
 
 
 def _regressed(views: Sequence[GuesserView], words: Words) -> Guesses:
-    # Imported here: it takes a second, and most exports of tests are too small for it.
+    # Imported here because the import takes a second, and most exports in tests are too small to need it.
     from sklearn.linear_model import LogisticRegression
 
     guesses = np.full(len(views), NO_GUESS, dtype=np.int64)
@@ -174,7 +188,7 @@ def _regressed(views: Sequence[GuesserView], words: Words) -> Guesses:
         if len(np.unique(gold[learned])) < 2 or features.shape[1] == 0:
             guesses[guessed] = gold[learned[0]]
             continue
-        # Newton's method: on binary features it takes a tenth of L-BFGS's time.
+        # Newton's method takes a tenth of the time of L-BFGS on these binary features.
         model = LogisticRegression(C=PENALTY, solver="newton-cg", tol=TOLERANCE, max_iter=ITERATIONS)
         model.fit(features[learned], gold[learned])
         guesses[guessed] = model.predict(features[guessed])
@@ -182,7 +196,9 @@ def _regressed(views: Sequence[GuesserView], words: Words) -> Guesses:
 
 
 def _features(views: Sequence[GuesserView], words: Words) -> csr_matrix:
-    """(episodes, words) 1 where an episode's text has a word; words that are too rare or everywhere are left out."""
+    """Return the feature matrix (episodes, words): 1 where a text contains the word. Very rare and very common words
+    are left out.
+    """
     index: dict[str, int] = {}
     rows = [np.unique([index.setdefault(word, len(index)) for word in words(view)]) for view in views]
     columns = np.concatenate(rows).astype(np.int64)
@@ -201,14 +217,16 @@ def _words(view: GuesserView) -> list[str]:
 
 
 def _text_words(view: GuesserView) -> Iterator[str]:
-    """Words and pairs of neighbouring words, punctuation as words: "; if so" is not "if so"."""
+    """Yield the words and word pairs of a text. Punctuation counts as a word, so that "; if so" differs from "if
+    so".
+    """
     found = _words(view)
     yield from found
     yield from (f"{one} {other}" for one, other in pairwise(found))
 
 
 def _cues(view: GuesserView) -> Iterator[str]:
-    """What each condition asks and each leaf names, with its place in the tree."""
+    """Yield what each condition states and each leaf names, marked with its position in the tree."""
     for k, asked in enumerate(view.asked):
         yield f"{k} {asked.label}"
         yield f"{k} {asked.label} in {asked.room}"
@@ -223,7 +241,7 @@ def _cues(view: GuesserView) -> Iterator[str]:
 
 
 def _form(view: GuesserView) -> Iterator[str]:
-    """The wording of a text without its content: its length, its words except nouns, which conditions are definite."""
+    """Yield the form of a text without its content: length, words other than nouns, which conditions are definite."""
     yield f"{len(view.text.split()) // WORDS_A_CLASS} words"
     for k, asked in enumerate(view.asked):
         yield f"{k} {'definite' if asked.definite else 'indefinite'} {'relation' if asked.predicate else 'presence'}"
@@ -233,7 +251,7 @@ def _form(view: GuesserView) -> Iterator[str]:
 
 
 def _voice(view: GuesserView) -> Iterator[str]:
-    """In which voice a text is said: which of the words that hold clauses together it has, how often, and first."""
+    """Yield features of the phrasing: which connecting words a text has, how often, and its first three."""
     phrases = _voice_words()
     said = [word for word in _words(view) if word in phrases]
     yield from (f"{word} {min(count, MOST_TIMES)} times" for word, count in Counter(said).items())
@@ -241,7 +259,9 @@ def _voice(view: GuesserView) -> Iterator[str]:
 
 
 def _length(view: GuesserView) -> Iterator[str]:
-    """How long a text is: its words, coarsely and finely, its sentences, and the words of its longest sentence."""
+    """Yield features of the length: word count (coarse and fine), number of sentences, length of the longest
+    sentence.
+    """
     sentences = [sentence.split() for sentence in _SENTENCE_END.split(view.text)]
     count = sum(map(len, sentences))
     yield f"{count // WORDS_A_CLASS} tens"
@@ -251,14 +271,16 @@ def _length(view: GuesserView) -> Iterator[str]:
 
 
 def _definiteness(view: GuesserView) -> Iterator[str]:
-    """Which conditions speak of a thing that is known to be there, one by one and together."""
+    """Yield which conditions are definite, one by one and together."""
     flags = ["definite" if asked.definite else "indefinite" for asked in view.asked]
     yield from (f"{k} {flag}" for k, flag in enumerate(flags))
     yield " ".join(flags)
 
 
 def _manner(view: GuesserView) -> Iterator[str]:
-    """Voice, length and definiteness, and nothing else: none of them may tell the leaf, nor all together."""
+    """Yield features of phrasing, length and definiteness only. None of them, nor all together, may predict the gold
+    leaf.
+    """
     yield from _voice(view)
     yield from _length(view)
     yield from _definiteness(view)
@@ -266,7 +288,7 @@ def _manner(view: GuesserView) -> Iterator[str]:
 
 @cache
 def _voice_words() -> frozenset[str]:
-    """Words of all phrases of all voices of the languages, without those of things and rooms."""
+    """Return the words of all phrases of all voices and languages, without the nouns of objects and rooms."""
     found: set[str] = set()
     for code in LANGUAGES:
         words = language(code)
@@ -277,7 +299,7 @@ def _voice_words() -> frozenset[str]:
 
 @cache
 def _content_words() -> frozenset[str]:
-    """Words of the nouns of things and rooms."""
+    """Return the words in the nouns of objects and rooms."""
     nouns = [vocabulary.entry(x).noun for x in vocabulary.labels if vocabulary.fit_for_text(x)]
     nouns += [vocabulary.room(x).noun for x in vocabulary.room_labels if vocabulary.room(x).fit_for_text]
     return frozenset(word for noun in nouns for word in noun.lower().split())
@@ -296,17 +318,19 @@ LEARNED: Final[Mapping[str, Learner]] = {
     "bag of words": _regression(_text_words),
     "words in place": _regression(_cues),
 }
-"""By the name in reports."""
+"""Learning guessers, by their names in reports."""
 
 
 BLOCKS: Final = 10
-"""The first is only learned from."""
+"""Number of blocks. The first is only learned from, never guessed."""
 
 Indices = NDArray[np.int64]
 
 
 def blocks(scenes: Sequence[str], count: int = BLOCKS) -> list[Indices]:
-    """Indices of the episodes of each block, ascending; a scene is in one block, and none is empty.
+    """Split episodes into blocks of about equal size and return the ascending indices of each block.
+
+    All episodes of a scene are in one block; no block is empty.
 
     Parameters
     ----------
@@ -316,7 +340,7 @@ def blocks(scenes: Sequence[str], count: int = BLOCKS) -> list[Indices]:
     rank = {name: k for k, name in enumerate(names)}
     place = np.array([rank[scene] for scene in scenes], dtype=np.int64)
     sizes = np.bincount(place, minlength=len(names))
-    # By the middle of each scene in the row of all episodes, so that blocks are about equally large.
+    # A scene belongs to the block in which the middle of its episodes falls, so that blocks are about equally large.
     middles = (np.cumsum(sizes) - sizes / 2) / max(1, sizes.sum())
     block = np.floor(middles * count).astype(np.int64)
     found = [np.flatnonzero(block[place] == k) for k in range(count)] if len(place) else []
@@ -324,7 +348,7 @@ def blocks(scenes: Sequence[str], count: int = BLOCKS) -> list[Indices]:
 
 
 def progressive(scenes: Sequence[str], count: int = BLOCKS) -> Iterator[tuple[Indices, Indices]]:
-    """(learned from, guessed) of each step."""
+    """Yield (indices to learn from, indices to guess): each block after the first, and all blocks before it."""
     parts = blocks(scenes, count)
     for k in range(1, len(parts)):
         yield np.concatenate(parts[:k]), parts[k]

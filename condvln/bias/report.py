@@ -1,4 +1,4 @@
-"""What the gate found: every guesser against chance, and how even the gold leaves are."""
+"""The report of the bias gate: each guesser's accuracy against chance, and how evenly gold leaves are distributed."""
 
 from __future__ import annotations
 
@@ -9,20 +9,21 @@ from typing import Any, Final
 __all__ = ["ALL", "ALPHA", "PRESENCE", "BiasReport", "Finding", "Uniformity"]
 
 ALPHA: Final = 0.01
-"""Probability at which a fair dataset is called biased by any of all tests together."""
+"""Significance level of all tests together: the probability that a fair dataset is called biased."""
 ALL: Final = "all"
-"""Stands for the source, category or predicate of a test over all of them."""
+"""Placeholder for the source, category or predicate in a test over all of them."""
 MOST_NAMED: Final = 6
-"""Findings that the verdict names; the table has them all."""
+"""Largest number of findings named in the verdict; the table holds all of them."""
 PRESENCE: Final = "presence"
-"""Stands for the predicate of a condition that asks for no relation."""
+"""Placeholder for the predicate of a condition without a relation."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One guesser on one part of the episodes: of a source, a category, and one predicate that conditions ask for.
+    """The result of one guesser on one part of the episodes, given by source, category and predicate.
 
-    chance : mean of 1 ÷ leaves; low, high : 95 % interval of the accuracy; p : one-sided; p_holm : corrected
+    chance : mean of 1 / number of leaves; low, high : 95 % confidence interval of the accuracy
+    p : one-sided p-value; p_holm : p-value after Holm's correction
     """
 
     guesser: str
@@ -40,12 +41,12 @@ class Finding:
 
     @property
     def part(self) -> str:
-        """The category, or the predicate that a condition of its episodes asks for."""
+        """The category of the part, or the predicate that its episodes' conditions use."""
         return self.category if self.predicate == ALL else f"asks: {self.predicate}"
 
     @property
     def beats_chance(self) -> bool:
-        """Whether the guesser finds the right leaf more often than chance."""
+        """Whether the guesser finds the gold leaf significantly more often than chance."""
         return self.p_holm < ALPHA
 
 
@@ -61,7 +62,7 @@ class Uniformity:
 
     @property
     def uneven(self) -> bool:
-        """Whether the leaves differ more than by chance."""
+        """Whether the counts differ significantly."""
         return self.p_holm < ALPHA
 
 
@@ -69,8 +70,9 @@ class Uniformity:
 class BiasReport:
     """All tests of one export.
 
-    episodes : guessed at; of a counterfactual group one
-    groups : counterfactual groups; untested : (source, category, episodes) of cells too small for tests of their own
+    episodes : number of guessed episodes; a counterfactual group counts as one
+    groups : number of counterfactual groups
+    untested : (source, category, episodes) of parts that are too small for their own test
     """
 
     episodes: int
@@ -81,26 +83,26 @@ class BiasReport:
 
     @property
     def tests(self) -> int:
-        """Number of tests that are corrected for together."""
+        """Number of tests whose p-values are corrected together."""
         return len(self.findings) + len(self.uniformity)
 
     @property
     def beaten(self) -> list[Finding]:
-        """Findings above chance, the surest first."""
+        """Findings above chance, the most significant first."""
         return sorted((f for f in self.findings if f.beats_chance), key=lambda f: f.p_holm)
 
     @property
     def uneven(self) -> list[Uniformity]:
-        """Cells whose gold leaves are unevenly distributed."""
+        """Categories of a source whose gold leaves are unevenly distributed."""
         return [cell for cell in self.uniformity if cell.uneven]
 
     @property
     def passed(self) -> bool:
-        """Whether nothing was found."""
+        """Whether no guesser beats chance and all gold leaves are evenly distributed."""
         return not (self.beaten or self.uneven)
 
     def verdict(self) -> str:
-        """One sentence."""
+        """The result in one sentence."""
         if not self.tests:
             return "too few episodes to say whether a guess beats chance"
         said = f"{self.tests} tests on {self.episodes:,} episodes, α = {ALPHA:g} corrected for their number (Holm)"
@@ -116,7 +118,7 @@ class BiasReport:
         return f"guesses beat chance: {'; '.join(found)} ({said})"
 
     def document(self) -> dict[str, Any]:
-        """The report as JSON."""
+        """Return the report as a JSON document."""
         return {
             "alpha": ALPHA,
             "passed": self.passed,
@@ -130,9 +132,9 @@ class BiasReport:
         }
 
     def overview(self) -> list[tuple[str | int | float, ...]]:
-        """A row a guesser and source over all, and one for each category and predicate in which chance is beaten.
+        """Return the table's rows: each guesser per source, and each category or predicate in which it beats chance.
 
-        (guesser, source, category or predicate, episodes, right, low, high, chance, corrected p)
+        Columns: guesser, source, category or predicate, episodes, accuracy, low, high, chance, corrected p.
         """
         names = dict.fromkeys(finding.guesser for finding in self.findings)
         order = {name: k for k, name in enumerate(names)}
@@ -147,7 +149,7 @@ def _told(finding: Finding) -> str:
 
 
 def _rounded(values: dict[str, Any]) -> dict[str, Any]:
-    """Shares to four digits after the point, p-values to three significant ones: the rest is the machine's."""
+    """Round shares to four decimals and p-values to three significant digits; later digits vary between machines."""
     shares: Sequence[str] = ("accuracy", "chance", "low", "high")
     found = {key: round(value, 4) if key in shares else value for key, value in values.items()}
     return {key: float(f"{value:.3g}") if key in ("p", "p_holm") else value for key, value in found.items()}

@@ -1,9 +1,9 @@
-"""When a share of right guesses is more than chance.
+"""Significance tests of a guesser's accuracy against chance.
 
-Two things can make it look so: luck of single episodes, and a few scenes in which one lucky guess is repeated. Both are
-asked, and the larger p-value counts: the exact binomial tail, which takes episodes as independent, and a one-sided
-t-test over scenes (cluster-robust; Cameron and Miller 2015, section II), which takes only scenes so. The interval is
-likewise the wider of Clopper and Pearson's and the scenes'.
+An accuracy above chance may come from luck on single episodes, or from a few scenes in which one lucky guess is
+repeated. Each has its own test, and the larger p-value counts: the exact binomial tail, which takes episodes as
+independent, and a one-sided t-test over scenes (cluster-robust; Cameron and Miller 2015, section II), which takes only
+scenes as independent. The confidence interval is the wider of Clopper and Pearson's and the one over scenes.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ Bools = NDArray[np.bool_]
 
 
 def binomial_tail(hits: int, trials: Mapping[float, int]) -> float:
-    """P(at least `hits` right) where `trials[p]` guesses are right with chance p each.
+    """Return P(at least `hits` right), where each of the `trials[p]` guesses is right with probability p.
 
-    With several chances the distributions are convolved; good to 1e-12.
+    For several values of p the distributions are convolved; the error is below 1e-12.
     """
     if hits <= 0:
         return 1.0
@@ -40,9 +40,12 @@ def binomial_tail(hits: int, trials: Mapping[float, int]) -> float:
 
 
 def p_by_scenes(excess: F64, scenes: NDArray[np.int64]) -> float:
-    """One-sided p-value of the scenes' sums of `excess` (right − chance, an entry an episode) being above 0.
+    """Return the one-sided p-value that the scenes' sums of `excess` are above 0 (t-test over scenes).
 
-    0 where every scene has the same positive sum, and with fewer than two scenes, which say nothing about others.
+    excess : right − chance of each episode
+
+    Returns 0 if every scene has the same positive sum, or if there are fewer than two scenes (then no test is possible,
+    and the binomial test decides).
     """
     sums = np.bincount(scenes, weights=excess)
     sums = sums[np.bincount(scenes) > 0]
@@ -55,7 +58,7 @@ def p_by_scenes(excess: F64, scenes: NDArray[np.int64]) -> float:
 
 
 def interval(right: Bools, scenes: NDArray[np.int64], confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Bounds of the share of right guesses."""
+    """Return the (low, high) bounds of the accuracy at the given confidence."""
     n, hits = len(right), int(right.sum())
     tail = (1.0 - confidence) / 2.0
     low = float(stats.beta.ppf(tail, hits, n - hits + 1)) if hits else 0.0
@@ -72,12 +75,14 @@ def interval(right: Bools, scenes: NDArray[np.int64], confidence: float = CONFID
 
 
 def p_uniform(counts: Sequence[int]) -> float:
-    """P-value of counts as uneven as these (Pearson's χ²)."""
+    """Return the p-value of counts at least as uneven as these under equal probabilities (Pearson's χ² test)."""
     return float(stats.chisquare(counts).pvalue)
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
-    """P-values corrected for their number (Holm 1979): all below α hold together with an error of at most α."""
+    """Return the p-values after Holm's correction (1979), in the same order: the family-wise error of all below α is
+    at most α.
+    """
     order = np.argsort(p_values, kind="stable")
     corrected = np.empty(len(order))
     factors = np.arange(len(order), 0, -1)

@@ -7,4 +7,4 @@ from condvln.labels.lexicon import LabelEntry, RoomEntry, Vocabulary, normalise
 __all__ = ["LabelEntry", "RoomEntry", "Vocabulary", "normalise", "vocabulary"]
 
 vocabulary: Final = Vocabulary.load()
-"""The vocabulary of the tables in this package, read once."""
+"""The vocabulary from the tables of this package, read once."""

@@ -1,17 +1,18 @@
-"""The canonical vocabulary: what objects and rooms are called over all sources, read from the tables beside it.
+"""The canonical vocabulary of objects and rooms over all sources, read from the tables beside this module.
 
-``labels.csv`` and ``rooms.csv`` hold one row per canonical label; ``raw_labels.csv`` and ``raw_rooms.csv`` map each
-source's own label to it, with the list that the raw label comes from. A raw label with an empty canonical label was
-looked at and deliberately left unmapped: ``may_be`` then says which labels the thing might bear. ``*`` is any label;
-an empty cell is none, for a thing that the vocabulary has no word for (a hammer) or a part of one (a door handle). A
-raw label that is in no list might bear any label. Catch-all labels have ``may_be`` in ``labels.csv``.
+``labels.csv`` and ``rooms.csv`` hold one row per canonical label. ``raw_labels.csv`` and ``raw_rooms.csv`` map each
+source's own label to a canonical one and name the list that the raw label comes from. A raw label with an empty
+canonical label is deliberately unmapped; ``may_be`` then lists the canonical labels that the object could have. ``*``
+means any label; an empty cell means none, for an object without a word in the vocabulary (a hammer) or a part of an
+object (a door handle). A raw label that is in no list could have any label. Catch-all labels have ``may_be`` in
+``labels.csv``.
 
-``least`` and ``most`` bound the longest side of what bears a label, in metres, generously: they only decide what a
-nameless thing of known size can't be.
+``least`` and ``most`` are generous bounds in metres of the longest side of objects with a label. They only decide which
+labels an unnamed object of known size can't have.
 
-``containers.csv`` lists what holds things inside: ``shut`` where a door, a lid or a drawer may hide them, ``open``
-where they stay in sight, empty where a broader label does but this one does not. ``frames.csv`` lists what one sees
-through: things of legs, boards and rails, whose box is mostly air.
+``containers.csv`` lists what can hold objects inside: ``shut`` where a door, lid or drawer may hide them, ``open``
+where they stay visible, empty for a label that is an exception to its broader label. ``frames.csv`` lists open frames:
+objects of legs, boards and rails, whose box is mostly air.
 """
 
 from __future__ import annotations
@@ -40,20 +41,22 @@ SOURCE_OF_FAMILY: Final[Mapping[str, str]] = {
     "mp3d": "mp3d",
     "gibson": "gibson",
 }
-"""Which list of raw labels a family uses. A family that is not here is read by the canonical words alone."""
+"""The list of raw labels of each family. A family without one is read by the canonical words alone."""
 
 ANYTHING: Final = "*"
-"""In a cell ``may_be``: any label."""
+"""In a ``may_be`` cell: any label."""
 
 OBJAVERSE: Final = "obja "
-"""What AI2-THOR's types of Objaverse assets begin with, in normal form (``ObjaTrashCan``)."""
+"""Prefixes of AI2-THOR's types of Objaverse assets, in normal form (``ObjaTrashCan``)."""
 
 _CAMEL: Final = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 _NUMBER: Final = re.compile(r" \d+$")
 
 
 def normalise(raw: str) -> str:
-    """A raw label in lower case with single spaces: ``ArmChair``, ``arm_chair`` and ``arm#chair`` are ``arm chair``."""
+    """Return a raw label in lower case with single spaces: ``ArmChair``, ``arm_chair`` and ``arm#chair`` give ``arm
+    chair``.
+    """
     return " ".join(re.sub(r"[_#\s]+", " ", _CAMEL.sub(" ", raw)).lower().split())
 
 
@@ -61,10 +64,10 @@ def normalise(raw: str) -> str:
 class LabelEntry:
     """One canonical label.
 
-    synonyms : other words for the same thing, canonical labels among them where two sources draw the line differently
-    hypernyms : all broader labels, transitively; ``headboard`` has ``bed``, since a speaker may say so
-    may_be : of a catch-all label, the labels that a thing called so might bear; ``*`` for any
-    least, most : bounds of the longest side, metres
+    synonyms : other words for the same object; they may be canonical labels where sources draw the line differently
+    hypernyms : all broader labels, transitively; ``headboard`` has ``bed``, since a speaker may call it that
+    may_be : for a catch-all label, the labels that such an object could have; ``*`` for any
+    least, most : bounds of the longest side in metres
     """
 
     label: str
@@ -87,7 +90,7 @@ class LabelEntry:
 
 @dataclass(frozen=True, slots=True)
 class RoomEntry:
-    """One canonical room type; `synonyms` are words and labels a speaker might use for it as well.
+    """One canonical room type; `synonyms` are other words and labels that a speaker might use for it.
 
     general : its noun ("room") fits rooms of every type
     """
@@ -101,7 +104,7 @@ class RoomEntry:
 
 
 class Vocabulary:
-    """Canonical labels of objects and rooms, and the way from each source's raw labels to them."""
+    """Canonical labels of objects and rooms, and the mapping from each source's raw labels to them."""
 
     __slots__ = (
         "_containers",
@@ -133,7 +136,7 @@ class Vocabulary:
         self._raw = _with_normalised_keys(raw_labels)
         self._raw_rooms = _with_normalised_keys(raw_rooms)
         self._may_be = _with_normalised_keys(may_be or {})
-        # A word that is one label's own means that label; a synonym that several labels share means none of them.
+        # A word that names exactly one label means that label; a synonym shared by several labels means none of them.
         named: defaultdict[str, set[str]] = defaultdict(set)
         for entry in self._entries.values():
             for word in entry.words:
@@ -155,7 +158,7 @@ class Vocabulary:
 
     @property
     def nameless(self) -> frozenset[str]:
-        """Labels that do not name a single object: parts of a building, catch-alls."""
+        """Labels that do not name a single object: building parts and catch-alls."""
         return frozenset(entry.label for entry in self._entries.values() if entry.kind != "object")
 
     @property
@@ -164,7 +167,7 @@ class Vocabulary:
         return tuple(sorted(self._rooms))
 
     def canonical(self, raw: str, family: str) -> str:
-        """The canonical label of `raw`; where none is known, `raw` itself, normalised."""
+        """Return the canonical label of `raw`, or `raw` normalised if there is none."""
         return self._mapped(raw, family) or normalise(raw)
 
     def is_mapped(self, raw: str, family: str) -> bool:
@@ -180,20 +183,20 @@ class Vocabulary:
                 return label or None
         if source == "ai2thor":
             text = text.removeprefix(OBJAVERSE)
-        # Users' own labels, and copies numbered by their author ("table 2").
+        # Labels made by users, and copies numbered by their author ("table 2").
         return self._label_of_word.get(text) or self._label_of_word.get(_NUMBER.sub("", text))
 
     def is_vague(self, label: str, family: str) -> bool:
-        """Whether a thing labelled so (see `canonical`) might be anything at all: ``unknown``, a type of no list."""
+        """Return whether an object with this canonical label could be anything: ``unknown``, or a type of no list."""
         return ANYTHING in self._written_may_be(label, family)
 
     def may_be(self, label: str, family: str, longest: float | None = None) -> frozenset[str]:
-        """Labels that a thing might bear without being called so; empty where its own label says what it is.
+        """Return the labels that an object could have without being annotated so; empty if its own label is specific.
 
         Parameters
         ----------
-        label : what `canonical` made of its raw label
-        longest : its longest side in metres, where that is known: what is never so large or so small is left out
+        label : the result of `canonical` for its raw label
+        longest : its longest side in metres if known; labels whose size bounds exclude it are left out
         """
         written = self._written_may_be(label, family)
         if ANYTHING in written:
@@ -209,51 +212,57 @@ class Vocabulary:
         return self._may_be.get((SOURCE_OF_FAMILY.get(family, ""), label), frozenset((ANYTHING,)))
 
     def entry(self, label: str) -> LabelEntry:
-        """The entry of a canonical label.
+        """Return the entry of a canonical label.
 
         Raises
         ------
         KeyError
-            `label` is not canonical: it came from an unmapped raw label.
+            `label` is not canonical; it came from an unmapped raw label.
         """
         return self._entries[label]
 
     def fit_for_text(self, label: str) -> bool:
-        """Whether text may name `label`: an object, not structure nor catch-all, with a noun that "a" and "the" fit."""
+        """Return whether text may name `label`: it is an object, neither structure nor catch-all, with a countable
+        noun.
+        """
         entry = self._entries.get(label)
         return entry is not None and entry.in_text
 
     def is_structure(self, label: str) -> bool:
-        """Whether `label` is a part of the building: a wall, a floor and the like."""
+        """Return whether `label` is a part of the building, such as a wall or floor."""
         entry = self._entries.get(label)
         return entry is not None and entry.kind == "structure"
 
     def container(self, label: str) -> ContainerKind | None:
-        """How a thing of this label holds others: ``shut`` where it can be closed, ``open``; None where it can't.
+        """Return how objects with `label` hold others: ``shut`` if they can be closed, ``open`` if not; None for no
+        container.
 
-        A label that is not listed is what the first of its hypernyms is, in alphabetical order.
+        An unlisted label takes the value of its alphabetically first listed hypernym.
         """
         entry = self._entries.get(label)
         names = [label, *sorted(() if entry is None else entry.hypernyms)]
         return next((self._containers[name] or None for name in names if name in self._containers), None)
 
     def is_frame(self, label: str) -> bool:
-        """Whether objects with `label`, or a hyponym, are open frames: their box does not hide what is in or on it."""
+        """Return whether objects with `label`, or one of its hypernyms, are open frames, whose box does not hide
+        what is in or on it.
+        """
         entry = self._entries.get(label)
         names = {label} if entry is None else {label, *entry.hypernyms}
         return bool(names & self._frames) and self.container(label) != "shut"
 
     def overlapping(self, label: str) -> frozenset[str]:
-        """Canonical labels that a speaker might mean by a word for `label`: itself, synonyms, hypernyms, hyponyms.
+        """Return the canonical labels that a speaker might mean by a word for `label`: itself, synonyms, hypernyms,
+        hyponyms.
 
-        Symmetric. An unmapped label overlaps with itself only.
+        The relation is symmetric. An unmapped label overlaps with itself only.
         """
         return self._overlapping.get(label, frozenset({label}))
 
     def room_type(self, raw: str, family: str) -> str:
-        """The canonical room type of `raw`; where none is known, `raw` itself, normalised.
+        """Return the canonical room type of `raw`, or `raw` normalised if there is none.
 
-        Matterport's one-letter labels are case-sensitive (``s`` stairs, ``S`` spa) and looked up as they stand.
+        Matterport3D's one-letter labels are case-sensitive (``s`` stairs, ``S`` spa) and are looked up unchanged.
         """
         source = SOURCE_OF_FAMILY.get(family, "")
         text = normalise(raw)
@@ -267,7 +276,7 @@ class Vocabulary:
         return named[0] if len(named) == 1 else text
 
     def room(self, label: str) -> RoomEntry:
-        """The entry of a room type; an unknown one is an entry that is not fit for text."""
+        """Return the entry of a room type; for an unknown type, an entry that is not fit for text."""
         known = self._rooms.get(label)
         if known is not None:
             return known
@@ -275,24 +284,26 @@ class Vocabulary:
         return RoomEntry(label=label, noun=label, article=article, fit_for_text=False, synonyms=frozenset())
 
     def overlapping_rooms(self, label: str) -> frozenset[str]:
-        """Room types that a speaker might mean by a word for `label`, itself included. Symmetric."""
+        """Return the room types that a speaker might mean by a word for `label`, itself included. The relation is
+        symmetric.
+        """
         return self._overlapping_rooms.get(label, frozenset({label}))
 
     def might_mean_room(self, label: str, other: str) -> bool:
-        """Whether a word for the room type `label` might mean a room of type `other`, which may be of no list.
+        """Return whether a word for room type `label` might mean a room of type `other`, which may be an unknown type.
 
-        "The room" might be any room; "the kitchen" is not a room whose type nobody knew.
+        "The room" may mean any room; "the kitchen" never means a room of unknown type.
         """
         return other in self.overlapping_rooms(label) or self.room(label).general
 
     def raw_labels(self, family: str) -> Mapping[str, str]:
-        """Every raw label listed for `family`'s source with its canonical label ('' = listed as unmapped)."""
+        """Return each raw label listed for `family`'s source with its canonical label ('' means listed as unmapped)."""
         source = SOURCE_OF_FAMILY.get(family, "")
         return {raw: label for (of, raw), label in self._raw.items() if of == source}
 
     @classmethod
     def load(cls) -> Vocabulary:
-        """The vocabulary of the tables that ship with this package."""
+        """Read the vocabulary from the tables of this package."""
         parents = {row["label"]: _several(row["hypernyms"]) for row in _rows("labels.csv")}
         entries = [
             LabelEntry(
@@ -340,10 +351,10 @@ def _several(cell: str) -> frozenset[str]:
 
 
 def _with_normalised_keys(raw: Mapping[tuple[str, str], T]) -> dict[tuple[str, str], T]:
-    """`raw` plus each key in normal form, where that does not hide a label listed as such."""
+    """Return `raw` plus each key in normal form, unless that normal form is itself a listed label."""
     keys: dict[tuple[str, str], T] = {}
     for (source, text), label in raw.items():
-        if len(text) > 1:  # a one-letter label means what its case says
+        if len(text) > 1:  # for a one-letter label, case carries the meaning
             keys.setdefault((source, normalise(text)), label)
     return {**keys, **raw}
 
@@ -360,7 +371,7 @@ def _ancestors(label: str, parents: Mapping[str, frozenset[str]]) -> frozenset[s
 
 
 def _overlaps(entries: Mapping[str, LabelEntry]) -> dict[str, frozenset[str]]:
-    """Per label: the labels it shares a word with, its hypernyms and its hyponyms."""
+    """Return, for each label, its hypernyms, its hyponyms and the labels that share a word with it."""
     sharing: defaultdict[str, set[str]] = defaultdict(set)
     for entry in entries.values():
         for word in entry.words:

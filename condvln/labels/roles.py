@@ -1,4 +1,4 @@
-"""What labels are good for as an anchor: fixed things, landmarks, portable ones, and those that things are put on."""
+"""The roles of labels as anchors of a qualifier: fixed objects, landmarks, portable objects, supporting surfaces."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ Role = Literal["fixed", "landmark", "portable", "surface"]
 
 @cache
 def labels_with_role(role: Role) -> frozenset[str]:
-    """Canonical labels of a role.
+    """Return the canonical labels of a role, from ``roles.csv``.
 
-    fixed : built in or too heavy to move, so that smaller or larger things are said to be near it
-    landmark : the same where it is large (`LANDMARK_SIZE`): a statue, not a figurine
-    portable : carried about, so that nothing is found by it, whatever its size
-    surface : things are put on it, so that people ask whether something is
+    fixed : built in or too heavy to move, so that text may use it as an anchor for objects of any size
+    landmark : like fixed, if the object is at least `LANDMARK_SIZE` large: a statue, not a figurine
+    portable : often carried about, so that text never uses it as an anchor
+    surface : things are put on it, so that text may ask whether something is on it
     """
     text = files("condvln.labels").joinpath("roles.csv").read_text(encoding="utf-8")
     return frozenset(row["label"] for row in csv.DictReader(text.splitlines()) if row["role"] == role)

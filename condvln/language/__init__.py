@@ -1,4 +1,4 @@
-"""How instruction texts are said: lengths, variety, what to avoid; of ours and of any VLN file."""
+"""Style measures of instruction texts, ours or any VLN file's: lengths, variety, phrases to avoid."""
 
 from condvln.language.report import LanguageReport, language_report
 from condvln.language.texts import InstructionText, read_texts

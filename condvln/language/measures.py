@@ -1,7 +1,7 @@
-"""Counts over texts: sentences, n-grams, words of direction, phrases to avoid. Pure functions of strings.
+"""Counts over texts: sentences, n-grams, direction words, phrases to avoid. Pure functions of strings.
 
-A word is a run of letters, digits, apostrophes and hyphens, in lower case. Variety depends on how much is looked at, so
-that it is measured over pieces of as many words.
+A word is a lower-case run of letters, digits, apostrophes and hyphens. Variety measures depend on the amount of text,
+so they are computed over pieces of equal length in words.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ __all__ = [
 ]
 
 PIECE_WORDS: Final = 1_700
-"""Words of a piece over which variety is measured: 60 instructions of R2R."""
+"""Length in words of a piece over which variety is measured; about 60 instructions of R2R."""
 MOST_PIECES: Final = 50
-"""Pieces looked at; the mean over so many moves in the third digit."""
+"""Largest number of pieces measured; with this many, the mean changes in the third digit only."""
 
 MASK: Final = "_"
-"""Stands for the noun of a thing or room."""
+"""Placeholder for the noun of an object or room."""
 
 _WORD: Final = re.compile(rf"{MASK}|[^\W_]+(?:['’-][^\W_]+)*")
 _END: Final = re.compile(r"(?<=[.?!])\s+")
@@ -65,28 +65,29 @@ BANNED: Final[Mapping[str, re.Pattern[str]]] = {
         "has got, at least one": r"\b(?:has got|hasn't got|at least one|does have)\b",
     }.items()
 }
-"""Phrases that readers stumbled over, by name; in lower-case text."""
+"""Regular expressions, by name, of phrases that test readers found hard; matched against lower-case text."""
 
 
 def words(text: str) -> list[str]:
-    """Words of a text, lower case."""
+    """Return the words of a text in lower case."""
     return _WORD.findall(text.lower())
 
 
 def sentences(text: str) -> list[str]:
-    """Sentences of a text, by the marks that end them."""
+    """Return the sentences of a text, split at the marks that end them."""
     return [sentence for sentence in _END.split(text.strip()) if words(sentence)]
 
 
 def masked(text: str) -> str:
-    """A text, lower case, with the nouns of things and rooms masked."""
+    """Return a text in lower case with the nouns of objects and rooms replaced by a placeholder."""
     return _nouns().sub(MASK, text.lower())
 
 
 def pieces(texts: Sequence[str], size: int = PIECE_WORDS) -> Iterator[list[list[str]]]:
-    """The words of texts in pieces of `size` words, the last words of a piece cut off; in the order of their hashes.
+    """Yield the words of texts in pieces of `size` words; an incomplete last piece is dropped.
 
-    Fewer words than `size` are one piece. The order of `texts` changes nothing.
+    Fewer words than `size` give one piece. Texts are ordered by their hashes, so that their input order does not
+    matter.
     """
     ordered = sorted(texts, key=lambda text: (hashlib.blake2b(text.encode(), digest_size=8).digest(), text))
     piece: list[list[str]] = []
@@ -105,7 +106,9 @@ def pieces(texts: Sequence[str], size: int = PIECE_WORDS) -> Iterator[list[list[
 
 
 def distinct(piece: Sequence[Sequence[str]], n: int) -> float:
-    """Share of the n-grams of a piece that are different; none reaches over two texts. NaN where there are none."""
+    """Return the share of a piece's n-grams that are distinct; an n-gram never spans two texts. NaN if there are
+    none.
+    """
     seen: set[tuple[str, ...]] = set()
     total = 0
     for said in piece:
@@ -116,14 +119,14 @@ def distinct(piece: Sequence[Sequence[str]], n: int) -> float:
 
 
 def banned_in(text: str) -> list[str]:
-    """Names of the phrases to avoid that a text has, one for each time."""
+    """Return the names of the phrases to avoid in a text, one per occurrence."""
     low = text.lower()
     return [name for name, pattern in BANNED.items() for _ in pattern.finditer(low)]
 
 
 @cache
 def _nouns() -> re.Pattern[str]:
-    """Nouns of all languages, singular or plural, the longest first."""
+    """Return a pattern of the nouns of all languages, singular and plural, the longest first."""
     found = [language(code) for code in LANGUAGES]
     nouns = {noun.text.lower() for one in found for noun in (*one.nouns.values(), *one.rooms.values())}
     ordered = sorted(nouns, key=lambda noun: (-len(noun), noun))

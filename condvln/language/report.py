@@ -1,4 +1,4 @@
-"""The style report: how long, how varied and how clear texts are."""
+"""The style report: length, variety and clarity of instruction texts."""
 
 from __future__ import annotations
 
@@ -30,14 +30,16 @@ from schemas.program import CATEGORIES, Category
 __all__ = ["LONG_SENTENCE", "LanguageReport", "language_report"]
 
 LONG_SENTENCE: Final = 25
-"""Words beyond which a sentence counts as long."""
+"""Number of words above which a sentence counts as long."""
 COMMON: Final = 10
-"""Sentences shown that are said most often when their nouns are masked."""
+"""Number of most frequent sentences shown, with nouns masked."""
 
 
 @dataclass(frozen=True)
 class Lengths:
-    """Words of texts: their number, mean, median and most; words of a sentence, and the share of long ones."""
+    """Length statistics in words: mean, median and maximum per text; mean per sentence, and the share of long
+    sentences.
+    """
 
     texts: int
     mean: float
@@ -49,14 +51,15 @@ class Lengths:
 
 @dataclass(frozen=True)
 class LanguageReport:
-    """What was counted.
+    """The measures of a set of texts.
 
-    lengths : over all texts under "all", and by category where it is known
-    variety : by name its mean over pieces of `piece` words (all words where there are fewer)
-    templates : share of sentences that differ when nouns are masked; common : the most frequent of them, with shares
-    compass, egocentric : shares of texts with such words
-    banned : phrases to avoid, by how often they are said; banned_texts : share of texts that have one
-    lint : texts of which the program is known, those with another or no reading, and findings of the binding lint
+    lengths : over all texts under "all", and by category if known
+    variety : each measure's mean over pieces of `piece` words (over all words if there are fewer)
+    templates : share of distinct sentences after masking nouns; common : the most frequent of them, with shares
+    compass, egocentric : shares of texts with compass or egocentric direction words
+    banned : number of occurrences of each phrase to avoid; banned_texts : share of texts with at least one
+    lint : for texts whose program is known: number of texts, of texts that do not parse back to their program, and of
+        findings of the binding lint; None if no program is known
     """
 
     lengths: dict[str, Lengths]
@@ -71,7 +74,7 @@ class LanguageReport:
     lint: dict[str, int] | None
 
     def document(self) -> dict[str, Any]:
-        """The report as JSON."""
+        """Return the report as a JSON document."""
         return {
             "lengths": {name: vars(found) for name, found in self.lengths.items()},
             "piece_words": self.piece,
@@ -87,7 +90,7 @@ class LanguageReport:
 
 
 def language_report(texts: Iterable[InstructionText]) -> LanguageReport:
-    """Count what there is to count; the order of `texts` changes nothing.
+    """Measure a set of texts; their order does not matter.
 
     Raises
     ------
@@ -152,7 +155,9 @@ def _share(flags: Iterable[bool]) -> float:
 
 
 def _lint(texts: Sequence[InstructionText]) -> dict[str, int] | None:
-    """Readings and findings of texts of our own grammar."""
+    """Count the texts of our own grammar that do not parse back to their program, and those with findings of the
+    binding lint.
+    """
     if not texts:
         return None
     unsound: dict[tuple[str, Category, Template], bool] = {}
@@ -171,7 +176,7 @@ def _lint(texts: Sequence[InstructionText]) -> dict[str, int] | None:
 
 
 def _is_said(one: InstructionText, code: str) -> bool:
-    """Whether the text is one of the language that reads back to its program."""
+    """Return whether the text parses in language `code` to exactly its own program."""
     assert one.program is not None
     try:
         reading = parse(one.text, code)

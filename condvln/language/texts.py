@@ -1,9 +1,9 @@
-"""Instruction texts of an export, or of a file of another benchmark.
+"""Read instruction texts from an export or from a file of another benchmark.
 
-R2R's JSON has a list of items with ``instructions``; VLN-CE and NavSpace have ``episodes`` whose ``instruction`` holds
-``instruction_text``; RxR has one item a line with ``instruction``. So an item is an object with one of those keys, and
-items stand in a list, in a list under ``episodes``, or one a line. What says the same twice, as RxR's items of many
-annotators do not, is kept twice.
+Supported files: R2R's JSON is a list of items with ``instructions``; VLN-CE and NavSpace have ``episodes`` whose
+``instruction`` holds ``instruction_text``; RxR has one item per line with ``instruction``. In general, an item is an
+object with one of these keys, and items come in a list, in a list under ``episodes``, or one per line. A text that
+occurs in several items counts each time.
 """
 
 from __future__ import annotations
@@ -23,14 +23,16 @@ from schemas.program import Program
 __all__ = ["InstructionText", "read_texts"]
 
 LARGEST_FILE: Final = 1 << 30
-"""Bytes after unpacking; R2R_VLNCE's training split has 40 MB."""
+"""Largest size of a file in bytes after decompression; R2R_VLNCE's training split has 40 MB."""
 
 _REMEDY: Final = "Name an export, or a file of R2R, VLN-CE, RxR or NavSpace (.json, .jsonl, each also .gz)"
 
 
 @dataclass(frozen=True, slots=True)
 class InstructionText:
-    """A text; one of ours also has a category, a program and the heading that it may open with."""
+    """One instruction text. A text of our own also has its category, its program, and the heading that it may begin
+    with.
+    """
 
     text: str
     category: str | None = None
@@ -38,11 +40,11 @@ class InstructionText:
 
 
 def read_texts(path: str | os.PathLike[str]) -> Iterator[InstructionText]:
-    """The texts of an export's manifests, or of one file, in their order.
+    """Yield the texts of an export's manifests, or of one file, in file order.
 
     Raises
     ------
-    InputError : there is nothing to read, or it holds no instructions
+    InputError : the path does not exist, or it holds no instructions
     """
     path = Path(path)
     if path.is_dir():

@@ -1,4 +1,4 @@
-"""The evaluation manifest of an export, ``manifest/<split>.jsonl``: its one writer and its one reader."""
+"""Reader and writer of an export's evaluation manifest, ``manifest/<split>.jsonl``."""
 
 from condvln.manifest.manifest import (
     ManifestLine,

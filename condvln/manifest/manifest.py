@@ -1,4 +1,4 @@
-"""Rows of ``manifest/<split>.jsonl``: the whole truth about each episode, for evaluators and never for agents."""
+"""Rows of ``manifest/<split>.jsonl``: the full ground truth of each episode, for evaluators and never for agents."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ _REMEDY = "Export the split again"
 
 
 class ManifestLine(NamedTuple):
-    """One line of a manifest as it is in the file; ``number`` counts from 1."""
+    """One line of a manifest file; ``number`` counts from 1."""
 
     path: Path
     number: int
     text: bytes
 
     def fields(self) -> dict[str, Any]:
-        """The line's JSON object, not validated: for readers that need few fields of many rows.
+        """Return the line's JSON object without validation, for callers that need few fields of many rows.
 
         Raises
         ------
@@ -50,7 +50,7 @@ class ManifestLine(NamedTuple):
         return fields
 
     def row(self) -> ManifestEpisode:
-        """The line as a manifest row.
+        """Return the line as a validated manifest row.
 
         Raises
         ------
@@ -62,7 +62,7 @@ class ManifestLine(NamedTuple):
             first = error.errors()[0]
             raise self._damaged(".".join(str(part) for part in first["loc"]), str(first["msg"])) from error
         if sorted(leaf.leaf for leaf in row.leaves) != [*range(len(row.program.leaves))]:
-            raise self._damaged("leaves", "not one entry for each leaf of the program")
+            raise self._damaged("leaves", "the number of entries differs from the number of leaves of the program")
         if not 0 <= row.gold_leaf < len(row.leaves):
             raise self._damaged("gold_leaf", f"there is no leaf {row.gold_leaf}")
         return row
@@ -73,29 +73,29 @@ class ManifestLine(NamedTuple):
 
 
 def manifest_path(export: Path, split: str) -> Path:
-    """File of a split's manifest."""
+    """Return the path of a split's manifest."""
     return export / FOLDER / f"{split}.jsonl"
 
 
 def manifest_paths(export: Path) -> list[Path]:
-    """The manifests that an export has, sorted."""
+    """Return the sorted paths of all manifests of an export."""
     return sorted((export / FOLDER).glob("*.jsonl"))
 
 
 def manifest_lines(path: Path) -> Iterator[ManifestLine]:
-    """The lines of a manifest that are not blank.
+    """Yield the non-blank lines of a manifest.
 
     Raises
     ------
-    MissingFileError : there is no such file
-    FormatError : a line is longer than any real one
+    MissingFileError : the file does not exist
+    FormatError : a line is longer than the limit
     """
     for number, text in json_lines(path):
         yield ManifestLine(path, number, text)
 
 
 def read_manifest(path: str | os.PathLike[str]) -> Iterator[ManifestEpisode]:
-    """The rows of a manifest in their order, validated.
+    """Yield the validated rows of a manifest in file order.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def read_manifest(path: str | os.PathLike[str]) -> Iterator[ManifestEpisode]:
 def manifest_row(
     episode: Mapping[str, Any], instruction: Mapping[str, Any], *, source: str, split: str, navmesh: str, snapshot: str
 ) -> dict[str, Any]:
-    """A :class:`schemas.evaluation.ManifestEpisode` as a plain dictionary."""
+    """Return a :class:`schemas.evaluation.ManifestEpisode` as a plain dictionary, built from the rows of the tables."""
     return {
         "schema_version": SCHEMA_VERSION,
         "episode_id": episode["episode_id"],
@@ -156,7 +156,7 @@ def manifest_row(
 
 
 def published_row(episode: ManifestEpisode) -> dict[str, Any]:
-    """A manifest row as the episodes table has it: points by their axes, and the heading of the start, degrees."""
+    """Return a manifest row in the form of the episodes table: points by axis, start heading in degrees."""
     row = episode.model_dump(mode="json")
     leaves = [
         {
