@@ -198,7 +198,7 @@ RARE = {
 
 UNUSED = {"sampling.predicates.under", "sampling.predicates.inside", "sampling.predicates.height"}
 """Weights of predicates that these made scenes have no use for: nothing lies in an open container or under a table, and
-what hangs or stands on top has something nearer to be told by."""
+what hangs or stands on top is named by something nearer. ``test_sampling.py`` tries them alone."""
 
 EXEMPT = {"store", "export", "ray", "keep"}
 """Where things lie and how work is spread: they change no row and no file."""

@@ -20,6 +20,7 @@ def made_sampler(
     seed: int = 0,
     stops: Stops | None = None,
     preamble: bool = True,
+    sampling: SamplingConfig | None = None,
     **wanted: Any,
 ) -> ProgramSampler:
     """`wanted` : keys of the instructions; `candidates` : candidates per episode."""
@@ -28,7 +29,7 @@ def made_sampler(
         facts,
         bits,
         InstructionsConfig(**wanted),
-        SamplingConfig(candidates_per_episode=candidates),
+        sampling or SamplingConfig(candidates_per_episode=candidates),
         seed,
         stops=stops or apart_by_centres(scene, PlacesConfig()),
         preamble=preamble,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -12,13 +12,18 @@ from pydantic import ValidationError
 from scipy.stats import chisquare
 
 from condvln.instructions import LabelPriors, ProgramSampler
+from condvln.instructions.condition_sampler import ConditionSampler
+from condvln.instructions.conditions import ConditionPool, RelationPool
+from condvln.instructions.predicates import PREDICATE_GROUPS, PREDICATES
 from condvln.instructions.programs import composition, instruction_id
 from condvln.instructions.rejection import REASONS
 from condvln.instructions.rendering import names_compass, render, with_preamble, word_count
 from condvln.instructions.stops import Stops
+from condvln.labels import vocabulary
 from condvln.scene import Scene
-from schemas.config import InstructionCell, InstructionsConfig, Thresholds
-from schemas.program import CATEGORIES, Condition, Program
+from schemas.config import InstructionCell, InstructionsConfig, SamplingConfig, Thresholds
+from schemas.config.instructions import PredicateWeights
+from schemas.program import CATEGORIES, Anchor, Condition, ObjectRef, Program, Qualifier, RoomRef, anchors_of
 from tests.condvln.instructions.made_sampler import made_sampler
 
 ALPHA = 1e-4
@@ -207,6 +212,30 @@ def test_names_tell_what_a_cell_fixes() -> None:
     bounded = plain.model_copy(update={"route": (5.0, 12.5), "words": (20, 60)})
     assert bounded.name == "chain C2 O1 3 moves 5-12.5 m 20-60 words"
     assert InstructionCell(category="chain", route=(5.0, 12.5), count=1).drawn
+
+
+@pytest.mark.parametrize("group", PREDICATE_GROUPS)
+def test_every_weight_of_a_predicate_decides(make_scene, facts_maker, group: str) -> None:
+    """For conditions and for names of stops, also of predicates that no made scene has a use for."""
+    weights = PredicateWeights(**{name: 0.7 * (name == group) for name in PREDICATE_GROUPS})
+    own, sampling = PREDICATE_GROUPS[group], SamplingConfig(predicates=weights)
+    pool = ConditionPool(None, dict.fromkeys(PREDICATES, cast("RelationPool", None)))
+    asked = ConditionSampler({}, sampling, vocabulary, single_room=False)._groups(pool)
+    assert [(predicates, weight) for predicates, weight in asked if weight] == [(own, 0.7)]
+    scene = make_scene(0)
+    bits = LabelPriors.of_scene(scene, Thresholds(), 0.3).bits(scene, 0.05)
+    sampler = made_sampler(scene, facts_maker(scene), bits, sampling=sampling)
+    anchors = [Anchor(object_id=name, label=name) for name in ("sofa", "desk")]
+    names = [
+        ObjectRef(
+            object_id="lamp",
+            label="lamp",
+            room=RoomRef(room_id="room", label="bedroom"),
+            qualifier=Qualifier(predicate=predicate, anchors=tuple(anchors[: anchors_of(predicate)])),
+        )
+        for predicate in PREDICATES
+    ]
+    assert sampler._preferences(names) == [0.7 / len(own) if predicate in own else 0.0 for predicate in PREDICATES]
 
 
 def test_reasons_are_named(sampled) -> None:
