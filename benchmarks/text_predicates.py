@@ -79,7 +79,7 @@ def main(arguments: Sequence[str]) -> None:
     data, *families = arguments
     for family in families or FAMILIES:
         scenes, found, qualifiers = count(Path(data) / family, family)
-        print(f"\n{family}, {scenes} scenes\n")
+        print(f"\n{family}, {scenes} {'scene' if scenes == 1 else 'scenes'}\n")
         print("| predicate | true pairs (scenes) | false pairs (scenes) | things distinguished by it | condition |")
         print("|---|---|---|---|---|")
         for predicate in PREDICATES:

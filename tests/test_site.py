@@ -143,7 +143,7 @@ def test_pages_with_commands_are_known() -> None:
     assert {
         "README.md",
         "deploy/README.md",
-        *(f"docs/{n}.md" for n in ("cookbook", "nightly", "own_agent", "own_dataset")),
+        *(f"docs/{n}.md" for n in ("cookbook", "files", "nightly", "own_agent", "own_dataset", "running")),
     } <= {*WITH_COMMANDS}
 
 
@@ -160,6 +160,17 @@ def test_targets_and_scripts_that_pages_name_exist() -> None:
         for script in re.findall(r"python ((?:examples|docs)/[\w/]+\.py)", text):
             assert (REPOSITORY / script).is_file(), script
 
+
+RUN_IN_ORDER = (
+    "docs/own_dataset.md",
+    "docs/own_agent.md",
+    "README.md",
+    "docs/cookbook.md",
+    "docs/nightly.md",
+    "docs/running.md",
+    "docs/files.md",
+)
+"""Pages whose command lines run; later ones need what earlier ones made."""
 
 PLACES = {
     "configs/replicacad.yaml": "configs/replicacad.yaml",
@@ -198,7 +209,7 @@ def test_command_lines_of_the_guides_run(workplace: Path, monkeypatch: pytest.Mo
     monkeypatch.syspath_prepend(str(workplace))
     split = ""
     ran = set()
-    for name in ("docs/own_dataset.md", "docs/own_agent.md", "README.md", "docs/cookbook.md", "docs/nightly.md"):
+    for name in RUN_IN_ORDER:
         for words in commands(name):
             words = [PLACES.get(word, word) for word in words]
             words = [word.replace("=/data/replica_cad", f"={workplace}/data/mine") for word in words]
