@@ -13,6 +13,7 @@ from typing import Any, Final
 
 import yaml
 
+from condvln.export.place_graphs import PLACES
 from condvln.export.report import ExportReport
 from condvln.export.splits import SPLITS
 from condvln.export.variants import RXR_LANGUAGES
@@ -26,6 +27,8 @@ LINK: Final = "data/datasets/condvln"
 
 _SCENES: Final = "data/scene_datasets/"
 _FIDELITY_DISTANCE: Final = 3.0
+_RXR_HEIGHT: Final = 0.88
+"""Height of RxR-Habitat's agent and of its cameras, metres."""
 _FALLBACK_SUCCESS_DISTANCE: Final = 1.0
 _ACTIONS: Final = ("STOP", "MOVE_FORWARD", "TURN_LEFT", "TURN_RIGHT")
 _MEASUREMENTS: Final = (
@@ -60,7 +63,8 @@ def consumer_files(report: ExportReport) -> dict[str, str]:
     texts = {}
     for path, document in files.items():
         root = _VLN_ZERO.root if path.startswith("configs/vln_zero/") else ""
-        texts[path] = _note(root, radius, mixed, composed) + yaml.safe_dump(document, sort_keys=False)
+        own = _RXR_NOTE if path.endswith("rxr_task.yaml") else ()
+        texts[path] = _note(root, radius, mixed, composed, own) + yaml.safe_dump(document, sort_keys=False)
     return texts
 
 
@@ -90,10 +94,18 @@ class _AnsrAgent:
 _OPEN_NAV: Final = _AnsrAgent("", 0.25, 15, ("HIGHTOLOW",), {"TYPE": "Sim-v1"})
 _WAYPOINTS: Final = 20
 """Open-Nav counts waypoint moves, not steps."""
-_VLN_ZERO: Final = _AnsrAgent("VLN_CE/", 1.0, 30, measured=("TOP_DOWN_MAP_VLNCE",))
+_MAP: Final = "TOP_DOWN_MAP_VLNCE"
+_VLN_ZERO: Final = _AnsrAgent("VLN_CE/", 1.0, 30, measured=(_MAP,))
 
 
-def _note(root: str, radius: float, mixed: bool, composed: list[str]) -> str:
+_RXR_NOTE: Final = (
+    "# RxR's body is wider (0.18 m) than the one that routes were proven for (0.1 m). habitat-sim builds a navmesh for",
+    "# it, on which a narrow passage may be shut. Actions of the ground truth are turns of 15° of the other body.",
+    "# The text is in the instruction sensor; agents that read BERT features make them from it.",
+)
+
+
+def _note(root: str, radius: float, mixed: bool, composed: list[str], own: tuple[str, ...]) -> str:
     lines = [f"# Link the export as {root}{LINK} and put scene meshes below {root}{_SCENES}."]
     if composed:
         lines.append(f"# Of {', '.join(composed)}, which come in parts,")
@@ -105,6 +117,7 @@ def _note(root: str, radius: float, mixed: bool, composed: list[str]) -> str:
     if mixed:
         lines.append(f"# Some episodes have another success distance than {radius:g} m (info.success_distance);")
         lines.append("# `condvln evaluate` judges each by its own.")
+    lines += own
     return "\n".join(lines) + "\n"
 
 
@@ -155,6 +168,8 @@ def _ansr(split: str, radius: float, agent: _AnsrAgent, steps: int) -> dict[str,
     task["POSSIBLE_ACTIONS"] += agent.actions
     task["MEASUREMENTS"] += [*agent.measured, "COLLISIONS", "BRANCH_SELECTION_ACCURACY", "CONDITIONAL_SUCCESS_RATE"]
     task["BRANCH_SELECTION_ACCURACY"] = {"SUCCESS_DISTANCE": radius}
+    if _MAP in agent.measured:
+        task[_MAP] = {"GRAPHS_FILE": f"{agent.root}{LINK}/{PLACES}"}
     return document
 
 
@@ -162,17 +177,31 @@ def _navid(split: str, radius: float, steps: int) -> dict[str, Any]:
     """NaVid answers angles, which its evaluator cuts into turns of 30°, and looks at the map that VLN-CE draws."""
     document = _vlnce("vlnce", "VLN-CE-v1", split, radius, steps)
     document["SIMULATOR"]["TURN_ANGLE"] = 30
-    document["TASK"]["MEASUREMENTS"].append("TOP_DOWN_MAP_VLNCE")
+    document["TASK"]["MEASUREMENTS"].append(_MAP)
+    document["TASK"][_MAP] = {"GRAPHS_FILE": f"{LINK}/{PLACES}"}
     return document
 
 
 def _rxr(split: str, radius: float, steps: int, language: str) -> dict[str, Any]:
+    """RxR's body, cameras and actions (turns of 30°), with the text itself: RxR's own sensor reads BERT features of
+    each text from files, which an export has not."""
     document = _vlnce("rxr", "RxR-VLN-CE-v1", split, radius, steps)
     folder = f"{LINK}/rxr"
     document["TASK"]["NDTW"]["GT_PATH"] = document["TASK"]["SDTW"]["GT_PATH"] = (
         folder + "/{split}/{split}_{role}_gt.json.gz"
     )
-    document["TASK"] |= {"SENSORS": ["RXR_INSTRUCTION_SENSOR"], "INSTRUCTION_SENSOR_UUID": "rxr_instruction"}
+    view = {"WIDTH": 640, "HEIGHT": 480, "HFOV": 79, "POSITION": [0, _RXR_HEIGHT, 0]}
+    document["SIMULATOR"] |= {
+        "TURN_ANGLE": 30,
+        "TILT_ANGLE": 30,
+        "ACTION_SPACE_CONFIG": "v1",
+        "AGENT_0": {"SENSORS": ["RGB_SENSOR", "DEPTH_SENSOR"], "HEIGHT": _RXR_HEIGHT, "RADIUS": 0.18},
+        "HABITAT_SIM_V0": {"GPU_DEVICE_ID": 0, "ALLOW_SLIDING": False},
+        "RGB_SENSOR": view,
+        "DEPTH_SENSOR": {**view, "MIN_DEPTH": 0.5, "MAX_DEPTH": 5.0},
+    }
+    document["TASK"]["SENSORS"] = ["INSTRUCTION_SENSOR"]
+    document["TASK"]["POSSIBLE_ACTIONS"] += ["LOOK_UP", "LOOK_DOWN"]
     document["DATASET"] |= {
         "ROLES": ["guide"],
         "LANGUAGES": [language],

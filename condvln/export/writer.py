@@ -11,6 +11,7 @@ from typing import Any, Final
 from urllib.parse import quote
 
 from condvln.export.axes import observability_class, route_class, words_class
+from condvln.export.place_graphs import PLACES, Places
 from condvln.export.r2r import Graphs, r2r_episode
 from condvln.export.report import ExportReport, WrittenFile
 from condvln.export.rows import Row
@@ -89,6 +90,7 @@ class ExportWriter:
         self._streams: list[ByteStream] = []
         self._r2r_left_out: Counter[str] = Counter()
         self._shards: set[str] = set()
+        self._places = Places()
 
     @contextmanager
     def open(self) -> Iterator[None]:
@@ -99,6 +101,9 @@ class ExportWriter:
         for stream in self._streams:
             self._note(stream)
         self._copy_truths()
+        with atomic_stream(self._out / PLACES) as stream:
+            stream.write(self._places.pickled())
+        self._note(stream)
         self._report.r2r_left_out = dict(sorted(self._r2r_left_out.items()))
 
     def _opened(self, split: str) -> _SplitFiles:
@@ -139,6 +144,9 @@ class ExportWriter:
             with self._documents(files, source, scene) as documents:
                 for row, instruction in mine:
                     self._add(files, documents, source, row, instruction)
+        graph = (self._graphs or {}).get(scene) if source == _MP3D else None
+        scene_id = scene_file(source, scene, self._layout.scene_patterns)
+        self._places.add(scene_id, (row for _, row, _ in rows), None if graph is None else graph.graph)
         path, shipped = self._scenes.navmesh_path(source, scene)
         if rows and shipped:
             with atomic_stream(self._out / path) as stream:

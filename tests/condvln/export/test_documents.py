@@ -129,6 +129,9 @@ def test_consumers_files_point_at_files_that_are_there(exported: Path) -> None:
             if isinstance(value, str) and LINK in value:
                 root, path = value.split(LINK + "/")
                 assert root == ("VLN_CE/" if name.startswith("vln_zero") else "")
+                if key[-1] == "GRAPHS_FILE":
+                    assert (exported / path).is_file()
+                    continue
                 for split in SPLITS:
                     assert (exported / path.format(split=split, role="guide")).is_file(), (name, key, value)
                 pointed += 1
@@ -159,7 +162,8 @@ def test_a_task_file_stands_alone(exported: Path, name: str) -> None:
     assert {"SUCCESS", "SPL", "ORACLE_SUCCESS", "NDTW"} <= set(task["MEASUREMENTS"])
     assert set(document["SIMULATOR"]["AGENT_0"]["SENSORS"]) <= set(document["SIMULATOR"])
     assert task["SENSORS"]
-    assert task["INSTRUCTION_SENSOR_UUID"] == ("rxr_instruction" if "rxr" in name else "instruction")
+    assert "INSTRUCTION_SENSOR" in task["SENSORS"]  # RxR's own reads features of texts from files
+    assert task["INSTRUCTION_SENSOR_UUID"] == "instruction"
     ansr = document["DATASET"]["TYPE"] == "ANSR-v1"
     assert ansr == ("BRANCH_SELECTION_ACCURACY" in task["MEASUREMENTS"]) == name.startswith(("open_nav", "vln_zero"))
     if ansr:
@@ -167,9 +171,27 @@ def test_a_task_file_stands_alone(exported: Path, name: str) -> None:
     assert document["DATASET"]["SPLIT"] == "val_unseen"
     assert document["ENVIRONMENT"]["MAX_EPISODE_STEPS"] > 0
     # NaVid's evaluator emits int(degrees / 30) turns, and reads the drawn map as VLN-Zero's does
-    assert document["SIMULATOR"]["TURN_ANGLE"] == (30 if name.startswith(("navid", "vln_zero")) else 15)
+    wide = name.startswith(("navid", "vln_zero")) or "rxr" in name
+    assert document["SIMULATOR"]["TURN_ANGLE"] == (30 if wide else 15)
     assert ("TOP_DOWN_MAP_VLNCE" in task["MEASUREMENTS"]) == name.startswith(("navid", "vln_zero"))
     assert document["SIMULATOR"].get("TYPE") == ("Sim-v1" if name.startswith("open_nav") else None)
+
+
+def test_the_rxr_task_has_the_body_the_cameras_and_the_actions_of_rxr(exported: Path) -> None:
+    """As VLN-CE's rxr_vlnce_english_task.yaml."""
+    text = (exported / "configs/vlnce/condvln_rxr_task.yaml").read_text()
+    document = yaml.safe_load(text)
+    simulator = document["SIMULATOR"]
+    body = {key: simulator["AGENT_0"][key] for key in ("HEIGHT", "RADIUS")}
+    assert body == {"HEIGHT": 0.88, "RADIUS": 0.18}
+    assert (simulator["TURN_ANGLE"], simulator["TILT_ANGLE"], simulator["ACTION_SPACE_CONFIG"]) == (30, 30, "v1")
+    assert simulator["HABITAT_SIM_V0"]["ALLOW_SLIDING"] is False
+    view = {"WIDTH": 640, "HEIGHT": 480, "HFOV": 79, "POSITION": [0, 0.88, 0]}
+    assert simulator["RGB_SENSOR"] == view
+    assert simulator["DEPTH_SENSOR"] == {**view, "MIN_DEPTH": 0.5, "MAX_DEPTH": 5.0}
+    assert document["TASK"]["POSSIBLE_ACTIONS"][-2:] == ["LOOK_UP", "LOOK_DOWN"]
+    assert "0.18 m" in text
+    assert "BERT" in text
 
 
 def test_experiment_files_name_what_their_agents_need(exported: Path) -> None:

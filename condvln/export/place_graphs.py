@@ -1,0 +1,115 @@
+"""``connectivity_graphs.pkl``: by scene a graph of places, which VLN-CE's top-down map wants.
+
+``TopDownMapVLNCE`` (VLN-CE, NaVid, VLN-Zero) unpickles ``{scene: networkx.Graph}`` when it is made, finds the place
+nearest to the agent at every step, and draws places and their edges. A scene that is not in the file is a KeyError. A
+node has ``position`` ``[x, y, z]``, metres, Habitat frame. Scans with a viewpoint graph have their viewpoints as nodes;
+in other scenes nodes are the places that the routes to all leaves of all episodes pass, one a cubic metre, so that the
+gold leaf shows in nothing. Agents see the map in no observation.
+
+The file is written so that it is safe to load: the only name in it is ``networkx.classes.graph.Graph``, and its state
+is dictionaries, lists, texts and numbers. It loads with networkx 2 and 3.
+"""
+
+from __future__ import annotations
+
+import copyreg
+import io
+import pickle
+from collections.abc import Iterable, Mapping
+from typing import Any, Final
+
+import networkx as nx
+import numpy as np
+import numpy.typing as npt
+
+from condvln.export.densify import densify_many
+from condvln.export.rows import Row
+from condvln.navigation.connectivity import ViewpointGraph
+from schemas.config.constants import PATH_SPACING
+
+__all__ = ["PLACES", "Places", "graph_keys", "pickled_graphs"]
+
+PLACES: Final = "connectivity_graphs.pkl"
+"""Path below the export's folder."""
+
+_PROTOCOL: Final = 2
+"""The oldest that names its classes as the loaders' Python 3.7 finds them."""
+_CELL: Final = 1.0
+"""Edge of a cell, metres: a node for each that a route passes."""
+
+
+class Places:
+    """The graph of each scene, gathered as the scenes are written."""
+
+    def __init__(self) -> None:
+        self._graphs: dict[str, tuple[list[str], npt.NDArray[np.float64], npt.NDArray[np.int64]]] = {}
+
+    def add(self, scene_id: str, rows: Iterable[Row], viewpoints: ViewpointGraph | None = None) -> None:
+        """Note the places of one scene; without ``viewpoints``, those on the routes of its ``rows``.
+
+        scene_id : that of the episodes, ``<family>/<scene>/<scene>.glb``
+        """
+        if viewpoints is None:
+            names, positions, edges = _of_routes(rows)
+        else:
+            names, edges = list(viewpoints.ids), viewpoints.edges.astype(np.int64)
+            positions = viewpoints.positions.astype(np.float64)
+        if names:
+            for key in graph_keys(scene_id):
+                # Two scenes may lie in one folder; the map then looks its places up by this folder's name.
+                self._graphs.setdefault(key, (names, positions, edges))
+
+    def pickled(self) -> bytes:
+        """The file; the same places give the same bytes."""
+        return pickled_graphs({key: _graph(*self._graphs[key]) for key in sorted(self._graphs)})
+
+
+def graph_keys(scene_id: str) -> list[str]:
+    """Names under which the map looks a scene up: its file's without what follows the first dot, and its folder's."""
+    parts = scene_id.split("/")
+    return sorted({parts[-1].split(".")[0], *parts[-2:-1]})
+
+
+def pickled_graphs(graphs: Mapping[str, nx.Graph[str]]) -> bytes:
+    """``{name: graph}`` as a pickle that names :class:`networkx.Graph` and nothing else."""
+    stream = io.BytesIO()
+    pickler = _GraphPickler(stream, protocol=_PROTOCOL)
+    pickler.fast = True  # without a memo equal graphs give equal bytes, whatever objects they share
+    pickler.dump(dict(graphs))
+    return stream.getvalue()
+
+
+class _GraphPickler(pickle.Pickler):
+    """Writes of a graph what networkx 2 and 3 both keep, and nothing of the version that is installed here."""
+
+    def reducer_override(self, value: Any) -> Any:
+        if type(value) is nx.Graph[str]:
+            held = vars(value)
+            state = {key: dict(held[key]) for key in ("graph", "_node", "_adj")}
+            return copyreg.__newobj__, (nx.Graph,), state  # type: ignore[attr-defined]
+        return NotImplemented
+
+
+def _of_routes(rows: Iterable[Row]) -> tuple[list[str], npt.NDArray[np.float64], npt.NDArray[np.int64]]:
+    """Cells that routes pass, each with its least point; two are joined where a route goes from one to the other."""
+    routes = [leaf["reference_path"] for row in rows for leaf in row["leaves"]]
+    if not routes:
+        return [], np.zeros((0, 3)), np.zeros((0, 2), dtype=np.int64)
+    ends = np.cumsum([0, *map(len, routes)])
+    dense, ends = densify_many(np.concatenate(routes, dtype=np.float64), ends, PATH_SPACING)
+    points, route = dense.round(3), np.repeat(np.arange(len(routes)), np.diff(ends))
+    _, cell = np.unique(np.floor(points / _CELL).astype(np.int64), axis=0, return_inverse=True)
+    cell = cell.reshape(-1)
+    order = np.lexsort((points[:, 2], points[:, 1], points[:, 0], cell))
+    firsts = order[np.searchsorted(cell[order], np.arange(cell.max() + 1))]
+    crossing = (cell[1:] != cell[:-1]) & (route[1:] == route[:-1])
+    pairs = np.sort(np.stack([cell[:-1][crossing], cell[1:][crossing]], axis=1), axis=1)
+    return [f"p{k}" for k in range(len(firsts))], points[firsts], np.unique(pairs, axis=0)
+
+
+def _graph(names: list[str], positions: npt.NDArray[np.float64], edges: npt.NDArray[np.int64]) -> nx.Graph[str]:
+    graph: nx.Graph[str] = nx.Graph()
+    for name, position in zip(names, positions.tolist(), strict=True):
+        graph.add_node(name, position=position)
+    graph.add_edges_from((names[a], names[b]) for a, b in edges.tolist())
+    return graph
