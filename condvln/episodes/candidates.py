@@ -1,4 +1,4 @@
-"""Programs that wait to be placed: what the sampler drew, in the order in which it will be tried."""
+"""Candidate programs: what the sampler drew for a scene, in the order in which placing tries them."""
 
 from __future__ import annotations
 
@@ -29,10 +29,12 @@ __all__ = [
 ]
 
 GROUPS: Final = "counterfactual groups"
-"""In place of a cell's name."""
+"""Cell name of the candidates in counterfactual groups."""
 
 UNPLACED: Final = pa.schema([("instruction_id", pa.string())])
-"""Ids of instructions that are published without an episode, since their scene has no navmesh; kept in the unit."""
+"""Schema of the ids of instructions that are published without an episode because their scene has no navmesh; stored in
+the unit.
+"""
 
 _CELL: Final = pa.field("cell", pa.string(), nullable=False)
 _GROUP: Final = INSTRUCTIONS.field("group_id")
@@ -40,7 +42,9 @@ _GROUP: Final = INSTRUCTIONS.field("group_id")
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A program to be placed, with the cell that it was drawn for, or None and its counterfactual group."""
+    """A program to be placed, and the cell for which it was drawn; `cell` is None for a member of a counterfactual
+    group.
+    """
 
     instruction_id: str
     program: Program
@@ -49,12 +53,14 @@ class Candidate:
 
 
 def cell_name(cell: InstructionCell | None) -> str:
-    """Name of a cell in the tables; of counterfactual groups with None."""
+    """Return the name of a cell in the tables; None gives the name for counterfactual groups."""
     return GROUPS if cell is None else cell.name
 
 
 def draw_candidates(sampler: ProgramSampler) -> list[Candidate]:
-    """All candidates of a sampler: each cell's programs, then counterfactual groups, which may repeat some of them."""
+    """Draw all candidates: the programs of each cell, then the counterfactual groups, which may repeat some
+    programs.
+    """
     family, scene_id = sampler.scene.family, sampler.scene.scene_id
     found = [
         Candidate(instruction_id(family, scene_id, program), program, cell)
@@ -68,7 +74,7 @@ def draw_candidates(sampler: ProgramSampler) -> list[Candidate]:
 
 
 def candidates_table(scene_id: str, candidates: Sequence[Candidate]) -> pa.Table:
-    """Candidates as rows: the columns of INSTRUCTIONS, and ``cell``."""
+    """Return candidates as table rows: the columns of INSTRUCTIONS, and ``cell``."""
     table = instruction_table(scene_id, ((c.instruction_id, c.program) for c in candidates))
     groups = pa.array([c.group_id for c in candidates], _GROUP.type)
     table = table.set_column(table.schema.get_field_index(_GROUP.name), _GROUP, groups)
@@ -76,7 +82,9 @@ def candidates_table(scene_id: str, candidates: Sequence[Candidate]) -> pa.Table
 
 
 def candidates_from_table(table: pa.Table, cells: Iterable[InstructionCell]) -> list[Candidate]:
-    """Candidates of the rows that `candidates_table` made, in their order; `cells` are those that were drawn for."""
+    """Return the candidates from the rows of `candidates_table`, in order; `cells` are the cells for which they were
+    drawn.
+    """
     named = {cell.name: cell for cell in cells}
     columns = (table[name].to_pylist() for name in (_CELL.name, _GROUP.name))
     return [
@@ -86,11 +94,10 @@ def candidates_from_table(table: pa.Table, cells: Iterable[InstructionCell]) -> 
 
 
 def unplaced_programs(candidates: Iterable[Candidate]) -> list[str]:
-    """Ids of the first programs of each cell, in their order, up to what is wanted of it.
+    """Return the ids of the first programs of each cell, in order, up to the wanted number.
 
-    As in a pool of episodes, no gold index gets more than its equal share of a cell. Where nobody can stand nothing is
-    seen and no route begins, so what a cell asks of observability and of routes is left open, and what shares a start
-    has none to share.
+    As in a pool of episodes, no gold index gets more than its equal share of a cell. Without a navmesh there are
+    neither starts, views nor routes, so a cell's limits on observability, routes and shared starts are ignored.
     """
     taken: Counter[InstructionCell] = Counter()
     golds: dict[InstructionCell, Counter[int]] = defaultdict(Counter)
@@ -109,5 +116,5 @@ def unplaced_programs(candidates: Iterable[Candidate]) -> list[str]:
 
 
 def unplaced_table(names: Iterable[str]) -> pa.Table:
-    """The ids as UNPLACED rows."""
+    """Return the ids as rows of the schema UNPLACED."""
     return pa.table({"instruction_id": pa.array(names, pa.string())}, schema=UNPLACED)

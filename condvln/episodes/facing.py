@@ -1,8 +1,8 @@
-"""Choosing a start by what text says of it: left, right, ahead and behind.
+"""Choose a start pose for texts with egocentric directions: left, right, ahead and behind.
 
-What a text asks of bearings is true or false by where the agent stands and faces, so the start is chosen for the truths
-that the program has. So that nothing but the heading tells them, a place is a start only if each assignment of truths
-to the bearings that are asked has a heading there: the place, the ways and the words are the same whichever is so.
+Whether an egocentric statement is true depends on where the agent stands and how it faces, so the start pose is chosen
+to give the program's truths. A position is only used if every combination of truths of the egocentric conditions has a
+heading there. Position, paths and words are then the same for all combinations, so only the heading reveals the truth.
 """
 
 from __future__ import annotations
@@ -32,16 +32,20 @@ F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 HEADINGS: Final = 360
-"""Headings that are tried at a place, evenly spaced from a random first one."""
+"""Number of headings tried per position, evenly spaced from a random first one."""
 
 Claim = tuple[str, str, bool]
-"""Object id, direction, whether it lies there."""
+"""A claim about a start pose: object id, direction, and whether the object lies in that direction."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Headings:
-    """possible (s,) : places where a program may start; headings (h,) degrees clockwise from north; fit (s, h) : those
-    headings under which the program is as it says"""
+    """The start poses that programs allow, for s positions and h headings.
+
+    possible : (s,) positions where the programs may start
+    headings : (h,) degrees clockwise from north
+    fit : (s, h) whether the programs' egocentric statements have their truths in that pose
+    """
 
     possible: Bools
     headings: F64
@@ -49,11 +53,11 @@ class Headings:
 
 
 class Facings:
-    """The headings that programs may have at places of one scene.
+    """Finds the start headings that programs allow at positions of one scene.
 
     Parameters
     ----------
-    places : (s, 3) where an agent may start
+    places : (s, 3) positions in metres where an agent may start
     """
 
     def __init__(
@@ -69,7 +73,7 @@ class Facings:
         self._sighted: dict[str, Sighting | None] = {}
 
     def headings(self, programs: Sequence[Program], first: float) -> Headings | None:
-        """What the start of `programs`, which share it, may be; None where nothing is asked of it.
+        """Return the start poses that `programs`, which share one start, allow; None if no start room is set.
 
         first : degrees of the first heading that is tried, below ``360 / HEADINGS``
         """
@@ -90,7 +94,7 @@ class Facings:
         return Headings(possible & fit.any(axis=1), headings, fit)
 
     def _all(self, claims: set[Claim], headings: F64) -> Bools:
-        """(s, h) whether all claims hold."""
+        """Return (s, h): whether all claims hold in each pose."""
         fit = np.ones((len(self._places), len(headings)), dtype=bool)
         for name, direction, truth in sorted(claims):
             seen = self._sighting(name)
@@ -100,7 +104,7 @@ class Facings:
         return fit
 
     def _asked(self, program: Program) -> list[Claim]:
-        """One claim for each condition about a bearing."""
+        """Return the claims of the program's egocentric conditions."""
         found: list[Claim] = []
         for condition in program.conditions:
             if condition.is_bearing and condition.qualifier is not None:
@@ -111,7 +115,9 @@ class Facings:
         return found
 
     def _of_stops(self, program: Program) -> list[Claim]:
-        """Each stop that goes by its bearing lies there, and what else its label might mean does not."""
+        """Return the claims of egocentric stops: the stop's object lies in its direction, other objects that its label
+        might mean do not.
+        """
         found: list[Claim] = []
         for leaf in program.leaves:
             for move in leaf.moves:
@@ -128,7 +134,7 @@ class Facings:
 
     @cached_property
     def _in_room(self) -> Mapping[str, Bools]:
-        """By room the places (s,) that are inside it, and in no other nor on its border."""
+        """By room id, a mask (s,) of the positions strictly inside that room and in no other room."""
         inside = {room.room_id: np.ones(len(self._places), dtype=bool) for room in self._scene.rooms}
         held = dict(inside)
         x, z = self._places[:, 0], self._places[:, 2]

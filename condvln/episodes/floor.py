@@ -1,4 +1,6 @@
-"""The free floor of a room as points: what must be seen before absence can be claimed."""
+"""Sample points on the free floor of a room: an agent must have seen them before it can know that something is
+absent.
+"""
 
 from __future__ import annotations
 
@@ -27,14 +29,15 @@ def floor_points(
     islands: Sequence[int],
     obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
 ) -> F64:
-    """Points (n, 3) spread evenly over the standable floor of `room`; over the whole floor if none of it is standable.
+    """Return points (n, 3) spread evenly over the walkable floor of `room`; over the whole floor if none of it is
+    walkable.
 
-    A room without a polygon is the whole scene.
+    A room without a polygon stands for the whole scene.
 
     Parameters
     ----------
-    islands : those of the navmesh that count as floor
-    obstacles : furniture that the navmesh ignores; there is no free floor within
+    islands : navmesh islands that count as floor
+    obstacles : furniture that the navmesh ignores; the floor inside its footprint is not free
     """
     if room.polygon is None:
         points = _whole_floor(scene, pathfinder, islands)
@@ -53,9 +56,9 @@ def standing_points(
     islands: Sequence[int],
     obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
 ) -> F64:
-    """Places (n, 3) of a room where an agent can stand, spread evenly; empty if there are none.
+    """Return positions (n, 3) in a room where an agent can stand, spread evenly; empty if there are none.
 
-    These are the points of :func:`floor_points` without the lift, and without those that cannot be stood at.
+    These are the points of :func:`floor_points` that lie on the navmesh, at floor height.
     """
     if room.polygon is None:
         points = _whole_floor(scene, pathfinder, islands)
@@ -66,7 +69,7 @@ def standing_points(
 
 
 def _free(points: F64, obstacles: Sequence[tuple[SceneObject, Footprint]]) -> NDArray[np.bool_]:
-    """Which points (n, 3) lie in no obstacle's footprint."""
+    """Return which points (n, 3) lie in no obstacle's footprint."""
     free = np.ones(len(points), dtype=bool)
     for _, footprint in obstacles:
         free &= footprint.distance(points) > 0.0
@@ -89,9 +92,10 @@ def _whole_floor(scene: Scene, pathfinder: PathfinderProtocol, islands: Sequence
 def _room_floor(
     room: Room, polygon: F64, pathfinder: PathfinderProtocol, islands: Sequence[int]
 ) -> tuple[F64, NDArray[np.bool_]]:
-    """Grid points (n, 3) in a room's outline, snapped to the navmesh where possible; and which were snapped, (n,).
+    """Return grid points (n, 3) inside a room's outline, snapped to the navmesh if possible, and whether each was
+    snapped (n,).
 
-    Where none can, they are at the height of the room's floor.
+    Points of a room without navmesh are at the height of the room's floor.
     """
     outline = shapely.Polygon(polygon)
     if not outline.is_valid:

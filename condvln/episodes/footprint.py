@@ -1,4 +1,4 @@
-"""The floor area an object stands over, as a rectangle in the XZ plane, or several."""
+"""The footprint of an object: the floor area below it, as one or several rectangles in the XZ plane."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ __all__ = ["Footprint", "Footprints"]
 F64 = NDArray[np.float64]
 
 ROUNDING: Final = 1e-6
-"""Metres by which points of a curve may miss it."""
+"""Largest deviation in metres of a sampled curve from the exact one."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Footprint:
-    """center (2,) as (x, z); half (2,) extents; axes (2, 2), its rows the rectangle's unit axes. Metres.
+    """A rectangle in the XZ plane: center (2,) as (x, z); half extents (2,); axes (2, 2), one unit axis a row. Metres.
 
-    parts : rectangles that make up the footprint where it is not one; center is then that of the largest
+    parts : the rectangles of a footprint that is not a single one; center, half and axes are then those of the largest
     """
 
     center: F64
@@ -35,7 +35,9 @@ class Footprint:
 
     @classmethod
     def of(cls, item: SceneObject) -> Footprint | None:
-        """Footprint of `item`: from its parts, else its upright oriented box, else its AABB; None without extent."""
+        """Return the footprint of `item`: from its parts, else its upright oriented box, else its AABB; None without
+        extent.
+        """
         own = [cls._upright(part) for part in item.parts]
         parts = tuple(part for part in own if part is not None)
         if parts and len(parts) == len(own):
@@ -51,7 +53,7 @@ class Footprint:
 
     @classmethod
     def _upright(cls, box: OrientedBox) -> Footprint | None:
-        """The rectangle below an upright box; None where it is tilted."""
+        """Return the rectangle below an upright box; None if the box is tilted."""
         vertical = np.abs(box.rotation[1])
         up = int(np.argmax(vertical))
         if vertical[up] < UPRIGHT_COSINE:
@@ -70,21 +72,23 @@ class Footprint:
 
     @property
     def polygon(self) -> shapely.Polygon:
-        """The rectangle in the (x, z) plane."""
+        """The footprint as a polygon in the (x, z) plane."""
         return shapely.Polygon(self.center + (np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * self.half) @ self.axes)
 
     def distance(self, points: F64) -> F64:
-        """Horizontal distance (n,) from points (n, 3) to the footprint; 0 inside."""
+        """Return the horizontal distance (n,) in metres from points (n, 3) to the footprint; 0 inside."""
         if self.parts:
             return np.asarray(np.min([part.distance(points) for part in self.parts], axis=0), dtype=np.float64)
         local = np.abs((points[:, [0, 2]] - self.center) @ self.axes.T) - self.half
         return np.asarray(np.hypot(*np.maximum(local, 0.0).T), dtype=np.float64)
 
     def ring(self, offset: float, spacing: float) -> F64:
-        """Points (n, 2) on the curve at `offset` metres outside the footprint, at most `spacing` apart."""
+        """Return points (n, 2) on the curve at `offset` metres outside the footprint, at most `spacing` metres
+        apart.
+        """
         if self.parts:
             around = np.concatenate([part.ring(offset, spacing) for part in self.parts])
-            # What is nearer to another part is inside of the curve.
+            # Points closer than `offset` to another part lie inside the curve.
             return around[self.distance(np.insert(around, 1, 0.0, axis=1)) >= offset - ROUNDING]
         corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * self.half
         points = []
@@ -102,13 +106,15 @@ class Footprint:
         return np.asarray(self.center + np.concatenate(points) @ self.axes, dtype=np.float64)
 
     def crossed_by(self, starts: F64, ends: F64) -> NDArray[np.bool_]:
-        """Which horizontal segments (n, 3)–(n, 3) pass through the rectangle's inside (touching its edge does not)."""
+        """Return which horizontal segments (n, 3)-(n, 3) cross the footprint's interior; touching its edge does not
+        count.
+        """
         crossed: NDArray[np.bool_] = Footprints([self]).crossings(starts, ends)[0]
         return crossed
 
 
 class Footprints:
-    """Several footprints at once."""
+    """The footprints of several objects, tested together."""
 
     def __init__(self, footprints: Sequence[Footprint]) -> None:
         parts = [footprint.parts or (footprint,) for footprint in footprints]
@@ -122,13 +128,15 @@ class Footprints:
         return len(self._first)
 
     def crossings(self, starts: F64, ends: F64) -> NDArray[np.bool_]:
-        """(m, n): which of the m footprints' insides each horizontal segment (n, 3)–(n, 3) passes through."""
+        """Return (m, n): whether each horizontal segment (n, 3)-(n, 3) crosses the interior of each of the m
+        footprints.
+        """
         a = (starts[None][:, :, [0, 2]] - self._center) @ self._axes
         d = (ends[None][:, :, [0, 2]] - self._center) @ self._axes - a
         with np.errstate(divide="ignore", invalid="ignore"):
             t1, t2 = (-self._half - a) / d, (self._half - a) / d
         enter, leave = np.minimum(t1, t2), np.maximum(t1, t2)
-        # A segment parallel to a slab is inside it throughout or not at all.
+        # A segment parallel to a slab lies inside it for its whole length or not at all.
         flat = d == 0.0
         inside = np.abs(a) < self._half
         enter = np.where(flat, np.where(inside, -np.inf, np.inf), enter)

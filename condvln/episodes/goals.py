@@ -1,4 +1,4 @@
-"""Where an agent can stand to have reached an object."""
+"""Goal points: positions where an agent counts as having reached an object."""
 
 from __future__ import annotations
 
@@ -33,7 +33,9 @@ F64 = NDArray[np.float64]
 
 
 def wide_islands(pathfinder: PathfinderProtocol, places: PlacesConfig) -> tuple[int, ...]:
-    """Islands that an episode may stand on: wide enough, and with floor (a few are all slivers without area)."""
+    """Return the islands that episodes may use: wide enough, and with floor area (some consist of degenerate
+    triangles).
+    """
     return tuple(
         k
         for k in range(pathfinder.num_islands)
@@ -42,7 +44,7 @@ def wide_islands(pathfinder: PathfinderProtocol, places: PlacesConfig) -> tuple[
 
 
 def is_standable(pathfinder: PathfinderProtocol, points: F64, places: PlacesConfig) -> NDArray[np.bool_]:
-    """Which points (n, 3), already rounded to 1 mm, lie on an island wide enough."""
+    """Return which points (n, 3), already rounded to 1 mm, lie on an island that is wide enough."""
     snapped = pathfinder.snap_points(points)
     near = np.hypot(*(snapped - points)[:, [0, 2]].T) <= SNAP_TOLERANCE
     level = np.abs(snapped[:, 1] - points[:, 1]) <= SNAP_TOLERANCE
@@ -53,10 +55,11 @@ def is_standable(pathfinder: PathfinderProtocol, points: F64, places: PlacesConf
 def blocked_footprints(
     scene: Scene, pathfinder: PathfinderProtocol, max_climb: float
 ) -> list[tuple[SceneObject, Footprint]]:
-    """Objects on the floor that the navmesh ignores: it continues below them.
+    """Return the objects on the floor that the navmesh ignores because it continues below them, with their footprints.
 
     An object is ignored by the navmesh when the floor under the centre of its box can be stood on; furniture that
-    was built in has a hole (or its own top) there. Flat things that an agent steps over do not count.
+    the navmesh takes into account leaves a hole there (or is walkable on top). Flat objects that an agent
+    steps over do not count.
     """
     found = []
     for item in scene.objects:
@@ -79,7 +82,7 @@ def blocked_footprints(
 
 
 def _stands_low(item: SceneObject, pathfinder: PathfinderProtocol) -> bool:
-    """Whether the floor nearest to the object's bottom is less than FLOOR_STANDING below it."""
+    """Return whether the floor nearest to the object's bottom is less than FLOOR_STANDING below it."""
     assert item.aabb is not None
     bottom = np.array([[item.center[0], item.aabb[0][1], item.center[2]]])
     snapped = pathfinder.snap_points(bottom)
@@ -94,7 +97,7 @@ def scene_goals(
     obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
     view: SceneView | None = None,
 ) -> dict[str, F64]:
-    """Goal points (k, 3) of every object that has some, by object id in the order of ids."""
+    """Return the goal points (k, 3) of every object that has any, by object id, sorted by id."""
     goals = {}
     for object_id, item in sorted(scene.object_of.items()):
         room = scene.room_of.get(item.room_id)
@@ -114,11 +117,11 @@ def goal_points(
     obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
     view: SceneView | None = None,
 ) -> F64:
-    """Navigable points (k, 3) around `item`, nearest to its box first, at most ``rules.points``; empty if none.
+    """Return navigable points (k, 3) around `item`, nearest to its box first, at most ``rules.points``; empty if none.
 
-    From all of them some of the object is seen, by the camera or by an eye low enough to look under a table; this is
-    not asked without a `view`. All lie on one side of any wall: their geodesic to the point nearest the box is at most
-    half the box's perimeter plus 1 m.
+    With a `view`, part of the object is visible from each point, to the camera or to a lower eye that can look under a
+    table. All points lie on the same side of any wall: their geodesic distance to the point nearest to the box is at
+    most half the box's perimeter plus 1 m.
     """
     box = Footprint.of(item)
     if box is None:
@@ -132,14 +135,17 @@ def goal_points(
 
 
 def near_rings(rules: GoalsConfig) -> tuple[float, ...]:
-    """Offsets in metres of the rings within reach: evenly spaced, the last one 4 % short of it, since snapping moves
-    candidates a little."""
+    """Return the offsets in metres of the rings within reach: evenly spaced, the last one 4 % short of the reach, since
+    snapping moves candidates a little.
+    """
     count = math.ceil(rules.reach / RING_GAP)
     return tuple(round(0.96 * rules.reach * (k + 1) / count, 6) for k in range(count))
 
 
 def far_rings(rules: GoalsConfig) -> tuple[float, ...]:
-    """Offsets in metres of the rings beyond reach, from 20 to 80 % of the way to the farthest that is allowed."""
+    """Return the offsets in metres of the rings beyond reach: from 20 to 80 % of the way to the largest allowed
+    offset.
+    """
     span = rules.reach_at_most - rules.reach
     count = math.ceil(span / FAR_RING_GAP)
     steps = [0.5] if count == 1 else [0.2 + 0.6 * k / (count - 1) for k in range(count)]
@@ -161,10 +167,10 @@ def _standing_places(
     if not offsets:
         return np.empty((0, 3))
     flat = np.concatenate([box.ring(offset, RING_SPACING) for offset in offsets])
-    # Where no room tells the storey, the floor is the one nearest to the object's own bottom.
+    # Without a room to give the storey, the floor is the one nearest to the object's own bottom.
     height = bottom if room.annotation == "scene" else room.floor_y
     asked = np.column_stack([flat[:, 0], np.full(len(flat), height), flat[:, 1]])
-    # Asked island by island, so that the top of a table never hides the floor beneath it.
+    # Each island is asked separately, so that a walkable table top never hides the floor beneath it.
     islands = wide_islands(pathfinder, places)
     tries = np.concatenate([asked] * len(islands)) if islands else asked[:0]
     snapped = np.concatenate([pathfinder.snap_points(asked, island) for island in islands] or [asked[:0]])
@@ -195,7 +201,7 @@ def _standing_places(
 
 
 def _seeing(points: F64, item: SceneObject, view: SceneView, places: PlacesConfig) -> NDArray[np.bool_]:
-    """Which points (n, 3) some of the object can be seen from."""
+    """Return from which points (n, 3) some part of the object is visible."""
     seen = np.zeros(len(points), dtype=bool)
     for height in (places.eye_height, LOW_EYE):
         left = np.flatnonzero(~seen)
@@ -205,7 +211,9 @@ def _seeing(points: F64, item: SceneObject, view: SceneView, places: PlacesConfi
 
 
 def _spread(points: F64, box: Footprint, count: int) -> F64:
-    """The first point and then, one by one, the point farthest from those taken (nearer to the box on ties)."""
+    """Return up to `count` points: the first, then repeatedly the one farthest from those chosen (nearer to the box
+    on ties).
+    """
     taken = [0]
     gap = np.linalg.norm(points - points[0], axis=1)
     while len(taken) < min(count, len(points)):

@@ -1,7 +1,7 @@
-"""Programs placed on a graph of viewpoints, for scans that come as annotation and graph only.
+"""Place programs on a viewpoint graph, for scans that consist of annotations and a graph only.
 
-R2R's rules stand in place of a navmesh's: an agent stops at a viewpoint and is judged by 3 m along the graph (Anderson
-et al., Vision-and-Language Navigation, CVPR 2018).
+R2R's rules replace those of a navmesh: an agent stops at a viewpoint, and success is within 3 m along the graph
+(Anderson et al., Vision-and-Language Navigation, CVPR 2018).
 """
 
 from __future__ import annotations
@@ -28,35 +28,41 @@ __all__ = ["REASONS", "GraphLeaf", "GraphPlacement", "GraphPlacer", "NotOnGraph"
 F64 = NDArray[np.float64]
 
 REACH: Final = 3.0
-"""Metres from an object's box to the viewpoint that stands for it, and R2R's success distance."""
+"""Largest distance in metres from an object's box to the viewpoint that represents it; R2R's success distance."""
 FARTHEST: Final = 30.0
-"""Metres along the graph from the start to a leaf, as on a navmesh."""
+"""Bounds in metres along the graph of the distance from the start to a leaf, as on a navmesh."""
 STOREY: Final = 2.5
-"""Metres a camera may hang above the floor of its room."""
+"""Largest height in metres of a camera above the floor of its room."""
 UNEVEN: Final = 0.5
-"""Metres that the floor below a camera may lie under its region's floor: a region has one height, a scan is uneven."""
+"""Largest depth in metres of the floor below a camera under its region's floor: regions have one height, scans are
+uneven.
+"""
 BORDER: Final = 0.3
-"""Metres between the outlines of regions that touch: a region without cameras is seen from those around it."""
+"""Largest gap in metres between the outlines of adjacent regions: a region without cameras is seen from its
+neighbours.
+"""
 
 RULES: Final = EpisodeConfig()
-"""Bounds of a route past its stops: the defaults of placing on a navmesh."""
+"""Bounds of a route through its stops relative to the direct path: the defaults of placing on a navmesh."""
 
 REASONS: Final = {
-    "object_without_viewpoint": "no viewpoint of its room, or around a room without any, lies within 3 m of the object",
-    "leaves_too_close": "two leaves lie less than 3 m apart on the graph",
-    "one_viewpoint": "two stops that follow each other stand at one viewpoint",
-    "no_start_in_range": "no viewpoint has every leaf 3 to 30 m away, no other leaf on the way and no detour",
+    "object_without_viewpoint": "no viewpoint within 3 m of the object (in its room, or around a room without any)",
+    "leaves_too_close": "two leaves are less than 3 m apart along the graph",
+    "one_viewpoint": "two consecutive stops share a viewpoint",
+    "no_start_in_range": "no start has every leaf 3 to 30 m away without a detour or another leaf on the way",
 }
-"""Why a program can't be placed on a graph."""
+"""Reasons why a program can't be placed on a graph."""
 
 
 class NotOnGraph(Exception):
-    """The program can't be placed; the text is one of REASONS."""
+    """A program can't be placed on the graph; the message is one of REASONS."""
 
 
 @dataclass(frozen=True, slots=True)
 class GraphLeaf:
-    """A leaf as if it were gold: viewpoints of its stops and of the way from the start, length along the graph."""
+    """One leaf as if it were gold: viewpoints of its stops, viewpoints of the path from the start, length along the
+    graph.
+    """
 
     stops: tuple[str, ...]
     path: tuple[str, ...]
@@ -66,7 +72,7 @@ class GraphLeaf:
 
 @dataclass(frozen=True, slots=True)
 class GraphPlacement:
-    """Start viewpoint, yaw in radians about +Y, and every leaf."""
+    """The start viewpoint, the start yaw in radians about +Y, and every leaf."""
 
     start: str
     yaw: float
@@ -74,7 +80,7 @@ class GraphPlacement:
 
 
 class GraphPlacer:
-    """Places programs on the viewpoints of one scan; pure in (scene, graph, seed)."""
+    """Places programs on the viewpoints of one scan; the result depends only on scene, graph and seed."""
 
     def __init__(self, scene: Scene, graph: GraphPathfinder, seed: int) -> None:
         self._scene, self._graph, self._seed = scene, graph, seed
@@ -87,21 +93,21 @@ class GraphPlacer:
         self._nearest: dict[str, str | None] = {}
 
     def viewpoint(self, item: SceneObject) -> str | None:
-        """The viewpoint of the object's room nearest to its box; None where none is within reach.
+        """Return the viewpoint of the object's room that is nearest to its box; None if none is within reach.
 
-        A region without any viewpoint (the chancel of a church, scanned from the nave) is stood at from the regions of
-        its level that touch it. Nothing says where walls are, so that one may lie between.
+        An object in a region without viewpoints (a church's chancel, scanned from the nave) uses the viewpoints of
+        adjacent regions on its level. Walls are unknown here, so there may be one in between.
         """
         if item.object_id not in self._nearest:
             self._nearest[item.object_id] = self._find(item)
         return self._nearest[item.object_id]
 
     def place(self, program: Program, instruction_id: str, *, compass: bool) -> GraphPlacement:
-        """Start and stops of one program; with `compass` the start yaw is a multiple of 45°.
+        """Return the start and the stops of a program; with `compass` the start yaw is a multiple of 45°.
 
         Raises
         ------
-        NotOnGraph : with the reason
+        NotOnGraph : the program can't be placed; the message is the reason
         """
         stops = [tuple(self._stop(move.object_id) for move in leaf.moves) for leaf in program.leaves]
         goals = [route[-1] for route in stops]
@@ -150,7 +156,7 @@ class GraphPlacer:
         if here is None or not here.any():
             return None
         away = np.where(here, box.distance(self._places), np.inf)
-        # Cameras that tie (several stand over one box) go by how near its middle they are.
+        # Ties (several cameras above one box) are decided by the distance to the box's centre.
         middle = np.linalg.norm(self._places[:, [0, 2]] - item.center[[0, 2]], axis=1)
         best = int(np.lexsort((middle, away))[0])
         return self._graph.graph.ids[best] if away[best] <= REACH else None
@@ -164,7 +170,7 @@ class GraphPlacer:
         return np.asarray(level & inside, dtype=np.bool_)
 
     def _around(self, room: Room, own: Mapping[str, NDArray[np.bool_]]) -> NDArray[np.bool_]:
-        """Viewpoints of the neighbours of each room that has none."""
+        """Return the viewpoints of the neighbours of each room that has none."""
         found = np.zeros(len(self._places), dtype=np.bool_)
         if room.polygon is None:
             return found
@@ -176,10 +182,10 @@ class GraphPlacer:
 
 
 def viewpoint_stops(scene: Scene, graph: GraphPathfinder) -> Stops:
-    """What a sampler of programs needs for a scan on viewpoints: objects with a viewpoint, and which are apart.
+    """Return the objects that have a viewpoint and which pairs of them are far enough apart, for the program sampler.
 
-    Two objects are apart where the ways between their viewpoints are as long as R2R's success distance, so that no
-    program is drawn that `GraphPlacer` must refuse for where its objects are.
+    Two objects are far enough apart if the distance between their viewpoints is at least R2R's success distance. The
+    sampler then draws no program that `GraphPlacer` would have to reject for its objects.
     """
     placer = GraphPlacer(scene, graph, 0)
     ordered = sorted(scene.objects, key=lambda item: item.object_id)

@@ -1,8 +1,8 @@
-"""Identity of an episode: the hash of its content, and the integer id that files and tables use.
+"""Identity of an episode: the hash of its content, and the integer id used in files and tables.
 
-Stock loaders call ``int()`` on an episode's id, and JSON readers keep integers exactly below 2^53 only. So the id is a
-number made from the hash, and the hash stands beside it. Rows that were written when the hash itself was the id are
-still read: :func:`with_numbers`.
+Stock loaders call ``int()`` on an episode's id, and JSON readers keep integers exact only below 2^53. So the id is an
+integer derived from the hash, and rows hold both. Old rows, whose id was the hash itself, are still read:
+:func:`with_numbers`.
 """
 
 from __future__ import annotations
@@ -18,29 +18,31 @@ from numpy.typing import NDArray
 __all__ = ["HASH", "ID", "ID_BITS", "colliding", "content_hash", "numeric_id", "with_numbers"]
 
 HASH_DIGITS: Final = 16
-"""Hex digits of an episode's hash: 64 bits, a collision in a million episodes has odds of 1 in 10⁷."""
+"""Hex digits of an episode's hash: 64 bits; the odds of a collision in a million episodes are 1 in 10⁷."""
 
 ID_BITS: Final = 52
-"""Bits of an id. Of a million episodes two have one number with odds of 1 in 10⁴; the larger hash is then rejected."""
+"""Bits of an id. The odds that two of a million episodes get the same id are 1 in 10⁴; the larger hash is then
+rejected.
+"""
 
 ID, HASH = "episode_id", "episode_hash"
 
 
 def content_hash(scene_id: str, instruction_id: str, start: NDArray[np.float64], yaw: float) -> str:
-    """Hash of an episode's content: the scene, the instruction and the pose (metres, radians) it starts from."""
+    """Return the hash of an episode's content: scene, instruction, and start pose (metres, radians)."""
     pose = ",".join(f"{value:.3f}" for value in start) + f",{yaw:.6f}"
     return hashlib.sha256("\x1f".join([scene_id, instruction_id, pose]).encode()).hexdigest()[:HASH_DIGITS]
 
 
 def numeric_id(episode_hash: str) -> int:
-    """The id of an episode: the first `ID_BITS` of a hash of its hash."""
+    """Return the integer id of an episode: the first `ID_BITS` bits of a hash of its hash."""
     return int.from_bytes(hashlib.sha256(episode_hash.encode()).digest()[:8], "big") >> (64 - ID_BITS)
 
 
 def colliding(ids: Sequence[int], hashes: Sequence[str]) -> list[int]:
-    """Indices of the episodes whose id another one of a smaller hash has too, ascending.
+    """Return the ascending indices of episodes whose id also belongs to an episode with a smaller hash.
 
-    Rows of one hash are one episode and do not collide.
+    Rows with equal hashes are the same episode and do not collide.
     """
     numbers = np.asarray(ids, dtype=np.int64)
     unique, which, counts = np.unique(numbers, return_inverse=True, return_counts=True)
@@ -56,11 +58,11 @@ def colliding(ids: Sequence[int], hashes: Sequence[str]) -> list[int]:
 
 
 def with_numbers(episodes: pa.RecordBatch, columns: Sequence[str] | None = None) -> pa.RecordBatch:
-    """Rows of the episodes table with an integer id and a hash, also where the hash was the id.
+    """Return rows of the episodes table with integer id and hash, also for old rows whose id was the hash.
 
     Parameters
     ----------
-    columns : those wanted, in their order; all where it is None
+    columns : the wanted columns in order; None for all
     """
     names = episodes.schema.names
     if ID in names and pa.types.is_string(episodes.schema.field(ID).type):

@@ -1,11 +1,11 @@
-"""The share of a scene's leaves that one label may be the target of, and which episodes are dropped to keep it.
+"""Limit the share of a scene's leaves that have the same target label, and choose the episodes to drop for it.
 
-`label_cap` can't hold in every scene: of k labels one always has at least 1/k of the leaves, and where only one object
-lies far enough from the others, every episode has it. The rule (docs/decisions/0008):
+The limit `label_cap` can't hold in every scene: of k labels one always has at least 1/k of the leaves, and if only one
+object is far enough from the others, it is in every episode. The rule (docs/decisions/0008):
 
 1. Where the placed episodes have k labels, a label may have 1.25/k of the leaves if that is more than the cap.
-2. Never more than half of the placed episodes are dropped. Where that does not reach the allowed share, as few are
-   dropped as bring the largest share to its least.
+2. At most half of the placed episodes are dropped. If that does not reach the allowed share, the fewest episodes are
+   dropped that make the largest share as small as possible.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ __all__ = ["allowed_share", "most_leaves", "over_share"]
 
 
 def allowed_share(label_cap: float, labels: int) -> float:
-    """The share of leaves that each of so many labels may have."""
+    """Return the largest share of leaves that a label may have when there are `labels` labels."""
     return max(label_cap, FEW_LABELS_SLACK / max(1, labels))
 
 
 def most_leaves(share: float, leaves: int) -> int:
-    """How many of so many leaves one label may have. Rounded up, so that small sets are not dropped."""
+    """Return how many of `leaves` leaves one label may have; rounded up, so that small sets are not dropped."""
     return math.ceil(share * leaves)
 
 
 def over_share(units: Sequence[Sequence[Counter[str]]], label_cap: float) -> list[int]:
-    """Indices of the units to drop so that no label is over its share, in the order in which they are dropped.
+    """Return the indices of the units to drop so that no label exceeds its share, in the order of dropping.
 
     Parameters
     ----------
-    units : what is kept or dropped together, one counter of the labels of its leaves an episode
+    units : what is kept or dropped as a whole: for each of its episodes a counter of its leaves' labels
     """
     leaves = [sum(unit, Counter[str]()) for unit in units]
     total = sum(leaves, Counter[str]())
@@ -54,7 +54,7 @@ def over_share(units: Sequence[Sequence[Counter[str]]], label_cap: float) -> lis
         holding = [k for k in left if leaves[k][label] and episodes - len(units[k]) >= floor]
         if not holding:
             break
-        # What holds most of the labels that are over goes first; of equals the last.
+        # The unit with the most leaves of labels above their share is dropped first; the last one on ties.
         worst = max(holding, key=lambda k: (len(over & leaves[k].keys()), k))
         left.remove(worst)
         dropped.append(worst)

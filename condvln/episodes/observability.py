@@ -1,9 +1,8 @@
-"""The observability axis: from where the evidence for an instruction's conditions can be seen.
+"""Observability: from where the evidence for an instruction's conditions is visible.
 
-Evidence for a condition that is true is a witness, and its anchor where there is one; for one that is false, that next
-to all of the room's floor was seen, or, where things of the label are there but not in that relation, all of these
-that can be seen at all and the anchor. Only conditions that the gold route evaluates count; an agent never meets the
-others.
+The evidence for a true condition is a witness, and its anchor if it has one. The evidence for a false one is almost the
+whole floor of the room; or, if the room has objects of that label without the stated relation, all such objects that
+can be seen at all, and the anchor. Only conditions on the gold path count, since the agent evaluates no others.
 """
 
 from __future__ import annotations
@@ -37,19 +36,19 @@ __all__ = ["FIRST_VIEW", "ConditionEvidence", "Observation", "Observer", "common
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 FIRST_VIEW: Final = "O0f"
-"""How a cell asks for O0 within the first view."""
+"""The name by which a cell asks for O0 with all evidence in the first view."""
 LEVELS: Final[tuple[Observability, ...]] = ("O0", "O1", "O2")
-"""From what is seen at once to what needs a detour."""
+"""Levels in order: from visible at the start to visible only with a detour."""
 
 _Target = tuple[str, str]
-"""("object", its id) or ("floor", a room's id)."""
+"""What must be seen: ("object", object id) or ("floor", room id)."""
 _Needs = tuple[frozenset[_Target], ...]
-"""Ways to know a condition's truth: all targets of one of them must be seen."""
+"""Alternative sets of targets that reveal a condition's truth: one whole set must be seen."""
 
 
 @dataclass(frozen=True, slots=True)
 class ConditionEvidence:
-    """Where the evidence for one condition of the gold route is visible; `in_view`: at once, in the first view."""
+    """Where the evidence for one condition is visible; `in_view` : in the first view, without turning."""
 
     condition: int
     observability: Observability
@@ -58,10 +57,10 @@ class ConditionEvidence:
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """The observability of an episode: the worst over the conditions that its gold route evaluates.
+    """The observability of an episode: the worst level over the conditions on its gold path.
 
     in_view : all evidence lies in the first view, 90° wide (O0f, a part of O0)
-    approximate : boxes stood in for surfaces
+    approximate : boxes were used where surfaces are not known
     """
 
     evidence: tuple[ConditionEvidence, ...]
@@ -69,7 +68,7 @@ class Observation:
 
     @property
     def observability(self) -> Observability:
-        """The worst level."""
+        """The worst level over all conditions."""
         return max((e.observability for e in self.evidence), key=LEVELS.index)
 
     @property
@@ -78,12 +77,12 @@ class Observation:
         return all(e.in_view for e in self.evidence)
 
     def fits(self, asked: str) -> bool:
-        """Whether it matches a cell: a level, or O0f for O0 in the first view."""
+        """Return whether it matches what a cell asks for: a level, or O0f for O0 in the first view."""
         return self.in_view if asked == FIRST_VIEW else self.observability == asked
 
 
 class Observer:
-    """Finds the observability of placed programs of one scene; each line of sight is computed once."""
+    """Computes the observability of placed programs of one scene; each line of sight is computed once."""
 
     def __init__(
         self,
@@ -107,7 +106,7 @@ class Observer:
         self._seen: dict[tuple[_Target, bytes], Bools] = {}
 
     def observe(self, placed: Sequence[tuple[Program, Outlook]]) -> list[Observation]:
-        """The observation of each program where it is placed, in their order."""
+        """Return the observation of each placed program, in order."""
         asked = [
             {k: self._needs(program.conditions[k]) for k in sorted(set(program.route()[0]))} for program, _ in placed
         ]
@@ -157,14 +156,14 @@ class Observer:
         return (frozenset({*there, *anchor}), *whole) if there else whole
 
     def _meant(self, room_id: str, label: str) -> tuple[str, ...]:
-        """Ids of the things in sight that a word for `label` might mean, nameless ones among them."""
+        """Return the ids of visible objects that a word for `label` might mean, unnamed objects included."""
         if (room_id, label) not in self._things:
             found = things_meant(self._scene, room_id, label, self._words, self._sightings)
             self._things[room_id, label] = found
         return self._things[room_id, label]
 
     def _target(self, name: _Target) -> SightTarget | None:
-        """The target of a condition's evidence; None for a room whose floor is unknown."""
+        """Return the sight target of a piece of evidence; None for a room whose floor is unknown."""
         if name not in self._targets:
             kind, key = name
             if kind == "object":
@@ -176,7 +175,7 @@ class Observer:
         return self._targets[name]
 
     def _look(self, wanted: Iterable[tuple[_Target, F64]]) -> None:
-        """Cast all looks that were not cast before, each target's from all eyes at once."""
+        """Compute all wanted lines of sight that are not cached, each target's from all eyes at once."""
         eyes: dict[_Target, dict[bytes, F64]] = {}
         for name, places in wanted:
             for eye in places:
@@ -191,7 +190,9 @@ class Observer:
             self._seen.update({(name, key): row for key, row in zip(places_of, seen, strict=True)})
 
     def _known(self, ways: _Needs, eyes: F64, yaw: float | None = None) -> bool:
-        """Whether all `eyes` together see the truth of the condition; with a yaw, only what lies ahead counts."""
+        """Return whether the condition's truth is visible from `eyes` together; with a `yaw`, only in the view
+        straight ahead.
+        """
         return any(all(self._is_seen(name, eyes, yaw) for name in way) for way in ways)
 
     def _is_seen(self, name: _Target, eyes: F64, yaw: float | None) -> bool:
@@ -210,8 +211,10 @@ def _all(ways: _Needs) -> list[_Target]:
 
 
 def common_prefix(paths: Sequence[F64]) -> F64:
-    """What several ways from one start have in common: the beginning of the first (n, 3) up to where any two of them
-    are a step apart at equal length walked; at least the start."""
+    """Return the shared beginning (n, 3) of several paths from one start; at least the start itself.
+
+    It ends where two paths are farther than PREFIX_STRAY apart at equal walked length.
+    """
     lengths = [np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))]) for path in paths]
     shortest = min(float(length[-1]) for length in lengths)
     at = np.append(np.arange(0.0, shortest, PREFIX_SAMPLES), shortest)
@@ -231,7 +234,7 @@ def common_prefix(paths: Sequence[F64]) -> F64:
 
 
 def _spaced(path: F64, spacing: float) -> F64:
-    """Points along a polyline, its ends included, at most `spacing` metres apart."""
+    """Return points along a polyline, both ends included, at most `spacing` metres apart."""
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     count = max(1, math.ceil(length[-1] / spacing))
     at = np.linspace(0.0, length[-1], count + 1)

@@ -1,4 +1,4 @@
-"""A top-down picture of one episode: floor, furniture, start, and the path to every leaf."""
+"""Draw a top-down picture of one episode: floor, furniture, start, and the path to every leaf."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ NAMED: Final = "#f2d16b"
 
 
 def draw_episode(path: Path, scene: Scene, floor: Sequence[F64], episode: Mapping[str, Any], tree: str = "") -> None:
-    """Write a PNG of one EPISODES row.
+    """Write a top-down PNG of one EPISODES row.
 
     Parameters
     ----------

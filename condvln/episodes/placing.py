@@ -1,4 +1,4 @@
-"""Placing a program on a navmesh: one start, and for every leaf its goals, stops and path."""
+"""Place a program on a navmesh: choose one start, and for every leaf its goal points, stops and path."""
 
 from __future__ import annotations
 
@@ -40,19 +40,19 @@ __all__ = [
 F64 = NDArray[np.float64]
 
 COMPASS_STEP: Final = math.pi / 4
-"""Yaw grid of texts that name the start heading: the eight compass points."""
+"""Yaw step in radians of texts that name the start heading: the eight compass points."""
 
 
 NOT_FIT: Final = "observability_missed"
-"""Reason why a program has no place although every rule can be kept."""
+"""Rejection reason: other rules can be met, but not the cell's observability."""
 
 
 ROUTE_MISSED: Final = "route_missed"
-"""The same, where the ways are too short or too long."""
+"""Rejection reason: other rules can be met, but the routes are shorter or longer than the cell asks for."""
 
 
 class Rejected(Exception):
-    """A program that can't be placed; `reason` is a key of ``rules.REASONS``."""
+    """A program can't be placed; `reason` is a key of ``rules.REASONS``."""
 
     def __init__(self, reason: str) -> None:
         self.reason = reason
@@ -61,10 +61,10 @@ class Rejected(Exception):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PlacedLeaf:
-    """One leaf as if it were gold.
+    """One leaf as if it were gold: goals, route, geodesic distance and ground-truth walk.
 
-    goals (k, 3), the one nearest to the start first; its route, which ends at one of them; start → goal as Habitat
-    measures it; the walk of an agent that knows the map.
+    goals : (k, 3) metres, the one nearest to the start first; the route ends at one of them
+    The distance is the geodesic from start to goal as Habitat measures it; the walk is that of a map-aware follower.
     """
 
     objects: tuple[str, ...]
@@ -75,14 +75,16 @@ class PlacedLeaf:
 
     @property
     def steps(self) -> int:
-        """Ground-truth actions, STOP included."""
+        """Number of ground-truth actions, STOP included."""
         return len(self.walk.actions)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Outlook:
-    """What an agent may see before it must choose: start (3,), yaw in radians about +Y, and the way (n, 3) to each
-    leaf."""
+    """What an agent may see before it must choose a leaf.
+
+    start (3,) metres; yaw in radians about +Y; the path (n, 3) to each leaf
+    """
 
     start: F64
     yaw: float
@@ -94,7 +96,7 @@ Fit: TypeAlias = Callable[[Outlook], float | None]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Placement:
-    """Where an instruction begins and where each of its leaves lies; start (3,), yaw in radians about +Y."""
+    """The start of an instruction and all its leaves; start (3,) in metres, yaw in radians about +Y."""
 
     start: F64
     yaw: float
@@ -103,47 +105,48 @@ class Placement:
 
     @property
     def outlook(self) -> Outlook:
-        """The views that observability is judged on."""
+        """The start and paths from which observability is computed."""
         return Outlook(self.start, self.yaw, tuple(leaf.route.path for leaf in self.leaves))
 
     @property
     def steps(self) -> int:
-        """Ground-truth actions of the longest leaf: the same whichever leaf is gold."""
+        """Number of ground-truth actions of the longest leaf, so that it does not depend on which leaf is gold."""
         return max(leaf.steps for leaf in self.leaves)
 
 
 def yaw_quaternion(yaw: float) -> tuple[float, float, float, float]:
-    """Rotation ``[x, y, z, w]`` by `yaw` radians about +Y."""
+    """Return the quaternion ``[x, y, z, w]`` of a rotation by `yaw` radians about +Y."""
     return (0.0, math.sin(yaw / 2), 0.0, math.cos(yaw / 2))
 
 
 def heading_degrees(yaw: float) -> float:
-    """Compass heading, clockwise from north (−Z), in [0, 360)."""
+    """Return the compass heading of a yaw (radians about +Y) in degrees clockwise from north (−Z), in [0, 360)."""
     return round(math.degrees(-yaw) % 360.0, 6) % 360.0
 
 
 def reachable_stops(pathfinder: Pathfinder, field: GoalField, separation: float) -> Stops:
-    """What a sampler of programs needs: which objects have goal points, and which are far enough apart.
+    """Return which objects have goal points and which pairs are far enough apart, for the program sampler.
 
-    separation : least geodesic between goals of two leaves, metres
+    separation : least geodesic distance in metres between goals of two leaves
     """
     on = np.zeros((len(field.goals), pathfinder.num_islands), dtype=bool)
     for k, points in enumerate(field.goals.values()):
         on[k, pathfinder.get_islands(points)] = True
-    # Two stops that no way connects are not apart: a program could not lead from one to the other.
+    # Two objects without a path between them do not count as apart: a program could not lead from one to the other.
     shared = (on.astype(np.int64) @ on.T.astype(np.int64)) > 0
     return Stops(tuple(field.goals), (field.gaps(separation) >= separation) & shared)
 
 
 class Placer:
-    """Places programs in one scene. Pure in (scene, navmesh, goals, rules, seed): the order of calls changes nothing.
+    """Places programs in one scene; a pure function of (scene, navmesh, goals, rules, seed), whatever the order of
+    calls.
 
     Parameters
     ----------
     goals : goal points (k, 3) by object id, see ``goals.scene_goals``
-    max_climb : metres that the agent steps up
-    thresholds : what may be said to lie left, right, ahead and behind
-    sightings : what nobody can see, and so no word means
+    max_climb : largest step in metres that the agent can climb
+    thresholds : bounds of the egocentric directions
+    sightings : objects that can't be seen; words of a text never refer to them
     """
 
     def __init__(
@@ -167,13 +170,16 @@ class Placer:
         self.seed = seed
         self.tau = places.success(scene.single_room)
         self.obstacles = blocked_footprints(scene, pathfinder, max_climb)
-        self._follower = Follower(pathfinder, max_actions=max(1, rules.step_ceiling // 2 - 1))  # and STOP
+        # STOP is one more action
+        self._follower = Follower(pathfinder, max_actions=max(1, rules.step_ceiling // 2 - 1))
         self._solid = Footprints([footprint for _, footprint in self.obstacles])
         self.field = GoalField(pathfinder, goals)
 
     @cached_property
     def starts(self) -> F64:
-        """Seeded pool of starts (s, 3): on a wide island, on the floor, not inside anything that stands there."""
+        """The start positions (s, 3) to try: seeded, on a wide island, on the floor, outside all objects that stand
+        there.
+        """
         islands = wide_islands(self.pathfinder, self.places)
         if not islands:
             return np.empty((0, 3))
@@ -186,7 +192,7 @@ class Placer:
         for _, footprint in self.obstacles:
             keep &= footprint.distance(points) > 0.0
         points = points[keep]
-        # np.unique sorted them; the pool's order must not favour one end of the apartment.
+        # np.unique sorted the points; the pool's order must not favour one end of the apartment.
         order = generator(self.seed, self.scene.scene_id, "start order").permutation(len(points))
         return np.asarray(points[order][: self.rules.starts], dtype=np.float64)
 
@@ -200,11 +206,13 @@ class Placer:
 
     @property
     def leaf_separation(self) -> float:
-        """Least geodesic between goals of two leaves."""
+        """Least geodesic distance in metres between goals of two leaves."""
         return self.places.leaf_separation(self.scene.single_room)
 
     def gap(self, one: str, other: str) -> float:
-        """Shortest geodesic between two objects' goal points; the leaf separation where they are surely farther."""
+        """Return the least geodesic distance between two objects' goal points; the leaf separation if they are
+        farther apart.
+        """
         order = self._order
         return float(self._gaps[order[one], order[other]])
 
@@ -213,7 +221,12 @@ class Placer:
         return {name: k for k, name in enumerate(self.field.goals)}
 
     def check_objects(self, program: Program) -> None:
-        """Rules that need no start: every stop has goal points, and leaves and stops are far enough apart."""
+        """Check the rules that need no start: every stop has goal points; leaves and stops are far enough apart.
+
+        Raises
+        ------
+        Rejected : a rule does not hold
+        """
         stops = [[move.object_id for move in leaf.moves] for leaf in program.leaves]
         if any(name not in self.field for moves in stops for name in moves):
             raise Rejected("object_without_goal_point")
@@ -236,14 +249,18 @@ class Placer:
         lengths: tuple[float, float] | None = None,
         members: Sequence[Program] | None = None,
     ) -> Placement:
-        """One start for `program` under which every leaf keeps every rule; raises `Rejected` with the reason.
+        """Find one start for `program` from which every leaf meets every rule.
 
         Parameters
         ----------
-        compass : the text names the start heading, so that the yaw is a compass point
-        fit : what else the start and the ways must be: the yaw with which they are, or None
-        lengths : least and most metres of every leaf's route, both allowed
+        compass : the text names the start heading, so the yaw must be a compass point
+        fit : further rule on the start and paths: returns the yaw that meets it, or None
+        lengths : inclusive bounds in metres of every leaf's route
         members : the programs that share the start, `program` alone by default
+
+        Raises
+        ------
+        Rejected : no start meets every rule; `reason` says which rule failed
         """
         if not len(self.starts):
             raise Rejected("no_start")
@@ -281,7 +298,7 @@ class Placer:
         raise Rejected(max(sorted(failures), key=lambda reason: failures[reason]))
 
     def _facing(self, programs: Sequence[Program], rng: np.random.Generator) -> Headings | None:
-        """The headings that the bearings in the text allow; None where there are none."""
+        """Return the start poses that the egocentric statements allow; None if there are none."""
         if all(program.start_room is None for program in programs):
             return None
         return self._facings.headings(programs, float(rng.uniform(0.0, 360.0 / HEADINGS)))
@@ -302,7 +319,7 @@ class Placer:
         return np.flatnonzero(good)
 
     def _starts_without_detour(self, program: Program, possible: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The starts of `possible` from which no leaf's route is longer than its distance allows."""
+        """Return the starts of `possible` from which no leaf's route exceeds the detour limit."""
         if self.scene.single_room:
             return possible
         rows = self._start_rows[possible]
@@ -317,8 +334,10 @@ class Placer:
     def _starts_not_too_far(
         self, program: Program, possible: NDArray[np.int64], lengths: tuple[float, float]
     ) -> NDArray[np.int64]:
-        """The starts of `possible` whose routes may have these lengths: a route is never shorter than its geodesic,
-        and equal to it if the leaf has no other stop."""
+        """Return the starts of `possible` whose routes may have these lengths.
+
+        A route is never shorter than the geodesic distance to its goal, and equal to it if the leaf has a single stop.
+        """
         low, high = lengths
         rows = self._start_rows[possible]
         good = np.ones(len(rows), dtype=bool)

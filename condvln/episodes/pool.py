@@ -1,4 +1,4 @@
-"""Filling a scene's pool of episodes from candidate programs, within quotas and without favouring a label."""
+"""Fill a scene's pool of episodes from candidate programs, within quotas and without favouring a label."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from schemas.program import SHAPES, Category, Program
 __all__ = ["EpisodePool", "PooledEpisode", "fill_pool"]
 
 QUARTERS: Final = tuple(k * math.pi / 2 for k in range(4))
-"""Turns of a start whose first view must show the evidence; they keep a compass point a compass point."""
+"""Yaw offsets tried for a start whose first view must show the evidence; they map compass points to compass points."""
 
 PASSING: Final = frozenset({"quota_full", "gold_leaf_full", "label_over_cap", "program_placed"})
-"""Reasons that may pass when other episodes are dropped."""
+"""Rejection reasons that may no longer apply after other episodes are dropped."""
 
 LATER: Final = "later"
-"""In place of a reason: the cell has enough leaves of as many moves, so that this is tried after all others."""
+"""Internal state: the cell has enough leaves with this number of moves, so the candidate is tried after all others."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -38,20 +38,21 @@ class PooledEpisode:
 
     @property
     def instruction_id(self) -> str:
-        """Id of its instruction."""
+        """Id of the instruction."""
         return self.candidate.instruction_id
 
     @property
     def program(self) -> Program:
-        """Its program."""
+        """The instruction's program."""
         return self.candidate.program
 
 
 @dataclass
 class EpisodePool:
-    """The result of one scene: its episodes in the order of their candidates, and why the others failed.
+    """The result for one scene: placed episodes in the order of their candidates, and the rejections.
 
-    candidates : how many there were, by cell, of groups under None; each is an episode or is rejected once
+    candidates : number of candidates by cell (counterfactual groups under None); each is placed or rejected exactly
+        once
     """
 
     episodes: list[PooledEpisode] = field(default_factory=list)
@@ -60,13 +61,13 @@ class EpisodePool:
     examples: dict[tuple[InstructionCell | None, str], str] = field(default_factory=dict)
 
     def reject(self, candidate: Candidate, reason: str) -> None:
-        """Count one rejection, keeping the first id as its example."""
+        """Count one rejection and keep the first rejected id as an example."""
         key = (candidate.cell, reason)
         self.rejections[key] += 1
         self.examples.setdefault(key, candidate.instruction_id)
 
     def reject_collisions(self, scene_id: str) -> None:
-        """Drop the episodes whose id another one of the scene has, with their counterfactual groups."""
+        """Drop episodes whose id collides with another one of the scene, together with their counterfactual groups."""
         hashes = [content_hash(scene_id, e.instruction_id, e.placement.start, e.placement.yaw) for e in self.episodes]
         lost = {self.episodes[k].instruction_id for k in colliding([numeric_id(name) for name in hashes], hashes)}
         groups = {e.candidate.group_id for e in self.episodes if e.instruction_id in lost} - {None}
@@ -80,7 +81,7 @@ class EpisodePool:
 
     @property
     def placed(self) -> Counter[InstructionCell | None]:
-        """Episodes by cell, of groups under None."""
+        """Number of placed episodes by cell; counterfactual groups under None."""
         return Counter(episode.candidate.cell for episode in self.episodes)
 
 
@@ -94,20 +95,20 @@ def fill_pool(
     groups: int = 0,
     move_shares: Callable[[Category], Sequence[float]] | None = None,
 ) -> EpisodePool:
-    """Place candidates in their order until every cell has what is wanted.
+    """Place candidates in order until every cell has the wanted number of episodes.
 
-    Within a cell no gold index gets more than its equal share, so that position says nothing. `label_cap` bounds the
-    share of leaves that any label is the target of, as far as that is possible (``label_share``); what is dropped for
-    it makes room for candidates that had none. The programs of a counterfactual group are placed together, from one
-    start, before all others, or not at all. A cell that stays short rejects no candidate as `quota_full`.
+    Within a cell no gold index gets more than its equal share, so that the position of a leaf carries no information.
+    `label_cap` limits the share of leaves with one target label, as far as possible (``label_share``); episodes dropped
+    for it make room for rejected candidates. The programs of a counterfactual group are placed together from one start,
+    before all others, or not at all. A cell that stays short rejects no candidate as `quota_full`.
 
     Parameters
     ----------
-    cells, groups : all that is wanted of the scene
+    cells, groups : cells and number of counterfactual groups wanted of the scene
     names_compass : whether a program's text names the start heading
-    observer : finds the observability; without it none is recorded, and none may be asked for
-    move_shares : shares of leaves with 1, 2, … moves that a category should have. Long routes find a place less often,
-        so that no number of moves gets more than its share of a cell while other candidates are left
+    observer : computes the observability; if None, none is recorded and no cell may ask for one
+    move_shares : wanted shares of leaves with 1, 2, … moves by category. Long routes are rejected more often, so no
+        number of moves gets more than its share of a cell while other candidates are left
     """
     queue = list(candidates)
     members: defaultdict[str, list[Candidate]] = defaultdict(list)
@@ -128,9 +129,9 @@ def fill_pool(
 
 
 class _Try:
-    """Candidates that are placed together: one, or a counterfactual group, whose leaves are the same in some order.
+    """Candidates that are placed together: a single one, or a counterfactual group (same leaves in different order).
 
-    refused : why they have no place so far; placement : the place of the first of them, found once
+    refused : reason why they are not placed, so far; placement : that of the first of them, computed once
     """
 
     def __init__(self, members: Sequence[Candidate]) -> None:
@@ -163,7 +164,7 @@ class _Filling:
         self._seen: set[Program] = set()
 
     def fill(self, tries: Sequence[_Try], most_of_label: int) -> None:
-        """Place what can be, in its order; then, where a cell is short, what was turned away for its moves."""
+        """Place candidates in order; then, where a cell is short, those postponed for their number of moves."""
         for one in tries:
             one.refused = self._turned_away(one, most_of_label) or self._over_its_moves(one) or self._unplaceable(one)
             if one.refused is None:
@@ -175,7 +176,7 @@ class _Filling:
                     self._count(one, 1)
 
     def trim(self, tries: Sequence[_Try], label_cap: float) -> None:
-        """Drop episodes above the share of their labels; candidates that met a full quota take their places."""
+        """Drop episodes above their label's share; candidates rejected for a full quota take their places."""
         placed = [one for one in tries if one.refused is None]
         share = allowed_share(label_cap, len(self._labels))
         dropped = over_share([one.labels for one in placed], label_cap)
@@ -189,14 +190,14 @@ class _Filling:
                 if one.refused in PASSING:
                     most = most_leaves(share, self._labels.total() + one.targets.total())
                     reason = self._turned_away(one, most) or self._unplaceable(one)
-                    # What was dropped is dropped for its labels, though others have its place by now.
+                    # A dropped episode keeps the reason "label_over_cap", even if its quota is full by now.
                     one.refused = "label_over_cap" if reason and one.placement else reason
                     if reason is None:
                         self._count(one, 1)
                         refilling = True
 
     def pool(self, tries: Sequence[_Try]) -> EpisodePool:
-        """The pool, with the observability of each episode."""
+        """Return the pool, with the observability of each episode."""
         pool = EpisodePool()
         for one in tries:
             pool.candidates[one.cell] += len(one.members)
@@ -216,7 +217,7 @@ class _Filling:
         return pool
 
     def _turned_away(self, one: _Try, most_of_label: int) -> str | None:
-        """Why these do not fit the quotas now, if so; they may fit later."""
+        """Return the quota that is full for these candidates, as a reason, or None; this may change later."""
         cell = one.cell
         if any(member.program in self._seen for member in one.members):
             return "program_placed"
@@ -232,7 +233,7 @@ class _Filling:
         return None
 
     def _over_its_moves(self, one: _Try) -> str | None:
-        """Whether the cell has enough leaves with as many moves as these have."""
+        """Return `LATER` if the cell has enough leaves with as many moves as these candidates, else None."""
         cell = one.cell
         if self._move_shares is None or cell is None or cell.moves is not None:
             return None
@@ -242,7 +243,7 @@ class _Filling:
         return LATER if over else None
 
     def _unplaceable(self, one: _Try) -> str | None:
-        """Why these can't be placed from one start, if so; this is final."""
+        """Return the reason why these candidates can't be placed from one start, or None; this is final."""
         if one.placement is not None:
             return None
         first, cell = one.members[0], one.cell
@@ -263,7 +264,7 @@ class _Filling:
         return None
 
     def _count(self, one: _Try, by: int) -> None:
-        """Count these in the quotas, or with −1 take them out again."""
+        """Add these candidates to the quota counts; with `by` = −1, remove them."""
         if one.cell is None:
             self._groups += by
         else:
@@ -283,8 +284,8 @@ class _Filling:
         asked, observer = cell.observability, self._observer
         if asked is None:
             return None
-        assert observer is not None, "a cell asks for an observability and nothing tells it"
-        # Turning would make false what is said of left and right.
+        assert observer is not None, "a cell asks for an observability, but no observer was given"
+        # Turning would falsify statements about left and right.
         turns = QUARTERS if asked == FIRST_VIEW and program.start_room is None else QUARTERS[:1]
 
         def fit(outlook: Outlook) -> float | None:

@@ -1,4 +1,4 @@
-"""Distances and walks between starts and goal points, each asked of the pathfinder once."""
+"""Geodesic distances and paths between starts and goal points, each computed once."""
 
 from __future__ import annotations
 
@@ -21,10 +21,11 @@ F64 = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Route:
-    """The way from a start through a leaf's stops.
+    """The path from a start through a leaf's stops.
 
-    stops (m, 3): the point chosen of each move, the last one the goal; path (n, 3) corner points rounded to 1 mm;
-    `length` in metres along the stops.
+    stops : (m, 3) the chosen point of each move, the last one the goal
+    path : (n, 3) corner points rounded to 1 mm
+    length : metres along the path through the stops
     """
 
     stops: F64
@@ -33,7 +34,7 @@ class Route:
 
 
 class GoalField:
-    """All goal points of a scene's objects, with cached geodesics from any point to all of them."""
+    """The goal points of a scene's objects, with cached geodesic distances from any point to all of them."""
 
     def __init__(self, pathfinder: PathfinderProtocol, goals: Mapping[str, F64]) -> None:
         self.pathfinder = pathfinder
@@ -52,14 +53,14 @@ class GoalField:
         return object_id in self._span
 
     def distances(self, start: F64, object_id: str) -> F64:
-        """Geodesics (k,) from `start` to the goal points of one object; inf where there is no path."""
+        """Return geodesic distances (k,) from `start` to the goal points of an object; inf where there is no path."""
         key = (start.tobytes(), object_id)
         if key not in self._distances:
             self._distances[key] = self._table(start[None], self.goals[object_id])[0]
         return self._distances[key]
 
     def rows(self, starts: F64) -> F64:
-        """Geodesics (s, P) from each of `starts` (s, 3) to every goal point of the scene."""
+        """Return geodesic distances (s, P) from `starts` (s, 3) to all P goal points of the scene."""
         return self._table(starts, self._points)
 
     def _table(self, starts: F64, ends: F64) -> F64:
@@ -68,17 +69,18 @@ class GoalField:
         return table
 
     def nearest(self, rows: F64, object_id: str) -> F64:
-        """Least distance (s,) of each of `rows` (s, P) to one object."""
+        """Return the least distance (s,) of each of `rows` (s, P) to an object's goal points."""
         return np.asarray(rows[:, self._span[object_id]].min(axis=1), dtype=np.float64)
 
     def gaps(self, enough: float) -> F64:
-        """Least geodesic (n, n) between goal points of every two objects, in the order of ``goals``.
+        """Return the least geodesic distances (n, n) between the goal points of each two objects, in the order of
+        ``goals``.
 
-        Both directions count: Detour's path from a to b may be longer than its path from b to a, by up to 2 m on real
-        navmeshes. Gaps of `enough` or more count as `enough`. The diagonal is 0.
+        Both directions are computed: Detour's path from a to b may be up to 2 m longer than its path from b to a on
+        real navmeshes. Gaps of `enough` metres or more count as `enough`. The diagonal is 0.
         """
         n = len(self.goals)
-        # Farther points are not asked: a geodesic is no shorter than the straight line between the snapped points.
+        # Farther points are skipped: a geodesic is no shorter than the straight line between the snapped points.
         within = enough + 2 * SNAP_AT_MOST
         near = (
             cKDTree(self._points).query_pairs(within, output_type="ndarray") if n else np.empty((0, 2), dtype=np.intp)
@@ -95,7 +97,7 @@ class GoalField:
         return both
 
     def path(self, start: F64, end: F64) -> F64 | None:
-        """Corner points (n, 3) of the shortest path, rounded to 1 mm, or None."""
+        """Return the corner points (n, 3) of the shortest path, rounded to 1 mm; None if there is no path."""
         key = start.tobytes() + end.tobytes()
         if key not in self._paths:
             found = self.pathfinder.find_path(start, end)
@@ -103,7 +105,9 @@ class GoalField:
         return self._paths[key]
 
     def route(self, start: F64, moves: Sequence[str]) -> Route | None:
-        """The walk from `start` past each object of `moves`, always to its goal point nearest from where one comes."""
+        """Return the route from `start` through each object of `moves`, at each step to the nearest of its goal
+        points.
+        """
         at, length = start, 0.0
         stops, pieces = [], [start[None]]
         for name in moves:
@@ -122,7 +126,9 @@ class GoalField:
         return Route(np.array(stops), np.concatenate(pieces), length)
 
     def route_lengths(self, rows: F64, moves: Sequence[str]) -> F64:
-        """Lengths (s,) of the routes past `moves` from each of `rows` (s, P), as `route` takes them."""
+        """Return the lengths (s,) in metres of the routes through `moves`, as `route` builds them, from each of
+        `rows` (s, P).
+        """
         span = rows[:, self._span[moves[0]]]
         ends = np.argmin(span, axis=1)
         onward = {k: self._onward(self.goals[moves[0]][k], moves[1:]) for k in np.unique(ends).tolist()}
@@ -130,7 +136,7 @@ class GoalField:
         return lengths
 
     def _onward(self, at: F64, moves: Sequence[str]) -> float:
-        """Metres from a point past all of `moves`."""
+        """Return the length in metres of the route from a point through all of `moves`."""
         length = 0.0
         for name in moves:
             away = self.distances(at, name)
@@ -140,10 +146,10 @@ class GoalField:
         return length
 
     def ordered_goals(self, start: F64, object_id: str) -> F64:
-        """Goal points (k, 3) of a leaf, the one geodesically nearest to the start first, then as they come.
+        """Return a leaf's goal points (k, 3): the geodesically nearest to the start first, then in their own order.
 
-        Stock sensors measure to the first goal, stock measures to the nearest: so both are one number at the start. A
-        route with stops on its way may end at another one.
+        Stock sensors measure the distance to the first goal, stock measures to the nearest one; with this order both
+        agree at the start. A route through stops may end at another goal point.
         """
         points = self.goals[object_id]
         first = int(np.argmin(self.distances(start, object_id)))
@@ -152,9 +158,9 @@ class GoalField:
 
 
 def clearance(path: F64, points: F64) -> float:
-    """Least straight-line distance in metres between a polyline (n, 3) and points (k, 3).
+    """Return the least straight-line distance in metres between a polyline (n, 3) and points (k, 3).
 
-    A straight line is never longer than a geodesic, so a path that keeps clear by it keeps clear by both measures.
+    A straight line is never longer than a geodesic, so this is also a lower bound of the geodesic clearance.
     """
     a, b = path[:-1, None], path[1:, None]
     d = b - a

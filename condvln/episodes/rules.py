@@ -1,4 +1,4 @@
-"""The names of the ways in which an instruction can't be placed."""
+"""The reasons for which placing may reject an instruction."""
 
 from __future__ import annotations
 
@@ -7,26 +7,25 @@ from typing import Final
 __all__ = ["REASONS"]
 
 REASONS: Final[dict[str, str]] = {
-    "no_heading": "from no start in the room do things lie left, right, ahead and behind as the text needs",
+    "no_heading": "no start in the room has objects to the left, right, front and back as the text states",
     "object_without_goal_point": "no navigable point of the main floor lies near the object",
     "leaves_too_close": "two leaves' goals are less than 2τ + the leaf gap apart",
     "moves_too_close": "two stops of one leaf lie less than 2τ apart",
     "no_start_in_range": "no start has every leaf within the distance range and every stop outside 2τ",
-    "unreachable": "no path between two stops",
-    "detour": "from no start in range is the route to every leaf within detour_factor times its distance, plus "
-    "detour_slack",
+    "unreachable": "no path between two consecutive stops",
+    "detour": "no start in range has every leaf's route within detour_factor times its distance, plus detour_slack",
     "path_enters_other_leaf": "on the way to one leaf the path enters another leaf's τ ball",
-    "path_through_furniture": "the navmesh leads through an object that stands there",
+    "path_through_furniture": "a path on the navmesh crosses an object that stands on the floor",
     "over_step_budget": "twice the ground-truth actions exceed the step ceiling",
-    "follower_stuck": "an agent that knows the map does not get there with discrete steps",
-    "observability_missed": "no start shows the evidence as the cell asks for it",
-    "route_missed": "no start has the routes to all leaves as long as the cell asks for",
-    "program_placed": "the same program has its place already",
+    "follower_stuck": "the ground-truth follower does not reach a goal with discrete actions",
+    "observability_missed": "no start has the observability that the cell asks for",
+    "route_missed": "no start has routes to all leaves of the length that the cell asks for",
+    "program_placed": "the same program is already placed",
     "label_over_cap": "a target's label already has its share of the scene's leaves",
-    "quota_full": "the cell has all the episodes asked for",
-    "gold_leaf_full": "the cell has its share of episodes whose gold leaf is this one",
-    "id_collision": "its integer id is that of another episode, whose hash is smaller",
+    "quota_full": "the cell already has all its episodes",
+    "gold_leaf_full": "the cell already has its share of episodes with this gold leaf",
+    "id_collision": "another episode with a smaller hash has the same integer id",
     "no_navmesh": "the scene has no navmesh to place episodes on",
     "no_start": "no navigable start on an island wide enough",
 }
-"""Every reason counted in the rejections table by this stage."""
+"""All reasons that the placing stage counts in the rejections table."""

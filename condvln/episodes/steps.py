@@ -1,4 +1,4 @@
-"""The steps from a scene to its episodes: what the stages of a run and :class:`condvln.world.World` both call."""
+"""The steps from a scene to its episodes, called by the stages of a run and by :class:`condvln.world.World`."""
 
 from __future__ import annotations
 
@@ -43,7 +43,9 @@ __all__ = ["DrawnPrograms", "Walkable", "draw_programs", "look_around", "place_p
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Walkable:
-    """Where an agent can walk in a scene, and what it can see from there; max_climb is metres it steps up."""
+    """Where an agent can walk in a scene and what it can see from there; max_climb : largest step in metres it can
+    climb.
+    """
 
     pathfinder: Pathfinder
     view: SceneView
@@ -52,10 +54,10 @@ class Walkable:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class DrawnPrograms:
-    """Candidate programs in the order in which they will be tried.
+    """Candidate programs in the order in which placing tries them.
 
-    goals : goal points (k, 3) by object id; empty where nobody can walk
-    rejections : how often each reason ended a draw, by cell
+    goals : goal points (k, 3) by object id; empty without a navmesh
+    rejections : number of failed draws by cell and reason
     """
 
     goals: Mapping[str, NDArray[np.float64]]
@@ -64,7 +66,9 @@ class DrawnPrograms:
 
 
 def look_around(scene: Scene, walkable: Walkable, *, eye_height: float, island_radius: float) -> list[Visibility]:
-    """Which objects can be seen from where an agent can stand in their rooms; lengths in metres."""
+    """Compute which objects are visible from where an agent can stand in their rooms; eye_height, island_radius in
+    metres.
+    """
     islands = wide_islands(walkable.pathfinder, PlacesConfig(island_radius=island_radius))
     obstacles = blocked_footprints(scene, walkable.pathfinder, walkable.max_climb)
     return list(scene_visibility(scene, walkable.view, walkable.pathfinder, islands, eye_height, obstacles))
@@ -85,16 +89,18 @@ def draw_programs(
     seed: int,
     graph: GraphPathfinder | None = None,
 ) -> DrawnPrograms:
-    """Candidate programs of a scene; without ``walkable`` and ``graph`` objects are apart by their centres.
+    """Draw the candidate programs of a scene.
+
+    Without ``walkable`` and ``graph``, the distance between objects is that of their centres.
 
     Parameters
     ----------
-    facts : what text may say of pairs of objects, by room id
-    graph : viewpoints of a scan that nobody can walk
+    facts : what text may state about pairs of objects, by room id
+    graph : viewpoint graph of a scan without a navmesh
     """
     goal_points: Mapping[str, NDArray[np.float64]] = {}
     placer: GraphPlacer | None = None
-    # What knows where objects can be stood at; each next one fills what the one before left short.
+    # Samplers by what defines the distance between objects; each fills the cells that the previous ones left short.
     ways = [apart_by_centres(scene, places)]
     if walkable is not None:
         pathfinder = walkable.pathfinder
@@ -103,10 +109,10 @@ def draw_programs(
         separation = places.leaf_separation(scene.single_room)
         ways = [reachable_stops(pathfinder, GoalField(pathfinder, goal_points), separation)]
     elif graph is not None:
-        # Where too few things have a viewpoint, there are instructions without episodes.
+        # If too few objects have a viewpoint, some instructions are published without episodes.
         ways.insert(0, viewpoint_stops(scene, graph))
         placer = GraphPlacer(scene, graph, seed)
-    # Leaves are checked before the gold one is drawn among them, so that the check can't favour a truth.
+    # Leaves are checked before one of them is drawn as gold, so that the check can't favour a truth.
     candidates: list[Candidate] = []
     rejections: Counter[tuple[InstructionCell | None, str]] = Counter()
     for stops in ways:
@@ -134,9 +140,9 @@ def draw_programs(
 def _placeable(
     candidates: list[Candidate], placer: GraphPlacer
 ) -> tuple[list[Candidate], Counter[tuple[InstructionCell | None, str]]]:
-    """The candidates that have a start on the viewpoints, and why others have none. Groups are kept or dropped whole.
+    """Return the candidates that can be placed on the viewpoints, and the rejections; groups are kept or dropped whole.
 
-    Every leaf is looked at as if it were gold, so that this tells nothing of the truth.
+    Every leaf is checked as if it were gold, so that the selection is independent of the truth.
     """
     refused: Counter[tuple[InstructionCell | None, str]] = Counter()
     lost: set[str] = set()
@@ -154,9 +160,9 @@ def _placeable(
 
 
 def _filled(candidates: list[Candidate], others: list[Candidate]) -> list[Candidate]:
-    """`candidates`, and from `others` as many as their cells lack.
+    """Return `candidates`, filled up from `others` for cells that are short.
 
-    At most one other for two candidates, so that most of what is published has an episode.
+    At most one other is added per two candidates, so that most published instructions have an episode.
     """
     there = {candidate.instruction_id for candidate in candidates}
     held = Counter(candidate.cell for candidate in candidates)
@@ -184,7 +190,7 @@ def place_programs(
     preamble: bool,
     seed: int,
 ) -> EpisodePool:
-    """The episodes that candidates become, and why the others failed."""
+    """Place the candidates and return the episodes and the rejections."""
     placer = Placer(
         scene,
         walkable.pathfinder,
@@ -218,7 +224,8 @@ def published_texts(
     wording: WordingConfig,
     seed: int,
 ) -> tuple[dict[str, str], dict[int, str]]:
-    """Text of each program by instruction id, and of each episode by episode id, which may open with the heading.
+    """Return the text of each program by instruction id, and of each episode (which may begin with the heading) by
+    episode id.
 
     placements : rows of PLACEMENTS
     """

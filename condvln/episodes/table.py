@@ -1,4 +1,4 @@
-"""Placed programs as rows: the episodes table before (PLACEMENTS) and after (EPISODES) its text is known."""
+"""Placed programs as table rows: PLACEMENTS before the text is known, EPISODES after."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ __all__ = [
 
 TEXT_COLUMNS: Final = ("words", "max_steps", "instruction_text")
 PLACEMENTS: Final = pa.schema([f for f in EPISODES if f.name not in TEXT_COLUMNS])
-"""The episodes table without what the wording decides."""
+"""Schema of the episodes table without the columns that depend on the wording."""
 
 STOPS: Final = pa.schema(
     [
@@ -43,11 +43,11 @@ STOPS: Final = pa.schema(
         pa.field("points", pa.list_(VEC3), nullable=False),
     ]
 )
-"""Goal points of every object that can be stood at, best first; kept in the unit, not published."""
+"""Schema of the goal points of every reachable object, nearest first; stored in the unit, not published."""
 
 
 def stops_table(scene_id: str, goals: Mapping[str, NDArray[np.float64]]) -> pa.Table:
-    """Goal points (k, 3) by object id as STOPS rows."""
+    """Return goal points (k, 3) by object id as STOPS rows."""
     rows = [
         {"scene_id": scene_id, "object_id": name, "points": [_point(point) for point in points]}
         for name, points in goals.items()
@@ -56,7 +56,7 @@ def stops_table(scene_id: str, goals: Mapping[str, NDArray[np.float64]]) -> pa.T
 
 
 def goals_from_table(table: pa.Table) -> dict[str, NDArray[np.float64]]:
-    """Goal points (k, 3) by object id of STOPS rows, in the table's order."""
+    """Return the goal points (k, 3) by object id from STOPS rows, in the table's order."""
     return {
         row["object_id"]: np.array([[p["x"], p["y"], p["z"]] for p in row["points"]], dtype=np.float64)
         for row in table.select(["object_id", "points"]).to_pylist()
@@ -66,7 +66,7 @@ def goals_from_table(table: pa.Table) -> dict[str, NDArray[np.float64]]:
 def placements_table(
     scene_id: str, pool: EpisodePool, compositions: Mapping[str, str], navmesh_sha256: str
 ) -> pa.Table:
-    """The pool's episodes as PLACEMENTS rows; `compositions` by instruction id."""
+    """Return the pool's episodes as PLACEMENTS rows; `compositions` by instruction id."""
     rows = [_row(scene_id, e, compositions[e.instruction_id], navmesh_sha256) for e in pool.episodes]
     return pa.Table.from_pylist(rows, schema=PLACEMENTS)
 
@@ -135,10 +135,10 @@ def _point(values: NDArray[np.float64]) -> dict[str, float]:
 
 
 def with_text(placements: pa.Table, texts: Mapping[int, str], max_steps: StepBudget, steps_per_word: int) -> pa.Table:
-    """EPISODES rows: each placement with its text (by episode id), word count and step budget.
+    """Return EPISODES rows: each placement with its text (by episode id), word count and step budget.
 
-    A proportional budget is max(steps a word × words, 2 × ground-truth actions), as in the paper; in a counterfactual
-    group the words are those of its longest text, so that all have one budget.
+    A proportional budget is max(`steps_per_word` × words, 2 × ground-truth actions), as in the paper. In a
+    counterfactual group the words of the longest text count, so that all members have the same budget.
     """
     rows = placements.to_pylist()
     longest: dict[str | int, int] = {}
@@ -160,7 +160,7 @@ def rejections_table(
     counts: Mapping[tuple[InstructionCell | None, str], int],
     examples: Mapping[tuple[InstructionCell | None, str], str] | None = None,
 ) -> pa.Table:
-    """Counts by (cell, reason) as REJECTIONS rows."""
+    """Return counts by (cell, reason) as REJECTIONS rows."""
     rows = [
         {
             "scene_id": scene_id,
@@ -177,7 +177,9 @@ def rejections_table(
 
 
 def funnel_table(scene_id: str, cells: Sequence[InstructionCell], pool: EpisodePool, groups: int = 0) -> pa.Table:
-    """Episodes wanted, drawn and placed of each cell, and of counterfactual groups, as FUNNEL rows."""
+    """Return the numbers of wanted, drawn and placed episodes of each cell and of counterfactual groups, as FUNNEL
+    rows.
+    """
     placed = pool.placed
     wanted: list[tuple[InstructionCell | None, int]] = [(cell, cell.count) for cell in cells]
     if groups:

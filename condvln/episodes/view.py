@@ -1,4 +1,4 @@
-"""What an agent can see of a scene: what stands in the way of a look, and where its objects are looked for."""
+"""Lines of sight in a scene: occluders, and the sample points at which its objects are looked for."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ Bools = NDArray[np.bool_]
 _STRUCTURE_KIND: Final = "structure"
 
 FIRST_LOOKS: Final = 8
-"""One sample in so many is tried before all are."""
+"""Stride of the sample points that are tested first, before all of them."""
 
 
 class SceneView:
-    """Lines of sight in one scene.
+    """The occluders and sight targets of one scene.
 
     If the surfaces are exact, they alone occlude. If they are boxes, structure (walls, floors) occludes with its
     triangles and each object with its box. An object's box never occludes the objects inside it, because boxes of
@@ -41,7 +41,7 @@ class SceneView:
 
     Attributes
     ----------
-    approximate : boxes replace surfaces; recorded with everything that is derived from them
+    approximate : boxes are used in place of surfaces; recorded with all derived results
     """
 
     def __init__(self, scene: Scene, geometry: SceneGeometry | None = None, words: Vocabulary = vocabulary) -> None:
@@ -68,7 +68,7 @@ class SceneView:
         return JoinedOccluders(MeshOccluders(geometry.vertices, structure), boxes) if len(structure) else boxes
 
     def _boxes(self, words: Vocabulary) -> BoxOccluders:
-        """A solid box for every solid object; the box around a room's walls is left out."""
+        """Return a solid box for every solid object; the box around a room's walls is left out."""
         found: list[tuple[F64, F64, F64]] = []
         headroom: list[float] = []
         for item in self._scene.objects:
@@ -81,13 +81,13 @@ class SceneView:
         return BoxOccluders(np.reshape(centers, (-1, 3)), np.reshape(halves, (-1, 3)), np.array(rotations), headroom)
 
     def target(self, object_id: str) -> SightTarget:
-        """Sample points of one object: of its surface, else of its box, else its centre."""
+        """Return the sample points of an object: on its surface, else on its box, else its centre."""
         if object_id not in self._targets:
             self._targets[object_id] = self._target(self._scene.object_of[object_id])
         return self._targets[object_id]
 
     def denser_target(self, object_id: str, count: int) -> SightTarget:
-        """The target with `count` points of its surface, or of the surface of each part."""
+        """Return the target with `count` points on its surface, or on the surface of each of its parts."""
         return self._target(self._scene.object_of[object_id], count)
 
     def _target(self, item: SceneObject, count: int = DEFAULT_SAMPLES) -> SightTarget:
@@ -100,11 +100,14 @@ class SceneView:
         return SightTarget(np.concatenate(samples), np.repeat(numbers, [len(points) for points in samples]))
 
     def seen(self, eyes: F64, target: SightTarget, view: View) -> Bools:
-        """(n, k): which samples of a target each of n eyes (n, 3) sees, looking all around."""
+        """Return (n, k): which samples of a target are visible from each of n eyes (n, 3), in any direction."""
         return visible_points(self._occluders, eyes, target.samples, view, own=target.owners)
 
     def glimpsed(self, eyes: F64, object_id: str, view: View) -> Bools:
-        """(n,): which of n eyes (n, 3) see any sample of an object. A few are tried first, as most eyes see those."""
+        """Return (n,): from which of n eyes (n, 3) any sample of an object is visible.
+
+        A few samples are tested first, since they decide most cases.
+        """
         target = self.target(object_id)
         seen = np.zeros(len(eyes), dtype=bool)
         for part in (SightTarget(target.samples[::FIRST_LOOKS], target.owners[::FIRST_LOOKS]), target):
@@ -115,7 +118,9 @@ class SceneView:
 
 
 def _boxes_of(item: SceneObject) -> list[tuple[F64, F64, F64]]:
-    """Centre, half extents and axes of an object's parts, else of the tightest box that is known; empty without."""
+    """Return centre, half extents and axes of an object's parts, else of its tightest known box; empty if it has
+    none.
+    """
     oriented = item.parts or (() if item.obb is None else (item.obb,))
     if oriented:
         return [(box.center, box.half_extents, box.rotation) for box in oriented]

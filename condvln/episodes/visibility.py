@@ -1,8 +1,8 @@
-"""Which objects can be seen at all: from some place of their room where an agent can stand, at the height of its eyes.
+"""Compute which objects can be seen from any position in their room where an agent can stand, at its eye height.
 
-An object is *seeable* where so much of its surface is seen that other points of it would show the same; *unseen* where
-none of many points is seen from any place. What lies between is neither: text says nothing of it, and nothing that it
-could spoil.
+An object is *seeable* if so large a share of its surface is visible that other sample points would give the same
+result. It is *unseen* if none of many sample points is visible from any position. In between it is neither: text does
+not mention it, nor make statements whose truth could depend on it.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ __all__ = ["Visibility", "scene_visibility", "sightings_from_table", "visibility
 F64 = NDArray[np.float64]
 
 FIRST_PLACES: Final = 32
-"""Places that every object is looked for from; all others are asked only where these do not suffice."""
+"""Number of positions from which every object is looked for; the others are used only if these do not suffice."""
 CLOSE_SAMPLES: Final = 512
-"""Points of an object's surface that are looked for then: a part of 1 % is missed by all of them once in 170 times."""
+"""Number of surface points tested then: all miss a visible part of 1 % of the surface once in 170 times."""
 _ANY_DISTANCE: Final = View(range=float("inf"))
 
 
 @dataclass(frozen=True, slots=True)
 class Visibility:
-    """What is seen of one object from the places of its room where an agent can stand.
+    """What is visible of one object from the positions in its room where an agent can stand.
 
-    places : places that were looked from
-    from_places : those of them that see some of it
-    share : share of its surface that is seen from all of them together
-    nearest_view : horizontal metres from its centre to the nearest place that sees it; None where none does
+    places : number of positions tested
+    from_places : number of positions from which some of it is visible
+    share : share of its surface that is visible from all positions together
+    nearest_view : horizontal metres from its centre to the nearest position that sees it; None if there is none
     seeable, unseen : see the module; never both
     """
 
@@ -66,13 +66,13 @@ def scene_visibility(
     obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
     words: Vocabulary = vocabulary,
 ) -> list[Visibility]:
-    """The visibility of every object that is not a part of the building, in the order of ids.
+    """Return the visibility of every object that is not part of the building, sorted by id.
 
-    A thing without a name is looked for too: it may be what a word means.
+    Unnamed objects are included, since a word may refer to them.
 
-    islands : those of the navmesh that an episode may be on
-    eye_height : metres of the eyes above the floor
-    obstacles : furniture that the navmesh ignores; nobody stands in it
+    islands : navmesh islands that episodes may use
+    eye_height : metres above the floor
+    obstacles : furniture that the navmesh ignores; no agent stands in it
     """
     eyes = {
         room.room_id: eyes_at(standing_points(scene, room, pathfinder, islands, obstacles), eye_height)
@@ -115,7 +115,7 @@ def _looked_for(item: SceneObject, eyes: F64, view: SceneView, target: SightTarg
 
 
 def visibility_table(scene: Scene, found: Iterable[Visibility] | None, words: Vocabulary = vocabulary) -> pa.Table:
-    """Rows of the published table; with None, where nothing is known of places to stand, all is null."""
+    """Return the rows of the visibility table; if `found` is None (no positions are known), all values are null."""
     rows: list[dict[str, Any]]
     if found is None:
         unknown = dict.fromkeys(VISIBILITY.names)
@@ -139,7 +139,7 @@ def visibility_table(scene: Scene, found: Iterable[Visibility] | None, words: Vo
 
 
 def sightings_from_table(table: pa.Table) -> Sightings:
-    """The objects that can't be seen, and those for which this is in doubt; none where all is null."""
+    """Return the objects that can't be seen and those in doubt; none if all values are null."""
     columns: Mapping[str, list[Any]] = table.select(["object_id", "seeable", "unseen"]).to_pydict()
     rows = list(zip(*columns.values(), strict=True))
     unseen = frozenset(name for name, _, out_of_sight in rows if out_of_sight)

@@ -1,4 +1,4 @@
-"""Scene → relation graph: all metrics and predicates of all pairs, and the facts that text may use."""
+"""Relations of a scene: metrics and predicates of all pairs of objects, and the facts that text may use."""
 
 from condvln.relations.compass import CANONICAL, COMPASS, SECTORS
 from condvln.relations.graph import to_networkx

@@ -1,8 +1,8 @@
-"""Left, right, ahead and behind: where a thing lies for an agent that stands at a place and faces a heading.
+"""Egocentric directions: whether an object lies left, right, ahead or behind of an agent's pose.
 
-A bearing is an angle in degrees clockwise from where the agent faces, so that right is 90. It goes by the centre of the
-thing's box on the ground, and by how wide the box looks from there: what reaches from the left to the front is neither
-surely on the left nor surely not.
+A bearing is an angle in degrees clockwise from the agent's heading, so that right is 90. It is that of the centre of
+the object's box on the ground. The box's angular width counts too: an object that extends from the left to the front is
+neither surely left nor surely not left.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ __all__ = ["BEARING_DEGREES", "Sighting", "bearing_status", "sighted"]
 F64 = NDArray[np.float64]
 
 BEARING_DEGREES: Final[Mapping[str, float]] = {"ahead": 0.0, "right": 90.0, "behind": 180.0, "left": -90.0}
-"""Degrees clockwise from the heading of the middle of each bearing."""
+"""Bearing in degrees of the middle of each direction, clockwise from the heading."""
 
 SLACK: Final = 1e-6
-"""Degrees that a fact must hold by, so that who computes it again from a stored rotation finds it too."""
+"""Safety margin in degrees, so that the same fact follows from a stored, rounded rotation."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Sighting:
-    """How one thing looks from places.
+    """The direction and angular width of one object, seen from s positions.
 
-    azimuth (s,) : degrees clockwise from north of its centre
-    low, high (s,) : how far its box reaches to the left (≤ 0) and to the right (≥ 0) of that, in degrees
-    clear (s,) : the place is outside of its box, and far enough from its centre
+    azimuth (s,) : of its centre, degrees clockwise from north
+    low, high (s,) : angular extent of its box to the left (≤ 0) and to the right (≥ 0) of the centre, degrees
+    clear (s,) : the position is outside its box and far enough from its centre
     """
 
     azimuth: F64
@@ -43,7 +43,7 @@ class Sighting:
 
 
 def sighted(places: F64, box: F64, thresholds: Thresholds) -> Sighting:
-    """A thing with an axis-aligned box (2, 3) from places (s, 3)."""
+    """Return the direction and angular width of an axis-aligned box (2, 3) from positions (s, 3), metres."""
     x, z = places[:, 0], places[:, 2]
     (west, north), (east, south) = box[0, [0, 2]], box[1, [0, 2]]
     east_of, north_of = (west + east) / 2 - x, z - (north + south) / 2
@@ -55,7 +55,7 @@ def sighted(places: F64, box: F64, thresholds: Thresholds) -> Sighting:
 
 
 def bearing_status(seen: Sighting, direction: str, headings: Sequence[float] | F64, t: Thresholds) -> NDArray[np.int8]:
-    """(s, h): 1 where a thing surely lies in a direction, −1 where it surely does not, else 0.
+    """Return (s, h): 1 where an object surely lies in `direction`, −1 where it surely does not, else 0.
 
     headings (h,) : degrees clockwise from north
     """
@@ -63,7 +63,7 @@ def bearing_status(seen: Sighting, direction: str, headings: Sequence[float] | F
     low, high = off + seen.low[:, None], off + seen.high[:, None]
     strict, loose = t.bearing_true, t.bearing_false
     true = (np.abs(off) <= strict - SLACK) & (low >= SLACK - loose) & (high <= loose - SLACK)
-    # Round the circle both ways: the box must end before the direction begins again.
+    # Checked both ways around the circle: the box must end before the direction's range begins again.
     right = (off >= loose + SLACK) & (low >= strict + SLACK) & (high <= 360.0 - strict - SLACK)
     left = (off <= -loose - SLACK) & (high <= -strict - SLACK) & (low >= strict + SLACK - 360.0)
     status = true.astype(np.int8) - (left | right).astype(np.int8)
@@ -75,6 +75,6 @@ def _azimuth(east: F64, north: F64) -> F64:
 
 
 def _turn(degrees: F64) -> F64:
-    """The same angle in [−180, 180)."""
+    """Return the same angle in [−180, 180) degrees."""
     turned: F64 = (degrees + 180.0) % 360.0 - 180.0
     return turned

@@ -1,7 +1,7 @@
 """Distances of oriented boxes in closed form.
 
-Hierarchies of triangles are not used for boxes: FCL's distance of two triangles is now and then 0 where they lie in one
-plane, as those of a flat box do (its sides are triangles without area).
+FCL's triangle hierarchies are not used for boxes: its distance of two coplanar triangles is sometimes wrongly 0, and
+the sides of a flat box are such triangles, without area.
 """
 
 from __future__ import annotations
@@ -16,26 +16,26 @@ __all__ = ["box_distances"]
 F64 = NDArray[np.float64]
 
 SIGNS: Final = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
-"""(8, 3) corner k has the sign of bit 2 for x, bit 1 for y, bit 0 for z."""
+"""(8, 3) signs of the corners: corner k has the sign of bit 2 for x, of bit 1 for y, of bit 0 for z."""
 
 PAIRS_AT_ONCE: Final = 4096
-"""Of boxes; some 50 MB of temporaries."""
+"""Pairs of boxes per block; a block takes about 50 MB of temporaries."""
 
 PARALLEL: Final = 1e-12
-"""Sine below which two edges count as parallel; their distance is then that of a corner."""
+"""Sine of the angle below which two edges count as parallel; a corner then gives their distance."""
 
 # The four edges along each axis begin at the corners whose sign on that axis is negative.
 _EDGE_STARTS: Final = np.array([np.flatnonzero(SIGNS[:, axis] < 0) for axis in range(3)])
 
 
 def box_distances(first: tuple[F64, F64, F64], second: tuple[F64, F64, F64]) -> F64:
-    """Metres between the boxes of p pairs, (p,); 0 where two overlap or one holds the other.
+    """Return the distances (p,) in metres between the boxes of p pairs; 0 where they overlap or one contains the other.
 
-    first, second : centers (p, 3), half extents (p, 3), both in metres and perhaps 0, and rotations (p, 3, 3) with the
+    first, second : centers (p, 3), half extents (p, 3), both in metres, extents may be 0; rotations (p, 3, 3) with the
         boxes' axes as columns
 
     Two boxes are apart if one of 15 axes separates them (Gottschalk, Lin and Manocha, 1996). The least distance is then
-    that of a corner to the other box, or of two edges at points inside both.
+    that of a corner to the other box, or of two edges at interior points of both.
     """
     count = len(first[0])
     found = np.empty(count)
@@ -76,20 +76,22 @@ def _distances(a: F64, half_a: F64, axes_a: F64, b: F64, half_b: F64, axes_b: F6
 
 
 def _corners_to_box(corners: F64, center: F64, half: F64, axes: F64) -> F64:
-    """(p,) least distance of corners (p, 8, 3) to boxes."""
+    """Return (p,): the least distance of corners (p, 8, 3) to boxes."""
     beyond = np.maximum(np.abs((corners - center[:, None]) @ axes) - half[:, None], 0.0)
     least: F64 = np.linalg.norm(beyond, axis=-1).min(axis=1)
     return least
 
 
 def _edges(from_a: F64, along_a: F64, from_b: F64, along_b: F64, normal: F64) -> F64:
-    """(p,) least distance of four edges to four others at points inside both, infinite where there are none.
+    """Return (p,): the least distance of four edges to four others at interior points of both; infinite if there are
+    none.
 
-    from_a, from_b : (p, 4, 3) where they begin; along_a, along_b : (p, 3) to their ends; normal (p, 3) : to both
+    from_a, from_b : (p, 4, 3) where they begin; along_a, along_b : (p, 3) vectors to their ends
+    normal : (p, 3) perpendicular to both
     """
     between = from_b[:, None] - from_a[:, :, None]  # (p, 4, 4, 3)
     side_a, side_b = np.cross(along_b, normal), np.cross(along_a, normal)
-    # Lines meet, seen along the normal, where the rest of `between` is s along_a - t along_b.
+    # Seen along the normal, the lines cross where the rest of `between` is s along_a - t along_b.
     with np.errstate(divide="ignore", invalid="ignore"):
         s = np.einsum("pijk,pk->pij", between, side_a) / (along_a * side_a).sum(axis=1)[:, None, None]
         t = -np.einsum("pijk,pk->pij", between, side_b) / (along_b * side_b).sum(axis=1)[:, None, None]

@@ -1,4 +1,4 @@
-"""Facts that compare things: the closest of several, the bigger of two, and what lies between two others."""
+"""Facts that compare objects: closest to an anchor, bigger or smaller of two, between two anchors."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ Status = NDArray[np.int8]
 
 
 def closest_facts(distance: F64, rival: Mask, t: Thresholds) -> tuple[Status, F64]:
-    """Status and margin (n, n) of "closest to": the subject among all that its label might mean.
+    """Return status and margin (n, n) of "closest to": the subject against all objects that its label might mean.
 
     distance (n, n) : of the boxes, or of their nearest pieces, in millimetres; NaN where one is unknown
-    rival (n, n) : j could be meant by i's label; without rivals nothing is said
+    rival (n, n) : j could be meant by i's label; an object without rivals gets status 0
     """
     n = len(rival)
     nearest, all_known = np.full((n, n), np.nan), np.zeros((n, n), dtype=np.bool_)
@@ -41,10 +41,10 @@ def closest_facts(distance: F64, rival: Mask, t: Thresholds) -> tuple[Status, F6
 
 
 def size_facts(arrays: RoomArrays, rival: Mask, t: Thresholds) -> dict[str, Status]:
-    """Status (n,) of "the bigger" and "the smaller" of two things of one label, where the room has no third.
+    """Return the status (n,) of "the bigger" and "the smaller" of two objects of one label, if the room has no third.
 
-    By the volumes of their boxes; what is not one box is not compared. Where their largest sides say otherwise, as of
-    pictures of different depth, nothing is decided.
+    The volumes of their boxes decide; an object of several boxes is not compared. The status is 0 if the areas of their
+    largest sides give the opposite order, as for pictures of different depth.
     """
     labels = np.array(arrays.labels, dtype=object)
     measured = [_sizes(item) for item in arrays.objects]
@@ -64,7 +64,7 @@ def size_facts(arrays: RoomArrays, rival: Mask, t: Thresholds) -> dict[str, Stat
 
 
 def _sizes(item: SceneObject) -> tuple[str, float, float] | None:
-    """Kind of box, its volume in mm³ and its largest side's area in mm²; None without a box."""
+    """Return the kind of box, its volume in mm³ and the area of its largest side in mm²; None without a box."""
     if item.parts:
         return None
     if item.obb is not None:
@@ -80,10 +80,10 @@ def _sizes(item: SceneObject) -> tuple[str, float, float] | None:
 def between_facts(
     centers: F64, s: Stacking, compound: Mask, pairs: NDArray[np.intp], t: Thresholds
 ) -> tuple[Status, F64]:
-    """Status and margin (n, p) of "between a and b".
+    """Return status and margin (n, p) of "between a and b".
 
     centers (n, 3) : metres; pairs (p, 2) : indices of the anchors
-    compound (n,) : things that are not one box; their centres say little, and nothing is decided
+    compound (n,) : objects of several boxes; their centres say little, so their status is 0
     """
     ground = millimetres(centers[:, [0, 2]])
     a, b = pairs[:, 0], pairs[:, 1]

@@ -1,4 +1,4 @@
-"""The relation graph of a scene as networkx knows it."""
+"""The relation graph of a scene as a networkx graph."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ __all__ = ["to_networkx"]
 
 
 def to_networkx(scene: Scene, relations: Mapping[str, RoomRelations], thresholds: Thresholds) -> nx.MultiDiGraph[str]:
-    """A directed multigraph: nodes are rooms and objects, edges the rows of the relations table.
+    """Return a directed multigraph: nodes are rooms and objects, edges the rows of the relations table.
 
-    Nodes carry ``kind`` (``room`` or ``object``), ``label`` and ``raw_label``, objects their ``room_id`` and
-    ``center`` too. Each edge goes from subject to target under its predicate as key (a pair has each predicate at
-    most once) and carries the columns of its row that are known.
+    Nodes have ``kind`` (``room`` or ``object``), ``label`` and ``raw_label``; objects also have ``room_id`` and
+    ``center``. Each edge goes from subject to target with its predicate as key (a pair has each predicate at most
+    once), and has the non-null columns of its row as attributes.
     """
     graph: nx.MultiDiGraph[str] = nx.MultiDiGraph(scene_id=scene.scene_id, family=scene.family)
     for room in scene.rooms:

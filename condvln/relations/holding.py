@@ -1,4 +1,4 @@
-"""What the source itself says of what is in or on what."""
+"""What the source itself states about which object is in or on which."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Holding:
-    """Statements of a source about the objects of one room, the held one by row and the holder by column.
+    """Statements of a source about the objects of one room, as arrays: contained object by row, holder by column.
 
-    on, inside : (n, n) its source says that it rests on the column, and that the column contains it
-    named : (n, n) its source names the column as a receptacle, whatever comes of it
-    denied : (n, n) its source says what it is in or on, and that is neither the column nor in or on the column
-    open : (n,) containers into which one can look
+    on, inside : (n, n) the source says that the row rests on the column, or is contained in it
+    named : (n, n) the source names the column as the row's receptacle, however the statement is interpreted
+    denied : (n, n) the source names the row's receptacles, and none of them is the column or in or on it
+    open : (n,) containers that one can look into
     """
 
     on: Mask
@@ -35,7 +35,7 @@ class Holding:
 
 
 def holding_of(arrays: RoomArrays) -> Holding:
-    """What the sources of n objects say."""
+    """Return what the sources of n objects state."""
     n, index = len(arrays), {name: k for k, name in enumerate(arrays.object_ids)}
     on, inside, named = (np.zeros((n, n), dtype=np.bool_) for _ in range(3))
     receptacles = {item.object_id: item.receptacles or () for item in arrays.objects}
@@ -53,7 +53,7 @@ def holding_of(arrays: RoomArrays) -> Holding:
 
 
 def closure(direct: Mask) -> Mask:
-    """(n, n) pairs that are linked by a chain of one or more links."""
+    """Return (n, n): pairs that are linked by a chain of one or more links."""
     found = direct
     while True:
         steps = found.astype(np.float32)

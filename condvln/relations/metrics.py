@@ -1,7 +1,7 @@
-"""Distances and angles of all ordered pairs of a room, over whole arrays.
+"""Distances and angles of all ordered pairs of objects in a room, as whole-room arrays.
 
-Arithmetic is done on whole millimetres, where float64 is exact: a scene moved by millimetres gives the same bits, and
-a distance that is exactly at a threshold compares as equal to it.
+Arithmetic is in whole millimetres, where float64 is exact: a scene that is shifted by whole millimetres gives the same
+bits, and a distance exactly at a threshold compares as equal to it.
 """
 
 from __future__ import annotations
@@ -19,29 +19,30 @@ F64 = NDArray[np.float64]
 MILLIMETRES_PER_METRE: Final = 1000.0
 
 USED_METRICS: Final = ("aabb", "sphere", "centre")
-"""The distances that decide near and far, in order of preference; `PairMetrics.used_metric` holds indices."""
+"""The distances that decide near and far, in order of preference; `PairMetrics.used_metric` indexes it."""
 AABB, SPHERE, CENTRE = range(3)
 
 
 def millimetres(metres: ArrayLike) -> F64:
-    """Whole millimetres as float64; NaN is kept, −0 becomes 0."""
+    """Return metres as whole millimetres in float64; NaN is kept, −0 becomes 0."""
     whole: F64 = np.rint(np.asarray(metres, dtype=np.float64) * MILLIMETRES_PER_METRE) + 0.0
     return whole
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PairMetrics:
-    """Arrays over ordered pairs, subject by row and target by column; metres and degrees.
+    """Arrays over ordered pairs, subject by row and target by column, in metres and degrees.
 
     delta : (n, n, 3), c_target − c_subject
-    centre, horizontal : (n, n), of delta and of its ground part
+    centre, horizontal : (n, n), lengths of delta and of its horizontal part
     aabb : (n, n), between boxes; NaN where one is unknown
     sphere : (n, n), between bounding spheres, at least 0; NaN where one is unknown
     used : (n, n), the first available of aabb, sphere, centre
-    used_metric : (n, n), which it is, an index into `USED_METRICS`
+    used_metric : (n, n), the metric in `used`, as an index into `USED_METRICS`
     azimuth : (n, n), of c_subject − c_target in (−180, 180], from east towards north; NaN where horizontal < 1 mm
     elevation : (n, n), of c_subject − c_target in [−90, 90]
-    footprint_overlap : (n, n), shared ground area of the two boxes over the smaller of both; NaN where unknown or flat
+    footprint_overlap : (n, n), shared ground area of the two boxes divided by the smaller box's area; NaN where unknown
+        or flat
     """
 
     delta: F64
@@ -57,9 +58,12 @@ class PairMetrics:
 
 
 def pair_metrics(centers: F64, aabb_min: F64, aabb_max: F64, radius: F64) -> PairMetrics:
-    """Metrics of all pairs of n objects; centers, aabb_min, aabb_max (n, 3), radius (n,), NaN where unknown."""
+    """Return the metrics of all pairs of n objects.
+
+    centers, aabb_min, aabb_max : (n, 3) metres; radius : (n,) metres; NaN where unknown
+    """
     center, low, high = millimetres(centers), millimetres(aabb_min), millimetres(aabb_max)
-    # Subject minus target. North is −z, so it is taken the other way round rather than negated: no −0 arises.
+    # Subject minus target. North is −z: the operands are swapped rather than negated, so that no −0 arises.
     east = center[:, None, 0] - center[None, :, 0]
     up = center[:, None, 1] - center[None, :, 1]
     north = center[None, :, 2] - center[:, None, 2]
@@ -87,14 +91,16 @@ def pair_metrics(centers: F64, aabb_min: F64, aabb_max: F64, radius: F64) -> Pai
 
 
 def _between(low: F64, high: F64) -> F64:
-    """(n, n) gap between intervals (n,) along one axis; negative where they overlap, by how much one must move."""
+    """Return (n, n): the gap between intervals (n,) along one axis; negative by the depth of an overlap."""
     one_way = low[:, None] - high[None, :]
     gap: F64 = np.maximum(one_way, one_way.T)
     return gap
 
 
 def _footprint_overlap(gap_x: F64, gap_z: F64, sizes: F64) -> F64:
-    """Shared ground area over the smaller of both; gaps (n, n) along x and z, sizes (n, 2) of the rectangles."""
+    """Return the shared ground area divided by the smaller area; gaps (n, n) along x and z, sizes (n, 2) of the
+    rectangles.
+    """
     shared_x, shared_z = (
         np.maximum(np.minimum(-gap, np.minimum(size[:, None], size[None, :])), 0.0)
         for gap, size in ((gap_x, sizes[:, 0]), (gap_z, sizes[:, 1]))

@@ -1,4 +1,4 @@
-"""A room's objects as the boxes that they are made of: most are one, a counter with a corner is its arms."""
+"""The boxes (pieces) that a room's objects consist of: one for most, several for an L-shaped counter."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """The m ≥ n pieces of n objects, those of one object in a row.
+    """The m ≥ n pieces of n objects; the pieces of one object are consecutive.
 
-    arrays : the pieces as arrays, each with its object's id and label; `whole` where every object is one piece
-    owner (m,) : index of the object of each piece
+    arrays : the pieces as arrays, each with its object's id and label; equal to `whole` if every object is one piece
+    owner (m,) : index of each piece's object
     """
 
     whole: RoomArrays
@@ -33,7 +33,7 @@ class Pieces:
 
     @classmethod
     def of(cls, whole: RoomArrays) -> Pieces:
-        """The pieces of a room's objects."""
+        """Return the pieces of a room's objects."""
         counts = np.array([max(1, len(item.parts)) for item in whole.objects], dtype=np.intp)
         owner = np.repeat(np.arange(len(whole), dtype=np.intp), counts)
         if len(owner) == len(whole):
@@ -44,7 +44,7 @@ class Pieces:
         first = np.searchsorted(owner, owner)
         for k in compound:
             boxes[k] = round_mm(aabb_of(box_corners(whole.objects[owner[k]].parts[k - first[k]])))
-            # Middles of whole millimetres, halves to even ones, so that they are the same wherever they are computed.
+            # Centres in whole millimetres, halves rounded to even, so that every computation gives the same ones.
             centers[k] = np.rint(millimetres(boxes[k]).sum(axis=0) / 2.0) / 1000.0
         arrays = RoomArrays(
             room_id=whole.room_id,
@@ -62,7 +62,7 @@ class Pieces:
 
     @cached_property
     def compound(self) -> Mask:
-        """(n,) objects of several pieces."""
+        """Mask (n,) of objects with several pieces."""
         return np.bincount(self.owner, minlength=len(self.whole)) > 1
 
     @property
@@ -71,23 +71,23 @@ class Pieces:
         return self.arrays is not self.whole
 
     def spread(self, values: NDArray[Any]) -> NDArray[Any]:
-        """(m, m) from values (n, n) of pairs of objects."""
+        """Return (m, m) values of pieces from values (n, n) of pairs of objects."""
         return values[np.ix_(self.owner, self.owner)] if self.several else values
 
     def any(self, mask: Mask) -> Mask:
-        """(n, n) whether it is so of some pieces (m, m) of both objects."""
+        """Return (n, n): whether the mask (m, m) is true for some pieces of both objects."""
         return np.asarray(self._reduced(np.logical_or, mask), dtype=np.bool_)
 
     def all(self, mask: Mask) -> Mask:
-        """(n, n) whether a fact holds for all pieces of both objects."""
+        """Return (n, n): whether the mask (m, m) is true for all pieces of both objects."""
         return np.asarray(self._reduced(np.logical_and, mask), dtype=np.bool_)
 
     def least(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(n, n) least value of all pieces of both objects; NaN where one is."""
+        """Return (n, n): the least value over all pieces of both objects; NaN if one is NaN."""
         return np.asarray(self._reduced(np.minimum, values), dtype=np.float64)
 
     def most(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(n, n) greatest value of all pieces of both objects; NaN where one is."""
+        """Return (n, n): the greatest value over all pieces of both objects; NaN if one is NaN."""
         return np.asarray(self._reduced(np.maximum, values), dtype=np.float64)
 
     def _reduced(self, how: Callable[..., Any], values: NDArray[Any]) -> NDArray[Any]:

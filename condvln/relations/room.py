@@ -24,19 +24,19 @@ F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 SEMANTIC: Final = ("near", "far from", "higher than", "lower than", "above", "below")
-"""Predicates that have an edge where their thresholds hold, beside the one canonical edge of a pair."""
+"""Predicates with an edge of their own if their thresholds hold, besides the one canonical edge of a pair."""
 
 
 @dataclass(frozen=True, eq=False)
 class RoomRelations:
     """All ordered pairs of a room's n objects; the subject is the row, the target the column.
 
-    objects : the room's objects in order of id, which give rows and columns their meaning
+    objects : the room's objects in order of id: the order of rows and columns
     metrics : distances and angles, see `PairMetrics`
-    surface : (n, n) metres, rounded to 1 mm; NaN where not asked or nothing is known
+    surface : (n, n) metres, rounded to 1 mm; NaN where not computed or unknown
     canonical : (n, n) index into `CANONICAL`; −1 where centres coincide and on the diagonal
-    degenerate : (n, n), centres horizontally so close that the azimuth says little
-    semantic : per predicate of `SEMANTIC` (n, n), whether its edge is there; False on the diagonal
+    degenerate : (n, n), centres so close horizontally that the azimuth is unreliable
+    semantic : for each predicate of `SEMANTIC`, (n, n) whether the edge exists; False on the diagonal
     """
 
     objects: RoomArrays
@@ -51,20 +51,21 @@ class RoomRelations:
 
     @property
     def room_id(self) -> str:
-        """The room's id."""
+        """Id of the room."""
         return self.objects.room_id
 
     @classmethod
     def from_table(cls, rows: pa.Table, arrays: RoomArrays, thresholds: Thresholds) -> RoomRelations:
-        """The relations of one room from its stored rows; nothing is measured again with FCL.
+        """Return the relations of one room from its stored rows; no distance is measured again.
 
-        rows : rows of the relations table of one scene, made with the same `thresholds`; other rooms' are passed over
+        rows : rows of the relations table of one scene, made with the same `thresholds`; rows of other rooms are
+            ignored
         arrays : the room's objects
 
         Raises
         ------
         StoreError
-            The rows are not those of these objects.
+            The rows belong to other objects or were made with other thresholds.
         """
         rows = rows.filter(
             pc.and_(pc.equal(rows["room_id"], arrays.room_id), pc.not_equal(rows["kind"], "containment"))
@@ -83,21 +84,21 @@ class RoomRelations:
             if edges == len(rows) and np.array_equal(rows["centre_distance"].to_numpy(), metrics.centre[i, j]):
                 return found
         raise StoreError(
-            "the stored relations are not those of these objects under these thresholds",
+            "the stored relations belong to other objects or other thresholds",
             place=f"room {arrays.room_id!r}",
             remedy="Relate the scene again",
         )
 
     @property
     def subject_above_target(self) -> F64:
-        """(n, n) metres by which the subject's centre is higher than the target's."""
+        """(n, n) height in metres of the subject's centre above the target's."""
         return -self.metrics.delta[..., 1] + 0.0
 
 
 def relate_room(arrays: RoomArrays, thresholds: Thresholds, meshes: MeshOf | None = None) -> RoomRelations:
-    """Relations of one room.
+    """Return the relations of one room.
 
-    meshes : gives an object's mesh in the scene's frame; without it boxes stand for all objects
+    meshes : returns an object's mesh in the scene's frame; without it, boxes are used for all objects
     """
     metrics = pair_metrics(arrays.centers, arrays.aabb_min, arrays.aabb_max, arrays.radius)
     surface = surface_distances(arrays, metrics.aabb, thresholds.surface_within, meshes)
@@ -105,12 +106,12 @@ def relate_room(arrays: RoomArrays, thresholds: Thresholds, meshes: MeshOf | Non
 
 
 def relate_scene(scene: Scene, thresholds: Thresholds, meshes: MeshOf | None = None) -> dict[str, RoomRelations]:
-    """Relations of every room of a scene, by room id in the scene's order."""
+    """Return the relations of every room of a scene, by room id in the scene's order."""
     return {room.room_id: relate_room(scene.arrays(room.room_id), thresholds, meshes) for room in scene.rooms}
 
 
 def _decide(arrays: RoomArrays, metrics: PairMetrics, surface: F64, thresholds: Thresholds) -> RoomRelations:
-    """The predicates that follow from metrics and thresholds."""
+    """Return the predicates that follow from metrics and thresholds."""
     dy = -metrics.delta[..., 1] + 0.0
     others = ~np.eye(len(arrays), dtype=np.bool_)
     canonical = canonical_codes(metrics.azimuth, metrics.elevation, dy, thresholds.level)

@@ -1,4 +1,4 @@
-"""The solid that stands for an object when surfaces are measured: its mesh, else its oriented or axis-aligned box."""
+"""The solid used for an object in surface distances: its mesh, else its oriented box, else its axis-aligned box."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["BoxSolid", "CompoundSolid", "MeshSolid", "Solid", "is_its_aabb", "so
 
 F64 = NDArray[np.float64]
 
-# Triangles of a box's corners; they look outwards.
+# Triangles between a box's corners, with outward normals.
 _BOX_FACES: Final = np.array(
     [
         [0, 1, 3],
@@ -39,10 +39,12 @@ _BOX_FACES: Final = np.array(
 )
 
 AXIS_TOLERANCE: Final = 1e-9
-"""A rotation whose entries are this close to 0 or ±1 leaves a box axis-aligned; 1e-9 rad moves 10 m by 10 nm."""
+"""A rotation whose entries are within this of 0 or ±1 counts as axis-aligned; 1e-9 rad moves a point at 10 m by 10
+nm.
+"""
 
 _WINDING_CHUNK: Final = 1 << 20
-"""Point–triangle pairs whose solid angles are held at once: about 100 MB of temporaries."""
+"""Number of point–triangle pairs processed at once: about 100 MB of temporaries."""
 
 
 def _bvh(vertices: F64, faces: NDArray[np.int32]) -> Any:
@@ -74,7 +76,7 @@ class BoxSolid:
 
     @cached_property
     def surface(self) -> Any:
-        """The surface as 12 triangles, to be measured against a mesh."""
+        """The surface as 12 triangles, for distances to meshes."""
         return _bvh(self.vertices, _BOX_FACES)
 
     @property
@@ -83,14 +85,14 @@ class BoxSolid:
         return self.vertices[:1]
 
     def contains(self, points: F64) -> NDArray[np.bool_]:
-        """Which of (n, 3) points lie inside or on the box."""
+        """Return which of the points (n, 3) lie inside or on the box."""
         local = (points - self.center) @ self.rotation
         return np.asarray((np.abs(local) <= self.half_extents).all(axis=-1), dtype=np.bool_)
 
 
 @dataclass(frozen=True, eq=False)
 class MeshSolid:
-    """A triangle mesh in the scene's frame; it has an inside only where it is watertight."""
+    """A triangle mesh in the scene's frame; it has an interior only if it is watertight."""
 
     mesh: WorldMesh
 
@@ -107,23 +109,23 @@ class MeshSolid:
 
     @cached_property
     def pieces(self) -> F64:
-        """(p, 3) one point on each connected piece of the surface, vertices of equal position taken as one."""
+        """(p, 3) one point on each connected piece of the surface; vertices at equal positions are merged."""
         faces = self.mesh.faces
         _, first, merged = np.unique(self.mesh.vertices, axis=0, return_index=True, return_inverse=True)
         corner = merged.reshape(-1)[faces]
         ends = np.concatenate([corner[:, [0, 1]], corner[:, [1, 2]]])
         graph = coo_array((np.ones(len(ends), dtype=bool), (ends[:, 0], ends[:, 1])), shape=(len(first), len(first)))
         piece = connected_components(graph, directed=False)[1]
-        # Vertices that no face uses are pieces of their own and no part of the surface.
+        # Vertices that no face uses would be pieces of their own, but are no part of the surface.
         used = np.unique(corner)
         _, one_each = np.unique(piece[used], return_index=True)
         points: F64 = self.mesh.vertices[first[used[one_each]]]
         return points
 
     def contains(self, points: F64) -> NDArray[np.bool_]:
-        """Which of (n, 3) points lie inside; none where the mesh is not watertight.
+        """Return which of the points (n, 3) lie inside; none if the mesh is not watertight.
 
-        By the winding number: the triangles' solid angles seen from a point sum to 4π inside and 0 outside
+        Uses the winding number: the triangles' solid angles seen from a point sum to 4π inside and 0 outside
         (van Oosterom and Strackee, 1983). Unlike ray casting it has no grazing cases.
         """
         inside = np.zeros(len(points), dtype=np.bool_)
@@ -141,7 +143,7 @@ class MeshSolid:
 
 @dataclass(frozen=True, eq=False)
 class CompoundSolid:
-    """Several boxes that overlap or touch: a counter with a corner."""
+    """Several boxes that overlap or touch, such as an L-shaped counter."""
 
     parts: tuple[BoxSolid, ...]
 
@@ -163,7 +165,7 @@ class CompoundSolid:
         return np.concatenate([part.pieces for part in self.parts])
 
     def contains(self, points: F64) -> NDArray[np.bool_]:
-        """Which of (n, 3) points lie inside or on a part."""
+        """Return which of the points (n, 3) lie inside or on a part."""
         return np.asarray(np.any([part.contains(points) for part in self.parts], axis=0), dtype=np.bool_)
 
 
@@ -171,7 +173,7 @@ Solid = BoxSolid | MeshSolid | CompoundSolid
 
 
 def _winding_number(points: F64, triangles: F64) -> F64:
-    """Winding number of triangles (m, 3, 3) about points (n, 3); whole for a closed surface."""
+    """Return the winding number of triangles (m, 3, 3) about points (n, 3); an integer for a closed surface."""
     a, b, c = (triangles[None, :, corner] - points[:, None] for corner in range(3))
     la, lb, lc = (np.linalg.norm(side, axis=-1) for side in (a, b, c))
     numerator = np.einsum("nmi,nmi->nm", a, np.cross(b, c))
@@ -186,7 +188,7 @@ def _winding_number(points: F64, triangles: F64) -> F64:
 
 
 def solid_of(item: SceneObject, aabb: F64, mesh: WorldMesh | None) -> Solid:
-    """The best solid known of an object whose aabb (2, 3) is known."""
+    """Return the best known solid of an object whose `aabb` (2, 3) is known."""
     if mesh is not None and len(mesh.faces) > 0:
         return MeshSolid(mesh)
     if item.parts:
@@ -197,7 +199,9 @@ def solid_of(item: SceneObject, aabb: F64, mesh: WorldMesh | None) -> Solid:
 
 
 def is_its_aabb(item: SceneObject, mesh: WorldMesh | None) -> bool:
-    """Whether an object's axis-aligned box is the best that is known of it, or its oriented box is no other."""
+    """Return whether an object's solid is its axis-aligned box: it has nothing better, or its oriented box is the
+    same.
+    """
     if (mesh is not None and len(mesh.faces) > 0) or item.parts:
         return False
     if item.obb is None:

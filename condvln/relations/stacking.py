@@ -1,4 +1,5 @@
-"""Which objects of a room are over, on and beside each other, by boxes; a counter with a corner is its arms.
+"""Which objects of a room are above, on and beside each other, computed on boxes; an L-shaped counter counts as its
+pieces.
 
 All lengths are whole millimetres, in which sums, products and square roots are the same wherever they are computed.
 """
@@ -25,25 +26,25 @@ _GROUND: Final = [0, 2]
 
 
 def exact_mm(metres: float) -> float:
-    """A threshold in millimetres. 1.15 · 1000 is not a whole number in binary; a nanometre is ignored."""
+    """Return a threshold in millimetres, rounded to a nanometre, since 1.15 · 1000 is not an integer in binary."""
     return round(metres * 1000.0, 6)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Stacking:
-    """Pieces over ordered pairs, subject by row and target by column. NaN, and False, where a box is unknown.
+    """Quantities of ordered pairs of pieces, subject by row and target by column; NaN or False where a box is unknown.
 
-    rise, top_rise : (n, n) by how much the subject's centre, and its top, lie higher than the target's
-    gap : (n, n) by how much the subject's bottom lies above the target's top
-    apart : (n, n) horizontal distance of the footprints, 0 where they meet
+    rise, top_rise : (n, n) height of the subject's centre, and of its top, above the target's
+    gap : (n, n) height of the subject's bottom above the target's top
+    apart : (n, n) horizontal distance of the footprints, 0 where they overlap
     distance : (n, n) distance of the boxes
     shared : (n, n) ground area that both footprints cover, mm²
-    covered : (n, n) shared area as a part of the subject's footprint
-    inside : (n, n) part of the subject's volume in the target's box
+    covered : (n, n) shared area divided by the subject's footprint area
+    inside : (n, n) share of the subject's volume inside the target's box
     area : (n,) of the footprint; length : (n,) its longer side; off_floor : (n,) bottom above the room's floor
     known : (n, n) both have a box
-    carries : (n, n) the target's object may carry the subject's, as far as boxes and the source say, perhaps by things
-        in between
+    carries : (n, n) the target's object may support the subject's, directly or through others, judging by boxes and
+        source
     """
 
     rise: F64
@@ -62,7 +63,7 @@ class Stacking:
 
 
 def stacking_of(pieces: Pieces, holding: Holding, thresholds: Thresholds) -> Stacking:
-    """How the n pieces of a room are stacked."""
+    """Return how the n pieces of a room are stacked."""
     arrays = pieces.arrays
     low, high, centre = millimetres(arrays.aabb_min), millimetres(arrays.aabb_max), millimetres(arrays.centers)
     gaps = [np.maximum(low[:, None, k] - high[None, :, k], low[None, :, k] - high[:, None, k]) for k in range(3)]
@@ -102,5 +103,5 @@ def stacking_of(pieces: Pieces, holding: Holding, thresholds: Thresholds) -> Sta
 
 
 def _parts(some: F64, whole: F64) -> F64:
-    """some / whole; NaN where `whole` is 0."""
+    """Return some / whole; NaN where `whole` is 0."""
     return np.divide(some, whole, out=np.full_like(some, np.nan), where=whole > 0)

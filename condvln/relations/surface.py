@@ -1,4 +1,4 @@
-"""Distances between the surfaces of objects whose boxes are close: of boxes in closed form, of meshes with FCL."""
+"""Surface distances of objects whose boxes are close: of boxes in closed form, of meshes with FCL."""
 
 from __future__ import annotations
 
@@ -19,28 +19,29 @@ __all__ = ["MeshOf", "solid_distance", "surface_distances"]
 F64 = NDArray[np.float64]
 
 MeshOf = Callable[[SceneObject], WorldMesh | None]
-"""Gives an object's mesh in the scene's frame, None where it has none; `MeshLibrary.world_mesh` is one."""
+"""Returns an object's mesh in the scene's frame, or None if it has none, e.g. `MeshLibrary.world_mesh`."""
 
 _REQUEST: Final = fcl.DistanceRequest()
 
 
 def surface_distances(arrays: RoomArrays, aabb_distance: F64, within: float, meshes: MeshOf | None) -> F64:
-    """(n, n) surface distances in metres, rounded to 1 mm; NaN where not asked, 0 for an object and itself.
+    """Return (n, n) surface distances in metres, rounded to 1 mm; NaN where not computed, 0 on the diagonal.
 
-    aabb_distance : (n, n) metres; pairs beyond `within` are not asked (AABB distance never exceeds surface distance)
-    meshes : where None, boxes stand for all objects
+    aabb_distance : (n, n) metres; pairs beyond `within` are not computed (the AABB distance never exceeds the surface
+        distance)
+    meshes : if None, boxes are used for all objects
 
-    Each unordered pair is measured once, in order of object id, so that (i, j) and (j, i) are one number.
+    Each unordered pair is measured once, in order of object id, so that (i, j) and (j, i) are equal.
     """
     distance = np.where(aabb_distance <= within, aabb_distance, np.nan)
-    met = (~np.isnan(distance)).sum(axis=1) > 1  # itself and another
+    met = (~np.isnan(distance)).sum(axis=1) > 1  # the object itself and another one
     found = [
         meshes(item) if meshes is not None and asked else None for item, asked in zip(arrays.objects, met, strict=True)
     ]
     boxes = np.array(
         [is_its_aabb(item, mesh) for item, mesh in zip(arrays.objects, found, strict=True)], dtype=np.bool_
     )
-    # Between two axis-aligned boxes the closed form stands; all other pairs are measured.
+    # Two axis-aligned boxes have the closed form; all other pairs are measured.
     measured = np.triu(~np.isnan(distance) & ~(boxes[:, None] & boxes[None, :]), k=1)
     rows, columns = np.nonzero(measured)
     solids: dict[int, Solid] = {}
@@ -65,11 +66,11 @@ def surface_distances(arrays: RoomArrays, aabb_distance: F64, within: float, mes
 
 
 def solid_distance(first: Solid, second: Solid) -> float:
-    """Distance of two solids in metres; 0 where they overlap or one holds a piece of the other.
+    """Return the distance of two solids in metres; 0 where they overlap or one contains a piece of the other.
 
-    FCL's bounding volume hierarchies know surfaces only and give the gap between a thing and the box it lies in, so
-    containment is asked apart. Its distance of two triangles in one plane is now and then 0 though they are apart, so
-    that of the solids' axis-aligned boxes is the least that counts.
+    FCL's bounding volume hierarchies know surfaces only and give the gap between an object and the box that it lies in,
+    so containment is tested separately. FCL's distance of two coplanar triangles is sometimes wrongly 0, so the
+    distance of the solids' axis-aligned boxes is used as a lower bound.
     """
     if isinstance(first, BoxSolid) and isinstance(second, BoxSolid):
         return float(_between_boxes([first], [second])[0])

@@ -1,4 +1,4 @@
-"""The flat relations table of a scene. The way back is `RoomRelations.from_table`."""
+"""The flat relations table of a scene; the inverse is `RoomRelations.from_table`."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ __all__ = ["CONTAINS", "relation_table"]
 F64 = NDArray[np.float64]
 
 CONTAINS: Final = "contains"
-"""Predicate of the edge from a room to each of its objects; it is stored in this direction only."""
+"""Predicate of the edge from a room to each of its objects; stored in this direction only."""
 
 _KINDS: Final = ("containment", "canonical", "semantic")
 
 
 def relation_table(scene: Scene, relations: Mapping[str, RoomRelations], thresholds: Thresholds) -> pa.Table:
-    """All edges of a scene in the schema `RELATIONS`, sorted by its keys.
+    """Return all edges of a scene in the schema `RELATIONS`, sorted by its keys.
 
-    Per room: one containment edge an object (``room contains object``, without metrics), one canonical edge an
+    Each room has a containment edge per object (``room contains object``, without metrics), a canonical edge per
     ordered pair whose centres do not coincide, and the semantic edges whose thresholds hold. `margin` and
     `true_in_text` belong to the row's own predicate; predicates that text never uses have no margin.
 
-    relations : by room id, as `relate_scene` gives them
+    relations : by room id, from `relate_scene`
     """
     tables = [RELATIONS.empty_table()]
     for room in scene.rooms:
@@ -103,7 +103,7 @@ _PREDICATE_CODE: Final = {predicate: code for code, predicate in enumerate(_PRED
 
 
 def _groups(relations: RoomRelations) -> Iterator[tuple[str, str, NDArray[np.intp], NDArray[np.intp]]]:
-    """Predicate, kind, subjects and targets of all edges between objects, by predicate."""
+    """Yield predicate, kind, subjects and targets of all edges between objects, grouped by predicate."""
     for code, predicate in enumerate(CANONICAL):
         i, j = np.nonzero(relations.canonical == code)
         yield predicate, "canonical", i, j
@@ -117,5 +117,5 @@ def _constant(value: str, n: int) -> pa.Array:
 
 
 def _measured(values: F64) -> pa.Array:
-    """A float column whose NaN, "not known" in memory, is null."""
+    """Return a float column in which NaN ("unknown" in memory) becomes null."""
     return pa.array(values, pa.float64(), from_pandas=True)

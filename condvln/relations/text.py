@@ -1,4 +1,4 @@
-"""Which facts text may use, and as what: true, false, or not at all."""
+"""Which facts text may use: as true, as false, or not at all."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ PAIR_PREDICATES: Final = (
     "lower than",
     "far from",
 )
-"""Predicates of a thing and one anchor."""
+"""Predicates of an object and one anchor."""
 
 SIZE_PREDICATES: Final = ("bigger", "smaller")
-"""Predicates of a thing beside the only other one of its label."""
+"""Predicates that compare an object with the only other one of its label."""
 
 TEXT_PREDICATES: Final = (*PAIR_PREDICATES, "between", "closest to", *SIZE_PREDICATES)
-"""All predicates that may stand in text."""
+"""All predicates that may occur in text."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,11 +51,11 @@ class TextFacts:
     """Three-valued facts about the objects of a room, in the order of ``RoomArrays.object_ids``.
 
     A status is 1 where the fact is usable as true, −1 where it is usable as false, and 0 where it is never used (dead
-    zone, or nothing to decide by; the diagonal too).
+    zone, unknown, or the diagonal).
 
-    status : per predicate of `PAIR_PREDICATES` (n, n), the subject by row and the anchor by column
-    margin : per such predicate (n, n): how far it is from the threshold, 1 or more where status is not 0 and larger
-        where it is safer; comparable within one predicate only
+    status : for each predicate of `PAIR_PREDICATES` (n, n), the subject by row and the anchor by column
+    margin : for each such predicate (n, n) the distance from the threshold: at least 1 where status is not 0, and
+        larger where it is safer; comparable within one predicate only
     """
 
     status: Mapping[str, Status]
@@ -67,23 +67,23 @@ class TextFacts:
     _thresholds: Thresholds
 
     def between(self, pairs: NDArray[np.intp]) -> tuple[Status, F64]:
-        """Status and margin (n, p) of "between a and b" for p pairs (p, 2) of anchors."""
+        """Return status and margin (n, p) of "between a and b" for p pairs (p, 2) of anchors."""
         return between_facts(self._arrays.centers, self._whole, self._compound, pairs, self._thresholds)
 
     def closest(self, rival: Mask) -> tuple[Status, F64]:
-        """Status and margin (n, n) of "closest to", where j could be meant by i's label as `rival` (n, n) says."""
+        """Return status and margin (n, n) of "closest to"; `rival` (n, n) : j could be meant by i's label."""
         return closest_facts(self._distance, rival, self._thresholds)
 
     def sizes(self, rival: Mask) -> dict[str, Status]:
-        """Per predicate of `SIZE_PREDICATES` its status (n,), with the same `rival`."""
+        """Return the status (n,) of each predicate of `SIZE_PREDICATES`, with the same `rival` as `closest`."""
         return size_facts(self._arrays, rival, self._thresholds)
 
 
 def text_facts(relations: RoomRelations, thresholds: Thresholds) -> TextFacts:
-    """Facts that text may state about a room's objects.
+    """Return the facts that text may state about a room's objects.
 
-    Of a thing of several pieces, "on", "under", "in", "near" and "above" are true where they are of some piece, and
-    false where they are of all; the compass, "higher than" and "far from" are true where they are of all pieces.
+    For an object of several pieces, "on", "under", "in", "near" and "above" are true if true for some piece and false
+    if false for all; the compass directions, "higher than" and "far from" are true if true for all pieces.
     """
     t, arrays = thresholds, relations.objects
     pieces, holding = Pieces.of(arrays), holding_of(arrays)
@@ -123,35 +123,35 @@ def text_facts(relations: RoomRelations, thresholds: Thresholds) -> TextFacts:
 
 
 _Fact = tuple[Status, F64]
-"""Status and margin."""
+"""Status and margin of a predicate."""
 
 
 def _fact(true: Mask, false: Mask, when_true: F64, when_false: F64) -> _Fact:
-    """Status and margin from what may be used as true and false, and the margins on both sides."""
+    """Return status and margin from the masks usable as true and as false, and the margins on both sides."""
     status = true.view(np.int8) - false.view(np.int8)
     np.fill_diagonal(status, 0)
-    # Where a fact is usable on one side, the margin of the other is far below.
+    # Where a fact is usable on one side, the other side's margin is far below 1.
     return status, np.fmax(when_true, when_false, out=when_true)
 
 
 def _turned(fact: _Fact) -> _Fact:
-    """The fact with subject and anchor exchanged: "below" from "above"."""
+    """Return the fact with subject and anchor exchanged: "below" from "above"."""
     status, margin = fact
     return np.ascontiguousarray(status.T), np.ascontiguousarray(margin.T)
 
 
 def _some(pieces: Pieces, fact: _Fact) -> _Fact:
-    """Object facts from facts of pieces: true if true for some pieces, false if false for all."""
+    """Return object facts from piece facts: true if true for some piece, false if false for all."""
     return _of_objects(pieces, fact, pieces.any(fact[0] == 1), pieces.all(fact[0] == -1), pieces.most(fact[1]))
 
 
 def _each(pieces: Pieces, fact: _Fact) -> _Fact:
-    """Object facts from facts of pieces: true if true for all pieces, false if false for all."""
+    """Return object facts from piece facts: true if true for all pieces, false if false for all."""
     return _of_objects(pieces, fact, pieces.all(fact[0] == 1), pieces.all(fact[0] == -1), pieces.least(fact[1]))
 
 
 def _far_of(pieces: Pieces, fact: _Fact) -> _Fact:
-    """Object facts from facts of pieces: true if true for all pieces, false if false for some."""
+    """Return object facts from piece facts: true if true for all pieces, false if false for some."""
     return _of_objects(pieces, fact, pieces.all(fact[0] == 1), pieces.any(fact[0] == -1), pieces.least(fact[1]))
 
 
@@ -160,7 +160,7 @@ def _of_objects(pieces: Pieces, fact: _Fact, true: Mask, false: Mask, margin: F6
 
 
 def _said_on(fact: _Fact, holding: Holding) -> _Fact:
-    """The source decides where boxes leave a fact open; where they contradict each other, nothing is decided."""
+    """Let the source decide what boxes leave open; status 0 where the two contradict each other."""
     status, margin = fact
     true = (status == 1) | (holding.on & (status == 0))
     false = ((status == -1) & ~holding.on) | (holding.denied & (status == 0))
@@ -169,7 +169,7 @@ def _said_on(fact: _Fact, holding: Holding) -> _Fact:
 
 
 def _said_in(fact: _Fact, holding: Holding) -> _Fact:
-    """Containment as the source states it, for containers that are open."""
+    """Return "in" as the source states it, for containers that are open."""
     status, margin = fact
     said = holding.inside & holding.open[None, :]
     true = (status == 1) | (said & (status == 0))
@@ -178,7 +178,7 @@ def _said_in(fact: _Fact, holding: Holding) -> _Fact:
 
 
 def _rising(value: F64, emitted: float, text: float) -> F64:
-    """How far `value` is from `emitted` on the side of `text`, in units of the way between the two."""
+    """Return how far `value` is from `emitted` in the direction of `text`, in units of the distance between the two."""
     scaled: F64 = (value - emitted) * (1.0 / (text - emitted))
     return scaled
 
@@ -186,8 +186,8 @@ def _rising(value: F64, emitted: float, text: float) -> F64:
 def _near(metrics: PairMetrics, surface: F64, t: Thresholds) -> _Fact:
     used = metrics.used
     true = (used <= t.near_true) & (surface <= t.near_true)
-    # Where surfaces were not measured, the distance of boxes or of bounding spheres is still a lower bound of theirs;
-    # the distance of centres is none.
+    # Without measured surfaces, the distance of boxes or bounding spheres is still a lower bound; that of centres is
+    # not.
     bound = np.where(metrics.used_metric == CENTRE, np.nan, used)
     least = np.where(np.isnan(surface), bound, surface)
     false = (used >= t.near_false) & (least >= t.near_false)
@@ -206,7 +206,9 @@ def _far(used: F64, t: Thresholds) -> _Fact:
 
 
 def _on(s: Stacking, t: Thresholds) -> _Fact:
-    """Bottom at the anchor's top. Below the box's top nothing is decided: headboards and arm rests are part of it."""
+    """Return "on": bottom at the anchor's top. Below the box's top it is undecided: headboards and arm rests are in
+    the box.
+    """
     true = (
         (np.abs(s.gap) <= exact_mm(t.on_gap_true))
         & (s.covered >= t.on_footprint_true)
@@ -219,7 +221,9 @@ def _on(s: Stacking, t: Thresholds) -> _Fact:
 
 
 def _under(s: Stacking, t: Thresholds) -> _Fact:
-    """On the floor below an anchor with space beneath it; the bottom of the anchor's box bounds its underside."""
+    """Return "under": on the floor below an anchor with space beneath it; the anchor box's bottom bounds its
+    underside.
+    """
     floor = s.off_floor[:, None] <= exact_mm(t.on_floor)
     true = floor & (s.gap.T >= 0.0) & (s.covered >= t.under_footprint_true)
     apart = exact_mm(t.over_apart_false)
@@ -227,14 +231,14 @@ def _under(s: Stacking, t: Thresholds) -> _Fact:
 
 
 def _in(s: Stacking, container: Mask, t: Thresholds) -> _Fact:
-    """Inside an open container; never true of other anchors."""
+    """Return "in": inside an open container; false for anchors that are no container."""
     true = container[None, :] & (s.inside >= t.in_share_true)
     false = container[None, :] & (s.distance > 0.0)
     return _fact(true, false, np.where(true, 0.2 + s.inside, -np.inf), 1.0 + s.distance / 1000.0)
 
 
 def _higher(s: Stacking, t: Thresholds) -> _Fact:
-    """By centres and tops, for two things off the floor if neither carries the other."""
+    """Return "higher than" by centres and tops, for two objects off the floor of which neither supports the other."""
     fit = (s.off_floor >= exact_mm(t.off_floor)) & ~np.isnan(s.off_floor)
     fit = fit[:, None] & fit[None, :] & ~s.carries & ~s.carries.T
     rise, tops = (exact_mm(t.height_false), exact_mm(t.height_true)), (exact_mm(t.top_false), exact_mm(t.top_true))
@@ -245,7 +249,7 @@ def _higher(s: Stacking, t: Thresholds) -> _Fact:
 
 
 def _above(s: Stacking, horizontal: F64, footprint_overlap: F64, t: Thresholds) -> _Fact:
-    """With a gap between them: an object that rests on another is "on" it."""
+    """Return "above": with a vertical gap between them, since an object that rests on another is "on" it."""
     rise, air = exact_mm(t.height_true), exact_mm(t.over_gap_true)
     true = (
         (s.rise >= rise)

@@ -1,4 +1,4 @@
-"""The Scene in memory: arrays, frames, boxes, meshes."""
+"""Scenes in memory: rooms and objects as arrays, coordinate frames, boxes, meshes."""
 
 from condvln.scene.scene import (
     MeshPart,

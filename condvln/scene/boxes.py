@@ -1,4 +1,4 @@
-"""Boxes and placements: 4×4 transforms, axis-aligned and oriented extents of points."""
+"""Axis-aligned and oriented boxes, and 4×4 transforms."""
 
 from __future__ import annotations
 
@@ -21,7 +21,9 @@ _SIGNS: Final = np.array(list(product((-1.0, 1.0), repeat=3)))
 def placement(
     rotation: ArrayLike | None = None, translation: ArrayLike | None = None, scale: ArrayLike | None = None
 ) -> F64:
-    """(4, 4) transform that scales (one number or three), then rotates by (3, 3), then moves by (3,) metres."""
+    """Return the (4, 4) transform that scales (one factor or three), then rotates by (3, 3), then translates by (3,)
+    metres.
+    """
     matrix = np.eye(4)
     if rotation is not None:
         matrix[:3, :3] = rotation
@@ -33,19 +35,19 @@ def placement(
 
 
 def transform_points(matrix: F64, points: ArrayLike) -> F64:
-    """(n, 3) points taken through a (4, 4) affine transform."""
+    """Return points (n, 3) transformed by a (4, 4) affine matrix."""
     moved: F64 = np.asarray(points, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
     return moved
 
 
 def aabb_of(points: ArrayLike) -> F64:
-    """(2, 3) [min, max] of (n, 3) points, n ≥ 1."""
+    """Return the (2, 3) [min, max] of points (n, 3), n ≥ 1."""
     array = np.asarray(points, dtype=np.float64)
     return np.array([array.min(axis=0), array.max(axis=0)])
 
 
 def corners(aabb: ArrayLike) -> F64:
-    """(8, 3) corners of a (2, 3) axis-aligned box."""
+    """Return the (8, 3) corners of an axis-aligned box (2, 3)."""
     box = np.asarray(aabb, dtype=np.float64)
     centre, half = (box[0] + box[1]) / 2, (box[1] - box[0]) / 2
     points: F64 = centre + _SIGNS * half
@@ -53,15 +55,15 @@ def corners(aabb: ArrayLike) -> F64:
 
 
 def box_corners(box: OrientedBox) -> F64:
-    """(8, 3) corners of an oriented box, in the scene's frame."""
+    """Return the (8, 3) corners of an oriented box in the scene's frame."""
     points: F64 = box.center + (_SIGNS * box.half_extents) @ box.rotation.T
     return points
 
 
 def oriented_box(local: ArrayLike, transform: F64) -> OrientedBox | None:
-    """The (2, 3) box of a body in its own frame, placed in the scene; None where the placement shears it.
+    """Return the (2, 3) box of a body in its own frame, placed in the scene; None if the transform shears it.
 
-    A scale along the body's axes is taken into the half extents; a mirroring one is the same box.
+    Scale along the body's axes goes into the half extents; mirroring gives the same box.
     """
     box = np.asarray(local, dtype=np.float64)
     linear = transform[:3, :3]
@@ -78,6 +80,6 @@ def oriented_box(local: ArrayLike, transform: F64) -> OrientedBox | None:
 
 
 def rounded_box(box: OrientedBox) -> OrientedBox:
-    """A box with its centre and half extents rounded to 1 mm, and the rotation that is stored of it."""
+    """Return a box with centre and half extents rounded to 1 mm, and its rotation as it is stored."""
     rotation = to_matrix(round_quaternion(from_matrix(box.rotation)))
     return OrientedBox(round_mm(box.center), round_mm(box.half_extents), rotation)

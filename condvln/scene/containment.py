@@ -1,7 +1,7 @@
-"""What contains an object, what it rests on, and whether a shut container hides it.
+"""What contains an object, what it rests on, and whether a closed container hides it.
 
-Where the source says what an object is in or on, that decides; elsewhere the boxes do. A container counts as shut
-unless its source says that it is at least half open. Nobody in the room knows what is inside.
+If the source states what an object is in or on, the source decides; otherwise boxes do. A container counts as shut
+unless its source says that it is at least half open. The contents of a shut container can't be known in the room.
 """
 
 from __future__ import annotations
@@ -30,31 +30,31 @@ __all__ = ["SCANNED", "is_shut", "stated_holders", "with_containment"]
 F64 = NDArray[np.float64]
 
 SCANNED: Final = frozenset({"mp3d", "gibson"})
-"""Families whose objects were annotated on scans of real buildings: what a scanner saw is not hidden."""
+"""Families annotated on scans of real buildings: what the scanner saw is not hidden."""
 
 WITHOUT_TOP: Final = frozenset({"drawer"})
-"""Labels of things whose top lies within other furniture, so that nothing rests on them."""
+"""Labels of objects whose top lies inside other furniture, so that nothing rests on them."""
 
 MM: Final = 1000.0
 """Boxes are compared in whole millimetres, in which sums and products are exact."""
 
 THIN: Final = 1.0
-"""Millimetres; a box is at least so thick, so that shares of a flat one are defined."""
+"""Least thickness of a box in millimetres, so that volume shares of flat boxes are defined."""
 
 SLACK: Final = 1e-6
-"""For shares, and for thresholds in millimetres, which are rounded."""
+"""Tolerance for shares, and for thresholds in millimetres after rounding."""
 
 
 def is_shut(item: SceneObject) -> bool:
-    """Whether an object can be closed and is open less than half; unsaid is closed."""
+    """Return whether an object can be closed and is less than half open; unknown openness counts as closed."""
     return vocabulary.container(item.label) == "shut" and (item.openness is None or item.openness < OPEN_SHARE)
 
 
 def with_containment(objects: Sequence[SceneObject], family: str) -> tuple[SceneObject, ...]:
-    """The objects of one scene, in rooms already, with `parent`, `support` and `hidden`; in their order.
+    """Return the objects of a scene, already assigned to rooms, with `parent`, `support` and `hidden` set, in order.
 
-    Of several containers the smallest is the parent; any that is shut hides. Structure (floors, walls) holds and
-    supports nothing here. Parents and supports form no cycle.
+    Of several containers the smallest is the parent; any shut one hides. Structure (floors, walls) never contains or
+    supports here. Parents and supports form no cycle.
     """
     links = _Links()
     of = {item.object_id: item for item in objects}
@@ -79,7 +79,9 @@ def with_containment(objects: Sequence[SceneObject], family: str) -> tuple[Scene
 
 
 def stated_holders(objects: Sequence[SceneObject]) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
-    """By object, the ids of the objects that it is on, and in, as its source states; others are left out."""
+    """Return, by object id, the ids that it is on and those that it is in, as its source states; other objects are
+    left out.
+    """
     links, of = _Links(), {item.object_id: item for item in objects}
     for item in objects:
         _stated(item, of, links)
@@ -89,14 +91,14 @@ def stated_holders(objects: Sequence[SceneObject]) -> tuple[dict[str, list[str]]
 
 @dataclass(frozen=True, slots=True)
 class _Links:
-    """By object: (rank, id) of all containers around it, and of all that it rests on; the lowest rank comes first."""
+    """By object: (rank, id) of all containers around it and of all objects it rests on; the lowest rank comes first."""
 
     inside: dict[str, list[tuple[float, str]]] = field(default_factory=dict)
     upon: dict[str, list[tuple[float, str]]] = field(default_factory=dict)
 
 
 def _stated(item: SceneObject, of: Mapping[str, SceneObject], links: _Links) -> None:
-    """What the source says; containers rank by volume, supports by how near their top is."""
+    """Add the links that the source states; containers rank by volume, supports by the distance to their top."""
     for name in dict.fromkeys(item.receptacles or ()):
         holder = of.get(name)
         if holder is None or holder is item or _is_structure(holder) or _too_large(item, holder):
@@ -115,9 +117,9 @@ def _stated(item: SceneObject, of: Mapping[str, SceneObject], links: _Links) -> 
 
 
 def _is_inside(item: SceneObject, holder: SceneObject) -> bool:
-    """Whether an object is in a receptacle that its source names, not on top of it.
+    """Return whether an object is in, not on top of, a receptacle that its source names.
 
-    Boxes of cabinets and drawers may be those of a door alone, so that being below the top suffices.
+    Boxes of cabinets and drawers may cover a door alone, so being below the top suffices.
     """
     kind = vocabulary.container(holder.label)
     if kind is None:
@@ -130,7 +132,7 @@ def _is_inside(item: SceneObject, holder: SceneObject) -> bool:
 
 
 def _measured(members: Sequence[SceneObject], links: _Links) -> None:
-    """Links from the boxes of one room: containers and supports where the source states none."""
+    """Add links from the boxes of one room: containers and supports of objects for which the source states none."""
     things = [item for item in members if item.box is not None and not _is_structure(item)]
     if not things:
         return
@@ -151,7 +153,9 @@ def _measured(members: Sequence[SceneObject], links: _Links) -> None:
 
 
 def _resting(things: Sequence[SceneObject], boxes: F64, free: Sequence[int]) -> Iterator[tuple[int, int, float]]:
-    """(object, what it rests on, share of its footprint over that), by indices: tops that are larger and just below."""
+    """Yield (object, support, share of its footprint over the support), by index: supports are larger and just
+    below.
+    """
     bearing = [(k, item) for k, item in enumerate(things) if item.label not in WITHOUT_TOP]
     tops = [(k, _mm(aabb_of(box_corners(part)))) for k, item in bearing for part in item.parts]
     tops += [(k, boxes[k]) for k, item in bearing if not item.parts]
@@ -175,7 +179,7 @@ def _resting(things: Sequence[SceneObject], boxes: F64, free: Sequence[int]) -> 
 
 
 def _hidden(of: Mapping[str, SceneObject], links: _Links) -> set[str]:
-    """Objects in something shut, with all that is in or on them."""
+    """Return the objects inside something shut, with everything in or on them."""
     above: dict[str, list[str]] = {}
     for upward in (links.inside, links.upon):
         for name, others in upward.items():
@@ -192,7 +196,7 @@ def _hidden(of: Mapping[str, SceneObject], links: _Links) -> set[str]:
 
 
 def _without_cycles(parent: dict[str, str], support: dict[str, str]) -> None:
-    """Remove links that lead back to their own object; the first in order of id goes."""
+    """Remove links that lead back to their own object, in order of id."""
     for links in (support, parent):
         for name in sorted(links):
             seen: set[str] = set()
@@ -219,7 +223,9 @@ def _is_structure(item: SceneObject) -> bool:
 
 
 def _too_large(item: SceneObject, holder: SceneObject) -> bool:
-    """Simulators now and then name a plate as receptacle of the counter below it."""
+    """Return whether a stated holder is too small: simulators sometimes name a plate as the receptacle of the
+    counter below.
+    """
     if item.box is None or holder.box is None:
         return False
     longest = [float(np.max(box[1] - box[0])) for box in (_mm(item.box), _mm(holder.box))]
@@ -227,7 +233,7 @@ def _too_large(item: SceneObject, holder: SceneObject) -> bool:
 
 
 def _mm(box: F64) -> F64:
-    """A box (2, 3) in whole millimetres."""
+    """Return a box (2, 3) in whole millimetres."""
     whole: F64 = np.rint(box * MM)
     return whole
 
@@ -237,7 +243,7 @@ def _volume(box: F64 | None) -> float:
 
 
 def _shares_inside(boxes: F64, holders: F64) -> F64:
-    """(n, m) share of the volume of boxes (n, 2, 3) that lies in holders (m, 2, 3)."""
+    """Return (n, m): the share of the volume of boxes (n, 2, 3) that lies in holders (m, 2, 3)."""
     low, high = boxes[:, 0], np.maximum(boxes[:, 1], boxes[:, 0] + THIN)
     sides = np.minimum(high[:, None], holders[None, :, 1]) - np.maximum(low[:, None], holders[None, :, 0])
     share: F64 = np.prod(np.clip(sides, 0.0, None) / (high - low)[:, None], axis=2)

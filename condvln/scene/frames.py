@@ -1,4 +1,4 @@
-"""From the frames of the sources to Habitat's (metres, right-handed, +Y up, −Z north)."""
+"""Convert the coordinate frames of the sources to Habitat's (metres, right-handed, +Y up, −Z north)."""
 
 from __future__ import annotations
 
@@ -14,17 +14,19 @@ __all__ = ["UNITY_TO_HABITAT", "Z_UP_TO_HABITAT", "asset_frame", "unity_rotation
 F64 = NDArray[np.float64]
 
 UNITY_TO_HABITAT: Final[F64] = np.diag([1.0, 1.0, -1.0])
-"""Unity is left-handed with +Z forward: (x, y, z) → (x, y, −z). A mirror: windings of polygons and faces turn round."""
+"""Unity is left-handed with +Z forward: (x, y, z) → (x, y, −z). This mirrors, so polygon and face windings are
+reversed.
+"""
 
 Z_UP_TO_HABITAT: Final[F64] = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 """Matterport3D and Gibson: (x, y, z) → (x, z, −y)."""
 
 
 def unity_rotation(euler_degrees: ArrayLike) -> F64:
-    """(3, 3) rotation in Habitat's frame of Unity's Euler angles (x, y, z) in degrees.
+    """Return the (3, 3) rotation in Habitat's frame of Unity's Euler angles (x, y, z) in degrees.
 
-    Unity turns about z, then x, then y, clockwise seen from the axis' tip (its frame is left-handed). In left-handed
-    coordinates the matrices are the usual ones; mirroring both sides takes the rotation to Habitat's frame.
+    Unity rotates about z, then x, then y, clockwise seen from the axis' tip (its frame is left-handed). In left-handed
+    coordinates the matrices have their usual form; mirroring on both sides converts the rotation to Habitat's frame.
     """
     x, y, z = np.radians(np.asarray(euler_degrees, dtype=np.float64))
     rotation: F64 = UNITY_TO_HABITAT @ (rotation_y(y) @ rotation_x(x) @ rotation_z(z)) @ UNITY_TO_HABITAT
@@ -32,21 +34,21 @@ def unity_rotation(euler_degrees: ArrayLike) -> F64:
 
 
 def asset_frame(up: ArrayLike, front: ArrayLike) -> F64:
-    """(3, 3) rotation that takes an asset with these own directions to Habitat's up (+Y) and front (−Z).
+    """Return the (3, 3) rotation from an asset's own up and front directions to Habitat's up (+Y) and front (−Z).
 
-    After habitat-sim's ``CoordinateFrame::rotationFrameToWorld``.
+    Equivalent to habitat-sim's ``CoordinateFrame::rotationFrameToWorld``.
 
     Raises
     ------
-    ValueError : a direction is zero, or the two are not at right angles
+    ValueError : a direction is zero, or the two are not perpendicular
     """
     own_up, own_front = (np.asarray(v, dtype=np.float64) for v in (up, front))
     lengths = np.linalg.norm(own_up), np.linalg.norm(own_front)
     if not min(lengths) > 0:
-        raise ValueError("'up' and 'front' must not be zero")
+        raise ValueError("'up' and 'front' must not be zero vectors")
     own_up, own_front = own_up / lengths[0], own_front / lengths[1]
     if abs(float(own_up @ own_front)) > 1e-4:
-        raise ValueError("'up' and 'front' are not at right angles")
+        raise ValueError("'up' and 'front' must be perpendicular")
     own = np.column_stack([np.cross(own_front, own_up), own_up, -own_front])
     rotation: F64 = own.T
     return rotation

@@ -1,4 +1,4 @@
-"""The surfaces of a whole scene as triangles: what navmeshes are built from and what hides things from view."""
+"""The surfaces of a whole scene as triangles, for navmesh building and occlusion."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 __all__ = ["STRUCTURE", "SceneGeometry"]
 
 STRUCTURE = -1
-"""Owner of a triangle that belongs to no object: floor, wall, door, or a scan that is one mesh."""
+"""Owner of a triangle that belongs to no object: floor, wall, door, or a scan that is a single mesh."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,8 +19,8 @@ class SceneGeometry:
 
     vertices : (n, 3)
     faces : (m, 3) indices of vertices, counter-clockwise seen from outside
-    owner : (m,) index into the scene's ``objects`` of the object a face belongs to, `STRUCTURE` where to none
-    approximate : boxes and drawn walls in place of surfaces; recorded beside what is derived from them
+    owner : (m,) index into the scene's ``objects`` of each face's object, `STRUCTURE` if it has none
+    approximate : boxes and generated walls replace surfaces; recorded with all derived results
     """
 
     vertices: NDArray[np.float64]

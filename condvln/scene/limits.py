@@ -1,4 +1,4 @@
-"""How large a scene may be: counts compared with the configuration's limits, before memory is taken for them."""
+"""Compare a scene's size with the configured limits before memory is allocated for it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def check_limits(scene: Scene, limits: LimitsConfig) -> None:
 
     Raises
     ------
-    LimitError : a count is larger than its limit; the message names the room, both numbers and the key to change
+    LimitError : a count exceeds its limit; the message names the room, both numbers and the key to change
     """
     _at_most(limits, "objects_per_scene", len(scene.objects), "objects", scene)
     _at_most(limits, "rooms_per_scene", len(scene.rooms), "rooms", scene)

@@ -1,4 +1,4 @@
-"""The meshes of a dataset, read when they are needed and kept while there is room."""
+"""Read the meshes of a dataset on demand, with a bounded cache."""
 
 from __future__ import annotations
 
@@ -18,14 +18,15 @@ from condvln.scene.scene import MeshPart, SceneObject
 __all__ = ["CACHE_BYTES", "MeshLibrary", "WorldMesh"]
 
 CACHE_BYTES: Final = 192 << 20
-"""Decoded geometry kept; all of ReplicaCAD's objects take 40 MB, and a worker has 1 GiB."""
+"""Size limit of the cache of decoded geometry; all of ReplicaCAD's objects take 40 MB, and a worker has 1 GiB."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class WorldMesh:
-    """Triangles in the scene's frame: vertices (n, 3) metres, not rounded; faces (m, 3), counter-clockwise outside.
+    """Triangles in the scene's frame: vertices (n, 3) metres, not rounded; faces (m, 3), counter-clockwise from
+    outside.
 
-    watertight : all parts are closed surfaces, so that "inside" has a meaning
+    watertight : all parts are closed surfaces, so that "inside" is defined
     """
 
     vertices: NDArray[np.float64]
@@ -34,7 +35,7 @@ class WorldMesh:
 
 
 class MeshLibrary:
-    """Mesh files under one dataset root, by relative path."""
+    """The mesh files under one dataset root, by relative path."""
 
     def __init__(self, root: Path, cache_bytes: int = CACHE_BYTES) -> None:
         self._root = DatasetRoot(root)
@@ -43,11 +44,11 @@ class MeshLibrary:
         self._used_bytes = 0
 
     def geometry(self, path: str) -> GlbGeometry:
-        """The triangles of a file in its own frame.
+        """Return the triangles of a file in its own frame.
 
         Raises
         ------
-        MissingFileError : there is no such file
+        MissingFileError : the file does not exist
         FormatError : it can't be read; see `read_glb`
         """
         key = (path, *self._root.signature(path))
@@ -62,7 +63,7 @@ class MeshLibrary:
         return geometry
 
     def placed(self, part: MeshPart) -> WorldMesh:
-        """A mesh part in the scene's frame."""
+        """Return a mesh part in the scene's frame."""
         geometry = self.geometry(part.path)
         faces = geometry.faces
         if np.linalg.det(part.transform[:3, :3]) < 0:
@@ -70,7 +71,7 @@ class MeshLibrary:
         return WorldMesh(transform_points(part.transform, geometry.vertices), faces, geometry.watertight)
 
     def world_mesh(self, item: SceneObject) -> WorldMesh | None:
-        """All parts of an object as one mesh; None where it has none."""
+        """Return all parts of an object as one mesh; None if it has none."""
         parts = [self.placed(part) for part in item.mesh]
         if len(parts) <= 1:
             return parts[0] if parts else None

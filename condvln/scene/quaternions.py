@@ -1,4 +1,4 @@
-"""Rotations: quaternions in both orders that files use, Euler angles, and 3×3 matrices."""
+"""Rotations: quaternions in both component orders, Euler angles, and 3×3 matrices."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ __all__ = [
 F64 = NDArray[np.float64]
 
 MIN_NORM = 1e-6
-"""A shorter quaternion has no direction."""
+"""Least norm of a quaternion; a shorter one has no direction."""
 
 
 QUATERNION_DECIMALS: Final = 9
-"""Kept of a stored component: far below what 1 mm over a building can tell."""
+"""Decimals kept of a stored component; the rounding error is far below 1 mm over a building."""
 
 _MAX_ROUNDS: Final = 64
 
 
 def to_matrix(xyzw: ArrayLike) -> F64:
-    """(3, 3) rotation of a quaternion ``[x, y, z, w]`` of any length but zero; a column is where an axis goes.
+    """Return the (3, 3) rotation of a non-zero quaternion ``[x, y, z, w]``; column k is the image of axis k.
 
     Raises
     ------
@@ -53,15 +53,15 @@ def to_matrix(xyzw: ArrayLike) -> F64:
 
 
 def from_wxyz(wxyz: ArrayLike) -> F64:
-    """``[x, y, z, w]`` of a quaternion in the order of Habitat's scene files, ``[w, x, y, z]``."""
+    """Return ``[x, y, z, w]`` of a quaternion in the order of Habitat's scene files, ``[w, x, y, z]``."""
     xyzw: F64 = np.roll(np.asarray(wxyz, dtype=np.float64), -1)
     return xyzw
 
 
 def from_matrix(rotation: ArrayLike) -> F64:
-    """Unit quaternion ``[x, y, z, w]`` of a (3, 3) rotation; its largest component is positive.
+    """Return the unit quaternion ``[x, y, z, w]`` of a (3, 3) rotation; its largest component is positive.
 
-    Shepperd's method (1978): divide by the largest of the four, so that no digits are lost.
+    Shepperd's method (1978): dividing by the largest of the four components loses no precision.
     """
     m = np.asarray(rotation, dtype=np.float64)
     trace = m[0, 0] + m[1, 1] + m[2, 2]
@@ -80,9 +80,9 @@ def from_matrix(rotation: ArrayLike) -> F64:
 
 
 def round_quaternion(xyzw: ArrayLike) -> F64:
-    """The quaternion rounded to `QUATERNION_DECIMALS`, such that its matrix gives the same rounded one again.
+    """Return the quaternion rounded to `QUATERNION_DECIMALS`, such that its matrix gives the same rounded one again.
 
-    Rounding changes the length a little and normalising undoes that, so it is repeated until nothing moves.
+    Rounding changes the norm and normalising changes the digits, so both are repeated until nothing changes.
     """
     q = _rounded(np.asarray(xyzw, dtype=np.float64))
     for _ in range(_MAX_ROUNDS):
@@ -98,24 +98,24 @@ def _rounded(q: F64) -> F64:
 
 
 def rotation_x(angle: float) -> F64:
-    """(3, 3) rotation by `angle` radians about +X, counter-clockwise seen from its tip."""
+    """Return the (3, 3) rotation by `angle` radians about +X, counter-clockwise seen from the axis' tip."""
     c, s = math.cos(angle), math.sin(angle)
     return np.array([[1.0, 0, 0], [0, c, -s], [0, s, c]])
 
 
 def rotation_y(angle: float) -> F64:
-    """(3, 3) rotation by `angle` radians about +Y, counter-clockwise seen from its tip."""
+    """Return the (3, 3) rotation by `angle` radians about +Y, counter-clockwise seen from the axis' tip."""
     c, s = math.cos(angle), math.sin(angle)
     return np.array([[c, 0, s], [0, 1.0, 0], [-s, 0, c]])
 
 
 def rotation_z(angle: float) -> F64:
-    """(3, 3) rotation by `angle` radians about +Z, counter-clockwise seen from its tip."""
+    """Return the (3, 3) rotation by `angle` radians about +Z, counter-clockwise seen from the axis' tip."""
     c, s = math.cos(angle), math.sin(angle)
     return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
 
 
 def rotation_rpy(roll: float, pitch: float, yaw: float) -> F64:
-    """(3, 3) rotation by URDF's roll, pitch and yaw in radians: about fixed X, then Y, then Z."""
+    """Return the (3, 3) rotation by URDF's roll, pitch and yaw in radians: about fixed X, then Y, then Z."""
     rotation: F64 = rotation_z(yaw) @ rotation_y(pitch) @ rotation_x(roll)
     return rotation

@@ -1,7 +1,7 @@
 """The Scene in memory: rooms and objects as plain frozen records over numpy arrays.
 
-Frame: Habitat's (metres, +Y up, −Z north). Positions are rounded to 1 mm when a record is made and everything
-downstream is decided on the rounded values, so that what is stored re-derives exactly.
+Frame: Habitat's (metres, +Y up, −Z north). Positions are rounded to 1 mm when a record is made, and all later steps
+use the rounded values, so that stored data gives the same results again.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ F64 = NDArray[np.float64]
 
 
 def round_mm(values: ArrayLike) -> F64:
-    """Positions in metres rounded to 1 mm; −0 becomes 0, so that equal positions have equal bytes."""
+    """Return positions in metres rounded to 1 mm; −0 becomes 0, so that equal positions have equal bytes."""
     rounded: F64 = np.asarray(
         np.round(np.asarray(values, dtype=np.float64), MILLIMETRE_DECIMALS) + 0.0, dtype=np.float64
     )
@@ -44,7 +44,7 @@ def round_mm(values: ArrayLike) -> F64:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class OrientedBox:
-    """center (3,), half_extents (3,) in metres; rotation (3, 3), its columns the box's axes in the scene's frame."""
+    """An oriented box: center (3,), half_extents (3,) in metres; rotation (3, 3) with the box's axes as columns."""
 
     center: F64
     half_extents: F64
@@ -61,7 +61,7 @@ class MeshPart:
 
 @dataclass(frozen=True, slots=True)
 class SceneWarning:
-    """Something of the source that was missing or odd (`code`), where, and what was done about it."""
+    """Something missing or odd in the source: its `code`, where it is, and how it was handled."""
 
     code: str
     where: str
@@ -70,13 +70,13 @@ class SceneWarning:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SceneObject:
-    """One object. What is not known of its extent is None and stays so.
+    """One object. An unknown part of its extent is None.
 
     center (3,); aabb (2, 3) as [min, max]; size (3,) full extents; radius of a bounding sphere; all in metres.
     parts : oriented boxes that make up the object where one box is not its shape (a counter with a corner)
-    receptacles : ids of the objects that it is in or on, as its source says; None where the source says nothing of that
-    openness : share that it is open, 0 to 1, as its source says; 1 for a receptacle that can't be shut; None if unsaid
-    parent, support, hidden : what contains it, what it rests on, and whether a shut container is around it; filled by
+    receptacles : ids of the objects that it is in or on, as its source states; None if the source states none
+    openness : how far it is open, 0 to 1, as its source states; 1 for a receptacle that can't be shut; None if unknown
+    parent, support, hidden : what contains it, what it rests on, and whether it is inside a shut container; set by
         `condvln.scene.containment.with_containment`
     """
 
@@ -100,14 +100,14 @@ class SceneObject:
 
     @property
     def box(self) -> F64 | None:
-        """The axis-aligned box (2, 3): `aabb`, or what follows from centre and size; None where neither is known."""
+        """The axis-aligned box (2, 3) in metres: `aabb`, else from centre and size; None if neither is known."""
         if self.aabb is not None or self.size is None:
             return self.aabb
         return round_mm([self.center - self.size / 2, self.center + self.size / 2])
 
     @property
     def geometry(self) -> Literal["mesh", "obb", "aabb", "size", "radius", "none"]:
-        """The best geometry known of this object."""
+        """The kind of the best known geometry of this object."""
         if self.mesh:
             return "mesh"
         if self.obb is not None:
@@ -121,11 +121,11 @@ class SceneObject:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Room:
-    """One room, or the whole scene where the source knows none (`annotation` is then ``scene``).
+    """One room, or the whole scene if the source has no rooms (`annotation` is then ``scene``).
 
-    polygon (n, 2) of (x, z) corners, implicitly closed
-    complete : allows claims of absence, but of what a nameless or hidden thing in it may be
-    asked : conditions may be asked of it; where it is not complete, positive ones only
+    polygon : (n, 2) corners (x, z) in metres, implicitly closed
+    complete : absence may be claimed in it, except of what its unnamed or hidden objects may be
+    asked : text may ask conditions about it; only positive ones if it is not complete
     """
 
     room_id: str
@@ -142,7 +142,9 @@ class Room:
 
 @dataclass(frozen=True, slots=True)
 class NavmeshFile:
-    """The navmesh chosen for a scene; `path` is relative to the dataset root, `fits` says whether it is the agent's."""
+    """The navmesh chosen for a scene; `path` is relative to the dataset root, `fits` : it was built for the agent's
+    size.
+    """
 
     path: str
     sha256: str
@@ -156,11 +158,13 @@ class NavmeshFile:
 
 @dataclass(frozen=True, eq=False)
 class RoomArrays:
-    """The objects of one room as arrays, in order of object id.
+    """The objects of one room as arrays, sorted by object id; NaN where unknown.
 
-    centers (n, 3); aabb_min, aabb_max (n, 3), from centre and size where not given; radius (n,). NaN where unknown.
-    hidden (n,) : inside something shut
-    floor_y : height of the room's floor in metres; NaN where unknown
+    centers : (n, 3) metres
+    aabb_min, aabb_max : (n, 3) metres, from centre and size if not given
+    radius : (n,) metres
+    hidden : (n,) inside something shut
+    floor_y : height of the room's floor in metres; NaN if unknown
     """
 
     room_id: str
@@ -179,7 +183,7 @@ class RoomArrays:
 
     @classmethod
     def of(cls, room_id: str, objects: Iterable[SceneObject], floor_y: float = float("nan")) -> RoomArrays:
-        """Arrays of `objects`, sorted by id so that pair order never depends on the file's."""
+        """Return arrays of `objects`, sorted by id so that the order of pairs does not depend on the file."""
         ordered = tuple(sorted(objects, key=lambda o: o.object_id))
         n = len(ordered)
         unknown = np.full((2, 3), np.nan)
@@ -203,8 +207,8 @@ class Scene:
     """A whole scene in Habitat's frame.
 
     root : folder of the dataset; all paths of the scene are relative to it
-    navmesh : the navmesh that episodes are placed on, once it was chosen
-    shipped_navmeshes : files of the dataset that may hold the scene's navmesh, the preferred ones first; not all exist
+    navmesh : the navmesh that episodes are placed on, once chosen
+    shipped_navmeshes : candidate files of the scene's navmesh, in order of preference; they need not exist
     """
 
     family: str
@@ -232,10 +236,10 @@ class Scene:
 
     @property
     def single_room(self) -> bool:
-        """Whether the scene counts as one room (decides the success distance)."""
+        """Whether the scene counts as one room, which decides the success distance."""
         return len(self.rooms) == 1
 
     def arrays(self, room_id: str) -> RoomArrays:
-        """The objects of one room as arrays."""
+        """Return the objects of one room as arrays."""
         held = (o for o in self.objects if o.room_id == room_id)
         return RoomArrays.of(room_id, held, self.room_of[room_id].floor_y if room_id in self.room_of else float("nan"))

@@ -1,4 +1,4 @@
-"""Which objects of a scene can't be seen, and for which this is in doubt."""
+"""Which objects of a scene can't be seen, and for which this is uncertain."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ __all__ = ["EVERYTHING_SEEN", "Sightings"]
 
 @dataclass(frozen=True, slots=True)
 class Sightings:
-    """Objects by id that can't be seen from where an agent can stand. An object that is not listed can be.
+    """Ids of objects that can't be seen from where an agent can stand; all other objects can be.
 
-    unseen : nobody sees them; they don't make a word for what is seen ambiguous
-    doubtful : perhaps somebody does; text uses no word that might mean them
+    unseen : certainly not visible; they do not make a word ambiguous
+    doubtful : perhaps visible; text uses no word that might mean them
     """
 
     unseen: frozenset[str] = frozenset()
     doubtful: frozenset[str] = frozenset()
 
     def hidden(self, arrays: RoomArrays) -> NDArray[np.bool_]:
-        """(n,) objects of a room that can't be seen, including those in shut containers."""
+        """Return (n,): objects of a room that can't be seen, including those in shut containers."""
         return np.asarray(arrays.hidden | np.array([name in self.unseen for name in arrays.object_ids], dtype=bool))
 
     def in_doubt(self, arrays: RoomArrays) -> NDArray[np.bool_]:
-        """(n,) objects of a room that are perhaps seen."""
+        """Return (n,): objects of a room that are doubtful."""
         return np.asarray(~arrays.hidden & np.array([name in self.doubtful for name in arrays.object_ids], dtype=bool))
 
 
 EVERYTHING_SEEN: Final = Sightings()
-"""All can be seen but what is in a shut container."""
+"""Every object is visible, except inside shut containers."""

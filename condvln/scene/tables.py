@@ -1,4 +1,4 @@
-"""A scene as rows of the ``scenes``, ``rooms`` and ``objects`` tables, and back, without loss."""
+"""Convert a scene to rows of the ``scenes``, ``rooms`` and ``objects`` tables, and back, without loss."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ Row = dict[str, Any]
 def scene_tables(
     scene: Scene, *, status: Literal["ok", "skipped"] = "ok", reason: str | None = None
 ) -> dict[str, pa.Table]:
-    """The ``scenes`` (one row), ``rooms`` and ``objects`` tables of a scene, sorted by id.
+    """Return the ``scenes`` (one row), ``rooms`` and ``objects`` tables of a scene, sorted by id.
 
-    The family is the partition that the tables are stored in, not a column.
+    The family is not a column but the partition in which the tables are stored.
     """
     rooms = sorted(scene.rooms, key=lambda r: r.room_id)
     objects = sorted(scene.objects, key=lambda o: o.object_id)
@@ -38,7 +38,7 @@ def scene_tables(
 
 
 def scene_from_tables(tables: Mapping[str, pa.Table], root: Path, *, family: str) -> Scene:
-    """The scene that `scene_tables` made these tables of; rooms and objects in order of id.
+    """Return the scene from which `scene_tables` made these tables; rooms and objects sorted by id.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def _scene_row(scene: Scene, status: str, reason: str | None) -> Row:
 
 
 def _bounds(scene: Scene) -> F64 | None:
-    """(2, 3) box of all objects and room polygons; None if nothing has a position."""
+    """Return the (2, 3) box of all objects and room polygons; None if nothing has a position."""
     points = [o.center[None] if o.aabb is None else o.aabb for o in scene.objects]
     for room in scene.rooms:
         if room.polygon is not None:

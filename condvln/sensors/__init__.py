@@ -1,4 +1,6 @@
-"""What an agent sees of a scene, with no simulator: images of cameras, and text for agents that read none."""
+"""What an agent perceives of a scene, without a simulator: camera images, and text for agents that can't read
+images.
+"""
 
 from condvln.sensors.camera import PRESETS, cameras_of, panorama
 from condvln.sensors.noise import noisy_move, noisy_pose

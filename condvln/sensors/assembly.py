@@ -1,4 +1,4 @@
-"""A scene as a camera sees it: its meshes as they are textured, or walls and boxes in a colour for each label."""
+"""Collect the surfaces that a camera sees: textured meshes, or walls and boxes in one colour per label."""
 
 from __future__ import annotations
 
@@ -23,26 +23,26 @@ from condvln.sources.solids import floor, joined, object_boxes
 __all__ = ["BOXES", "MARGIN", "NO_STAGE", "NO_WALLS", "OWNERS_BY_BOX", "scene_surfaces"]
 
 BOXES: Final = (
-    "drawn: walls, doors and boxes in a colour for each label stand in for surfaces; boxes that hold things are open"
+    "drawn: walls, doors and boxes in one colour per label replace surfaces; boxes that contain objects are open"
 )
-NO_STAGE: Final = "incomplete: the mesh of the building is not there, so that no floor or wall is seen"
-NO_WALLS: Final = "incomplete: walls are not known, so that one sees through them"
-OWNERS_BY_BOX: Final = "instances: the scan names no objects; a surface is that of the smallest box around it"
+NO_STAGE: Final = "incomplete: the building's mesh is missing, so floors and walls are not visible"
+NO_WALLS: Final = "incomplete: walls are unknown, so rooms are visible through them"
+OWNERS_BY_BOX: Final = "instances: the scan's mesh has no object ids; a surface belongs to the smallest box around it"
 SIDES: Final = (0.86, 1.0, 0.72)
-"""Brightness of the faces of a drawn box that look along x, y and z, so that its edges are seen."""
+"""Brightness of the faces of a drawn box that face along x, y and z, so that its edges are visible."""
 MARGIN: Final = 0.05
-"""Metres that a box of a scan may end before the surface that it is drawn around: about a triangle's length."""
+"""Tolerance in metres of a scan's boxes, which may end before the surface; about the size of a triangle."""
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 
 def scene_surfaces(scene: Scene, geometry: SceneGeometry | None, words: Vocabulary = vocabulary) -> Surfaces:
-    """All that is seen of a scene.
+    """Return all visible surfaces of a scene.
 
     Parameters
     ----------
-    geometry : the scene's surfaces, as its source gives them
+    geometry : the scene's triangles, from its source
 
     Raises
     ------
@@ -76,14 +76,14 @@ def _assembled(scene: Scene, words: Vocabulary) -> Surfaces:
     unread = sum(file.unread for file in known.values())
     notes = [] if scene.stage else [NO_STAGE]
     if unread:
-        notes.append(f"textures: {unread} can't be read, and their surfaces have the colour of their material")
+        notes.append(f"textures: {unread} can't be read; their surfaces have their material's colour")
     scan = not any(item.mesh for item in scene.objects)
     surfaces = builder.surfaces([*notes, OWNERS_BY_BOX] if scan else notes)
     return replace(surfaces, owner=_owners_by_box(surfaces, scene, words)) if scan else surfaces
 
 
 def _owners_by_box(surfaces: Surfaces, scene: Scene, words: Vocabulary) -> NDArray[np.int32]:
-    """(m,) the object whose box holds a triangle; of several the smallest box."""
+    """Return (m,) the object whose box contains each triangle; of several, the one with the smallest box."""
     corners = surfaces.corners + surfaces.origin
     along = np.argsort(corners[:, 0, 0], kind="stable")
     sorted_x = corners[along, 0, 0]
@@ -104,7 +104,7 @@ def _owners_by_box(surfaces: Surfaces, scene: Scene, words: Vocabulary) -> NDArr
 
 
 def _boxes(obb: OrientedBox | None, box: F64 | None) -> list[tuple[F64, F64, F64]]:
-    """Centre, half extents and axes of the tighter box that is known."""
+    """Return centre, half extents and axes of the tighter known box."""
     if obb is not None:
         return [(obb.center, obb.half_extents, obb.rotation)]
     return [] if box is None else [(box.mean(axis=0), (box[1] - box[0]) / 2, np.eye(3))]
@@ -124,7 +124,8 @@ def _drawn(scene: Scene, geometry: SceneGeometry, notes: Sequence[str], words: V
         rows = order[start:end]
         if owner == STRUCTURE:
             upright = np.flatnonzero(~level[rows])
-            floors = int(upright[0]) if len(upright) else len(rows)  # floors come first; walls have level tops, too
+            # Floors come first, since walls have horizontal tops, too.
+            floors = int(upright[0]) if len(upright) else len(rows)
             _add(builder, corners, rows[:floors], light, STRUCTURE, FLOOR_COLOUR)
             _add(builder, corners, rows[floors:], light, STRUCTURE, WALL_COLOUR)
             continue
@@ -141,7 +142,7 @@ def _drawn(scene: Scene, geometry: SceneGeometry, notes: Sequence[str], words: V
 
 
 def _holders(objects: Sequence[SceneObject]) -> frozenset[int]:
-    """Objects whose boxes hold the middle of a smaller thing that is not shut away."""
+    """Return the objects whose boxes contain the centre of a smaller object that is not in a shut container."""
     found = set()
     boxes = np.array([np.full((2, 3), np.nan) if o.box is None else o.box for o in objects]).reshape(-1, 2, 3)
     volume = np.prod(boxes[:, 1] - boxes[:, 0], axis=1)

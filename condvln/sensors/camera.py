@@ -1,4 +1,4 @@
-"""Where a camera stands, where it looks, and the cameras that published agents have."""
+"""The pose of a camera, and the camera presets of published agents."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ F64 = NDArray[np.float64]
 
 _STREAMVLN: Final = CameraConfig(width=640, height=480, hfov=79.0)
 PANORAMA_ROWS: Final = (30.0, 0.0, -30.0)
-"""Degrees that the three rows of a panorama look down: view 0 is in the lowest row, as in the R2R simulator."""
+"""Downward angle in degrees of the three rows of a panorama: view 0 is in the lowest row, as in the R2R simulator."""
 PANORAMA_STEP: Final = 30.0
-"""Degrees between two views of a row, to the right."""
+"""Degrees between two adjacent views of a row, to the right."""
 _PANORAMA_HFOV: Final = math.degrees(2 * math.atan(math.tan(math.radians(60.0) / 2) * 640 / 480))
-"""The R2R simulator gives the vertical angle, 60°."""
+"""Vertical field of view in degrees of the R2R simulator."""
 
 
 def panorama(width: int = 640, height: int = 480, eye_height: float = 1.25) -> dict[str, CameraConfig]:
-    """The 36 views of the R2R simulator, ``rgb_00`` to ``rgb_35``: three rows of twelve, the lowest row first, each to
-    the right from straight ahead. The simulator's views are those of an agent that faces north.
+    """Return the 36 views of the R2R simulator, ``rgb_00`` to ``rgb_35``.
 
-    Depths are metres without a limit.
+    Three rows of twelve views, the lowest row first, each row from straight ahead to the right. The simulator's views
+    are those of an agent that faces north. Depths are metres without a limit.
     """
     return {
         f"rgb_{12 * row + column:02d}": CameraConfig(
@@ -63,15 +63,15 @@ PRESETS: Final[Mapping[str, Mapping[str, CameraConfig]]] = {
     },
     "panorama": panorama(),
 }
-"""Cameras by the name of what they give, which begins with ``rgb``, ``depth``, ``instance`` or ``label``."""
+"""Camera presets. A camera's name begins with its modality: ``rgb``, ``depth``, ``instance`` or ``label``."""
 
 
 def cameras_of(preset: str) -> Mapping[str, CameraConfig]:
-    """The cameras of a preset.
+    """Return the cameras of a preset by name.
 
     Raises
     ------
-    UsageError : there is none of this name
+    UsageError : there is no preset of this name
     """
     if preset not in PRESETS:
         raise UsageError(f"there is no camera preset {preset!r}", remedy=f"Choose one of {', '.join(sorted(PRESETS))}")
@@ -79,7 +79,7 @@ def cameras_of(preset: str) -> Mapping[str, CameraConfig]:
 
 
 def camera_pose(camera: CameraConfig, position: npt.ArrayLike, heading: float) -> tuple[F64, F64]:
-    """Where a camera is and how it is turned.
+    """Return a camera's position and rotation from the agent's pose.
 
     Parameters
     ----------
@@ -96,7 +96,9 @@ def camera_pose(camera: CameraConfig, position: npt.ArrayLike, heading: float) -
 
 
 def pixel_rays(camera: CameraConfig) -> tuple[F64, F64]:
-    """x of each column's centre (w,) and y of each row's (h,) at depth 1, in the camera's frame; rows go down."""
+    """Return x of each column's centre (w,) and y of each row's centre (h,) at depth 1 in the camera's frame; rows
+    go down.
+    """
     tan_x, tan_y = half_extents(camera)
     columns = (2 * np.arange(camera.width) + 1 - camera.width) / camera.width * tan_x
     rows = (camera.height - 1 - 2 * np.arange(camera.height)) / camera.height * tan_y
@@ -104,6 +106,6 @@ def pixel_rays(camera: CameraConfig) -> tuple[F64, F64]:
 
 
 def half_extents(camera: CameraConfig) -> tuple[float, float]:
-    """Half the width and half the height of what is seen at depth 1; pixels are square."""
+    """Return half the width and half the height of the image plane at depth 1; pixels are square."""
     tan_x = math.tan(math.radians(camera.hfov) / 2)
     return tan_x, tan_x * camera.height / camera.width

@@ -1,4 +1,4 @@
-"""The triangles of a GLB file with their materials, as a camera needs them."""
+"""Read the triangles of a GLB file with their materials, for rendering."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _NUMBERS: Final = {5121: np.uint8, 5123: np.uint16, 5125: np.uint32, 5126: np.fl
 _WIDTHS: Final = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _STRIP: Final = 5
 _WRAPS: Final = {10497: 0, 33071: 1, 33648: 2}
-"""glTF's numbers of repeat, clamp to edge and mirrored repeat, as `Material.wrap` has them."""
+"""glTF's codes of the wrap modes repeat, clamp to edge and mirrored repeat, in the order of `Material.wrap`."""
 _WEBP: Final = "EXT_texture_webp"
 _TRANSFORM: Final = "KHR_texture_transform"
 
@@ -34,9 +34,9 @@ Bytes = NDArray[np.uint8]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class DrawnFile:
-    """Triangles of one file in its root frame, metres; see `Surfaces` for what the arrays hold.
+    """The triangles of one file in its root frame, metres; see `Surfaces` for the arrays.
 
-    unread : textures whose images are of a kind that is not read, are damaged, or stand in no file
+    unread : number of textures whose image has an unsupported format, is damaged, or is missing
     """
 
     corners: F64
@@ -46,15 +46,15 @@ class DrawnFile:
     unread: int
 
     def place(self, builder: SurfaceBuilder, owner: int, transform: F64) -> None:
-        """Hand the triangles to a builder, taken to the scene's frame by a (4, 4) transform."""
+        """Add the triangles to a builder, transformed to the scene's frame by a (4, 4) matrix."""
         corners = transform_points(transform, self.corners.reshape(-1, 3)).reshape(-1, 3, 3)
-        # A mirroring transform turns triangles inside out.
+        # A mirroring transform reverses the winding of triangles.
         turn = slice(None, None, -1 if np.linalg.det(transform[:3, :3]) < 0 else 1)
         builder.add(corners[:, turn], owner, self.material, self.coordinates[:, turn], self.colours[:, turn])
 
 
 def drawn_file(part: GlbPart, builder: SurfaceBuilder) -> DrawnFile:
-    """The triangles of a file; its materials and textures go to the builder."""
+    """Read the triangles of a file; its materials and textures are added to the builder."""
     painter = _Painter(part.look, builder)
     meshes = [[_faces(part, primitive, painter) for primitive in primitives] for primitives in part.meshes]
     world = _world(part)
@@ -65,7 +65,7 @@ def drawn_file(part: GlbPart, builder: SurfaceBuilder) -> DrawnFile:
             turn = slice(None, None, -1 if np.linalg.det(world[number][:3, :3]) < 0 else 1)
             own = np.full(len(corners), material, np.int32)
             found.append((placed[:, turn], coordinates[:, turn], colours[:, turn], own))
-    # A file without triangles was refused when it was read.
+    # A file without triangles was rejected when it was read.
     return DrawnFile(
         np.concatenate([piece[0] for piece in found]),
         np.concatenate([piece[1] for piece in found]),
@@ -76,7 +76,7 @@ def drawn_file(part: GlbPart, builder: SurfaceBuilder) -> DrawnFile:
 
 
 def _world(part: GlbPart) -> list[F64]:
-    """(4, 4) from each node's own frame to the root's; parents come before their children."""
+    """Return the (4, 4) transform from each node's frame to the root's; parents come before their children."""
     world = [_local(node.transform) for node in part.nodes]
     for number, node in enumerate(part.nodes):
         for child in node.children:
@@ -93,7 +93,9 @@ def _local(transform: dict[str, list[float]]) -> F64:
 
 
 def _faces(part: GlbPart, own: Primitive, painter: _Painter) -> tuple[F64, Floats, Bytes, int]:
-    """Corners (n, 3, 3), texture coordinates (n, 3, 2), colours (n, 3, 3) and the material of a primitive."""
+    """Return corners (n, 3, 3), texture coordinates (n, 3, 2), colours (n, 3, 3) and the material index of a
+    primitive.
+    """
 
     def vertices(name: str) -> NDArray[Any] | None:
         at = own.attributes.get(name)
@@ -108,7 +110,7 @@ def _faces(part: GlbPart, own: Primitive, painter: _Painter) -> tuple[F64, Float
     coordinates = np.zeros((len(points), 2)) if places is None else np.asarray(places, np.float64)
     coordinates = coordinates @ moved[:2, :2].T + moved[:2, 2]
     places_of = np.nan_to_num(coordinates[triangles], nan=0.0, posinf=0.0, neginf=0.0)
-    # Whole repeats are taken off, two at a time because of mirrors, so that float32 keeps the digits that count.
+    # Whole repeats are subtracted, two at a time because of mirrored wrapping, so that float32 keeps its precision.
     endless = np.array(wrap) != CLAMP
     places_of -= np.where(endless, 2 * np.floor(places_of.min(axis=1, keepdims=True) / 2), 0.0)
     tints = vertices("COLOR_0")
@@ -119,21 +121,21 @@ def _faces(part: GlbPart, own: Primitive, painter: _Painter) -> tuple[F64, Float
 
 
 def _strip(order: NDArray[Any]) -> NDArray[Any]:
-    """The triangles of a strip; every second one is turned round."""
+    """Return the triangles of a strip; the winding of every second one is reversed."""
     rows = np.column_stack([order[:-2], order[1:-1], order[2:]])
     rows[1::2] = rows[1::2][:, [1, 0, 2]]
     return rows
 
 
 def _numbers(own: Accessor) -> NDArray[Any]:
-    """(count, width) numbers; normalized integers as 0 to 1."""
+    """Return (count, width) numbers; normalized integers are scaled to [0, 1]."""
     dtype = np.dtype(_NUMBERS[own.component])
     rows = np.frombuffer(own.data, dtype.newbyteorder("<")).reshape(own.count, _WIDTHS[own.kind])
     return rows / (256**dtype.itemsize - 1) if own.normalized else rows
 
 
 class _Painter:
-    """Materials of one file, each handed to the builder once."""
+    """The materials of one file, each added to the builder once."""
 
     def __init__(self, look: MaterialReader | None, builder: SurfaceBuilder) -> None:
         self._look, self._builder = look, builder
@@ -141,7 +143,7 @@ class _Painter:
         self.unread = look.lost if look is not None else 0
 
     def material(self, index: int | None) -> tuple[int, tuple[int, int], str, F64]:
-        """Number of a material, how it wraps, the attribute of its texture coordinates, and their (3, 3) transform."""
+        """Return a material's number, wrap modes, texture coordinate attribute, and their (3, 3) transform."""
         if index is None or self._look is None:
             return self._builder.material(Material()), (0, 0), "TEXCOORD_0", np.eye(3)
         shine = self._look.materials[index].get("pbrMetallicRoughness", {})
@@ -173,7 +175,9 @@ class _Painter:
 
 
 def _moved(transform: dict[str, Any]) -> F64:
-    """(3, 3) of KHR_texture_transform: scaled, turned counter-clockwise as the image is seen, then moved."""
+    """Return the (3, 3) matrix of KHR_texture_transform: scale, then rotate counter-clockwise in the image, then
+    translate.
+    """
     angle = float(transform.get("rotation", 0.0))
     cosine, sine = math.cos(angle), math.sin(angle)
     across, down = transform.get("scale", (1.0, 1.0))

@@ -1,4 +1,4 @@
-"""Errors of a pose estimate and of a motor; they follow from a seed and names, never from a clock."""
+"""Noise of pose estimates and of actuation; it depends on a seed and names, never on the time."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ F64 = NDArray[np.float64]
 def noisy_pose(
     position: npt.ArrayLike, heading: float, noise: NoiseConfig, seed: int, names: Sequence[object] = ()
 ) -> tuple[F64, float]:
-    """A pose as an agent believes it: (3,) metres with an error along the ground, and radians with an error."""
+    """Return a pose with noise: position (3,) in metres, shifted horizontally, and heading in radians."""
     east, south, turn = generator(seed, "pose", *names).normal(size=3)
     believed = np.asarray(position, np.float64) + noise.position * np.array([east, 0.0, south])
     return believed, (heading + math.radians(noise.heading) * turn) % (2 * math.pi)
@@ -29,6 +29,6 @@ def noisy_pose(
 def noisy_move(
     forward: float, turn: float, noise: NoiseConfig, seed: int, names: Sequence[object] = ()
 ) -> tuple[float, float]:
-    """A step forward (metres) and a turn (radians) with errors that are a share of each."""
+    """Return a forward step (metres) and a turn (radians), each with a relative error."""
     step, angle = generator(seed, "move", *names).normal(size=2)
     return max(0.0, forward * (1 + noise.step * step)), turn * (1 + noise.turn * angle)

@@ -14,19 +14,19 @@ __all__ = ["clip_gif", "coloured_depth", "coloured_instances", "contact_sheet", 
 Bytes = npt.NDArray[np.uint8]
 
 TILE: Final = 320
-"""Columns of a picture on a contact sheet at most."""
+"""Largest number of columns of a contact sheet."""
 CAPTION: Final = 16
-"""Rows below a picture for its caption, and for each line of the heading."""
+"""Height in pixels of a caption, and of each line of the heading."""
 FRAME_MS: Final = 250
-"""Milliseconds of a clip's frame: four actions a second."""
+"""Milliseconds per frame of a clip: four actions a second."""
 DARK: Final = (24, 24, 24)
 LIGHT: Final = (230, 230, 230)
 
 
 def png(image: npt.NDArray[np.generic]) -> bytes:
-    """An image as a PNG file: (h, w, 3) uint8 as colour, (h, w) depth in metres or numbers as 16 bits.
+    """Return an image as a PNG file: (h, w, 3) uint8 as colour; (h, w) depth in metres or integers as 16 bits.
 
-    Depths are millimetres in the file; numbers and depths end at 65535.
+    Depths are stored in millimetres; values are clipped at 65535.
     """
     from PIL import Image
 
@@ -41,14 +41,16 @@ def png(image: npt.NDArray[np.generic]) -> bytes:
 
 
 def coloured_depth(depth: npt.NDArray[np.floating], farthest: float = 6.0) -> Bytes:
-    """Depth (h, w) in metres as grey (h, w, 3): near is dark, `farthest` and beyond white, nothing black."""
+    """Return depth (h, w) in metres as grey (h, w, 3): near is dark, `farthest` and beyond is white, nothing seen is
+    black.
+    """
     grey = np.clip(depth / farthest, 0, 1) * 255
     return np.repeat(grey.astype(np.uint8)[..., None], 3, axis=-1)
 
 
 def coloured_instances(instance: npt.NDArray[np.integer]) -> Bytes:
-    """Numbers (h, w) in colours of their own (h, w, 3); 0 is black."""
-    steps = np.array([97, 151, 211])  # odd, so that 256 numbers follow each other before a colour comes again
+    """Return an image (h, w, 3) with one colour for each number of (h, w); 0 is black."""
+    steps = np.array([97, 151, 211])  # odd, so that 256 consecutive numbers get different colours
     coloured: Bytes = ((instance[..., None].astype(np.int64) * steps + 64) % 256).astype(np.uint8)
     coloured[instance == 0] = 0
     return coloured
@@ -57,7 +59,7 @@ def coloured_instances(instance: npt.NDArray[np.integer]) -> Bytes:
 def contact_sheet(
     pictures: Sequence[Bytes], captions: Sequence[str], columns: int = 4, heading: Sequence[str] = ()
 ) -> bytes:
-    """Pictures (h, w, 3) of one size in rows, each with its caption, below some lines of text; a PNG file."""
+    """Return a PNG file: pictures (h, w, 3) of equal size in rows, each with its caption, below some lines of text."""
     from PIL import Image, ImageDraw
 
     height, width = pictures[0].shape[:2]
@@ -80,7 +82,7 @@ def contact_sheet(
 
 
 def clip_gif(pictures: Sequence[Bytes]) -> bytes:
-    """Pictures (h, w, 3) of one size one after the other; a GIF file."""
+    """Return a GIF file that shows pictures (h, w, 3) of equal size one after the other."""
     from PIL import Image
 
     frames = [Image.fromarray(picture) for picture in pictures]

@@ -24,9 +24,9 @@ from schemas.errors import UsageError
 __all__ = ["FAR", "NEAR", "Frame", "Renderer", "measured_depth", "open_renderer"]
 
 NEAR: Final = 0.01
-"""Metres along the optical axis of the nearest surface that is seen; habitat-sim's."""
+"""Near plane: metres along the optical axis; that of habitat-sim."""
 FAR: Final = 1000.0
-"""Metres of the farthest."""
+"""Far plane: metres along the optical axis."""
 
 F64 = NDArray[np.float64]
 Image: TypeAlias = npt.NDArray[np.uint8] | npt.NDArray[np.float32] | npt.NDArray[np.int32]
@@ -34,10 +34,11 @@ Image: TypeAlias = npt.NDArray[np.uint8] | npt.NDArray[np.float32] | npt.NDArray
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Frame:
-    """What one camera sees; row 0 is the uppermost, column 0 the leftmost.
+    """The images of one camera; row 0 is the uppermost, column 0 the leftmost.
 
-    rgb : (h, w, 3) red, green, blue; black where nothing is seen; empty where no colour was asked for
-    depth : (h, w) metres along the optical axis, 0 where nothing is seen; see `measured_depth` for what agents get
+    rgb : (h, w, 3) red, green, blue; black where nothing is seen; empty if no colour was requested
+    depth : (h, w) metres along the optical axis, 0 where nothing is seen; see `measured_depth` for the depth that
+        agents get
     instance : (h, w) index into the scene's ``objects`` plus 1; 0 for structure and where nothing is seen
     label : (h, w) index into `Renderer.labels` plus 1; 0 as in `instance`
     """
@@ -49,20 +50,20 @@ class Frame:
 
 
 class Renderer:
-    """Draws a scene's surfaces without light, transparency or blur, as habitat-sim shows scans.
+    """Renders a scene's surfaces without lighting, transparency or antialiasing, as habitat-sim renders scans.
 
-    Faces are seen from their front only, whatever their material says.
+    Back faces are never drawn, even if the material is double-sided.
 
     Parameters
     ----------
-    surfaces : what is seen
+    surfaces : the triangles to render
     object_labels : canonical label of each of the scene's objects
 
     Attributes
     ----------
     surfaces : as given
     labels : the canonical labels, sorted
-    notes : what is not as it would be seen; recorded beside what is derived from the images
+    notes : known deviations from a real view; recorded with all derived results
     """
 
     def __init__(self, surfaces: Surfaces, object_labels: tuple[str, ...] = ()) -> None:
@@ -79,7 +80,7 @@ class Renderer:
         return f"Renderer({self.surfaces!r})"
 
     def look(self, camera: CameraConfig, position: npt.ArrayLike, heading: float = 0.0, *, rgb: bool = True) -> Frame:
-        """What an agent's camera sees.
+        """Render what an agent's camera sees.
 
         Parameters
         ----------
@@ -94,9 +95,9 @@ class Renderer:
         return self.frame(camera, *camera_pose(camera, position, heading), rgb=rgb)
 
     def frame(self, camera: CameraConfig, eye: npt.ArrayLike, rotation: npt.ArrayLike, *, rgb: bool = True) -> Frame:
-        """What a camera sees from an eye (3,), metres, turned by a rotation (3, 3): its columns are right, up and back.
+        """Render what a camera at `eye` (3,), metres, sees; the columns of `rotation` (3, 3) are right, up and back.
 
-        The height, pitch and turn of `camera` are not looked at.
+        The height, pitch and yaw of `camera` are ignored.
 
         Raises
         ------
@@ -106,7 +107,7 @@ class Renderer:
         place = np.ascontiguousarray(np.asarray(eye, np.float64) - own.origin)
         axes = np.ascontiguousarray(rotation, np.float64)
         if place.shape != (3,) or axes.shape != (3, 3) or not (np.isfinite(place).all() and np.isfinite(axes).all()):
-            raise UsageError("the pose of the camera is not a finite position and rotation")
+            raise UsageError("the camera's position and rotation must be finite")
         shape = camera.height, camera.width
         inverse = np.full(shape, 1 / FAR, np.float32)
         face = np.full(shape, -1, np.int32)
@@ -145,10 +146,10 @@ class Renderer:
     def observe(
         self, cameras: Mapping[str, CameraConfig], position: npt.ArrayLike, heading: float = 0.0
     ) -> dict[str, Image]:
-        """What an agent gets of some cameras, by their names, as their presets have it.
+        """Return the images of several cameras by name, in the form that their presets define.
 
-        A name begins with what the camera gives: ``rgb`` (h, w, 3) uint8, ``depth`` (h, w) float32 as `measured_depth`,
-        ``instance`` or ``label`` (h, w) int32. Cameras that differ in nothing else are drawn once.
+        A name begins with the camera's modality: ``rgb`` (h, w, 3) uint8, ``depth`` (h, w) float32 as `measured_depth`,
+        ``instance`` or ``label`` (h, w) int32. Cameras that differ only in modality are rendered once.
 
         Raises
         ------
@@ -171,16 +172,15 @@ class Renderer:
                 case "label":
                     found[name] = frame.label
                 case _:
-                    raise UsageError(
-                        f"{name!r} is not the name of a camera: it must begin with rgb, depth, instance or label"
-                    )
+                    raise UsageError(f"{name!r} is not a camera name: it must begin with rgb, depth, instance or label")
         return found
 
 
 def measured_depth(camera: CameraConfig, depth: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-    """Depth (h, w) in metres as an agent gets it: clipped to the camera's range, then from 0 to 1 if it says so.
+    """Return depth (h, w) in metres as an agent gets it: clipped to the camera's range, normalised to [0, 1] if
+    configured.
 
-    After habitat-lab's ``HabitatSimDepthSensor``: what is not seen is as near as can be.
+    Follows habitat-lab's ``HabitatSimDepthSensor``: a pixel without a surface gets the least depth.
     """
     if camera.max_depth is None and camera.min_depth == 0:
         return depth
@@ -191,11 +191,11 @@ def measured_depth(camera: CameraConfig, depth: npt.NDArray[np.float32]) -> npt.
 
 
 def open_renderer(scene: Scene, geometry: SceneGeometry | None) -> Renderer:
-    """The renderer of a scene.
+    """Return the renderer of a scene.
 
     Parameters
     ----------
-    geometry : the scene's surfaces, as its source gives them
+    geometry : the scene's triangles, from its source
 
     Raises
     ------

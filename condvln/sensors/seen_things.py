@@ -1,4 +1,4 @@
-"""Things that are seen, and what a detector makes of them."""
+"""Objects in view, and simulated detector errors on them."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ __all__ = ["SeenThing", "noisy_sightings"]
 
 @dataclass(frozen=True, slots=True)
 class SeenThing:
-    """A thing in view.
+    """An object in view.
 
-    label : canonical
-    room : canonical label of the room that it is in, None where that is not known
-    bearing : degrees from straight ahead, positive to the right, of the middle of what is seen of it
-    distance : metres along the ground to the nearest point that is seen of it
+    label : canonical label
+    room : canonical label of its room; None if unknown
+    bearing : degrees from straight ahead, positive to the right, of the middle of its visible part
+    distance : horizontal metres to its nearest visible point
     """
 
     label: str
@@ -40,15 +40,14 @@ def noisy_sightings(
     seed: int,
     names: Sequence[object] = (),
 ) -> list[SeenThing]:
-    """Detections of the objects in view: some are missed, some have a wrong label, some are false.
+    """Return simulated detections of the objects in view: some are missed, some mislabelled, some are false positives.
 
-    Each thing is missed or confused by draws of its own, so that with a greater share of errors the same errors occur,
-    and more.
+    Each object has its own random draws, so that a higher error rate keeps all errors of a lower one.
 
     Parameters
     ----------
-    labels : those of the scene, sorted; a wrong label is one of them
-    seed, names : of the draws, such as the episode and the step
+    labels : the scene's labels, sorted; wrong labels are drawn from them
+    seed, names : determine the draws, e.g. the episode and the step
     """
     draws = generator(seed, "sightings", *names)
     kept = []

@@ -1,4 +1,4 @@
-"""What a camera looks at: the triangles of a scene with their owners and materials, sorted along a curve in space."""
+"""The triangles of a scene for rendering, with owners and materials, sorted along a space-filling curve."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from condvln.sensors.textures import Texels, stored
 __all__ = ["BLOCK", "Material", "SurfaceBuilder", "Surfaces"]
 
 BLOCK: Final = 64
-"""Triangles that are left out of a view together."""
+"""Triangles per culling block."""
 CURVE_BITS: Final = 10
 """Cells of the curve along each axis, as a power of two."""
 
@@ -26,9 +26,11 @@ Bytes = NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True)
 class Material:
-    """factor : red, green and blue, 0 to 1, that texture and vertex colours are multiplied by
+    """A surface material.
+
+    factor : red, green and blue in [0, 1]; multiplied with texture and vertex colours
     texture : number of the texture, −1 for none
-    wrap : how the texture goes on beyond its border, sideways and up: 0 repeats it, 1 holds its edge, 2 mirrors it
+    wrap : wrap mode beyond the texture's border, horizontal and vertical: 0 repeats, 1 clamps to the edge, 2 mirrors
     """
 
     factor: tuple[float, float, float] = (1.0, 1.0, 1.0)
@@ -38,15 +40,15 @@ class Material:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Surfaces:
-    """Triangles (m), counter-clockwise seen from outside, each with corners of its own.
+    """m triangles, counter-clockwise seen from outside, with unshared corners.
 
-    corners : (m, 3, 3) metres in Habitat's frame, from `origin` (3,)
-    owner : (m,) index into the scene's ``objects`` of what a triangle belongs to, `STRUCTURE` where to none
-    coordinates : (m, 3, 2) of the texture, (0, 0) its upper left corner
+    corners : (m, 3, 3) metres in Habitat's frame, relative to `origin` (3,)
+    owner : (m,) index into the scene's ``objects`` of each triangle's object, `STRUCTURE` if it has none
+    coordinates : (m, 3, 2) texture coordinates; (0, 0) is the upper left corner
     colours : (m, 3, 3) vertex colours, 255 for white
     material : (m,) index into `factors` (k, 3), `texture` (k,) and `wraps` (k, 2), see `Material`
-    lows, highs : bounds of each `BLOCK` triangles, from `origin`
-    notes : what is not as it would be seen, for whoever reads the images
+    lows, highs : bounds of each block of `BLOCK` triangles, relative to `origin`
+    notes : known deviations from a real view
     """
 
     corners: Floats
@@ -72,7 +74,7 @@ class SurfaceBuilder:
 
     Attributes
     ----------
-    texture_bytes : what the textures take so far
+    texture_bytes : memory used by the textures so far
     """
 
     def __init__(self) -> None:
@@ -83,13 +85,13 @@ class SurfaceBuilder:
         self.texture_bytes = 0
 
     def texture(self, levels: list[Bytes]) -> int:
-        """Takes in a texture, by its levels; gives its number."""
+        """Add a texture, given by its mipmap levels, and return its number."""
         self._pictures.append(levels)
         self.texture_bytes += sum(level.size for level in levels)
         return len(self._pictures) - 1
 
     def material(self, material: Material) -> int:
-        """The number of a material; equal ones have the same."""
+        """Return the number of a material; equal materials share a number."""
         if material not in self._number:
             self._number[material] = len(self._materials)
             self._materials.append(material)
@@ -103,12 +105,12 @@ class SurfaceBuilder:
         coordinates: Floats | None = None,
         colours: Bytes | None = None,
     ) -> None:
-        """Takes in triangles (n, 3, 3) of one owner, metres; the material is one for all, or (n,)."""
+        """Add triangles (n, 3, 3) in metres of one owner; `material` is one number for all, or (n,)."""
         numbers = np.broadcast_to(np.asarray(material, np.int32), len(corners))
         self._pieces.append((np.asarray(corners, np.float64), owner, coordinates, colours, numbers))
 
     def surfaces(self, notes: Sequence[str] = ()) -> Surfaces:
-        """All that was taken in."""
+        """Return everything that was added."""
         corners = np.concatenate([np.zeros((0, 3, 3)), *(p[0] for p in self._pieces)])
         origin = np.round(corners.reshape(-1, 3).mean(axis=0)) if len(corners) else np.zeros(3)
         corners = (corners - origin).astype(np.float32)
@@ -143,9 +145,9 @@ class SurfaceBuilder:
 
 
 def _along_curve(corners: Floats) -> NDArray[np.int64]:
-    """An order in which neighbours follow each other: by the Morton number of a triangle's middle, then as they came.
+    """Return an order in which neighbouring triangles are close together: by the Morton code of their centres, stable.
 
-    Large triangles come first, as they belong to no place.
+    Large triangles come first, since they have no single location.
     """
     if not len(corners):
         return np.zeros(0, np.int64)

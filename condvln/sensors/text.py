@@ -1,4 +1,4 @@
-"""What an agent without pixels is told: the things in view, and what is known of the map so far."""
+"""Text observations for agents without images: the objects in view, and the map known so far."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from schemas.config import CameraConfig, NoiseConfig
 __all__ = ["TEXT_CAMERA", "KnownMap", "TextObservation", "TextSensor"]
 
 TEXT_CAMERA: Final = CameraConfig(width=128, height=128, normalized=False)
-"""What is looked through where nothing else is asked for: VLN-CE's view, half as fine."""
+"""The default camera: that of VLN-CE at half the resolution."""
 LEAST_PIXELS: Final = 6
-"""Pixels of a thing that must be seen before it is named."""
+"""Least number of pixels of an object that are seen before it is named."""
 SAME_PLACE: Final = 1.0
-"""Metres by which two sightings of one label may lie apart and be one thing to an agent that remembers."""
+"""Largest distance in metres between two sightings of one label that the memory merges into one object."""
 
 F64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class TextObservation:
-    """What is seen from one pose: the room one stands in, None where that is not known, and things, the nearest first.
+    """The room of the agent (None if unknown) and the objects in view, nearest first.
 
-    notes : what is not as it would be seen
+    notes : known deviations from a real view
     """
 
     room: str | None
@@ -48,12 +48,13 @@ class TextObservation:
 
 
 class TextSensor:
-    """Names what a camera sees. Nothing that no pixel shows is named, and no truth of an episode is known here.
+    """Names what a camera sees. An object without visible pixels is never named, and no ground truth of an episode is
+    used.
 
     Parameters
     ----------
-    camera : what is looked through; what is farther than its ``max_depth`` is not named
-    noise : errors of a detector, none where None
+    camera : the camera to use; objects beyond its ``max_depth`` are not named
+    noise : simulated detector errors; None for none
     """
 
     def __init__(
@@ -81,11 +82,12 @@ class TextSensor:
     def observe(
         self, position: npt.ArrayLike, heading: float, *, seed: int = 0, names: Sequence[object] = ()
     ) -> TextObservation:
-        """What is seen from a position (3,), metres, of the feet, with a heading, radians counter-clockwise from −Z.
+        """Return what is seen from the feet's position (3,) in metres, with a heading in radians counter-clockwise from
+        −Z.
 
         Parameters
         ----------
-        seed, names : of the noise, such as the episode and the step; equal ones err equally
+        seed, names : determine the noise, e.g. the episode and the step
         """
         place = np.asarray(position, np.float64)
         things = self._seen(place, heading)
@@ -102,7 +104,7 @@ class TextSensor:
         rows = np.flatnonzero(self._named[instance] if limit is None else self._named[instance] & (depth <= limit))
         own, far = instance[rows], depth[rows].astype(np.float64)
         count = np.bincount(own, minlength=len(self._named))
-        # Right and ahead of the agent; the camera looks down by a tilt and may be turned.
+        # Right and ahead of the agent; the camera may be pitched and turned.
         right = self._columns[rows] * far
         ahead = far * self._tilt[0] + self._rows[rows] * far * self._tilt[1]
         ground = np.hypot(right, ahead)
@@ -128,16 +130,17 @@ class TextSensor:
 
 @dataclass(slots=True)
 class KnownMap:
-    """What an agent knows of the map so far: the rooms that it was in, and where it saw things, by label.
+    """What an agent knows of the map so far: the rooms that it has been in, and where it saw objects, by label.
 
-    Positions are (x, z) metres in the frame of its own poses. Two sightings of one label within a metre are one thing.
+    Positions are (x, z) metres in the frame of the agent's own pose estimates. Two sightings of one label within a
+    metre count as one object.
     """
 
     rooms: list[str] = field(default_factory=list)
     things: list[tuple[str, str | None, float, float]] = field(default_factory=list)
 
     def add(self, seen: TextObservation, position: npt.ArrayLike, heading: float) -> None:
-        """Take in what was seen from a position (3,) with a heading, radians counter-clockwise from −Z."""
+        """Add what was seen from a position (3,) in metres, with a heading in radians counter-clockwise from −Z."""
         if seen.room is not None and seen.room not in self.rooms:
             self.rooms.append(seen.room)
         x, _, z = (float(v) for v in np.asarray(position, np.float64))
@@ -156,7 +159,9 @@ class KnownMap:
 
 
 def _room_at(rooms: Sequence[Room], position: F64) -> Room | None:
-    """The room whose floor is under a position; of several the one whose floor is nearest in height, then by id."""
+    """Return the room whose floor is under a position; of several, the one with the nearest floor height, then the
+    least id.
+    """
     held = []
     for room in rooms:
         if room.polygon is None:
@@ -165,7 +170,7 @@ def _room_at(rooms: Sequence[Room], position: F64) -> Room | None:
             x, z = (room.polygon - position[[0, 2]]).T
             next_x, next_z = np.roll(x, -1), np.roll(z, -1)
             crosses = (z > 0) != (next_z > 0)
-            # A crossing lies to the east where the edge passes the point on that side.
+            # An edge crosses to the east if it passes the point on that side.
             east = (x * (next_z - z) - z * (next_x - x)) * np.sign(next_z - z) > 0
             inside = bool(np.count_nonzero(crosses & east) % 2)
         if inside:

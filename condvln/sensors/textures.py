@@ -1,4 +1,4 @@
-"""Images of materials, each in several sizes, in one array of bytes."""
+"""The textures of a scene, each in several mipmap levels, in one byte array."""
 
 from __future__ import annotations
 
@@ -16,14 +16,15 @@ if TYPE_CHECKING:
 __all__ = ["MAX_BYTES", "MAX_EDGE", "READABLE", "Texels", "allowed_edge", "read_picture", "stored"]
 
 MAX_EDGE: Final = 1024
-"""Texels of a texture's longer side that are kept. A camera of 640 columns that stands a metre before a surface of four
-square metres resolves fewer."""
+"""Largest kept size in texels of a texture's longer side. A camera of 640 columns one metre from a surface of 2 m × 2 m
+resolves fewer.
+"""
 MAX_BYTES: Final = 3 << 28
-"""Bytes of a scene's textures; see `allowed_edge`. Scans have some sixty of 4 MB."""
+"""Memory limit in bytes of a scene's textures; see `allowed_edge`. Scans have about sixty of 4 MB."""
 SMALL_EDGE: Final = 128
-"""Texels of the longer side of textures that come when half of that is used."""
+"""Largest size in texels of the longer side of textures that are added when half of the limit is used."""
 MAX_PICTURE: Final = 1 << 26
-"""Pixels of an image that are decoded: 8,192 by 8,192."""
+"""Largest number of pixels of an image that is decoded: 8,192 by 8,192."""
 READABLE: Final = {"image/png": "PNG", "image/jpeg": "JPEG", "image/webp": "WEBP"}
 
 Bytes = NDArray[np.uint8]
@@ -31,11 +32,11 @@ Bytes = NDArray[np.uint8]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Texels:
-    """Textures of a scene; a texture's levels follow each other, each of half the size of the one before.
+    """The textures of a scene; the mipmap levels of a texture follow each other, each half the size of the one before.
 
     data : (t,) red, green and blue of each texel, row by row from the top
-    first_level, levels : (k,) of each texture
-    offsets, widths, heights : (l,) of each level
+    first_level, levels : (k,) index of the first level, and number of levels, of each texture
+    offsets, widths, heights : (l,) start in `data` and size of each level
     """
 
     data: Bytes
@@ -47,17 +48,18 @@ class Texels:
 
 
 def allowed_edge(used: int) -> int:
-    """Texels of the longer side of a scene's next texture, when its textures take so many bytes already.
+    """Return the allowed size in texels of the next texture's longer side, given the bytes used so far.
 
-    A file of some megabytes may hold thousands of large images of one colour each: the last ones are single texels.
+    A file of a few megabytes may hold thousands of large images of a single colour, so the last ones become single
+    texels.
     """
     return MAX_EDGE if used < MAX_BYTES // 2 else SMALL_EDGE if used < MAX_BYTES else 1
 
 
 def read_picture(data: bytes, mime: str, edge: int = MAX_EDGE) -> list[Bytes] | None:
-    """The levels (h, w, 3) of an encoded image, the largest first; None where it can't be decoded.
+    """Return the mipmap levels (h, w, 3) of an encoded image, the largest first; None if it can't be decoded.
 
-    edge : texels of the longer side of the largest level at most
+    edge : limit in texels of the longer side of the largest level
     """
     from PIL import Image
 
@@ -88,7 +90,7 @@ def _levels(picture: Picture, edge: int) -> Iterator[Bytes]:
 
 
 def stored(pictures: Sequence[list[Bytes]]) -> Texels:
-    """Textures, by their levels, as one array."""
+    """Return textures, given by their levels, as one array."""
     flat = [level for levels in pictures for level in levels]
     counts = np.array([len(levels) for levels in pictures], dtype=np.int32)
     ends = np.cumsum([0, *(level.size for level in flat)])

@@ -1,1 +1,1 @@
-"""Compiled loops of the cameras."""
+"""Compiled kernels of the renderer."""

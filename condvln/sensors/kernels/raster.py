@@ -1,9 +1,9 @@
-"""Triangles to pixels: for each pixel the nearest front face, and the inverse of its depth.
+"""Rasterize triangles: for each pixel the nearest front face and its inverse depth.
 
-Nothing is clipped. With the eye at the origin, a ray ``d`` meets the triangle (a, b, c) where ``d·(a×b)``, ``d·(b×c)``
-and ``d·(c×a)`` have one sign (Olano and Greer 1997: homogeneous edge functions); corners behind the eye need no care.
-Two triangles that share an edge compute the same numbers with opposite signs, so no ray passes between them. The
-inverse depth is linear in the image, which is why it is what is compared.
+There is no clipping. With the eye at the origin, a ray ``d`` meets the triangle (a, b, c) where ``d·(a×b)``,
+``d·(b×c)`` and ``d·(c×a)`` have the same sign (Olano and Greer 1997: homogeneous edge functions); corners behind the
+eye need no special case. Two triangles that share an edge compute the same numbers with opposite signs, so no ray
+passes between them. Depths are compared by their inverses, which are linear in the image.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ Floats = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int32]
 
 SLACK = 1e-3
-"""Pixels that a bound may be off; the edge functions decide."""
+"""Tolerance in pixels of a triangle's bounds; the edge functions decide."""
 
 
 @compiled
 def _blocks_in_view(
     lows: Floats, highs: Floats, eye: Doubles, axes: Doubles, tan_x: float, tan_y: float, near: float
 ) -> npt.NDArray[np.int64]:
-    """Blocks of triangles whose boxes meet the view, the nearest first."""
+    """Return the blocks of triangles whose bounding boxes intersect the view, nearest first."""
     found = np.empty(len(lows), np.int64)
     nearness = np.empty(len(lows))
     count = 0
@@ -49,7 +49,7 @@ def _blocks_in_view(
         for axis in range(2):
             slope = tan_x if axis == 0 else tan_y
             for sign in (-1.0, 1.0):
-                # Inside is slope * ahead + sign * across >= 0.
+                # A point is inside where slope * ahead + sign * across >= 0.
                 nx = -slope * axes[0, 2] + sign * axes[0, axis]
                 ny = -slope * axes[1, 2] + sign * axes[1, axis]
                 nz = -slope * axes[2, 2] + sign * axes[2, axis]
@@ -64,7 +64,7 @@ def _blocks_in_view(
 
 @compiled
 def _image_bounds(v: Doubles, near: float, tan_x: float, tan_y: float) -> tuple[float, float, float, float]:
-    """Least and greatest x and y, in units of half the image, of what lies ahead of the near plane."""
+    """Return the least and greatest x and y of the part in front of the near plane, in units of half the image."""
     left, right, bottom, top = math.inf, -math.inf, math.inf, -math.inf
     for i in range(3):
         j = (i + 1) % 3
@@ -96,13 +96,14 @@ def rasterize(
     inverse: Floats,
     face: Ints,
 ) -> None:
-    """Draw into `inverse` (h, w), which holds the least inverse depth that is seen, and `face` (h, w), all −1.
+    """Draw triangles into `inverse` (h, w) and `face` (h, w).
 
     corners : (m, 3, 3) triangles, counter-clockwise seen from outside; others are not drawn
     lows, highs : (b, 3) bounds of each block of `block_size` triangles
     eye : (3,) in the triangles' frame; axes : (3, 3), its columns right, up and back
     columns (w,), rows (h,) : x and y of the pixels' centres at depth 1
-    Where two faces have one depth, the one of the lower number is seen.
+    inverse : on entry the inverse of the far depth; face : on entry −1; nearer faces overwrite both
+    Of two faces at the same depth the one with the lower index is drawn.
     """
     height, width = inverse.shape
     nearest = 1.0 / near
@@ -123,7 +124,7 @@ def rasterize(
             nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
             distance = v[0, 0] * nx + v[0, 1] * ny + v[0, 2] * nz
             if not distance < 0.0:
-                continue  # seen from behind, or edge-on
+                continue  # back face, or seen edge-on
             left, right, bottom, top = _image_bounds(v, near, tan_x, tan_y)
             x_from = max(0.0, np.ceil((left + 1.0) * 0.5 * width - 0.5 - SLACK))
             x_to = min(width - 1.0, np.floor((right + 1.0) * 0.5 * width - 0.5 + SLACK))
@@ -131,7 +132,7 @@ def rasterize(
             y_to = min(height - 1.0, np.floor((1.0 - bottom) * 0.5 * height - 0.5 + SLACK))
             if not (x_from <= x_to and y_from <= y_to):
                 continue
-            # A ray d = (x, y, -1) is inside where d·m is at least 0 for all three.
+            # A ray d = (x, y, -1) is inside if d·m is at least 0 for all three.
             for i in range(3):
                 j = (i + 1) % 3
                 m[i, 0] = v[j, 1] * v[i, 2] - v[j, 2] * v[i, 1]
@@ -157,7 +158,7 @@ def rasterize(
                 if first > last:
                     continue
                 begin, end = int(first), int(last)
-                # The bounds are rounded; the edge functions are what neighbouring triangles agree on.
+                # The bounds are rounded; neighbouring triangles agree on the edge functions only.
                 while begin <= end and (
                     m[0, 0] * columns[begin] + c0 < 0.0
                     or m[1, 0] * columns[begin] + c1 < 0.0

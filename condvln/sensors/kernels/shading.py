@@ -1,4 +1,4 @@
-"""Colours of the faces that were drawn: texture, factor and vertex colour multiplied, without light."""
+"""Shade the rasterized faces: texture, material factor and vertex colour multiplied, without lighting."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ Ints = npt.NDArray[np.int32]
 Bytes = npt.NDArray[np.uint8]
 
 CLAMP, MIRROR = 1, 2
-"""How a texture goes on beyond its border; 0 repeats it."""
+"""Wrap modes of a texture beyond its border; 0 repeats it."""
 
 
 @compiled
 def resolve(inverse: Floats, face: Ints, owner: Ints, depth: Floats, instance: Ints) -> None:
-    """Depth, 0 where nothing is seen, and instance, the owner's number plus 1, of each pixel; all (h, w)."""
+    """Fill `depth` (0 where nothing is seen) and `instance` (owner's index plus 1) of each pixel; all arrays (h, w)."""
     height, width = face.shape
     for y in range(height):
         for x in range(width):
@@ -37,7 +37,7 @@ def resolve(inverse: Floats, face: Ints, owner: Ints, depth: Floats, instance: I
 
 @compiled
 def _wrapped(index: int, size: int, mode: int) -> int:
-    """The texel that stands at this place of an endless texture."""
+    """Return the texel index inside the texture for an index beyond its border."""
     if 0 <= index < size:
         return index
     if mode == CLAMP:
@@ -72,15 +72,14 @@ def shade(
 ) -> None:
     """Fill `rgb` (h, w, 3); black where `face` is −1. The parameters are those of `rasterize` and of `Surfaces`.
 
-    Texels are looked up as OpenGL does it: linear between four texels of the level whose texels are nearest to the
-    pixel in size.
+    Texture lookup follows OpenGL: bilinear in the mipmap level whose texels are closest to the pixel's size.
     """
     height, width = face.shape
     step_x = columns[1] - columns[0] if width > 1 else 0.0
     step_y = rows[1] - rows[0] if height > 1 else 0.0
     v = np.empty((3, 3))
     m = np.empty((3, 3))
-    # Of the last face: linear forms over (x, y, -1), the weight and what is interpolated times the weight.
+    # Cached for the last face: linear forms over (x, y, -1), namely the weight and each attribute times the weight.
     forms = np.zeros((6, 3))
     known = -1
     for y in range(height):
