@@ -83,7 +83,7 @@ class _GraphPickler(pickle.Pickler):
     """Writes of a graph what networkx 2 and 3 both keep, and nothing of the version that is installed here."""
 
     def reducer_override(self, value: Any) -> Any:
-        if type(value) is nx.Graph[str]:
+        if type(value) is nx.Graph:
             held = vars(value)
             state = {key: dict(held[key]) for key in ("graph", "_node", "_adj")}
             return copyreg.__newobj__, (nx.Graph,), state  # type: ignore[attr-defined]
