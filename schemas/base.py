@@ -1,4 +1,4 @@
-"""What all documents share: strictness, and small value types."""
+"""Base classes of all documents, which refuse unknown keys, and small value types."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ class Document(BaseModel):
 
 
 class Frozen(Document):
-    """A document that is a value: hashable, never changed in place."""
+    """An immutable, hashable document."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class VersionedDocument(Document):
-    """A document with a file of its own, which therefore carries the version of its contract."""
+    """A document that is stored as a file of its own and records its schema version."""
 
     schema_version: Literal["1.0"] = "1.0"

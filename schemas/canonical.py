@@ -1,4 +1,4 @@
-"""One byte string for one JSON value, so that equal values hash equally everywhere.
+"""Canonical JSON: equal values give equal bytes, and so equal hashes, on every machine.
 
 Keys are sorted, nothing is padded, text is ASCII-escaped (so that a file name with undecodable bytes still has a form),
 and NaN and infinities are refused: they are not JSON, and a NaN in a key would silently equal ``null``. It is not
@@ -19,7 +19,7 @@ JSON: TypeAlias = Union[bool, int, float, str, Sequence["JSON"], Mapping[str, "J
 
 
 def canonical_json(value: JSON) -> bytes:
-    """The one form of ``value``.
+    """Encode ``value`` as canonical JSON: sorted keys, no blanks, ASCII.
 
     Raises ``ValueError`` on NaN and infinities, ``TypeError`` on what is not JSON (keys that are not text included,
     since ``1`` and ``"1"`` would fall together).
@@ -30,7 +30,7 @@ def canonical_json(value: JSON) -> bytes:
 
 
 def digest(value: JSON) -> str:
-    """SHA-256 of the canonical form, 64 hexadecimal digits."""
+    """Return the SHA-256 of the canonical JSON, 64 hexadecimal digits."""
     return hashlib.sha256(canonical_json(value)).hexdigest()
 
 

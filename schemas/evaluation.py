@@ -1,4 +1,4 @@
-"""The evaluation manifest: one line an episode, with all that an evaluator needs and no agent should see."""
+"""The evaluation manifest: one JSON line per episode, with what an evaluator needs and an agent must not see."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class ManifestEpisode(VersionedDocument):
     evidence_in_view: bool | None = None
     observability_approximate: bool | None = None
     evidence: tuple[Evidence, ...] | None = None
-    moves: int = Field(description="moves on the gold branch")
+    moves: int = Field(description="number of moves of the gold leaf")
     words: int
     instruction_text: str
     program: Program

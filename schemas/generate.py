@@ -1,4 +1,4 @@
-"""JSON Schema files of every document, and a description of every table: ``python -m schemas.generate``.
+"""Write the JSON Schema of every document and the description of every table: ``python -m schemas.generate``.
 
 The tables are described twice: for programs in ``schemas/json/tables.json``, for people in ``docs/data.md``.
 """
@@ -43,11 +43,11 @@ DOCUMENTS: Final[dict[str, type[BaseModel]]] = {
     "unit": UnitCommit,
     "vlnce": VlnCeDocument,
 }
-"""Name of the file → its model."""
+"""The model behind each JSON Schema, by file name."""
 
 
 def generated_files() -> dict[str, str]:
-    """File name → text of every file in ``schemas/json``."""
+    """Return the text of every file in ``schemas/json``, by file name."""
     files = {}
     for name, model in DOCUMENTS.items():
         schema = {
@@ -80,7 +80,7 @@ def _field(field: pa.Field) -> dict[str, Any]:
 
 
 def _inner(kind: pa.DataType, path: str = "") -> Iterator[tuple[str, str]]:
-    """(dotted path, description) of each field of a struct, or of a list of structs, and of those below."""
+    """Yield (dotted path, description) of each field of a struct, or of a list of structs, at every depth."""
     if pa.types.is_list(kind):
         yield from _inner(kind.value_type, path)
     elif pa.types.is_struct(kind):
@@ -91,7 +91,7 @@ def _inner(kind: pa.DataType, path: str = "") -> Iterator[tuple[str, str]]:
 
 
 def data_page() -> str:
-    """The whole text of ``docs/data.md``: every column of every table."""
+    """Return the text of ``docs/data.md``: every column of every table."""
     parts = [
         "# The tables",
         "Made from the descriptions in `schemas/tables.py` by `python -m schemas.generate`. "
@@ -123,7 +123,7 @@ def _text(document: dict[str, Any]) -> str:
 
 
 def write(folder: Path = FOLDER) -> None:
-    """Write all generated files, removing those of documents that are gone."""
+    """Write all generated files, and remove those of documents that no longer exist."""
     folder.mkdir(exist_ok=True)
     files = generated_files()
     for old in folder.glob("*.json"):

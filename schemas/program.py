@@ -67,10 +67,10 @@ Predicate = Literal[
 agent that stands at the start as the episode begins."""
 
 BEARINGS: Final = ("left", "right", "ahead", "behind")
-"""Predicates without an anchor: where a thing lies for an agent at the start."""
+"""Predicates without an anchor: the direction of an object as seen from the start pose."""
 
 SUPERLATIVES: Final = ("bigger", "smaller")
-"""Predicates without an anchor: of two things of one label the one."""
+"""Predicates without an anchor: one of two objects with the same label."""
 
 QUALIFIER_ONLY: Final = ("under", "closest to", *SUPERLATIVES)
 """Predicates that distinguish a stop from its rivals and that no condition asks for."""
@@ -95,7 +95,7 @@ def asked_in(family: str) -> frozenset[str]:
 
 
 def anchors_of(predicate: Predicate) -> int:
-    """Number of anchors that a predicate has."""
+    """Return the number of anchors that a predicate has."""
     return 0 if predicate in SUPERLATIVES or predicate in BEARINGS else 2 if predicate == "between" else 1
 
 
@@ -130,12 +130,12 @@ class Qualifier(Frozen):
 
     @property
     def anchor_ids(self) -> tuple[str, ...]:
-        """Ids of the anchors, in the order in which text names them."""
+        """Return the ids of the anchors, in the order in which the text names them."""
         return tuple(anchor.object_id for anchor in self.anchors)
 
     @property
     def anchor_labels(self) -> tuple[str, ...]:
-        """Canonical labels of the anchors, in the same order."""
+        """Return the canonical labels of the anchors, in the same order."""
         return tuple(anchor.label for anchor in self.anchors)
 
 
@@ -149,7 +149,7 @@ class RoomRef(Frozen):
 
 
 class ObjectRef(Frozen):
-    """One object, unique in its room by label, or by label and qualifier."""
+    """A reference to one object, unique in its room by its label, or by label and qualifier."""
 
     object_id: str
     label: str
@@ -158,7 +158,7 @@ class ObjectRef(Frozen):
 
     @property
     def is_bearing(self) -> bool:
-        """Whether its qualifier says where it lies at the start."""
+        """Whether the qualifier is a bearing: left, right, ahead or behind at the start."""
         return self.qualifier is not None and self.qualifier.predicate in BEARINGS
 
 
@@ -195,12 +195,12 @@ class Condition(Frozen):
 
     @property
     def is_bearing(self) -> bool:
-        """Whether it asks where a thing lies at the start."""
+        """Whether the condition asks for a bearing: left, right, ahead or behind at the start."""
         return self.qualifier is not None and self.qualifier.predicate in BEARINGS
 
     @property
     def kind(self) -> Literal["presence", "relation"]:
-        """Presence of a label in a room, or presence in a relation."""
+        """Return ``presence`` (a label occurs in a room) or ``relation`` (an object is in a relation)."""
         return "presence" if self.qualifier is None else "relation"
 
 
@@ -219,7 +219,7 @@ class Leaf(Frozen):
 
     @property
     def goal(self) -> ObjectRef:
-        """The object the agent must stop at."""
+        """Return the object at which the agent must stop."""
         return self.moves[-1]
 
 
@@ -250,7 +250,7 @@ SHAPES: Final[dict[Category, Shape]] = {
     # IF A (IF B x ELSE y) ELIF C z ELSE w
     "nested_chain": Shape(depth=2, chain=2, leaves=4, branches=(_b(0, 1, 2), _b(1, -1, -2), _b(2, -3, -4))),
 }
-"""The six categories. Depth is the deepest THEN-nesting, chain the number of tests in the top chain."""
+"""The trees of the six categories. Depth is the deepest nesting of THEN, chain the number of tests in the top chain."""
 
 CATEGORIES: Final[tuple[Category, ...]] = tuple(SHAPES)
 
@@ -272,7 +272,7 @@ class Program(Frozen):
         if self.branches != shape.branches or len(self.leaves) != shape.leaves:
             raise ValueError(f"branches and leaves are not those of category {self.category!r}")
         if len(self.conditions) != len(self.branches):
-            raise ValueError("one condition a branch")
+            raise ValueError("each branch must have one condition")
         rooms = {named.room.room_id for named in self.named if named.is_bearing}
         if len(rooms) > 1:
             raise ValueError(f"bearings are of things in the room of the start, and these are in {sorted(rooms)}")
@@ -280,20 +280,20 @@ class Program(Frozen):
 
     @property
     def named(self) -> tuple[Condition | ObjectRef, ...]:
-        """The conditions, and the stops of all leaves."""
+        """Return the conditions, and the moves of all leaves."""
         return (*self.conditions, *(move for leaf in self.leaves for move in leaf.moves))
 
     @property
     def start_room(self) -> str | None:
-        """Id of the room that the start must be in, since bearings are said of things there; None without bearings."""
+        """Return the id of the room that holds the start, which bearings need; None without bearings."""
         return next((named.room.room_id for named in self.named if named.is_bearing), None)
 
     def gold_leaf(self, truths: Sequence[bool] | None = None) -> int:
-        """Index of the leaf that the conditions' truths (or `truths`, in their order) lead to."""
+        """Return the index of the leaf that the conditions' truths (or `truths`, in their order) lead to."""
         return self.route(truths)[1]
 
     def route(self, truths: Sequence[bool] | None = None) -> tuple[tuple[int, ...], int]:
-        """Indices of the conditions evaluated on the way, and the leaf reached."""
+        """Return the indices of the conditions evaluated on the way, and the leaf reached."""
         values = [c.truth for c in self.conditions] if truths is None else truths
         asked: list[int] = []
         at = 0
@@ -305,16 +305,16 @@ class Program(Frozen):
 
     @property
     def depth(self) -> int:
-        """Deepest THEN-nesting."""
+        """Return the deepest nesting of THEN."""
         return SHAPES[self.category].depth
 
     @property
     def chain(self) -> int:
-        """Number of tests in the top chain."""
+        """Return the number of tests in the top chain."""
         return SHAPES[self.category].chain
 
     @property
     def rooms(self) -> tuple[str, ...]:
-        """Ids of all rooms named, sorted."""
+        """Return the ids of all rooms that the program names, sorted."""
         named = {c.room.room_id for c in self.conditions} | {m.room.room_id for leaf in self.leaves for m in leaf.moves}
         return tuple(sorted(named))

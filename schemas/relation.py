@@ -1,4 +1,4 @@
-"""One edge of the relation graph, with every quantity it was decided by."""
+"""One edge of the relation graph, with every quantity that decided it."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from schemas.base import Document, Finite, Vec3
 __all__ = ["RelationRecord", "UsedDistance"]
 
 UsedDistance = Literal["aabb", "sphere", "centre"]
-"""Which distance decided near and far: the first available of the three."""
+"""The distance that decides near and far: the first that is available of the three."""
 
 
 class RelationRecord(Document):
-    """``subject predicate target``, read as English: the stool is north of the dishwasher.
+    """One edge. ``subject predicate target`` reads as English: the stool is north of the dishwasher.
 
     ``delta`` is c_target − c_subject; predicates are decided on its negative. Metres and degrees; null where a
     quantity does not apply (containment) or was not needed (surface distance of far pairs).

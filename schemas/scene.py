@@ -1,4 +1,4 @@
-"""The Scene on the wire: what every source family is turned into. In memory it is arrays (``condvln.scene``)."""
+"""The serialized form of a scene, the same for all source families. In memory a scene is arrays (``condvln.scene``)."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ class OrientedBox(Document):
 
 
 class MeshPart(Document):
-    """A mesh file of an object and the row-major 4×4 transform that takes it to the scene's frame."""
+    """A mesh file of an object, and the row-major 4×4 transform from the file's frame to the scene's."""
 
     path: str = Field(description="relative to the dataset root, '/'-separated")
     transform: Annotated[tuple[Finite, ...], Field(min_length=16, max_length=16)]
 
 
 class ObjectRecord(Document):
-    """One object; geometry that is not known stays null."""
+    """One object; unknown geometry is null."""
 
     object_id: str
     room_id: str
@@ -59,12 +59,16 @@ class ObjectRecord(Document):
     geometry: Geometry = "none"
     mesh: tuple[MeshPart, ...] = ()
     static: bool = True
-    parts: tuple[OrientedBox, ...] = Field((), description="boxes that make it up, where one box is not its shape")
-    receptacles: tuple[str, ...] | None = Field(None, description="what it is in or on, as the source says")
-    openness: Finite | None = Field(None, description="share that it is open, as the source says")
+    parts: tuple[OrientedBox, ...] = Field(
+        (), description="boxes that make up the object, where one box does not fit its shape"
+    )
+    receptacles: tuple[str, ...] | None = Field(
+        None, description="ids of the objects that it is in or on, according to the source"
+    )
+    openness: Finite | None = Field(None, description="how far it is open, 0 to 1, according to the source")
     parent: str | None = Field(None, description="id of the object that contains it")
     support: str | None = Field(None, description="id of the object that it rests on")
-    hidden: bool = Field(False, description="a container around it is shut")
+    hidden: bool = Field(False, description="a container around it is closed")
 
 
 class RoomRecord(Document):
@@ -78,19 +82,22 @@ class RoomRecord(Document):
     ceiling_y: Finite
     polygon: tuple[tuple[Finite, Finite], ...] | None = Field(None, description="(x, z) corners, implicitly closed")
     annotation: Literal["dataset", "user", "scene"] = Field(
-        description="who drew it; 'scene' = the whole scene as one room"
+        description="who outlined the room; 'scene' = the whole scene is one room"
     )
-    complete: bool = Field(description="annotated completely enough for claims of absence")
-    asked: bool = Field(True, description="conditions may be asked of it; positive ones only where not complete")
+    complete: bool = Field(description="annotated completely enough to say what is absent")
+    asked: bool = Field(
+        True,
+        description="conditions may be asked about this room; only about things that are there if it is not complete",
+    )
 
 
 class NavmeshChoice(Document):
-    """The navmesh an episode of this scene lives on."""
+    """The navmesh on which episodes of this scene are placed."""
 
     path: str
     sha256: str
     built: bool
-    fits: bool = Field(description="its settings are those of the agent")
+    fits: bool = Field(description="its settings match the configured agent")
     agent_radius: Finite
     agent_height: Finite
     agent_max_climb: Finite
@@ -98,7 +105,7 @@ class NavmeshChoice(Document):
 
 
 class SceneWarning(Document):
-    """Something of the source that was missing or odd, and what was done about it."""
+    """Something in the source that was missing or odd, and how it was handled."""
 
     code: str
     where: str

@@ -1,4 +1,4 @@
-"""What the store publishes: a snapshot's manifest, the ref that names it, and the pins of shared tables."""
+"""Documents of the store: a snapshot's manifest, the ref that names it, and the pins of shared tables."""
 
 from __future__ import annotations
 
@@ -32,12 +32,13 @@ class PartRecord(Document):
     """One Parquet file of a snapshot."""
 
     path: str
-    """Relative to the snapshot's folder."""
+    """Path relative to the snapshot's folder."""
     rows: Count
     bytes: Count
     sha256: Hash64
     content: Hash32
-    """Hash of what went in (rows, schema, writer's settings): an equal one is carried over, not written again."""
+    """Hash of the inputs (rows, schema, writer's settings). A file with an equal hash is reused instead of written
+    again."""
 
 
 class PartitionRecord(Document):
@@ -59,7 +60,7 @@ class TableManifest(Document):
 
 
 class StageTotals(Document):
-    """What a stage cost over all units of the snapshot (as recorded when each was made)."""
+    """Cost of a stage over all units of the snapshot, as recorded when each unit was processed."""
 
     version: int
     units: Count
@@ -71,33 +72,34 @@ class StageTotals(Document):
 
 
 class PinnedTable(Document):
-    """A shared table that stays the same until it is renewed on demand, or its version or parameters change."""
+    """A shared table that is reused until it is renewed on demand, or its version or parameters change."""
 
     version: int
     hash: Hash32
     rows: Count
     units: Count
-    """How many units it was built from."""
+    """Number of units that the table was built from."""
     parameters: str = ""
-    """SHA-256 of the parameters it was built with, as canonical JSON; empty in pins from before they were kept."""
+    """SHA-256 of the parameters as canonical JSON; empty in pins of earlier releases."""
     generation: Count = 0
-    """Counts the times it was pinned: of two pins the later one holds."""
+    """Number of times that the table was pinned. Of two pins, the one with the larger number is valid."""
 
 
 class SharedRecord(PinnedTable):
-    """A shared table that the rows of a snapshot were made with, and the snapshot's own copy of it.
+    """A shared table that the rows of a snapshot depend on, and the snapshot's own copy of it.
 
     It can't be computed again once there are more units; from here its pin and its table are restored.
     """
 
     path: str
-    """Relative to the snapshot's folder."""
+    """Path relative to the snapshot's folder."""
     bytes: Count
     sha256: Hash64
 
 
 class SnapshotManifest(VersionedDocument):
-    """``snapshots/<id>/manifest.json``, written last: readers list a snapshot's files from here, never by a glob."""
+    """``snapshots/<id>/manifest.json``, written last. Readers take a snapshot's files from it and never list the
+    folder."""
 
     snapshot_id: Hash32
     pipeline: str
@@ -106,15 +108,15 @@ class SnapshotManifest(VersionedDocument):
     """Units per status: ok, skipped, quarantined."""
     aggregates: dict[str, Hash32]
     shared: dict[str, SharedRecord] = Field(default_factory=dict)
-    """The shared tables behind ``aggregates``, by name; empty in manifests from before copies were kept."""
+    """The shared tables behind ``aggregates``, by name; empty in manifests of earlier releases."""
     stages: dict[str, StageTotals]
     provenance: dict[str, str]
-    """Recorded, never keyed: git revision, versions of libraries."""
+    """Git revision and versions of libraries. They are recorded, but are not part of any key."""
     checksum: Hash64 | None = None
-    """SHA-256 of the rest as canonical JSON; None in documents from before there was one."""
+    """SHA-256 of the rest as canonical JSON; None in documents of earlier releases."""
 
     def files(self) -> Iterator[PartRecord | SharedRecord]:
-        """Every file of the snapshot but this manifest; paths are relative to the snapshot's folder."""
+        """Return every file of the snapshot except this manifest; paths are relative to the snapshot's folder."""
         for table in self.tables.values():
             for partition in table.partitions.values():
                 yield from partition.parts
@@ -122,33 +124,33 @@ class SnapshotManifest(VersionedDocument):
 
 
 class Published(Document):
-    """One state of a ref."""
+    """One published state of a ref."""
 
     snapshot_id: Hash32
     index: Hash32
-    """The unit index it was published from: ``indexes/<hash>.parquet``."""
+    """The unit index that the snapshot was published from: ``indexes/<hash>.parquet``."""
     generation: Annotated[int, Field(ge=1)]
     published_at: str = ""
-    """UTC, ISO 8601."""
+    """Time of publication, UTC, ISO 8601."""
 
 
 class Ref(Published, VersionedDocument):
-    """``refs/<name>.json``: the one mutable file. Moving it is what publishes."""
+    """``refs/<name>.json``, the only mutable file. Replacing it publishes a snapshot."""
 
     name: str
     history: list[Published] = Field(default_factory=list)
-    """Earlier states, the newest first, one for each snapshot; as far back as is kept."""
+    """Earlier states, one per snapshot, the newest first. Old ones are dropped."""
     checksum: Hash64 | None = None
-    """SHA-256 of the rest as canonical JSON; None in documents from before there was one."""
+    """SHA-256 of the rest as canonical JSON; None in documents of earlier releases."""
 
     @property
     def previous(self) -> str | None:
-        """The snapshot published before this one."""
+        """Return the snapshot that was published before this one."""
         return self.history[0].snapshot_id if self.history else None
 
 
 class RunFailure(Document):
-    """A unit that a run quarantined, in short; the quarantine has the whole record."""
+    """Short record of a unit that a run quarantined; the quarantine holds the full record."""
 
     unit_id: str
     stage: str
@@ -160,7 +162,7 @@ class RunFailure(Document):
 
 
 class RunRecord(VersionedDocument):
-    """``runs/<started>-<token>.json``: the end of one run that found something to do."""
+    """``runs/<started>-<token>.json``: record of one finished run that had work to do."""
 
     token: str
     pipeline: str
@@ -173,7 +175,7 @@ class RunRecord(VersionedDocument):
     published: bool
     counts: dict[str, Count]
     stages: dict[str, Count]
-    """Stages made, by name."""
+    """Number of stages that were run, by name."""
     stage_seconds: dict[str, Annotated[Finite, Field(ge=0)]]
     peak_rss: Count
     failures: list[RunFailure]
@@ -183,8 +185,8 @@ class RunRecord(VersionedDocument):
 
 
 class Pin(VersionedDocument):
-    """``pins/<pipeline>/<ref>.json``: the shared tables that the units of a ref are keyed on."""
+    """``pins/<pipeline>/<ref>.json``: the shared tables whose hashes enter the keys of a ref's units."""
 
     tables: dict[str, PinnedTable]
     checksum: Hash64 | None = None
-    """SHA-256 of the rest as canonical JSON; None in documents from before there was one."""
+    """SHA-256 of the rest as canonical JSON; None in documents of earlier releases."""

@@ -42,7 +42,7 @@ def _required(name: str, kind: pa.DataType, about: str) -> pa.Field:
 
 
 def description(field: pa.Field) -> str:
-    """What a column or a field of a struct means; empty where nothing is written."""
+    """Return the description of a column or of a struct's field; empty if there is none."""
     about: bytes = (field.metadata or {}).get(b"description", b"")
     return about.decode()
 
@@ -65,9 +65,9 @@ ORIENTED_BOX: Final = pa.struct(
 )
 _WARNING: Final = pa.struct(
     [
-        _field("code", _S, "kind of the warning, for counting"),
+        _field("code", _S, "kind of the warning"),
         _field("where", _S, "file, room or object"),
-        _field("message", _S, "what was missing or odd, and what was done about it"),
+        _field("message", _S, "what was missing or odd, and how it was handled"),
     ]
 )
 
@@ -81,11 +81,11 @@ SCENES: Final = pa.schema(
         _field("reason", _S, "why the scene was skipped; null where it was not"),
         _required("n_rooms", _I, "number of rooms"),
         _required("n_objects", _I, "number of objects"),
-        _required("n_objects_without_extent", _I, "objects with a known centre and no known extent"),
+        _required("n_objects_without_extent", _I, "number of objects with a known centre and no known extent"),
         _field("navmesh_path", _S, "navmesh file, relative to the dataset's root, or the name of the built one"),
         _field("navmesh_sha256", _S, "SHA-256 of the navmesh file; null where there is none"),
         _field("navmesh_built", _B, "the navmesh was built here; false where the dataset ships it"),
-        _field("navmesh_fits", _B, "the navmesh's settings are those of the configured agent"),
+        _field("navmesh_fits", _B, "the navmesh's settings match the configured agent"),
         _field("agent_radius", _F, "agent radius of the navmesh, metres"),
         _field("agent_height", _F, "agent height of the navmesh, metres"),
         _field("agent_max_climb", _F, "highest step that the agent of the navmesh climbs, metres"),
@@ -103,7 +103,7 @@ ROOMS: Final = pa.schema(
         _ROOM_ID,
         _required("raw_label", _S, "the source's own label"),
         _required("label", _S, "canonical room type, the same over all sources"),
-        _required("level", _I, "storey, 0 = the lowest"),
+        _required("level", _I, "storey; 0 is the lowest"),
         _required("floor_y", _F, "height of the floor, metres"),
         _required("ceiling_y", _F, "height of the ceiling, metres"),
         _field(
@@ -111,11 +111,19 @@ ROOMS: Final = pa.schema(
             pa.list_(pa.struct([pa.field("x", _F), pa.field("z", _F)])),
             "corners of the outline, implicitly closed, metres; null where only a box or nothing is known",
         ),
-        _required("annotation", _S, "who drew the room: `dataset`, `user`, or `scene` (the whole scene is one room)"),
         _required(
-            "complete", _B, "annotated completely enough to say what is absent, but for what a nameless thing may be"
+            "annotation", _S, "who outlined the room: `dataset`, `user`, or `scene` (the whole scene is one room)"
         ),
-        _required("asked", _B, "conditions may be asked of it; positive ones only where it is not complete"),
+        _required(
+            "complete",
+            _B,
+            "annotated completely enough to say what is absent, except for labels that an unnamed object may have",
+        ),
+        _required(
+            "asked",
+            _B,
+            "conditions may be asked about this room; only about things that are there if it is not complete",
+        ),
         _required("n_objects", _I, "number of objects in the room"),
     ]
 )
@@ -124,7 +132,7 @@ OBJECTS: Final = pa.schema(
     [
         _SCENE_ID,
         _required("object_id", _S, "id of the object within its scene"),
-        _required("room_id", _S, "room that holds the object"),
+        _required("room_id", _S, "id of the room that holds the object"),
         _required("raw_label", _S, "the source's own label"),
         _required("label", _S, "canonical label, the same over all sources"),
         _required("center", VEC3, "centre of the object, metres"),
@@ -143,15 +151,24 @@ OBJECTS: Final = pa.schema(
         _required("mesh", pa.list_(MESH_PART), "mesh files of the object; empty where there are none"),
         _required("static", _B, "the object can't be moved"),
         _required(
-            "parts", pa.list_(ORIENTED_BOX), "oriented boxes that make up the object, where one box is not its shape"
+            "parts",
+            pa.list_(ORIENTED_BOX),
+            "oriented boxes that make up the object, where one box does not fit its shape",
         ),
-        _field("receptacles", pa.list_(_S), "objects that it is in or on, as the source says; null if unsaid"),
         _field(
-            "openness", _F, "share that it is open, 0 to 1, as the source says; 1 if it can't be shut; null if unsaid"
+            "receptacles",
+            pa.list_(_S),
+            "ids of the objects that it is in or on, according to the source; null if the source does not say",
         ),
-        _field("parent", _S, "id of the object that contains this one; null where it is in none"),
+        _field(
+            "openness",
+            _F,
+            "how far it is open, 0 to 1, according to the source; 1 if it can't be closed; null if "
+            "the source does not say",
+        ),
+        _field("parent", _S, "id of the object that contains this one; null if none does"),
         _field("support", _S, "id of the object that this one rests on; null for the floor, a wall or unknown"),
-        _required("hidden", _B, "a container around the object can be shut and is open less than half"),
+        _required("hidden", _B, "a container around the object can be closed, and is open less than half"),
     ]
 )
 
@@ -164,27 +181,28 @@ RELATIONS: Final = pa.schema(
         _required("target", _S, "object id"),
         _required("kind", _S, "`containment`, `canonical` (one direction for each ordered pair) or `semantic`"),
         _field("delta", VEC3, "centre of the target minus centre of the subject, metres"),
-        _field("centre_distance", _F, "distance of the centres, metres"),
-        _field("horizontal_distance", _F, "distance of the centres on the ground plane, metres"),
-        _field("aabb_distance", _F, "distance of the axis-aligned boxes, metres; null where one is unknown"),
-        _field("sphere_distance", _F, "distance of the bounding spheres, metres; null where one is unknown"),
+        _field("centre_distance", _F, "distance between the centres, metres"),
+        _field("horizontal_distance", _F, "distance between the centres on the ground plane, metres"),
+        _field("aabb_distance", _F, "distance between the axis-aligned boxes, metres; null where one is unknown"),
+        _field("sphere_distance", _F, "distance between the bounding spheres, metres; null where one is unknown"),
         _field(
             "surface_distance",
             _F,
-            "distance of the surfaces (FCL on meshes or oriented boxes), metres; null beyond "
+            "distance between the surfaces (FCL on meshes or oriented boxes), metres; null beyond "
             "`thresholds.surface_within` and where an extent is unknown",
         ),
-        _field("used_distance", _F, "the distance that near and far are decided by, metres"),
+        _field("used_distance", _F, "distance that decides near and far, metres"),
         _field("used_metric", _S, "which distance `used_distance` is: `aabb`, `sphere` or `centre`"),
         _field("azimuth", _F, "direction from target to subject on the ground, degrees: 0 = east, 90 = north"),
         _field("elevation", _F, "elevation of the subject as seen from the target, degrees"),
         _field("footprint_overlap", _F, "share of the smaller footprint that lies over the other, 0 to 1"),
-        _required("degenerate", _B, "the centres lie so close on the ground that the direction means little"),
-        _required("true_in_text", _B, "holds with the margin that text asks for"),
+        _required("degenerate", _B, "the centres are so close on the ground that the direction is unreliable"),
+        _required("true_in_text", _B, "the predicate holds with the margin that text requires"),
         _field(
             "margin",
             _F,
-            "distance from the emitted threshold in widths of the dead zone; 1 or more is usable in text",
+            "distance from the threshold at which the edge is emitted, in widths of the dead zone; "
+            "text may use edges with 1 or more",
         ),
     ]
 )
@@ -192,23 +210,30 @@ RELATIONS: Final = pa.schema(
 VISIBILITY: Final = pa.schema(
     [
         _SCENE_ID,
-        _required("object_id", _S, "object that is not a part of the building"),
+        _required("object_id", _S, "id of an object that is not part of the building"),
         _field(
             "seeable",
             _B,
-            "enough of its surface is seen at eye height from places of its room where an agent can stand; text uses "
-            "no other object; null in a scene without a navmesh, where nothing is excluded",
+            "enough of its surface is visible at eye height from places of its room where an agent "
+            "can stand; text uses only such objects; null in a scene without a navmesh, where no "
+            "object is excluded",
         ),
         _field(
             "unseen",
             _B,
-            "none of its surface is seen from any of these places; where both this and `seeable` are false, text says "
-            "nothing that depends on it",
+            "none of its surface is visible from any of these places; where both this and "
+            "`seeable` are false, text says nothing that depends on the object",
         ),
-        _field("places", _I, "places that it was looked for from; 0 where a shut container hides it"),
-        _field("from_places", _I, "those of them that see some of it"),
-        _field("share", _F, "share of its surface that is seen from all of them together, 0 to 1"),
-        _field("nearest_view", _F, "horizontal metres from its centre to the nearest place that sees it; else null"),
+        _field(
+            "places", _I, "number of places from which the object was looked for; 0 where a closed container hides it"
+        ),
+        _field("from_places", _I, "number of these places from which some of it is visible"),
+        _field("share", _F, "share of its surface that is visible from all these places together, 0 to 1"),
+        _field(
+            "nearest_view",
+            _F,
+            "horizontal distance from its centre to the nearest place from which it is visible, metres; else null",
+        ),
     ]
 )
 
@@ -216,27 +241,31 @@ _ROOM_REF: Final = pa.struct(
     [
         _field("room_id", _S, "room"),
         _field("label", _S, "canonical room type"),
-        _field("anchor_id", _S, "object that tells the room from others of its type (`the bedroom with the piano`)"),
+        _field(
+            "anchor_id",
+            _S,
+            "id of an object that tells the room from others of its type (`the bedroom with the piano`)",
+        ),
         _field("anchor_label", _S, "canonical label of that object"),
     ]
 )
 _ANCHOR: Final = pa.struct(
     [
-        _field("object_id", _S, "anchor object, unique in its room by its label"),
+        _field("object_id", _S, "id of the anchor object, unique in its room by its label"),
         _field("label", _S, "canonical label of the anchor"),
     ]
 )
 _QUALIFIER: Final = pa.struct(
     [
         _field("predicate", _S, "relation to the anchors, or `bigger` and `smaller` of two"),
-        _field("anchors", pa.list_(_ANCHOR), "anchors in the order of the text: two of `between`, none of `bigger`"),
+        _field("anchors", pa.list_(_ANCHOR), "anchors in the order of the text: two for `between`, none for `bigger`"),
     ]
 )
 _OBJECT_REF: Final = pa.struct(
     [
         _field("object_id", _S, "object"),
         _field("label", _S, "canonical label"),
-        _field("room", _ROOM_REF, "room as text names it"),
+        _field("room", _ROOM_REF, "the room that the text names"),
         _field("qualifier", _QUALIFIER, "relation that makes the object unique; null where its label is unique"),
     ]
 )
@@ -245,9 +274,9 @@ _CONDITION: Final = pa.struct(
         _field("label", _S, "canonical label that is asked for"),
         _field("room", _ROOM_REF, "room in which it is asked for"),
         _field("qualifier", _QUALIFIER, "relation that is asked for; null for presence alone"),
-        _field("definite", _B, "the label fits one object of the room alone, so that text says `the`"),
-        _field("truth", _B, "the condition holds"),
-        _field("witnesses", pa.list_(_S), "object ids that make it true; empty where it is false"),
+        _field("definite", _B, "the label fits only one object of the room, so that text says `the`"),
+        _field("truth", _B, "true if the condition holds"),
+        _field("witnesses", pa.list_(_S), "ids of the objects that make it true; empty where it is false"),
     ]
 )
 _BRANCH: Final = pa.struct(
@@ -264,7 +293,10 @@ _COMPOSITION: Final = (
     "`C0`: everything in one room; `C2`: some branch whose condition, then-leaf and else-leaf lie in three different "
     "rooms; `C1`: anything else"
 )
-_GROUP: Final = "counterfactual group: the same start, with a condition's truth and two leaves exchanged; null outside"
+_GROUP: Final = (
+    "counterfactual group: episodes with one start that differ by the truth of a condition "
+    "or by two exchanged leaves; null for episodes in no group"
+)
 _GOLD: Final = "index of the leaf that the conditions' truths lead to, from 0"
 
 INSTRUCTIONS: Final = pa.schema(
@@ -277,10 +309,10 @@ INSTRUCTIONS: Final = pa.schema(
         _required("chain", _I, "number of tests in the top chain"),
         _required("composition", _S, _COMPOSITION),
         _required("n_conditions", _I, "number of conditions"),
-        _required("n_relational", _I, "conditions that ask for a relation"),
+        _required("n_relational", _I, "number of conditions that ask for a relation"),
         _required("n_leaves", _I, "number of leaves"),
         _required("gold_leaf", _I, _GOLD),
-        _required("moves", _I, "stops of the gold leaf, its goal included"),
+        _required("moves", _I, "number of stops of the gold leaf, its goal included"),
         _required("conditions", pa.list_(_CONDITION), "conditions in the order in which the text asks them"),
         _required("branches", pa.list_(_BRANCH), "the decision tree; the first branch is its root"),
         _required(
@@ -289,14 +321,14 @@ INSTRUCTIONS: Final = pa.schema(
             "leaves in reading order",
         ),
         _field("text", _S, "the instruction's text; null where the program was not placed"),
-        _field("words", _I, "words of the text"),
+        _field("words", _I, "number of words of the text"),
     ]
 )
 
 _EPISODE_LEAF: Final = pa.struct(
     [
         _field("leaf", _I, "index of the leaf, from 0"),
-        _field("object_id", _S, "the leaf's goal object"),
+        _field("object_id", _S, "id of the leaf's goal object"),
         _field(
             "goals",
             pa.list_(VEC3),
@@ -309,7 +341,9 @@ _EPISODE_LEAF: Final = pa.struct(
             ),
             "stops before the goal, in order",
         ),
-        _field("reference_path", pa.list_(VEC3), "corners of the shortest path from the start by all stops, metres"),
+        _field(
+            "reference_path", pa.list_(VEC3), "corners of the shortest path from the start through all stops, metres"
+        ),
         _field("geodesic_distance", _F, "start to the nearest goal point, as Habitat computes it, metres"),
         _field("route_length", _F, "length of the reference path, metres"),
     ]
@@ -318,7 +352,7 @@ _EPISODE_LEAF: Final = pa.struct(
 _EVIDENCE: Final = pa.struct(
     [
         _field("condition", _I, "index of the condition, from 0"),
-        _field("observability", _S, "`O0`, `O1` or `O2`, as in the column of that name"),
+        _field("observability", _S, "`O0`, `O1` or `O2`, as in the column `observability`"),
         _field("in_view", _B, "visible from the start without turning, in a view 90° wide"),
     ]
 )
@@ -335,57 +369,64 @@ EPISODES: Final = pa.schema(
         _field(
             "observability",
             _S,
-            "where the evidence of the conditions asked on the gold route is visible, the worst over them: `O0` from "
-            "the start, `O1` on the part of the way that all leaves share, `O2` after a detour only",
+            "where the evidence for the conditions on the gold route is visible, the worst case "
+            "over them: `O0` from the start, `O1` on the part of the way that all leaves share, "
+            "`O2` only after a detour",
         ),
         _field("evidence_in_view", _B, "all evidence is in the first view, 90° wide"),
-        _field("observability_approximate", _B, "visibility was decided among boxes, since surfaces are missing"),
-        _field("evidence", pa.list_(_EVIDENCE), "visibility of each condition that the gold route asks"),
+        _field("observability_approximate", _B, "visibility was decided with boxes, since surfaces are missing"),
+        _field("evidence", pa.list_(_EVIDENCE), "visibility of the evidence for each condition on the gold route"),
         _required("gold_leaf", _I, _GOLD),
         _required("n_leaves", _I, "number of leaves"),
         _required("gold_label", _S, "canonical label of the gold leaf's goal"),
-        _required("moves", _I, "stops of the gold leaf, its goal included"),
+        _required("moves", _I, "number of stops of the gold leaf, its goal included"),
         _required("start_position", VEC3, "start on the navmesh, metres"),
         _required("start_rotation", QUATERNION, "start rotation, quaternion [x, y, z, w]; identity faces north"),
         _required("start_heading_degrees", _F, "compass heading at the start, clockwise from north, degrees"),
         _required("geodesic_distance", _F, "start to the nearest goal point of the gold leaf, metres"),
-        _required("route_length", _F, "start by the gold leaf's stops to its goal, metres"),
+        _required(
+            "route_length", _F, "length of the route from the start through the gold leaf's stops to its goal, metres"
+        ),
         _required("leaves", pa.list_(_EPISODE_LEAF), "every leaf, placed and checked as if it were gold"),
         _required("success_distance", _F, "distance from a goal point within which STOP succeeds, metres"),
-        _required("ground_truth_steps", _I, "actions of the longest leaf's walk, STOP included"),
+        _required("ground_truth_steps", _I, "actions of the longest walk to any leaf, STOP included"),
         _field(
-            "actions", pa.list_(pa.int8()), "walk to the gold leaf: 0 STOP, 1 forward 0.25 m, 2 left 15°, 3 right 15°"
+            "actions",
+            pa.list_(pa.int8()),
+            "actions of the walk to the gold leaf: 0 STOP, 1 forward 0.25 m, 2 left 15°, 3 right 15°",
         ),
         _field("locations", pa.list_(VEC3), "the start and the position after each forward step, metres"),
-        _required("words", _I, "words of the text"),
+        _required("words", _I, "number of words of the text"),
         _required("max_steps", _I, "step budget: actions after which the episode ends, STOP included"),
         _required("instruction_text", _S, "the instruction as published"),
         _required("navmesh_sha256", _S, "SHA-256 of the navmesh on which the episode was placed"),
     ]
 )
 
-_CELL: Final = "cell of the axes that the configuration asks for: a category, and what else it fixes"
+_CELL: Final = "cell of the configuration: a category, and the other axes that it fixes"
 
 REJECTIONS: Final = pa.schema(
     [
         _SCENE_ID,
-        _required("stage", _S, "stage that turned candidates down"),
+        _required("stage", _S, "stage that rejected the candidates"),
         _field("category", _S, _CATEGORY),
         _required("cell", _S, _CELL),
         _required("reason", _S, "rule that the candidates failed"),
-        _required("count", pa.int64(), "candidates turned down"),
-        _field("example", _S, "one of them"),
+        _required("count", pa.int64(), "number of rejected candidates"),
+        _field("example", _S, "one of the rejected candidates"),
     ]
 )
 
 FUNNEL: Final = pa.schema(
     [
         _SCENE_ID,
-        _field("category", _S, "the cell's category; null for counterfactual groups, whose categories alternate"),
+        _field(
+            "category", _S, "category of the cell; null for counterfactual groups, which alternate between categories"
+        ),
         _required("cell", _S, _CELL),
         _required("wanted", _I, "episodes wanted"),
-        _required("candidates", _I, "candidates drawn = rejected + placed"),
-        _required("rejected", _I, "candidates that no placement was found for"),
+        _required("candidates", _I, "number of candidates drawn: rejected plus placed"),
+        _required("rejected", _I, "number of candidates for which no placement was found"),
         _required("placed", _I, "episodes placed"),
     ]
 )
@@ -407,13 +448,14 @@ ABOUT: Final[dict[str, str]] = {
     "rooms": "One row for each room.",
     "objects": "One row for each object, with the best geometry that its source gives.",
     "relations": "One row for each edge of the relation graphs, with every metric it was decided by.",
-    "visibility": "One row for each object but walls and floors: whether it can be seen from where an agent can stand.",
+    "visibility": "One row for each object except walls and floors: whether it can be seen from where an "
+    "agent can stand.",
     "instructions": "One row for each program that was sampled: its tree, truths and, where placed, its text.",
     "episodes": "One row for each placed instruction: start, goals and paths of every leaf, budget and text.",
-    "rejections": "Counts of candidates that failed a rule, by scene, stage, cell and reason.",
-    "funnel": "Episodes wanted, drawn and placed, by scene and cell.",
+    "rejections": "One row for each rule and cell of a scene: how many candidates failed the rule.",
+    "funnel": "One row for each cell of a scene: episodes wanted, candidates drawn, episodes placed.",
 }
-"""What a row of each table is."""
+"""Description of the rows of each table."""
 
 SORT_KEYS: Final[dict[str, tuple[str, ...]]] = {
     "scenes": ("scene_id",),

@@ -1,4 +1,4 @@
-"""Documents that the store keeps for one stage of one unit: its commit, or why it failed.
+"""Documents that the store keeps for one stage of one unit: its commit, or the reason why it failed.
 
 ``unit.json`` is written last of a unit's files, so its presence means that all the others are there and whole.
 """
@@ -27,7 +27,7 @@ Cause = Literal["input", "error", "deadline", "memory", "worker"]
 
 
 class KeyParts(Document):
-    """Hashes of the parts of a key; a plan names the part that changed as the reason of staleness."""
+    """Hashes of the parts of a key. A plan reports the part that changed as the reason why a unit is stale."""
 
     code: Hash32
     inputs: Hash32
@@ -43,16 +43,16 @@ class ShardRecord(Document):
 
 
 class TableRecord(ShardRecord):
-    """One table of a unit: the file, and the rows whatever the file's encoding."""
+    """One table of a unit: the hash of its file, and a hash of its rows that does not depend on the file's encoding."""
 
     logical_hash: Hash32
     rows: Annotated[int, Field(ge=0)]
     logical_bytes: Annotated[int, Field(ge=0)]
-    """Size of the canonical buffers: what packing goes by, since file sizes depend on the writer's version."""
+    """Size of the canonical buffers, bytes. Packing uses it because file sizes depend on the version of the writer."""
 
 
 class UnitCommit(VersionedDocument):
-    """``unit.json``: one stage of one unit, done."""
+    """``unit.json``: the commit of one stage of one unit."""
 
     unit_id: str
     partition: str
@@ -66,19 +66,19 @@ class UnitCommit(VersionedDocument):
     files: dict[FileName, ShardRecord]
     measures: dict[str, Finite]
     seconds: Annotated[float, Field(ge=0)]
-    """By the clock."""
+    """Wall-clock seconds."""
     cpu_seconds: Annotated[float, Field(ge=0)] = 0.0
-    """Of its process, which is what the cost model learns from; 0 in commits from before they were recorded."""
+    """CPU seconds of the process, from which the cost model learns; 0 in commits of earlier releases."""
     peak_rss: Annotated[int, Field(ge=0)]
     host: str
     libraries: dict[str, str]
     revision: str = ""
     checksum: Hash64 | None = None
-    """SHA-256 of the rest as canonical JSON; None in documents from before there was one."""
+    """SHA-256 of the rest as canonical JSON; None in documents of earlier releases."""
 
 
 class QuarantineRecord(VersionedDocument):
-    """``quarantine/<stage>/<key>.json``: why a unit could not be made. Retried when its key changes, or on demand."""
+    """``quarantine/<stage>/<key>.json``: why a unit failed. It is retried when its key changes, or on demand."""
 
     unit_id: str
     partition: str
@@ -93,6 +93,6 @@ class QuarantineRecord(VersionedDocument):
     host: str = ""
     revision: str = ""
     run: str = ""
-    """Token of the run that recorded it."""
+    """Token of the run that recorded the failure."""
     recorded_at: str = ""
-    """UTC, ISO 8601."""
+    """Time of the record, UTC, ISO 8601."""

@@ -1,4 +1,4 @@
-"""The stock R2R_VLNCE v1-3 document, exactly as VLN-CE's strict loader takes it (unknown keys are a TypeError there).
+"""The stock R2R_VLNCE v1-3 document as VLN-CE's strict loader takes it: there, unknown keys raise a TypeError.
 
 Source of the keys: R2R_VLNCE v1-3 and ``VLNExtendedEpisode``/``InstructionData`` of VLN-CE.
 """
@@ -38,7 +38,7 @@ class Instruction(Document):
 
 
 class VlnCeEpisode(Document):
-    """One episode; our own fields are under ``info``."""
+    """One episode; CondVLN's own fields are under ``info``."""
 
     episode_id: int | str
     trajectory_id: int | str
@@ -52,7 +52,7 @@ class VlnCeEpisode(Document):
 
 
 class InstructionVocabulary(Document):
-    """Word tables: PAD is 0, UNK is 1."""
+    """Word tables of the vocabulary: PAD is 0, UNK is 1."""
 
     word_list: list[str]
     word2idx_dict: dict[str, int]
@@ -64,7 +64,7 @@ class InstructionVocabulary(Document):
 
 
 class VlnCeDocument(Document):
-    """``<split>.json.gz``."""
+    """Content of ``<split>.json.gz``: episodes and vocabulary."""
 
     episodes: list[VlnCeEpisode]
     instruction_vocab: InstructionVocabulary

@@ -1,4 +1,4 @@
-"""Numbers that decide and are not keys: they are parts of what an episode means, for the generator and the verifier.
+"""Constants that are part of what an episode means, shared by generator and verifier. They can't be configured.
 
 A change here changes rows: raise the versions of the stages that read the number.
 """
@@ -53,129 +53,137 @@ __all__ = [
 ]
 
 PATH_SPACING: Final = 0.25
-"""Metres between points of a dense path at most: VLN-CE's forward step."""
+"""Largest distance between neighbouring points of a dense path, metres: VLN-CE's forward step."""
 
 HANG: Final = 2.2
-"""Metres an object's bottom may hang above the floor it is reached from (a picture, a wall cabinet)."""
+"""Largest height of an object's bottom above the floor from which it is reached, metres (a picture, a wall cabinet)."""
 
 SINK: Final = 0.5
-"""Metres the floor may lie above an object's bottom, or off the floor of its room (voxel height, floor thickness)."""
+"""Largest height of the floor above an object's bottom, or difference from the floor of its room, metres (voxel height,
+floor thickness)."""
 
 WALL_DETOUR: Final = 1.0
-"""Metres of detour around the box allowed between two of its goal points; more means a wall lies between them."""
+"""Longest detour around an object's box between two of its goal points, metres; a longer one means that a wall lies
+between them."""
 
 SNAP_TOLERANCE: Final = 0.05
-"""Metres a point may move sideways when snapped, and still have been on the floor."""
+"""Largest sideways shift by snapping at which a point still counts as on the floor, metres."""
 
 SNAP_AT_MOST: Final = 0.08
-"""Metres that snapping may move a goal point: `SNAP_TOLERANCE` sideways and the same in height."""
+"""Largest distance by which snapping may move a goal point, metres: `SNAP_TOLERANCE` sideways and the same in
+height."""
 
 FLOOR_STANDING: Final = 0.5
-"""Metres; objects whose bottom is lower than this above the floor stand in the agent's way."""
+"""Objects whose bottom is less than this above the floor are obstacles for the agent, metres."""
 
 UPRIGHT_COSINE: Final = 0.999
-"""Cosine of the tilt up to which an oriented box counts as upright; more tilted ones go by their axis-aligned box."""
+"""Cosine of the tilt up to which an oriented box counts as upright. Boxes that are tilted more are replaced by their
+axis-aligned box."""
 
 EYE_SPACING: Final = 0.5
-"""Metres between the places of a path from which is looked: two steps."""
+"""Distance between the places on a path from which the agent looks, metres: two steps."""
 
 PREFIX_STRAY: Final = 0.25
-"""Metres, one step: paths are still the same while they are no farther apart."""
+"""Largest distance between two paths at which they count as the same, metres: one step."""
 
 PREFIX_SAMPLES: Final = 0.05
-"""Metres between the places at which paths are compared."""
+"""Distance between the places at which paths are compared, metres."""
 
 FIRST_VIEW_DEGREES: Final = 90.0
-"""Field of view, both ways, of the camera of VLN-CE's R2R task."""
+"""Horizontal and vertical field of view of the camera of VLN-CE's R2R task, degrees."""
 
 FLOOR_POINTS: Final = 256
-"""Points of a room's floor that are looked for, about."""
+"""Approximate number of floor points of a room that are tested for visibility."""
 
 FLOOR_LEAST_SPACING: Final = 0.2
-"""Metres between two of these points at least."""
+"""Least distance between two of these points, metres."""
 
 FLOOR_LIFT: Final = 0.05
-"""Metres that these points lie above the floor, so that its own surface does not hide them."""
+"""Height of these points above the floor, metres, so that the floor's own surface does not hide them."""
 
 SEEABLE_SHARE: Final = 1 / 16
-"""Part of an object's surface that must be seen, from all places of its room together, before text uses the object:
-several times what the verifier asks of other points, so that the two agree."""
+"""Share of an object's surface that must be visible, from all places of its room together, before text uses the object.
+It is several times the share that the verifier requires at its own points, so that the two agree."""
 
 SEEABLE_PLACES: Final = 2
-"""Places that must see some of it."""
+"""Number of places from which some of the object must be visible."""
 
 FRAME_HEADROOM: Final = 0.5
-"""Metres above a shelf, a table or another frame within which a thing is on it, so that its box does not hide it."""
+"""Height above a shelf, a table or another frame up to which the frame's box does not hide a thing, metres."""
 
 GROUP_SIZE: Final = 4
-"""Programs of a counterfactual group: both truths of a condition, with two leaves exchanged and not."""
+"""Programs of a counterfactual group: both truths of a condition, each with two leaves in both orders."""
 
 HEADING_TOLERANCE: Final = 0.5
-"""Degrees that a heading may be off its name; stored quaternions round to much less."""
+"""Largest angle between a heading and the direction that names it, degrees; stored quaternions round to much less."""
 
 RING_SPACING: Final = 0.2
-"""Metres between neighbouring candidates around an object: a fifth of the smallest success ball's width."""
+"""Distance between neighbouring candidates for goal points around an object, metres: a fifth of the width of the
+smallest success ball."""
 
 RING_GAP: Final = 0.125
-"""Most metres between two rings of candidates within reach of a box."""
+"""Largest distance between two rings of candidates within reach of a box, metres."""
 
 FAR_RING_GAP: Final = 0.2
-"""Most metres between two rings of candidates beyond it."""
+"""Largest distance between two rings of candidates beyond reach, metres."""
 
 LOW_EYE: Final = 0.5
-"""Metres above the floor of a second eye, for what stands under a table."""
+"""Height of a second eye above the floor, metres, for objects under a table."""
 
 FEW_LABELS_SLACK: Final = 1.25
-"""Where a scene has so few labels that the cap can't hold, a label may have this much more than an equal share."""
+"""Factor on an equal share of labels: the share that a label may have where a scene has too few labels to keep the
+cap."""
 
 KEPT_AT_LEAST: Final = 0.5
-"""Part of a scene's placed episodes that is kept whatever their labels."""
+"""Share of a scene's placed episodes that is kept whatever their labels are."""
 
 RATE_STEPS: Final = 64
-"""Rates of truth enter a scene's key in steps of 1/64."""
+"""Number of steps between 0 and 1 to which rates of truth are rounded in a scene's key."""
 
 EVIDENCE: Final = 8
-"""Rooms in which a statement must have been seen before one that never varied is held to be foretold by its words."""
+"""Number of rooms in which a statement must have been seen before one that never varied counts as predictable from its
+words."""
 
 STAGINGS: Final = 3
-"""The same where they are stagings of one layout, near copies in which little varies; with fewer of them a layout's
-counts don't stand for themselves."""
+"""The same for rooms that are stagings of one layout, near copies in which little varies. With fewer stagings, a layout
+has no counts of its own."""
 
 INSIDE_SHARE: Final = 0.8
-"""Share of an object's box that must lie in a container's box for the container to hold it."""
+"""Least share of an object's box that must lie in a container's box for the object to be in the container."""
 
 OPEN_SHARE: Final = 0.5
-"""A container that is open less than this hides what is inside."""
+"""A container that is open less than this share hides its contents."""
 
 TOP_DEPTH: Final = 0.05
-"""Metres below a container's top that an object's bottom must lie for the object to be in it, not on it."""
+"""Least depth of an object's bottom below a container's top for the object to be in it, not on it, metres."""
 
 REST_GAP: Final = 0.03
-"""Metres between an object's bottom and the top of what it rests on."""
+"""Largest gap between an object's bottom and the top of what it rests on, metres."""
 
 REST_SHARE: Final = 0.5
-"""Share of an object's footprint that must lie over what it rests on."""
+"""Least share of an object's footprint that lies over what it rests on."""
 
 LARGER_THAN_RECEPTACLE: Final = 2.0
 """An object whose longest side is more than this many times that of its stated receptacle is not in or on it."""
 
 LANDMARK_SIZE: Final = 0.9
-"""Metres; longest side from which a statue counts as fixed, so that larger things are found by it."""
+"""Longest side from which a statue counts as fixed, metres, so that it may be the anchor of larger things."""
 
 UNKNOWN_EXTENT: Final = 0.4
-"""Metres; edges of the cube that stands in the agent's way where an object's own extent is unknown."""
+"""Edge of the cube that replaces an object of unknown extent as an obstacle, metres."""
 
 STEP_CEILING: Final = 500
-"""Actions after which VLN-CE ends an episode: one number for all, since stock loaders hold no budget an episode."""
+"""Actions after which VLN-CE ends an episode. It is one number, since stock loaders hold no budget per episode."""
 
 MOST_MOVES_OF_FOUR_LEAVES: Final = 2
-"""Moves of a leaf at most where a program has four leaves: more make a text too long to remember."""
+"""Most moves of a leaf where a program has four leaves: more would make the text too long to remember."""
 
 MOST_ROOMS: Final = 4
-"""Rooms of a program that spans three or more: people name few, and come back to those that they have named."""
+"""Most rooms of a program that spans three or more rooms: people name few, and return to those."""
 
 PLAIN_ROOM_WEIGHT: Final = 3.0
-"""Weight of a room that its label alone names, where others need a thing in them ("the bedroom with the piano")."""
+"""Weight of a room that its label alone identifies, relative to rooms that need an object in them ("the bedroom with
+the piano")."""
 
 MOST_OBJECTS_PER_ROOM: Final = 5000
-"""Upper bound of ``limits.objects_per_room``: relations of such a room are 65 million rows."""
+"""Upper bound of ``limits.objects_per_room``: a room of that size has 65 million rows of relations."""

@@ -13,7 +13,7 @@ from schemas.config.section import Degrees, Metres, Section, Share
 __all__ = ["AgentConfig", "EpisodeConfig", "GoalsConfig", "PlacesConfig", "StepBudget"]
 
 StepBudget = Annotated[int, Field(ge=1, le=STEP_CEILING)] | Literal["proportional"]
-"""One number of actions for all episodes, or one an episode by its words and its walk."""
+"""Step budget: one number for all episodes, or one per episode from its words and its walk."""
 
 Range = Annotated[tuple[Finite, Finite], Field(json_schema_extra={"unit": "m"})]
 
@@ -23,7 +23,7 @@ class AgentConfig(Section):
 
     radius: Metres = Field(0.1, description="radius of the cylinder")
     height: Metres = Field(1.5, description="height of the cylinder")
-    max_climb: Metres = Field(0.2, description="highest step that it takes")
+    max_climb: Metres = Field(0.2, description="highest step that it climbs")
     max_slope: Degrees = Field(45.0, le=90, description="steepest floor that it walks on")
 
 
@@ -38,19 +38,19 @@ class PlacesConfig(Section):
     eye_height: Metres = Field(1.25, description="height of the camera above the agent's feet (habitat-lab's)")
 
     def success(self, single_room: bool) -> float:
-        """Success distance τ of a scene, metres."""
+        """Return the success distance τ of a scene, metres."""
         return self.success_distance_single_room if single_room else self.success_distance
 
     def leaf_separation(self, single_room: bool) -> float:
-        """Metres that two leaves of one program lie apart at least."""
+        """Return the least distance between two leaves of one program, metres."""
         return 2 * self.success(single_room) + self.leaf_gap
 
 
 class GoalsConfig(Section):
-    """Where an agent can stand to have reached an object."""
+    """Goal points: where an agent stands when it has reached an object."""
 
     reach: Metres = Field(0.5, le=10, description="goal points lie at most this far from the object's box")
-    reach_at_most: Metres = Field(1.0, le=10, description="the same where nothing nearer can be stood on")
+    reach_at_most: Metres = Field(1.0, le=10, description="the same for an object that has no navigable point nearer")
     points: int = Field(8, ge=1, le=1000, description="most goal points of an object")
 
     @model_validator(mode="after")
@@ -64,27 +64,34 @@ class EpisodeConfig(Section):
     """How episodes are placed."""
 
     distance_single_room: Range = Field(
-        (1.0, 10.0), description="[least, most] geodesic from start to any leaf where the scene is one room"
+        (1.0, 10.0),
+        description="[least, most] geodesic distance from the start to any leaf where the scene is one room",
     )
-    distance: Range = Field((2.0, 30.0), description="[least, most] geodesic from start to any leaf in other scenes")
+    distance: Range = Field(
+        (2.0, 30.0), description="[least, most] geodesic distance from the start to any leaf in other scenes"
+    )
     detour_factor: float = Field(
         2.0,
         ge=1,
         allow_inf_nan=False,
-        description="where a scene has several rooms, the route to any leaf past its stops is at most so many times "
-        "the geodesic distance to the leaf, plus detour_slack",
+        description="where a scene has several rooms, the route to any leaf through its stops is at most "
+        "this many times the geodesic distance to the leaf, plus detour_slack",
     )
-    detour_slack: Metres = Field(4.0, description="metres that such a route may be longer than that")
-    starts: int = Field(96, ge=1, le=100_000, description="starts drawn a scene, shared by its programs")
-    starts_per_program: int = Field(24, ge=1, description="starts tried before a program is given up")
+    detour_slack: Metres = Field(4.0, description="length that such a route may have beyond that")
+    starts: int = Field(96, ge=1, le=100_000, description="starts drawn per scene, shared by its programs")
+    starts_per_program: int = Field(24, ge=1, description="starts tried per program before it is given up")
     max_steps: StepBudget = Field(
         STEP_CEILING,
-        description="step budget of every episode, at most VLN-CE's 500, half of which must do for each leaf; "
-        "proportional: the larger of text.steps_per_word for each word and twice the ground truth, which stock loaders "
-        "can't hold",
+        description="step budget of every episode, at most VLN-CE's 500; the walk to each leaf takes at "
+        "most half of it; proportional: the larger of text.steps_per_word for each word and "
+        "twice the ground truth, which stock loaders can't represent",
     )
-    floor_seen: Share = Field(0.8, description="share of a room's floor that must be seen to know what is not there")
-    object_seen: Share = Field(0.05, description="share of an object's surface that must be seen to know it is there")
+    floor_seen: Share = Field(
+        0.8, description="share of a room's floor that must be visible to know that something is absent"
+    )
+    object_seen: Share = Field(
+        0.05, description="share of an object's surface that must be visible to know that it is there"
+    )
 
     @model_validator(mode="after")
     def _distances_are_ranges(self) -> EpisodeConfig:
@@ -98,9 +105,9 @@ class EpisodeConfig(Section):
 
     @property
     def step_ceiling(self) -> int:
-        """Actions that twice the ground truth of no leaf exceeds."""
+        """Return the bound on twice the ground-truth actions of any leaf."""
         return STEP_CEILING if self.max_steps == "proportional" else self.max_steps
 
     def range(self, single_room: bool) -> tuple[float, float]:
-        """Allowed geodesic distance from the start to any leaf, metres."""
+        """Return the allowed geodesic distance from the start to any leaf, (least, most) in metres."""
         return self.distance_single_room if single_room else self.distance

@@ -1,4 +1,4 @@
-"""What is asked of each scene: instructions and their cells, how candidates are sampled, and their wording."""
+"""What is wanted of each scene: instructions and cells, the sampling of candidates, and their wording."""
 
 from __future__ import annotations
 
@@ -24,41 +24,42 @@ __all__ = [
 ]
 
 VoiceName = Literal["brief", "check", "question", "otherwise", "formal", "list"]
-"""Ways to say an instruction; ``condvln/instructions/grammar`` holds their phrases."""
+"""Voices: ways to word an instruction. ``condvln/instructions/grammar`` holds their phrases."""
 
 Wanted = Annotated[int, Field(ge=0, le=10_000)]
-"""Episodes wanted of one scene: no scene has room for more, and candidates of all of them are held in memory."""
+"""Number of episodes wanted per scene. It is bounded since all candidates are held in memory."""
 
 Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 SEEN_FACTOR: Final = 3
-"""More candidates are drawn of a cell that asks for an observability or a length of the route, which placing may miss:
-few starts give one that is not O2, or have every leaf's route within its bounds."""
+"""Factor on the candidates of a cell that asks for an observability or a route length, since placing rejects many of
+them."""
 
 PRESENCE_MARGIN: Final = 0.75
-"""Part of the allowed share of label-only conditions that is drawn, so that chance doesn't carry it over the bound."""
+"""Fraction of the allowed share of label-only conditions that is drawn, so that random variation stays within the
+bound."""
 
 
 class InstructionCell(Section):
-    """A cell of the axes, and how many episodes of it are wanted a scene; what is not given may be anything."""
+    """One cell: values of the axes, and the episodes wanted per scene. An axis that is not given may have any value."""
 
     category: Category = Field(description="shape of the program")
-    composition: Composition | None = Field(None, description="rooms that the program spans")
+    composition: Composition | None = Field(None, description="composition: how many rooms the program spans")
     observability: Literal["O0f", "O0", "O1", "O2"] | None = Field(
-        None, description="from where the evidence is seen; O0f: O0 within the first view"
+        None, description="where the evidence is visible; O0f: O0 within the first view"
     )
     moves: int | None = Field(
         None, ge=1, le=3, description="moves of every leaf, so that their number doesn't give away the gold leaf"
     )
     route: tuple[Finite, Finite] | None = Field(
         None,
-        description="[least, most] metres past its stops to every leaf, the gold one's included",
+        description="[least, most] length of the route through the stops to every leaf",
         json_schema_extra={"unit": "m"},
     )
     words: tuple[int, int] | None = Field(
-        None, description="[least, most] words of the text, its opening with the start heading included"
+        None, description="[least, most] number of words of the text, including the opening with the start heading"
     )
-    count: int = Field(ge=1, le=10_000, description="episodes wanted a scene")
+    count: int = Field(ge=1, le=10_000, description="episodes wanted per scene")
 
     @field_validator("route", "words", mode="before")
     @classmethod
@@ -99,7 +100,7 @@ class InstructionCell(Section):
 
     @property
     def drawn(self) -> bool:
-        """Whether anything beside the category is fixed."""
+        """Whether the cell fixes anything besides the category."""
         return self.name != self.category
 
 
@@ -109,14 +110,16 @@ def _span(bounds: tuple[float, float]) -> str:
 
 
 class WordingConfig(Section):
-    """How a program is said: the text stage alone reads it, unless a cell bounds the number of words."""
+    """Wording of programs. Only the text stage reads it, unless a cell bounds the number of words."""
 
     language: Literal["en", "es"] = Field("en", description="language of the texts: English or Spanish")
     voices: tuple[VoiceName, ...] = Field(
-        get_args(VoiceName), min_length=1, description="ways of speaking that texts are drawn from; one voice a text"
+        get_args(VoiceName), min_length=1, description="voices that texts are drawn from; each text has one voice"
     )
     length: Literal["any", "short"] = Field(
-        "any", description="any: a wording is drawn from all of a voice; short: the shortest of a voice's templates"
+        "any",
+        description="any: wordings are drawn from all templates of the voice; short: always from its "
+        "shortest templates",
     )
 
     @model_validator(mode="after")
@@ -128,34 +131,36 @@ class WordingConfig(Section):
 
     @property
     def wording(self) -> WordingConfig:
-        """These keys alone."""
+        """Return these keys alone."""
         return WordingConfig(language=self.language, voices=self.voices, length=self.length)
 
 
 class InstructionsConfig(WordingConfig):
-    """What is wanted of each scene, and how it is said."""
+    """What is wanted of each scene, and its wording."""
 
     directions: Literal["compass", "egocentric", "none"] = Field(
         "compass",
-        description="compass: texts may say where a thing lies by compass words, and then open with the start heading; "
-        "egocentric: by left, right, ahead and behind as one starts; none: by neither",
+        description="directions that texts may use. compass: compass words, and such texts open with the "
+        "start heading; egocentric: left, right, ahead and behind as seen from the start; "
+        "none: no directions",
     )
     per_category: dict[Category, Wanted] = Field(
-        default_factory=lambda: dict.fromkeys(CATEGORIES, 20), description="episodes wanted a scene, by category"
+        default_factory=lambda: dict.fromkeys(CATEGORIES, 20), description="episodes wanted per scene, by category"
     )
     cells: tuple[InstructionCell, ...] = Field(
-        (), description="episodes wanted of single cells; they replace per_category for their categories"
+        (), description="episodes wanted of single cells; for the categories of these cells they replace per_category"
     )
     counterfactual_groups: int = Field(
         2,
         ge=0,
         le=1000,
-        description="groups of four wanted besides: one start, a condition's truth and two leaves exchanged",
+        description="counterfactual groups wanted per scene in addition: four episodes with one start, in "
+        "which the truth of a condition and the order of two leaves vary",
     )
     label_cap: Share = Field(
         0.15,
-        description="no label is the target of more than this share of a scene's leaves (an equal share where labels "
-        "are few)",
+        description="largest share of a scene's leaves with the same target label (an equal share where "
+        "labels are few)",
     )
 
     @model_validator(mode="after")
@@ -169,27 +174,28 @@ class InstructionsConfig(WordingConfig):
         return self
 
     def cells_of(self, category: Category) -> tuple[InstructionCell, ...]:
-        """The cells of a category, or one cell of its number in `per_category` with all else free."""
+        """Return the cells of a category; without any, one cell with the number of `per_category` and no other
+        bounds."""
         asked = tuple(cell for cell in self.cells if cell.category == category)
         count = self.per_category.get(category, 0)
         return asked or ((InstructionCell(category=category, count=count),) if count else ())
 
     @property
     def wanted(self) -> tuple[InstructionCell, ...]:
-        """All cells of a scene, in the order of the categories."""
+        """Return all cells of a scene, in the order of the categories."""
         return tuple(cell for category in CATEGORIES for cell in self.cells_of(category))
 
 
 class CompositionWeights(Section):
-    """How often each composition is asked for, where the scene has the rooms for it and the cell leaves it open."""
+    """Weights of the compositions, used where the scene has enough rooms and the cell does not fix one."""
 
-    C0: Weight = Field(1.0, description="weight of programs in one room")
-    C1: Weight = Field(1.0, description="weight of programs in two rooms, or in more that repeat")
-    C2: Weight = Field(1.0, description="weight of programs with a Branch over three rooms")
+    C0: Weight = Field(1.0, description="weight of C0: programs in one room")
+    C1: Weight = Field(1.0, description="weight of C1: programs in several rooms that are not C2")
+    C2: Weight = Field(1.0, description="weight of C2: programs with a branch over three rooms")
 
 
 class PredicateWeights(Section):
-    """How often each group of predicates is used; 0 = only where nothing else serves."""
+    """Weights of the groups of predicates; 0 = used only where no other predicate can be."""
 
     # What people say most comes first; heights are correct but stilted.
     on: Weight = Field(0.20, description="weight of on")
@@ -221,14 +227,18 @@ class SamplingConfig(Section):
         (0.6, 0.4), description="shares of leaves with 1, 2 moves where a program has four leaves"
     )
     presence_false_share: Share = Field(
-        0.2, description="most label-only conditions among the false ones where a scene is one room"
+        0.2, description="largest share of label-only conditions among the false ones where a scene is one room"
     )
     presence_share: Share = Field(0.4, description="share of label-only conditions in scenes of several rooms")
-    plausible_share: Share = Field(0.05, description="a label is plausible in a room type seen in this share of rooms")
+    plausible_share: Share = Field(
+        0.05, description="a label is plausible in a room type if it occurs in this share of such rooms"
+    )
     compositions: CompositionWeights = Field(default_factory=CompositionWeights)
     predicates: PredicateWeights = Field(default_factory=PredicateWeights)
     anchor_size: Metres = Field(
-        0.3, description="a movable object whose longest side is shorter is not used as an anchor, and names no room"
+        0.3,
+        description="a movable object whose longest side is shorter than this is not used as an anchor and "
+        "does not name a room",
     )
     small_target_weight: Weight = Field(
         0.25, description="weight, as targets, of labels whose objects are all shorter than anchor_size"
@@ -237,11 +247,14 @@ class SamplingConfig(Section):
         2,
         ge=1,
         le=4,
-        description="most phrases of a program that say where a thing lies at the start; one start must do for all",
+        description="most phrases of a program that use bearings at the start; one start must satisfy all of them",
     )
     attempts: int = Field(12, ge=1, le=10_000, description="draws of a condition before the candidate is given up")
     draws_per_candidate: int = Field(
-        20, ge=1, le=10_000, description="draws of whole candidates of one composition before these are given up"
+        20,
+        ge=1,
+        le=10_000,
+        description="draws of whole candidates of one composition before the composition is given up",
     )
 
     @model_validator(mode="after")
@@ -253,24 +266,25 @@ class SamplingConfig(Section):
         return self
 
     def move_shares(self, category: Category) -> tuple[float, ...]:
-        """Shares of leaves with 1, 2, … moves in programs of a category."""
+        """Return the shares of leaves with 1, 2, … moves in programs of a category."""
         return self.moves_four_leaves if SHAPES[category].leaves == 4 else self.moves
 
     def candidates(self, cell: InstructionCell) -> int:
-        """Candidates drawn of a cell; more where placing may miss what it asks for."""
+        """Return the number of candidates drawn for a cell: more where placing may miss its bounds."""
         return cell.count * self.candidates_per_episode * (SEEN_FACTOR if cell.observability or cell.route else 1)
 
     def label_only(self, single_room: bool) -> float:
-        """Share of label-only conditions, drawn whatever their truth, so that the kind says nothing about it."""
+        """Return the share of label-only conditions. They are drawn whatever their truth, so that the kind does not
+        reveal it."""
         return PRESENCE_MARGIN * self.presence_false_share if single_room else self.presence_share
 
 
 class TextConfig(Section):
-    """How programs are worded."""
+    """The opening of a text, and the step budget per word."""
 
     preamble: bool = Field(True, description="open texts that use compass words with the start heading")
     steps_per_word: int = Field(
         20,
         ge=1,
-        description="steps that a proportional budget grants a word, where twice the ground truth is less",
+        description="steps per word of a proportional budget, where twice the ground truth is less",
     )

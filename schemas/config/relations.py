@@ -1,4 +1,4 @@
-"""Thresholds of relations."""
+"""Thresholds of the predicates."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from schemas.config.section import Degrees, Metres, Section, Share
 __all__ = ["SECTOR_HALF_WIDTH", "Thresholds"]
 
 SECTOR_HALF_WIDTH: Final = 22.5
-"""Degrees; half of one of the eight compass sectors. They tile the circle, so it is a constant and not a key."""
+"""Half of one of the eight compass sectors, degrees. The sectors tile the circle, so it is not a key."""
 
 
 class Thresholds(Section):
-    """Where relations begin and end.
+    """Thresholds of the predicates.
 
     Each predicate has three thresholds: where its edge is emitted, a strict one beyond which text may use it as true
     (``*_true``), and a loose one beyond which text may use it as false (``*_false``). What lies between is never used
@@ -49,31 +49,44 @@ class Thresholds(Section):
     )
     top_true: Metres = Field(0.15, description="text may say higher and lower where tops differ by this, the same way")
     top_false: Metres = Field(0.05, description="text may deny higher and lower where tops differ by at most this")
-    off_floor: Metres = Field(0.30, description="higher and lower are said of things whose bottoms are this far up")
+    off_floor: Metres = Field(
+        0.30,
+        description="“higher” and “lower” are used only for things whose bottoms are at least this far above the floor",
+    )
     on_gap_true: Metres = Field(0.03, description="text may say “on” where bottom and top differ by at most this")
     on_gap_false: Metres = Field(0.15, description="text may deny “on” where the bottom is this far above the top")
     on_footprint_true: Share = Field(
         0.5, description="text may say “on” where this share of the thing's footprint lies over the other's"
     )
-    on_floor: Metres = Field(0.10, description="things stand on the floor whose bottoms are at most this far above it")
+    on_floor: Metres = Field(0.10, description="a thing stands on the floor if its bottom is at most this far above it")
     under_footprint_true: Share = Field(
         0.8, description="text may say “under” where this share of the thing's footprint lies under the other"
     )
     in_share_true: Share = Field(0.8, description="text may say “in” where this share of the thing's box is inside")
     between_true: Share = Field(
-        0.3, description="text may say “between” from this part of the line of centres to the same before its end"
+        0.3,
+        description="text may say “between” from this fraction of the line of centres to the same fraction "
+        "before its end",
     )
     between_false: Share = Field(
-        0.1, description="text may deny “between” before this part of the line, and after the same before its end"
+        0.1,
+        description="text may deny “between” before this fraction of the line, and after the same fraction "
+        "before its end",
     )
     between_off_true: Metres = Field(0.4, description="text may say “between” up to this distance off the line")
     between_off_false: Metres = Field(0.8, description="text may deny “between” from this distance off the line")
-    between_length: Metres = Field(4.0, description="“between” is used of things whose centres are no farther apart")
-    between_anchor: Metres = Field(0.5, description="“between” is used of things whose longest side is at least this")
+    between_length: Metres = Field(
+        4.0, description="“between” is used only with anchors whose centres are at most this far apart"
+    )
+    between_anchor: Metres = Field(
+        0.5, description="“between” is used only with anchors whose longest side is at least this"
+    )
     closest_ratio: float = Field(
         1.5, gt=1, description="text may say “closest to” where every rival is this many times farther"
     )
-    closest_gap: Metres = Field(0.5, description="and where every rival is farther by this")
+    closest_gap: Metres = Field(
+        0.5, description="text may say “closest to” where, in addition, every rival is farther by this"
+    )
     size_ratio: float = Field(
         1.5, gt=1, description="text may say “the bigger” of two where the volume of its box is this many times larger"
     )
@@ -86,16 +99,22 @@ class Thresholds(Section):
         30.0, lt=45, description="text may say left, right, ahead and behind up to this angle off the direction"
     )
     bearing_false: Degrees = Field(
-        60.0, gt=45, le=90, description="text may deny them from this angle off the direction"
+        60.0, gt=45, le=90, description="text may deny left, right, ahead and behind from this angle off the direction"
     )
     bearing_distance: Metres = Field(
-        1.0, description="they are said of things whose centres are this far from the start on the ground"
+        1.0,
+        description="left, right, ahead and behind are used only for things whose centres are at least "
+        "this far from the start on the ground",
     )
-    level: Degrees = Field(22.5, lt=90, description="a pair is level where its elevation is smaller")
+    level: Degrees = Field(
+        22.5, lt=90, description="a pair is level if the elevation between the centres is smaller than this"
+    )
     degenerate_horizontal: Metres = Field(
-        0.1, description="edges are flagged as degenerate where the horizontal distance of centres is smaller"
+        0.1, description="edges are marked as degenerate if the horizontal distance of the centres is smaller than this"
     )
-    surface_within: Metres = Field(1.15, description="surface distances are measured up to this distance of boxes")
+    surface_within: Metres = Field(
+        1.15, description="surface distances are measured where boxes are at most this far apart"
+    )
 
     @model_validator(mode="after")
     def _margins_are_on_the_right_side(self) -> Thresholds:

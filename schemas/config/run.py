@@ -1,4 +1,4 @@
-"""The one configuration file, in YAML.
+"""The configuration file: a run, its sources, splits, limits, Ray and what the store keeps.
 
 Every number that decides something has its unit in its name or its description. Unknown keys, wrong types and missing
 folders fail at once. Relative paths count from the folder of the configuration file.
@@ -50,12 +50,12 @@ MOVED: Final = {
     "instructions.presence_share": "sampling.presence_share",
     "instructions.plausible_share": "sampling.plausible_share",
 }
-"""Keys of earlier releases, and what they are called now."""
+"""Keys of earlier releases, with their present names."""
 
 REMOVED: Final = {
     "episodes.path_spacing": "the locations of the ground truth are those that the follower walked through",
 }
-"""Keys of earlier releases that are gone, and why."""
+"""Keys of earlier releases that were removed, with the reason."""
 
 
 class SourceConfig(Section):
@@ -64,16 +64,15 @@ class SourceConfig(Section):
     family: Family = Field(description="dataset family")
     root: Path = Field(description="folder of the dataset")
     scenes: tuple[str, ...] = Field(("*",), min_length=1, description="scene ids or patterns with * and ?")
-    exclude: tuple[str, ...] = Field((), description="scene ids or patterns left out")
-    navmesh: str | None = Field(
-        None, min_length=1, description="folder of navmeshes in root that is looked into before any other"
-    )
+    exclude: tuple[str, ...] = Field((), description="scene ids or patterns that are left out")
+    navmesh: str | None = Field(None, min_length=1, description="folder of navmeshes in root that is searched first")
     regions: Path | None = Field(None, description="side file or folder of user-drawn room zones")
     absence: Literal["complete", "never"] = Field(
         "complete",
-        description="complete: rooms annotated completely may be said to lack things, others are asked nothing; "
-        "never: all rooms are asked, but only whether a thing that is there is in a relation, so that no text claims "
-        "that something is absent (for annotations of detectors, such as Gibson's automated graphs)",
+        description="complete: conditions are asked only in rooms that are annotated completely, where "
+        "text may say that things are absent; never: conditions are asked in all rooms, but "
+        "only whether a thing that is there is in a relation, so that no text says that "
+        "something is absent (for annotations by detectors, such as Gibson's automated graphs)",
     )
     houses: Path | None = Field(
         None, description="procthor only: folder of the house JSON, where root is Habitat's scene dataset of them"
@@ -91,28 +90,35 @@ class SourceConfig(Section):
 
 
 class SplitsConfig(Section):
-    """How the pool becomes splits; families with official lists keep to them."""
+    """How episodes are distributed over splits. Families with official lists of scenes keep to them."""
 
-    seed: int = Field(0, description="which episodes are chosen where there are more than wanted")
+    seed: int = Field(0, description="seed of the choice where there are more episodes than wanted")
     per_cell: int | None = Field(
-        None, ge=1, description="episodes wanted per split × category × gold leaf; none = all that balance"
+        None,
+        ge=1,
+        description="episodes wanted per split × category × gold leaf; none = as many as keep the gold leaves balanced",
     )
     scenes: dict[Literal["train", "val_unseen", "test"], tuple[str, ...]] = Field(
-        default_factory=dict, description="patterns <family>/<scene> with * and ?, before official lists and hashes"
+        default_factory=dict,
+        description="patterns <family>/<scene> with * and ? that assign scenes to splits, before official "
+        "lists and hashes do",
     )
     sharded: bool = Field(
-        False, description="one file a scene, <split>/content/<scene>.json.gz, as Habitat's own datasets have them"
+        False, description="write one file per scene, <split>/content/<scene>.json.gz, as Habitat's own datasets do"
     )
     val_seen_share: Share = Field(0.1, description="share of the train scenes' episodes set aside as val_seen")
-    fractions: tuple[Share, Share, Share] = Field((0.8, 0.1, 0.1), description="train, val_unseen, test by id hash")
+    fractions: tuple[Share, Share, Share] = Field(
+        (0.8, 0.1, 0.1),
+        description="shares of train, val_unseen and test where scenes are assigned by the hash of their id",
+    )
     max_tokens: int | None = Field(
         200,
         ge=0,
-        description="texts of more tokens are left out: VLN-CE's instruction_tokens hold no more, and who reads those "
-        "would miss a branch; 0 or none = no limit",
+        description="texts with more tokens are left out: VLN-CE's instruction_tokens hold no more, and an "
+        "agent that reads them would miss a branch; 0 or none = no limit",
     )
     bias: Literal["off", "warn", "fail"] = Field(
-        "warn", description="what an export does when a guess that sees nothing beats chance; fail = exit code 3"
+        "warn", description="what an export does when a guesser that sees no scene beats chance; fail = exit code 3"
     )
 
     @model_validator(mode="after")
@@ -123,7 +129,7 @@ class SplitsConfig(Section):
 
 
 class LimitsConfig(Section):
-    """The largest scene that is worked on. A larger one is quarantined, alone, before the memory for it is taken.
+    """Size limits of a scene. A larger scene is quarantined before memory is allocated for it, and the others go on.
 
     Relations grow with the square of the objects in a room: about 2.6 rows and 600 bytes an ordered pair.
     """
@@ -140,26 +146,29 @@ class LimitsConfig(Section):
 
 
 class RayConfig(Section):
-    """How a run is spread out."""
+    """How a run uses Ray."""
 
     workers: int | None = Field(
         None,
         ge=1,
-        description="that many Ray workers, however small the work (1: one process beside this one); with an address, "
-        "at most so many tasks in flight; none = every core or the whole cluster, and work too small for Ray is done "
-        "in this process",
+        description="number of Ray workers, however small the work is (1: one process besides this one); "
+        "with an address, the most tasks in flight; none = every core or the whole cluster, "
+        "and work too small for Ray is done in this process",
     )
     address: str | None = Field(None, description="ray:// or host:port of a cluster; none = this machine")
-    max_failures: Share = Field(0.5, description="share of failed scenes over which the run is stopped (exit 4)")
+    max_failures: Share = Field(
+        0.5, description="the run is stopped (exit code 4) when a larger share of the scenes has failed"
+    )
     deadline_seconds: Seconds = Field(
-        1800.0, description="wall time one scene may take; in compiled code only a Ray worker can be ended"
+        1800.0, description="wall time that one scene may take; in compiled code only a Ray worker can be stopped"
     )
     memory_gib: float | None = Field(
         None,
         ge=0.5,
         allow_inf_nan=False,
-        description="memory that a process may hold while it works on a scene, GiB; a scene that needs more is "
-        "quarantined; none = 80 % of the machine's memory over its workers",
+        description="memory that a process may hold while it works on a scene, GiB; a scene that needs "
+        "more is quarantined; none = 80 % of the machine's memory, divided by the number of "
+        "workers",
     )
 
 
@@ -168,20 +177,25 @@ class KeepConfig(Section):
 
     sweep: bool = Field(True, description="whether a rebuild that published removes what no ref needs")
     snapshots: int = Field(3, ge=1, description="snapshots kept for each ref, the published one included")
-    grace_hours: Hours = Field(24.0, description="nothing younger is removed, needed or not")
+    grace_hours: Hours = Field(24.0, description="files younger than this are never removed")
 
 
 class Config(Section):
     """One run: sources in, tables and splits out."""
 
     name: Annotated[
-        str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=100, description="name of the published ref")
+        str,
+        Field(
+            pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$",
+            max_length=100,
+            description="name (ref) under which the snapshot is published",
+        ),
     ]
-    seed: int = Field(0, description="seed of every draw")
+    seed: int = Field(0, description="seed of all random choices")
     store: Path | str = Field(
         description="units, snapshots and refs: a folder, or s3://bucket/prefix[?endpoint=…&region=…]"
     )
-    export: Path | None = Field(None, description="folder of the VLN-CE splits")
+    export: Path | None = Field(None, description="folder of the export: VLN-CE splits and manifests")
     sources: tuple[SourceConfig, ...] = Field(min_length=1, description="the datasets")
     agent: AgentConfig = Field(default_factory=AgentConfig)
     thresholds: Thresholds = Field(default_factory=Thresholds)

@@ -1,4 +1,4 @@
-"""What all sections of the configuration share: strictness, and types that carry their unit."""
+"""Base class of all sections of the configuration, and number types that carry their unit."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Share = Annotated[float, Field(ge=0, le=1, json_schema_extra={"unit": "share"})]
 
 
 class Section(Document):
-    """A part of the configuration: a value that is never changed in place. Booleans are not numbers."""
+    """An immutable section of the configuration. Booleans are not accepted as numbers."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
 

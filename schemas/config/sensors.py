@@ -1,4 +1,4 @@
-"""Cameras: size, angle, place, and what their depth images hold."""
+"""Cameras (image size, field of view, pose, form of the depth image) and errors of detector, pose and motor."""
 
 from __future__ import annotations
 
@@ -33,13 +33,15 @@ class CameraConfig(Section):
         0.0, description="angle by which the camera looks below the horizon; negative looks up"
     )
     turn: Annotated[Finite, Field(ge=-360, le=360, json_schema_extra={"unit": "°"})] = Field(
-        0.0, description="angle by which the camera looks to the left of where the agent does"
+        0.0, description="angle by which the camera looks to the left of the agent's heading"
     )
     min_depth: Annotated[Finite, Field(ge=0, json_schema_extra={"unit": "m"})] = Field(
         0.0, description="smaller depths are raised to this"
     )
     max_depth: Metres | None = Field(10.0, description="larger depths are lowered to this; null for no limit")
-    normalized: bool = Field(True, description="depths go from 0 at min_depth to 1 at max_depth, and are not metres")
+    normalized: bool = Field(
+        True, description="depths are scaled from 0 at min_depth to 1 at max_depth; otherwise they are metres"
+    )
 
     @model_validator(mode="after")
     def _depths_rise(self) -> CameraConfig:
@@ -53,9 +55,9 @@ class CameraConfig(Section):
 class NoiseConfig(Section):
     """Errors of a detector, of a pose estimate and of a motor; none by default."""
 
-    missed: Share = Field(0.0, description="things in view that are not named")
-    confused: Share = Field(0.0, description="things in view that are given another label of the scene")
-    false: Share = Field(0.0, description="looks in which a thing is named that is not there")
+    missed: Share = Field(0.0, description="share of the things in view that are missed")
+    confused: Share = Field(0.0, description="share of the things in view that get another label of the scene")
+    false: Share = Field(0.0, description="share of looks in which a thing is named that is not there")
     position: Annotated[Finite, Field(ge=0, json_schema_extra={"unit": "m"})] = Field(
         0.0, description="standard deviation of the believed position, along each axis of the ground"
     )
