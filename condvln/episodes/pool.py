@@ -122,7 +122,7 @@ def fill_pool(
     labels = {leaf.goal.label for candidate in queue for leaf in candidate.program.leaves}
     most_of_label = most_leaves(allowed_share(label_cap, len(labels)), wanted)
     tries = [_Try(group) for group in members.values()] + [_Try([c]) for c in queue if c.cell is not None]
-    filling = _Filling(placer, groups, names_compass, observer, move_shares)
+    filling = _Filling(placer, groups, names_compass, observer, cells, move_shares)
     filling.fill(tries, most_of_label)
     filling.trim(tries, label_cap)
     return filling.pool(tries)
@@ -152,10 +152,16 @@ class _Filling:
         groups: int,
         names_compass: Callable[[Program], bool],
         observer: Observer | None,
+        cells: Sequence[InstructionCell],
         move_shares: Callable[[Category], Sequence[float]] | None,
     ) -> None:
         self._move_shares = move_shares
         self._moves: defaultdict[InstructionCell, Counter[int]] = defaultdict(Counter)
+        self._group_moves: defaultdict[Category, Counter[int]] = defaultdict(Counter)
+        self._free = Counter[Category]()
+        for cell in cells:
+            if cell.moves is None:
+                self._free[cell.category] += cell.count
         self._placer, self._names_compass, self._observer = placer, names_compass, observer
         self._groups_wanted, self._groups = groups, 0
         self._taken: Counter[InstructionCell] = Counter()
@@ -237,9 +243,15 @@ class _Filling:
         cell = one.cell
         if self._move_shares is None or cell is None or cell.moves is not None:
             return None
-        wanted = cell.count * SHAPES[cell.category].leaves
+        grouped = self._group_moves[cell.category]
+        part = cell.count / self._free[cell.category]
+        wanted = cell.count * SHAPES[cell.category].leaves + part * grouped.total()
         shares, taken = self._move_shares(cell.category), self._moves[cell]
-        over = any(taken[n] + count > math.ceil(shares[n - 1] * wanted) for n, count in one.moves.items())
+        # Rounded, so that of few leaves no number of moves has one more than its share at the cost of another.
+        over = any(
+            taken[n] + count > math.floor(shares[n - 1] * wanted - part * grouped[n] + 0.5)
+            for n, count in one.moves.items()
+        )
         return LATER if over else None
 
     def _unplaceable(self, one: _Try) -> str | None:
@@ -267,6 +279,8 @@ class _Filling:
         """Add these candidates to the quota counts; with `by` = −1, remove them."""
         if one.cell is None:
             self._groups += by
+            for n, count in one.moves.items():
+                self._group_moves[one.members[0].program.category][n] += by * count * len(one.members)
         else:
             self._taken[one.cell] += by
             self._golds[one.cell][one.gold] += by

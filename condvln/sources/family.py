@@ -86,14 +86,20 @@ def _robothor_split(scene_id: str) -> SplitGroup | None:
     return None if found is None else groups[found[1].lower()]
 
 
-_REPLICACAD: Final = re.compile(r"v3_sc(\d+)_staging_\d+$|apt_\d+$")
+_REPLICACAD: Final = re.compile(r"v3_sc(\d+)_staging_(\d+)$|apt_\d+$")
+_FIRST_TEST_STAGING: Final = 11
 
 
 def _replicacad_split(scene_id: str) -> SplitGroup | None:
-    # Base layouts: sc0 and sc1 came in 21 stagings each; the remaining layouts and the apartments are for test.
+    # A base layout sc0, sc1 … comes in 21 stagings. Many copies have sc0, sc1 and the apartments alone, and these would
+    # leave three scenes for test; so the later stagings of sc1 are for test too. No layout of train is elsewhere.
     found = _REPLICACAD.match(scene_id)
-    groups: dict[str, SplitGroup] = {"0": "train", "1": "val_unseen"}
-    return None if found is None else groups.get(found[1] or "", "test")
+    if found is None:
+        return None
+    layout, staging = found[1], int(found[2] or 0)
+    if layout in ("0", "2"):
+        return "train"
+    return "val_unseen" if layout == "1" and staging < _FIRST_TEST_STAGING else "test"
 
 
 FAMILIES: Final[dict[str, Family]] = {

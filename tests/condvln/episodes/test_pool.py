@@ -305,6 +305,23 @@ def test_numbers_of_moves_keep_their_shares_where_long_routes_find_no_place() ->
     assert moves(candidates[: len(short)], (0.4, 0.6, 0.0)) == {1: 20}
 
 
+def test_a_cell_makes_up_for_the_moves_of_the_groups_of_its_category() -> None:
+    """A group's eight leaves have one move; with twenty leaves of the cell there are to be fourteen of each."""
+    cell = simple(count=10)
+    things = [f"thing {k}" for k in range(80)]
+    short = [asking(things[k], things[k + 1], "w", k % 4 == 0) for k in range(0, 40, 2)]
+    long = [_with_waypoint(asking(things[k], things[k + 1], "w", k % 4 == 0), "w") for k in range(40, 80, 2)]
+    candidates = [Candidate(f"{k}", program, cell) for k, program in enumerate([*short, *long])]
+    group = quadruple("sofa", "bed", "w", name="group")
+
+    def moves(*candidates: Candidate) -> Counter[int]:
+        pool = fill_pool(candidates, Anywhere(), (cell,), 1.0, lambda _: False, None, 1, lambda _: (0.5, 0.5, 0.0))
+        return Counter(len(leaf.moves) for e in pool.episodes for leaf in e.program.leaves)
+
+    assert moves(*candidates) == {1: 10, 2: 10}
+    assert moves(*group, *candidates) == {1: 8 + 6, 2: 14}
+
+
 def _with_waypoint(program: Program, name: str) -> Program:
     way = ObjectRef(object_id=name, label=name, room=ZONE)
     return program.model_copy(
