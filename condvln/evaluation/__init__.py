@@ -1,1 +1,1 @@
-"""Episodes and what agents did in them → metrics, intervals, tables."""
+"""Evaluation: from episodes and agents' predictions to metrics, confidence intervals and tables."""

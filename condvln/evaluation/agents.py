@@ -1,7 +1,7 @@
-"""Reference agents that need no simulator and no learning: upper bound, lower bound, and guessers.
+"""Reference agents without simulator or learning: an upper bound, a lower bound, and guessers.
 
-Each walks on the navmesh in VLN-CE's actions; ``perfect`` alone glides along the reference path itself. Their expected
-scores are in docs/metrics.md.
+All walk on the navmesh with VLN-CE's actions, except ``perfect``, which moves along the reference path itself. Their
+expected scores are in docs/metrics.md.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ __all__ = ["AGENTS", "Agent", "agent_named", "predict_all", "walk_to_leaf"]
 
 
 class Agent(Protocol):
-    """What a reference agent does in one episode; the same for one seed, whatever came before."""
+    """A reference agent: maps (task, pathfinder, seed) to its prediction, independent of other episodes."""
 
     def __call__(self, task: Task, pathfinder: Pathfinder, seed: int) -> Prediction: ...
 
 
 def walk_to_leaf(task: Task, pathfinder: Pathfinder, leaf: int) -> Prediction:
-    """Through the leaf's subgoals to the goal where its path ends, and STOP; as far as the step budget goes."""
+    """Walk through the leaf's subgoals to the goal at the end of its path and stop there, within the step budget."""
     target = task.leaves[leaf]
     heading = heading_of(task.start_rotation)
     follower = Follower(pathfinder, VLN_CE)
@@ -44,44 +44,44 @@ def walk_to_leaf(task: Task, pathfinder: Pathfinder, leaf: int) -> Prediction:
 
 
 def perfect(task: Task, pathfinder: Pathfinder, seed: int) -> Prediction:
-    """The reference path of the gold leaf, 0.25 m at a time, whatever the headings."""
+    """Follow the gold leaf's reference path in steps of 0.25 m, without regard to headings."""
     points = densify(task.gold.path, PATH_SPACING)
     return Prediction(task.episode_id, points, True, False, None, np.zeros(len(points)))
 
 
 def oracle(task: Task, pathfinder: Pathfinder, seed: int) -> Prediction:
-    """Knows every condition's truth and the map."""
+    """Walk to the gold leaf, knowing every condition's truth and the map."""
     return walk_to_leaf(task, pathfinder, task.gold_leaf)
 
 
 def wrong_branch(task: Task, pathfinder: Pathfinder, seed: int) -> Prediction:
-    """Goes to some leaf, never the right one."""
+    """Walk to a random wrong leaf."""
     others = [leaf for leaf in range(len(task.leaves)) if leaf != task.gold_leaf]
     return walk_to_leaf(task, pathfinder, others[_draw(seed, "wrong-branch", task, len(others))])
 
 
 def random_leaf(task: Task, pathfinder: Pathfinder, seed: int) -> Prediction:
-    """Goes to any leaf, each as likely."""
+    """Walk to a leaf drawn uniformly."""
     return walk_to_leaf(task, pathfinder, _draw(seed, "random-leaf", task, len(task.leaves)))
 
 
 def always_then(task: Task, pathfinder: Pathfinder, seed: int) -> Prediction:
-    """Takes every condition for true."""
+    """Walk to the leaf that is reached if every condition is true."""
     return walk_to_leaf(task, pathfinder, task.program.gold_leaf([True] * len(task.program.conditions)))
 
 
 def always_else(task: Task, pathfinder: Pathfinder, seed: int) -> Prediction:
-    """Takes every condition for false."""
+    """Walk to the leaf that is reached if every condition is false."""
     return walk_to_leaf(task, pathfinder, task.program.gold_leaf([False] * len(task.program.conditions)))
 
 
 def nearest(task: Task, pathfinder: Pathfinder, seed: int) -> Prediction:
-    """Goes to the leaf whose goal is nearest to the start."""
+    """Walk to the leaf whose goal is nearest to the start."""
     return walk_to_leaf(task, pathfinder, int(np.argmin([leaf.geodesic_distance for leaf in task.leaves])))
 
 
 def coin_flip(task: Task, pathfinder: Pathfinder, seed: int) -> Prediction:
-    """Answers every condition it meets by a coin: shallow leaves are then likelier than deep ones."""
+    """Answer every condition on the way at random, so that shallow leaves are likelier than deep ones."""
     truths = (
         generator(seed, "coin-flip", task.episode_hash or task.episode_id)
         .integers(0, 2, len(task.program.conditions))
@@ -91,7 +91,7 @@ def coin_flip(task: Task, pathfinder: Pathfinder, seed: int) -> Prediction:
 
 
 def stop_at_start(task: Task, pathfinder: Pathfinder, seed: int) -> Prediction:
-    """Says STOP and nothing else."""
+    """Stop at the start without moving."""
     points = np.vstack([task.start, task.start])
     return Prediction(
         task.episode_id, points, True, True, np.zeros(2, bool), np.full(2, heading_of(task.start_rotation))
@@ -109,25 +109,25 @@ AGENTS: Final[Mapping[str, Agent]] = {
     "nearest": nearest,
     "stop-at-start": stop_at_start,
 }
-"""By the name that ``condvln walk --agent`` takes."""
+"""The reference agents by the name that ``condvln walk --agent`` takes."""
 
 
 def agent_named(name: str) -> Agent:
-    """The agent of a name.
+    """Return the reference agent of a name.
 
     Raises
     ------
-    UsageError : there is none
+    UsageError : there is no agent of this name
     """
     if name not in AGENTS:
-        raise UsageError(f"no agent {name!r}", remedy=f"There are {', '.join(AGENTS)}")
+        raise UsageError(f"no agent {name!r}", remedy=f"Choose one of {', '.join(AGENTS)}")
     return AGENTS[name]
 
 
 def predict_all(
     agent: Agent, tasks: Iterable[Task], pathfinder_of: Callable[[Task], Pathfinder], *, seed: int = 0
 ) -> Iterator[Prediction]:
-    """Predictions of an agent, one episode at a time."""
+    """Yield the agent's prediction for each task, one at a time."""
     for task in tasks:
         yield agent(task, pathfinder_of(task), seed)
 

@@ -1,5 +1,6 @@
-"""Scores → means by group: main table, axes, sweeps, confusion of leaves, counterfactual groups, two agents side by
-side."""
+"""Aggregate scores: means by group, axis and success distance, leaf confusion, counterfactual groups, paired
+comparison.
+"""
 
 from __future__ import annotations
 
@@ -74,7 +75,7 @@ def summary(
     seed: int = 0,
     measures: Sequence[str] = MEASURES,
 ) -> Summary:
-    """Means over the episodes ``where`` (n,), or all."""
+    """Return the means over the episodes selected by the mask ``where`` (n,), or over all."""
     chosen = np.ones(len(evaluation), dtype=bool) if where is None else where
     scenes = evaluation.axes["scene"][chosen].astype(str)
     estimates = {name: estimate(evaluation.scores[name][chosen], scenes, seed=seed) for name in measures}
@@ -82,15 +83,15 @@ def summary(
 
 
 def by_axis(evaluation: Evaluation, *axes: str, seed: int = 0, measures: Sequence[str] = MEASURES) -> list[Summary]:
-    """One summary for each combination of values of ``axes`` that occurs, sorted.
+    """Return one summary for each combination of values of ``axes`` that occurs, sorted.
 
     Raises
     ------
-    UsageError : no such axis
+    UsageError : an axis is unknown
     """
     unknown = [axis for axis in axes if axis not in evaluation.axes]
     if unknown:
-        raise UsageError(f"no axis {unknown[0]!r}", remedy=f"Axes are {', '.join(evaluation.axes)}")
+        raise UsageError(f"no axis {unknown[0]!r}", remedy=f"Choose from {', '.join(evaluation.axes)}")
     keys = list(zip(*(evaluation.axes[axis].tolist() for axis in axes), strict=True))
     rows: dict[tuple[Any, ...], list[int]] = defaultdict(list)
     for row, key in enumerate(keys):
@@ -104,7 +105,7 @@ def by_axis(evaluation: Evaluation, *axes: str, seed: int = 0, measures: Sequenc
 
 
 def sweep_summary(evaluation: Evaluation, *, seed: int = 0) -> list[Summary]:
-    """One summary for each success distance of the sweep."""
+    """Return one summary for each success distance of the sweep."""
     scenes = evaluation.axes["scene"].astype(str)
     return [
         Summary(
@@ -118,10 +119,11 @@ def sweep_summary(evaluation: Evaluation, *, seed: int = 0) -> list[Summary]:
 
 @dataclass(frozen=True)
 class GroupAccuracy:
-    """Counterfactual groups: episodes that differ in what is true, and so in where to go.
+    """Accuracy over counterfactual groups: episodes with the same text whose conditions differ in truth, and so in gold
+    leaf.
 
-    ``all_right`` is the share of groups in which every episode succeeded: an agent that ignores the condition gets at
-    best one of each. ``single`` is the mean success of the same episodes. Intervals draw scenes, as everywhere.
+    ``all_right`` is the share of groups in which every episode succeeded; an agent that ignores the conditions succeeds
+    in at most one episode of each. ``single`` is the mean success over the same episodes. Intervals resample scenes.
     """
 
     groups: int
@@ -132,7 +134,7 @@ class GroupAccuracy:
 
 
 def group_accuracy(evaluation: Evaluation, *, seed: int = 0) -> GroupAccuracy:
-    """Summary over the groups that have at least two episodes in the split."""
+    """Return the accuracy over the groups that have at least two episodes in the split."""
     members: dict[str, list[int]] = defaultdict(list)
     for row, group in enumerate(evaluation.group_ids):
         if group is not None:
@@ -140,12 +142,12 @@ def group_accuracy(evaluation: Evaluation, *, seed: int = 0) -> GroupAccuracy:
     rows = [group for group in members.values() if len(group) > 1]
     success, leaf = evaluation.scores["success"], evaluation.scores["leaf_correct"]
     scenes = evaluation.axes["scene"].astype(str)
-    # A group is of one scene.
+    # All episodes of a group are in one scene.
     of_groups = scenes[[group[0] for group in rows]]
     flat = [row for group in rows for row in group]
 
     def share(scores: npt.NDArray[np.float64]) -> Estimate:
-        # All are right where the worst is; one that nobody knows leaves the group unknown.
+        # All are right if the least success is 1; an unknown success makes the group unknown.
         return estimate(np.array([scores[group].min() for group in rows]), of_groups, seed=seed)
 
     return GroupAccuracy(
@@ -154,9 +156,10 @@ def group_accuracy(evaluation: Evaluation, *, seed: int = 0) -> GroupAccuracy:
 
 
 def leaf_confusion(evaluation: Evaluation) -> dict[str, npt.NDArray[np.int64]]:
-    """By category, counts of (gold leaf, leaf committed to); the last column counts agents that committed to none.
+    """Return, by category, counts of (gold leaf, committed leaf); the last column counts episodes without a committed
+    leaf.
 
-    Empty where nothing tells which leaf was reached, as in others' results.
+    Empty if the results do not say which leaf was reached, as in results of other evaluators.
     """
     tables: dict[str, npt.NDArray[np.int64]] = {}
     if np.isnan(evaluation.scores["leaf_correct"]).any():
@@ -167,15 +170,16 @@ def leaf_confusion(evaluation: Evaluation) -> dict[str, npt.NDArray[np.int64]]:
         leaves = int(evaluation.n_leaves[rows].max())
         table = np.zeros((leaves, leaves + 1), dtype=np.int64)
         committed = evaluation.scores["committed_leaf"][rows].astype(np.int64)
-        np.add.at(table, (evaluation.gold_leaf[rows], committed), 1)  # −1, no leaf, is the last column
+        np.add.at(table, (evaluation.gold_leaf[rows], committed), 1)  # −1 (no leaf) indexes the last column
         tables[str(category)] = table
     return tables
 
 
 def divergences(evaluation: Evaluation, tasks: Sequence[Task]) -> dict[int, tuple[int, int]]:
-    """By place on the gold route (0 = the first condition): episodes that met it on their way, and that erred there.
+    """Return, by position on the gold path (0 is the first condition), the number of episodes that reached that
+    condition and the number that answered it wrongly.
 
-    Only episodes that committed to a leaf are counted.
+    Only episodes with a committed leaf count.
     """
     met: dict[int, int] = defaultdict(int)
     erred: dict[int, int] = defaultdict(int)
@@ -193,11 +197,11 @@ def divergences(evaluation: Evaluation, tasks: Sequence[Task]) -> dict[int, tupl
 
 
 def compare(first: Evaluation, second: Evaluation, measure: str = "success", *, seed: int = 0) -> PairedTest:
-    """Paired test of two agents on one split.
+    """Return the paired test of two agents on one split.
 
     Raises
     ------
-    UsageError : they were not evaluated on the same episodes
+    UsageError : the agents were not evaluated on the same episodes
     """
     if first.episode_ids != second.episode_ids:
         raise UsageError(

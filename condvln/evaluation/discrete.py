@@ -1,8 +1,8 @@
-"""The Matterport3DSimulator variant: paths over the viewpoints of a connectivity graph.
+"""Evaluation in the discrete setting of Matterport3DSimulator: paths over the viewpoints of a connectivity graph.
 
-Definitions of R2R's ``eval.py``: distances are shortest paths in the graph, an episode succeeds when its last
-viewpoint is nearer than 3 m to the goal, there is no STOP flag. nDTW and CLS take the same distances, as the discrete
-agents' evaluators do.
+The definitions are those of R2R's ``eval.py``: distances are shortest paths in the graph, an episode succeeds if its
+last viewpoint is less than 3 m from the goal, and there is no STOP flag. nDTW and CLS use the same distances, as the
+evaluators of discrete agents do.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ Table = npt.NDArray[np.float64]
 
 
 class GraphDistances:
-    """Shortest distances between all viewpoints of a scan, metres, infinite where there is no way."""
+    """Shortest-path distances in metres between all viewpoints of a scan; infinite if they are not connected."""
 
     def __init__(self, graph: ViewpointGraph) -> None:
         self.numbers = {name: number for number, name in enumerate(graph.ids)}
-        # A zero would read as no edge.
+        # A zero would mean "no edge".
         weights = np.maximum(graph.lengths, np.finfo(float).tiny)
         count = len(graph.ids)
         edges = csr_array((weights, (graph.edges[:, 0], graph.edges[:, 1])), shape=(count, count))
@@ -54,7 +54,7 @@ class GraphDistances:
 
     @classmethod
     def load(cls, path: Path) -> GraphDistances:
-        """Distances of ``<scan>_connectivity.json``.
+        """Read the distances from ``<scan>_connectivity.json``.
 
         Raises
         ------
@@ -63,29 +63,29 @@ class GraphDistances:
         return cls(read_connectivity(path))
 
     def between(self, first: Sequence[int], second: Sequence[int]) -> Table:
-        """Distances of all pairs, (len(first), len(second))."""
+        """Return the distances of all pairs, (len(first), len(second)), in metres."""
         found: Table = self._table[np.ix_(first, second)]
         return found
 
     def along(self, path: Sequence[int]) -> float:
-        """Length of a path, each two viewpoints in a row joined by their shortest way."""
+        """Return the length in metres of a path, with consecutive viewpoints joined by their shortest path."""
         return float(self._table[list(path[:-1]), list(path[1:])].sum())
 
 
 @dataclass(frozen=True)
 class GraphEpisode:
-    """One instruction of an R2R file."""
+    """One instruction of an R2R file, with its path."""
 
     instruction_id: str
     scan: str
     path: tuple[str, ...]
     branches: GraphBranches | None = None
-    """Where the manifest knows them."""
+    """Viewpoints of the leaves; None if no manifest is known."""
 
 
 @dataclass(frozen=True)
 class GraphBranches:
-    """Viewpoints of all leaves' goals, which of them is right, and the viewpoints to pass on the way there."""
+    """The goal viewpoints of all leaves, the index of the gold one, and the subgoal viewpoints on the gold path."""
 
     leaves: tuple[str, ...]
     gold_leaf: int
@@ -94,9 +94,11 @@ class GraphBranches:
 
 @dataclass(frozen=True)
 class GraphScore:
-    """Measures of one instruction; lengths in metres, NaN where a measure is undefined. ``spl_route`` takes the length
-    of the reference path, which passes the subgoals; BSA and CSR are those of :class:`~condvln.evaluation.score.Score`,
-    by graph distances under the same margin."""
+    """Measures of one instruction; lengths in metres, NaN where a measure is undefined.
+
+    ``spl_route`` uses the length of the reference path, which includes the subgoals. BSA and CSR are defined as in
+    :class:`~condvln.evaluation.score.Score`, with graph distances and the same margin.
+    """
 
     path_length: float
     navigation_error: float
@@ -116,11 +118,11 @@ class GraphScore:
 
 
 def read_graph_episodes(path: Path) -> list[GraphEpisode]:
-    """Instructions of an R2R file, ids ``<path_id>_<number>``.
+    """Read the instructions of an R2R file; their ids are ``<path_id>_<number>``.
 
     Raises
     ------
-    FormatError : not an R2R file
+    FormatError : the file is not an R2R file
     """
     records = document(path)
     if not isinstance(records, list):
@@ -159,7 +161,7 @@ def evaluate_graph(
     margin: float = ERROR_MARGIN,
     where: str = "",
 ) -> dict[str, GraphScore]:
-    """Scores by instruction id; instructions without a prediction, or with an empty one, are failures.
+    """Return the scores by instruction id; instructions without a prediction, or with an empty one, count as failures.
 
     Raises
     ------

@@ -1,8 +1,8 @@
-"""Results of other evaluators, episode by episode: ``stats_<id>.json`` files, or one object of them by id.
+"""Read per-episode results of other evaluators: ``stats_<id>.json`` files, or one object of results by episode id.
 
-Re-aggregated they get the tables and intervals of everything else. Only what is in them is used; their goals, budgets
-and success distances are their own (see docs/metrics.md before comparing). Numbers that are not finite count as
-undefined, never as 0.
+They are aggregated into the same tables and intervals as our own scores. Their goals, budgets and success distances are
+those of the other evaluator (see docs/metrics.md before comparing). Numbers that are not finite count as undefined,
+never as 0.
 """
 
 from __future__ import annotations
@@ -41,23 +41,23 @@ NAMES: Final[Mapping[str, str]] = {
     "csr": "csr_all",
     "conditional_success_rate": "csr_all",
 }
-"""Their names and ours."""
+"""The names of measures in those files, and our names for them."""
 
 _UNBOUNDED: Final = {"navigation_error", "path_length", "steps", "collisions"}
 """Measures that are not rates: metres and counts."""
 LARGEST: Final = 1e7
-"""Metres and counts of one episode, at most."""
+"""Largest accepted value of an episode's metres and counts."""
 TOLERANCE: Final = 1e-6
-"""By which rounding may carry a rate beyond 0 and 1."""
+"""Tolerance for rates beyond 0 and 1 due to rounding."""
 
 _PREFIX: Final = "stats_"
 _BY_ID: Final = re.compile(rb'\s*\{\s*"(?:[^"\\]|\\.)*"\s*:\s*\{')
-"""How ``{id: {measure: number}}`` begins; predictions by id are lists."""
+"""How ``{id: {measure: number}}`` begins; the values of predictions are lists instead."""
 _HEAD: Final = 1 << 12
 
 
 class Judged(Protocol):
-    """What is asked of an episode that results are of: a task, or an episode of a stock file."""
+    """What is needed of the episode that a result belongs to: a task, or an episode of a stock file."""
 
     @property
     def episode_id(self) -> str: ...
@@ -82,14 +82,14 @@ class Judged(Protocol):
 
 
 def is_episode_stats(path: Path) -> bool:
-    """Is this a folder or file of measures, and not of predictions?"""
+    """Return whether a folder or file holds per-episode measures rather than predictions."""
     if path.is_dir() or path.name.startswith(_PREFIX):
         return True
     return _BY_ID.match(head(path, _HEAD)) is not None
 
 
 def read_episode_stats(path: Path) -> dict[str, dict[str, float]]:
-    """Measures by episode id, under our names.
+    """Return the measures by episode id, under our names.
 
     Parameters
     ----------
@@ -97,14 +97,14 @@ def read_episode_stats(path: Path) -> dict[str, dict[str, float]]:
 
     Raises
     ------
-    FormatError : not such files, or one id twice
+    FormatError : the files have another format, or an id occurs twice
     """
     found: dict[str, dict[str, float]] = {}
     for file in sorted(path.glob(f"{_PREFIX}*.json")) if path.is_dir() else [path]:
         for name, stats, place in _of_file(file):
             if name in found:
                 raise FormatError(
-                    "the files hold two results of it",
+                    "the files hold two results of this episode",
                     where=file,
                     place=f"episode {name}",
                     remedy="Keep one of the two",
@@ -118,7 +118,7 @@ def read_episode_stats(path: Path) -> dict[str, dict[str, float]]:
 
 
 def _of_file(path: Path) -> Iterator[tuple[str, Mapping[str, Any], str]]:
-    # A file of one episode holds numbers, a file of many holds objects; numbers may be NaN.
+    # A file of one episode holds numbers, a file of several holds objects; numbers may be NaN.
     content = document(path, nonfinite=True)
     if isinstance(content, dict) and content and all(isinstance(value, dict) for value in content.values()):
         yield from ((str(name), stats, f"episode {name}") for name, stats in content.items())
@@ -128,7 +128,7 @@ def _of_file(path: Path) -> Iterator[tuple[str, Mapping[str, Any], str]]:
         raise FormatError(
             "the file is neither {episode id: {measure: number}} nor one episode's measures",
             where=path,
-            remedy=f"Name a folder of {_PREFIX}<id>.json files or one object of them",
+            remedy=f"Name a folder of {_PREFIX}<id>.json files or one object of results by id",
         )
 
 
@@ -136,14 +136,14 @@ def _measures(stats: Mapping[str, Any], path: Path, place: str) -> dict[str, flo
     measures = {}
     for theirs, ours in NAMES.items():
         value = stats.get(theirs)
-        if isinstance(value, dict):  # habitat-lab's collisions are {count, is_collision}
+        if isinstance(value, dict):  # habitat-lab writes collisions as {count, is_collision}
             value = value.get("count")
         if value is None:
             continue
         if not isinstance(value, int | float):
             _refuse(path, place, f"{theirs} is not a number")
         most = LARGEST if ours in _UNBOUNDED else 1
-        # A number that is not finite counts as undefined; one beyond its range is a mistake of the file.
+        # A non-finite number counts as undefined; a finite one out of range is an error of the file.
         if abs(value) < math.inf and not -TOLERANCE <= value <= most + TOLERANCE:
             _refuse(path, place, f"{theirs} is {value!r:.40}, outside of 0 to {most:g}")
         measures[ours] = float(value) if abs(value) < math.inf else math.nan
@@ -157,19 +157,22 @@ def _refuse(path: Path, place: str, what: str) -> NoReturn:
 def evaluation_of_stats(
     tasks: Sequence[Judged], stats: Mapping[str, Mapping[str, float]], *, agent: str = "agent", where: str = ""
 ) -> Evaluation:
-    """Scores of a split from such results; an episode without any is a failure. A measure that none of them has is
-    undefined: BSA and CSR of stock VLN-CE's results are not made of its success.
+    """Return the scores of a split from such results; an episode without a result is a failure.
+
+    A measure that no result has is undefined: BSA and CSR are not derived from the success of stock VLN-CE's results.
 
     Raises
     ------
-    FormatError : results of an episode that is not in the split
+    FormatError : a result's episode is not in the split, or has two results
     """
     known = {name: task.episode_id for task in tasks for name in (task.episode_id, *task.aliases)}
     results: dict[str, Mapping[str, float]] = {}
     for name, measures in stats.items():
         if name not in known:
             raise FormatError(
-                f"no episode {name!r} in this split", where=where or None, remedy="Name the split they are of"
+                f"no episode {name!r} in this split",
+                where=where or None,
+                remedy="Name the split that the results are of",
             )
         if known[name] in results:
             raise FormatError(f"two results of episode {name!r}", where=where or None, remedy="Keep one of the two")
@@ -190,7 +193,7 @@ def evaluation_of_stats(
 
 
 def _row(task: Judged, stats: Mapping[str, float] | None, told: Set[str]) -> dict[str, float]:
-    """Scores of one task; ``told`` are the measures that any of the results has."""
+    """Return the scores of one task; ``told`` : the measures that any of the results has."""
     branches = "bsa_all" in told or "csr_all" in told
     if stats is None:
         failed = dict.fromkeys(told - {"navigation_error", "steps", "collisions"}, 0.0)
@@ -210,7 +213,7 @@ def _row(task: Judged, stats: Mapping[str, float] | None, told: Set[str]) -> dic
 
 
 def _by_the_paper(task: Judged, success: float, bsa: float, csr: float) -> dict[str, float]:
-    """BSA and CSR over all episodes, and by the paper's rule for episodes without subgoals."""
+    """Return BSA and CSR over all episodes, and by the paper's rule for episodes without subgoals."""
     if task.subgoals:
         return {"bsa": bsa, "csr": csr, "bsa_all": bsa, "csr_all": csr}
     paper = 1.0 if success == 1 else math.nan

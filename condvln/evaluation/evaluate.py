@@ -1,4 +1,4 @@
-"""A split and one agent's predictions → a table of scores, one row an episode."""
+"""Score one agent's predictions on a split: a table with one row per episode."""
 
 from __future__ import annotations
 
@@ -30,21 +30,21 @@ AXES: Final = (
     "route",
     "words",
 )
-"""Columns by which scores are grouped."""
+"""Columns by which scores can be grouped."""
 
 SWEPT: Final = ("success", "oracle_success", "spl", "bsa_all", "csr_all", "leaf_correct")
-"""Measures that depend on the success distance and are kept for each of a sweep."""
+"""Measures that depend on the success distance; computed for each distance of a sweep."""
 
 PathfinderOf = Callable[[Task], PathfinderProtocol]
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """Scores of one agent on one split.
+    """The scores of one agent on one split.
 
     Attributes
     ----------
-    episode_ids, group_ids : of the n rows, in the order of the manifest
+    episode_ids, group_ids : ids of the n rows, in the order of the manifest
     axes : (n,) object arrays by name (:data:`AXES`)
     gold_leaf, n_leaves : (n,)
     scores : (n,) float64 arrays by the names of :class:`~condvln.evaluation.score.Score`
@@ -70,12 +70,12 @@ class Evaluation:
 
     @property
     def means(self) -> dict[str, float]:
-        """Mean of each measure over the episodes for which it is defined; NaN where there are none."""
+        """Mean of each measure over the episodes for which it is defined; NaN if there are none."""
         defined = {name: values[~np.isnan(values)] for name, values in self.scores.items()}
         return {name: float(values.mean()) if len(values) else float("nan") for name, values in defined.items()}
 
     def rows(self) -> list[dict[str, Any]]:
-        """One dictionary an episode: id, axes, scores; undefined measures are None."""
+        """Return one dictionary per episode: id, axes, scores; undefined measures are None."""
         columns: dict[str, list[Any]] = {"episode_id": list(self.episode_ids)}
         columns |= {name: values.tolist() for name, values in self.axes.items()}
         columns |= {"gold_leaf": self.gold_leaf.tolist()}
@@ -95,18 +95,18 @@ def evaluate(
     radii: Sequence[float] = (),
     prune: bool = True,
 ) -> Evaluation:
-    """Score every task; tasks without a prediction count as failures.
+    """Score every task; a task without a prediction counts as a failure.
 
     Parameters
     ----------
-    pathfinder_of : navigation backend of a task's scene
+    pathfinder_of : returns the pathfinder of a task's scene
     where : name of the predictions' file, for messages
     radii : success distances of a sweep, metres
-    prune : ask distances only where they can matter; off, every position is asked about, for the same numbers
+    prune : compute only distances that can matter; if False, compute all of them, with equal results
 
     Raises
     ------
-    FormatError : a prediction of an unknown episode, or two of one, or one that starts elsewhere
+    FormatError : a prediction is of an unknown episode, repeated, or starts elsewhere
     """
     rules = rules or ScoreRules()
     numbers = {task.episode_id: number for number, task in enumerate(tasks)}

@@ -1,4 +1,4 @@
-"""An export as a notebook opens it: its splits, episodes, tasks and navmeshes, and the scores of an agent."""
+"""An export opened in Python: its splits, episodes, tasks and navmeshes, and the scores of an agent."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PathLike = str | os.PathLike[str]
 
 
 class Export:
-    """The folder of an export; see :func:`open_export`."""
+    """An export folder, opened; see :func:`open_export`."""
 
     def __init__(self, folder: Path, roots: Sequence[Path]) -> None:
         self.folder = folder
@@ -41,20 +41,20 @@ class Export:
         return {path.stem: sum(1 for _ in manifest_lines(path)) for path in manifest_paths(self.folder)}
 
     def episodes(self, split: str) -> list[ManifestEpisode]:
-        """The whole truth about each episode of a split: program, truths, gold leaf, all leaves, distances.
+        """Return the full ground truth of a split's episodes: program, truths, gold leaf, all leaves, distances.
 
         Raises
         ------
-        MissingFileError, FormatError : there is no such split, or its manifest is damaged
+        MissingFileError, FormatError : the split does not exist, or its manifest is damaged
         """
         return list(read_manifest(manifest_path(self.folder, split)))
 
     def tasks(self, split: str) -> list[Task]:
-        """The episodes of a split as the metrics need them. Errors as :meth:`episodes`."""
+        """Return the episodes of a split as tasks, the input of the metrics. Raises the errors of :meth:`episodes`."""
         return split_tasks(self.folder, split)
 
     def pathfinder(self, episode: Task | ManifestEpisode) -> Pathfinder:
-        """The pathfinder of an episode's scene.
+        """Return the pathfinder of an episode's scene.
 
         Raises
         ------
@@ -64,27 +64,27 @@ class Export:
         return self._navmeshes(episode)
 
     def run(self, split: str, policy: Policy) -> list[Prediction]:
-        """Let an agent walk every episode of a split on its navmesh, without a simulator."""
+        """Let an agent walk every episode of a split on its navmesh and return the predictions."""
         return [walk(task, policy, self.pathfinder(task)) for task in self.tasks(split)]
 
     def evaluate(
         self, split: str, predictions: Sequence[Prediction], *, agent: str = "agent", rules: ScoreRules | None = None
     ) -> Evaluation:
-        """Scores of one agent's predictions on a split, one row an episode; ``Evaluation.means`` sums them up.
+        """Score one agent's predictions on a split, one row per episode; ``Evaluation.means`` has the means.
 
         Raises
         ------
-        FormatError : an unknown or repeated episode, a path that begins elsewhere
+        FormatError : an episode is unknown or repeated, or a path does not begin at the start
         """
         return evaluate(self.tasks(split), predictions, self._navmeshes, rules or ScoreRules(), agent=agent)
 
 
 def open_export(folder: PathLike, roots: Sequence[PathLike] = ()) -> Export:
-    """The export in a folder.
+    """Open the export in a folder.
 
     Parameters
     ----------
-    roots : folders of the datasets, whose own navmeshes an export does not hold
+    roots : folders of the datasets whose navmeshes the export does not contain
 
     Raises
     ------
@@ -93,6 +93,6 @@ def open_export(folder: PathLike, roots: Sequence[PathLike] = ()) -> Export:
     path = Path(folder)
     if not manifest_paths(path):
         raise MissingFileError(
-            "no manifest/<split>.jsonl here", where=path, remedy="Name the folder that condvln export wrote"
+            "no manifest/<split>.jsonl in this folder", where=path, remedy="Name the folder that condvln export wrote"
         )
     return Export(path, [Path(root) for root in roots])

@@ -1,7 +1,8 @@
-"""Geodesic distances of a path to goals, asked only where the answer can matter.
+"""Geodesic distances from a path to goals, computed only where they can matter.
 
-A geodesic is never shorter than the straight line between the two snapped points, so a position farther than that from
-a goal need not be asked about: except where snapping moved a point, since habitat-sim measures from the point as given.
+A geodesic is never shorter than the straight line between the two snapped points, so a position whose straight line
+is longer than the radius can be skipped. The exception is a position that snapping moved: habitat-sim measures from the
+position as given.
 """
 
 from __future__ import annotations
@@ -19,19 +20,18 @@ __all__ = ["SLACK", "SNAPPED", "Nearness", "SnappedPath"]
 Points = npt.NDArray[np.float64]
 
 SLACK: Final = 0.01
-"""Metres added to a radius before the straight line rules a position out: float32 sums and points up to 1 cm off the
-mesh."""
+"""Metres added to the radius before a position is skipped, for float32 sums and points up to 1 cm off the mesh."""
 
 SNAPPED: Final = 0.01
-"""A point that snapping moves farther than this (metres) is always asked about."""
+"""If snapping moves a point farther than this (metres), its distance is always computed."""
 
 _WAVE: Final = 8
-"""Candidates asked about in the first batch; each batch is twice the one before."""
+"""Number of candidates in the first batch; each batch is twice as large as the one before."""
 
 
 @dataclass(frozen=True, eq=False)
 class SnappedPath:
-    """A path (n, 3), where each of its points snaps to (NaN where nowhere), and which were moved by it."""
+    """A path (n, 3), the snapped position of each point (NaN if there is none), and which points snapping moved."""
 
     positions: Points
     snapped: Points
@@ -39,15 +39,15 @@ class SnappedPath:
 
 
 class Nearness:
-    """Distances in one scene; unreachable is infinite, never NaN."""
+    """Distances in metres in one scene; unreachable is infinite, never NaN."""
 
     def __init__(self, pathfinder: PathfinderProtocol, *, prune: bool = True) -> None:
         self._pathfinder = pathfinder
         self._prune = prune
 
     def snap(self, positions: Points) -> SnappedPath:
-        """A path made ready for the questions below."""
-        # An agent that turns stays where it is: those poses are snapped once.
+        """Return a path with its snapped positions, as input of the methods below."""
+        # Turning does not change the position: equal consecutive positions are snapped once.
         fresh = np.concatenate(([True], (np.diff(positions, axis=0) != 0).any(axis=1)))
         once = np.asarray(self._pathfinder.snap_points(positions[fresh]), dtype=np.float64).reshape(-1, 3)
         snapped = once[np.cumsum(fresh) - 1]
@@ -55,18 +55,22 @@ class Nearness:
         return SnappedPath(positions, snapped, shift > SNAPPED)
 
     def distance(self, point: Points, goals: Points) -> float:
-        """Metres from ``point`` (3,) to the nearest of ``goals`` (k, 3), as habitat-sim's multi-goal query has it."""
+        """Return metres from ``point`` (3,) to the nearest of ``goals`` (k, 3), as habitat-sim's multi-goal query
+        does.
+        """
         found = float(self._pathfinder.geodesic_distance(point, goals))
         return found if np.isfinite(found) else float("inf")
 
     def ever_within(self, path: SnappedPath, goals: Points, radius: float) -> bool:
-        """Is some position of ``path`` nearer than ``radius`` to one of ``goals``?"""
+        """Return whether any position of ``path`` is less than ``radius`` metres from any of ``goals``."""
         candidates, straight = self._candidates(path, goals, radius)
         order = candidates[np.argsort(straight[candidates], kind="stable")]
         return any(self.distance(path.positions[at], goals) < radius for at in order)
 
     def first_within(self, path: SnappedPath, goal: Points, radius: float, begin: int = 0) -> int | None:
-        """Index of the first position at or after ``begin`` that is nearer than ``radius`` to ``goal`` (3,)."""
+        """Return the index of the first position from ``begin`` on that is less than ``radius`` metres from ``goal``
+        (3,).
+        """
         candidates = self._candidates(path, goal[None], radius)[0]
         candidates = candidates[np.searchsorted(candidates, begin) :]
         size = _WAVE
@@ -80,7 +84,9 @@ class Nearness:
         return None
 
     def _candidates(self, path: SnappedPath, goals: Points, radius: float) -> tuple[npt.NDArray[np.intp], Points]:
-        """Positions that must be asked about, and the straight-line distance of all to the nearest snapped goal."""
+        """Return the positions whose distance must be computed, and all straight-line distances to the nearest
+        snapped goal.
+        """
         targets = self.snap(goals)
         apart = path.snapped[:, None, :] - targets.snapped[None, :, :]
         lines = np.sqrt(np.square(apart).sum(axis=2))

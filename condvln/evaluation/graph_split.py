@@ -1,7 +1,7 @@
-"""An R2R file and files of viewpoint predictions → evaluations, one an agent: the discrete variant's tables.
+"""Evaluate viewpoint predictions against an R2R file: one evaluation per agent, for the discrete tables.
 
-Where the file is of an export, its manifest tells the branches and the axes; a stranger's R2R file gets R2R's own
-measures by scan.
+If the file belongs to an export, its manifest gives the branches and axes. Another R2R file gets R2R's own measures,
+grouped by scan.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ NAN: Final = float("nan")
 
 
 def r2r_file(export: Path, split: str) -> Path:
-    """The R2R file of a split: in an export, or in a folder of R2R's own.
+    """Return the R2R file of a split, in an export or in a folder of R2R's own files.
 
     Raises
     ------
-    MissingFileError : there is none
+    MissingFileError : the split has no R2R file
     """
     name = f"R2R_{split}.json"
     found = next((path for path in (export / "r2r" / name, export / name) if path.is_file()), None)
@@ -58,17 +58,17 @@ class GraphSplit:
 
     Parameters
     ----------
-    tasks : of the same split's manifest, as far as it is known
+    tasks : tasks of the split's manifest, if it is known
     graphs : connectivity by scan
 
     Attributes
     ----------
-    tasks : those that the R2R file holds, in its order; none for a stranger's file
+    tasks : the tasks that are in the R2R file, in its order; empty for a file that is not ours
 
     Raises
     ------
-    MissingFileError : a scan without a graph
-    FormatError : not an R2R file
+    MissingFileError : a scan has no graph
+    FormatError : the file is not an R2R file
     """
 
     def __init__(self, file: Path, tasks: Iterable[Task], graphs: Mapping[str, GraphPathfinder]) -> None:
@@ -90,11 +90,11 @@ class GraphSplit:
     def evaluate(
         self, predictions: Sequence[GraphPrediction], *, agent: str, where: str = "", radii: Sequence[float] = ()
     ) -> Evaluation:
-        """Scores of one agent, and at the success distances ``radii`` (metres).
+        """Score one agent's predictions, also at the success distances ``radii`` (metres).
 
         Raises
         ------
-        FormatError : an unknown instruction or viewpoint, a path that begins elsewhere
+        FormatError : an instruction or viewpoint is unknown, or a path begins elsewhere
         """
         scores, *swept = (
             list(evaluate_graph(self._episodes, predictions, self._distances, margin=margin, where=where).values())
@@ -130,14 +130,14 @@ def _with_branches(episode: GraphEpisode, task: Task | None, graphs: Mapping[str
     graph = graphs[episode.scan]
     leaves = [graph.viewpoint(leaf.goals[0]) for leaf in task.leaves]
     subgoals = [graph.viewpoint(subgoal) for subgoal in task.gold.subgoals]
-    if None in leaves or None in subgoals:  # the graph is not the one that the export was made with
+    if None in leaves or None in subgoals:  # the graph differs from the one that the export was made with
         return episode
     branches = GraphBranches(tuple(map(str, leaves)), task.gold_leaf, tuple(map(str, subgoals)))
     return replace(episode, branches=branches)
 
 
 def _row(score: GraphScore, task: Task | None) -> dict[str, float]:
-    """The score's measures by the names of the continuous ones. What is infinite is undefined, never a good number."""
+    """Return the score under the names of the continuous measures; infinite values become undefined (NaN)."""
     unreachable = not np.isfinite(score.navigation_error)
     row = {item.name: float(getattr(score, item.name)) for item in fields(score)}
     row |= {"navigation_error": NAN if unreachable else row["navigation_error"], "unreachable": float(unreachable)}

@@ -1,7 +1,7 @@
 """The measures of a path against a goal, a reference or a program's branches, as pure functions.
 
 Formulas as in habitat-lab (``tasks/nav/nav.py``), VLN-CE (``habitat_extensions/measures.py``), Ilharco et al. 2019
-(nDTW, SDTW) and Jain et al. 2019 (CLS); docs/metrics.md tells where published evaluators differ.
+(nDTW, SDTW) and Jain et al. 2019 (CLS); docs/metrics.md says where published evaluators differ.
 """
 
 from __future__ import annotations
@@ -36,20 +36,20 @@ __all__ = [
 Points = npt.NDArray[np.float64]
 
 FIDELITY_DISTANCE: Final = 3.0
-"""Metres; the threshold of nDTW and CLS in R2R and VLN-CE, whatever the success distance."""
+"""Metres; the distance threshold of nDTW and CLS in R2R and VLN-CE, independent of the success distance."""
 
 _FAST_RADIUS: Final = 1
 _NOTHING: Final = 1e-6
-"""Metres below which a length counts as none."""
+"""Length in metres below which a path counts as having no length."""
 
 
 def path_length(positions: Points) -> float:
-    """Sum of the Euclidean steps of a path (n, 3), metres."""
+    """Return the sum of the Euclidean steps of a path (n, 3), in metres."""
     return float(np.sqrt(np.square(np.diff(positions, axis=0)).sum(axis=1)).sum())
 
 
 def without_repeats(positions: Points) -> Points:
-    """A path without the points that equal their predecessor: turns on the spot add nothing."""
+    """Return a path without points equal to their predecessor, which turning on the spot creates."""
     if len(positions) == 0:
         return positions
     moved = (np.diff(positions, axis=0) != 0).any(axis=1)
@@ -57,9 +57,9 @@ def without_repeats(positions: Points) -> Points:
 
 
 def spl(success: bool, shortest: float, length: float) -> float:
-    """Success weighted by path length: S · L ÷ max(L, P) (Anderson et al. 2018).
+    """Return success weighted by path length: S · L ÷ max(L, P) (Anderson et al. 2018).
 
-    An unreachable goal gives 0 and a start on the goal without a step gives S, where the plain quotient gives NaN.
+    An unreachable goal gives 0, and a start at the goal without any step gives S; the plain quotient would give NaN.
     """
     if not success or not np.isfinite(shortest):
         return 0.0
@@ -69,11 +69,11 @@ def spl(success: bool, shortest: float, length: float) -> float:
 
 
 def ndtw(path: Points, reference: Points, distance: float = FIDELITY_DISTANCE, *, fast: bool = False) -> float:
-    """Normalised dynamic time warping: exp(−DTW(P, R) ÷ (|R| · d)).
+    """Return the normalised dynamic time warping: exp(−DTW(P, R) ÷ (|R| · d)).
 
     Parameters
     ----------
-    path : (n, 3) positions, n ≥ 1; repeats of the predecessor are dropped
+    path : (n, 3) positions, n ≥ 1; points equal to their predecessor are dropped
     reference : (m, 3) dense locations
     fast : VLN-CE's approximation (``fastdtw``, radius 1), never below the exact sum
     """
@@ -84,35 +84,37 @@ def ndtw(path: Points, reference: Points, distance: float = FIDELITY_DISTANCE, *
 
 
 def cls(path: Points, reference: Points, distance: float = FIDELITY_DISTANCE) -> float:
-    """Coverage weighted by length score.
+    """Return the coverage weighted by length score (CLS).
 
-    Coverage is the mean over the reference of exp(−distance to the path ÷ d); the length score compares the path's
-    length with coverage × the reference's. A reference of no length scores its coverage when the path has none either.
+    Coverage is the mean over the reference of exp(−distance to the path ÷ d). The length score compares the path's
+    length with coverage × the reference's length. If both lengths are 0, the score is the coverage.
     """
     near = coverage_distances(np.ascontiguousarray(path, dtype=np.float64), np.ascontiguousarray(reference))
     return length_weighted(float(np.exp(-near / distance).mean()), path_length(reference), path_length(path))
 
 
 def length_weighted(coverage: float, reference_length: float, length: float) -> float:
-    """CLS of a coverage and two lengths, metres."""
+    """Return CLS from a coverage and the two lengths in metres."""
     expected = coverage * reference_length
     total = expected + abs(expected - length)
     return coverage if total == 0 else coverage * expected / total
 
 
 NO_LEAF: Final = -1
-"""The agent stopped at no leaf, or did not stop."""
+"""Value for an agent that stopped at no leaf, or did not stop."""
 
 
 def committed_leaf(distances: Sequence[float], radius: float) -> int:
-    """The nearest leaf among those nearer than ``radius`` (metres from where the agent stopped); :data:`NO_LEAF` for
-    none."""
+    """Return the nearest leaf less than ``radius`` away, or :data:`NO_LEAF`.
+
+    distances : metres from the stop position to each leaf
+    """
     nearest = int(np.argmin(distances))
     return nearest if distances[nearest] < radius else NO_LEAF
 
 
 def decisions(program: Program, leaf: int) -> tuple[tuple[int, bool], ...]:
-    """Conditions asked on the way to ``leaf`` and the answer that leads there, from the root."""
+    """Return the (condition index, answer) pairs on the path from the root to ``leaf``."""
 
     def search(at: int) -> tuple[tuple[int, bool], ...] | None:
         if at < 0:
@@ -131,9 +133,10 @@ def decisions(program: Program, leaf: int) -> tuple[tuple[int, bool], ...]:
 
 
 def first_divergence(program: Program, gold: int, committed: int) -> int | None:
-    """How many decisions of the gold route the agent got right before its first wrong one; None if it made none wrong.
+    """Return how many conditions of the gold path the agent answered correctly before its first wrong answer; None if
+    all are correct.
 
-    The condition that it got wrong is ``decisions(program, gold)[…][0]`` at that place.
+    The condition with the wrong answer is ``decisions(program, gold)[n][0]`` for the result n.
     """
     if committed in (gold, NO_LEAF):
         return None
@@ -142,14 +145,16 @@ def first_divergence(program: Program, gold: int, committed: int) -> int | None:
 
 
 DistanceMode = Literal["geodesic", "euclidean"]
-"""How the distance to a subgoal is measured: along the floor (a ball would pass through walls), or as the authors'
-code does."""
+"""How the distance to a subgoal is measured: geodesically (a ball would reach through walls), or as in the authors'
+code.
+"""
 
 
 def reached_in_order(nearness: Nearness, path: SnappedPath, subgoals: Points, radius: float) -> int:
-    """Length of the longest prefix of ``subgoals`` (m, 3) reached in order, geodesically nearer than ``radius``.
+    """Return the length of the longest prefix of ``subgoals`` (m, 3) reached in order, within a geodesic ``radius``
+    (metres).
 
-    One position may reach several; the start counts.
+    One position may reach several subgoals; the start counts.
     """
     at = 0
     for number, subgoal in enumerate(subgoals):
@@ -161,7 +166,9 @@ def reached_in_order(nearness: Nearness, path: SnappedPath, subgoals: Points, ra
 
 
 def reached_in_order_euclidean(positions: Points, subgoals: Points, radius: float) -> int:
-    """As the authors' public evaluator counts: straight line in 3-D, at most ``radius``, one subgoal a pose at most."""
+    """Return the same count as the authors' public evaluator: 3-D straight line, at most ``radius``, one subgoal per
+    pose.
+    """
     reached = 0
     for position in positions:
         if reached == len(subgoals):

@@ -1,4 +1,4 @@
-"""SR, BSA and CSR over all episodes against depth and chain, with intervals and the number of episodes."""
+"""Plot SR, BSA and CSR over all episodes against depth and chain length, with intervals and numbers of episodes."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from schemas.errors import UsageError
 __all__ = ["SHOWN", "axis_figure", "save_figures"]
 
 SHOWN: Final = (("success", "SR"), ("bsa_all", "BSA-all"), ("csr_all", "CSR-all"))
-"""Measures over every episode: by the paper's rule CSR may be above SR."""
+"""Measures over every episode; by the paper's rule CSR could exceed SR."""
 _AXES: Final = ("depth", "chain")
 _SHIFT: Final = 0.06
-"""Share of a unit of the axis by which agents are set apart, so that their intervals do not overlap."""
+"""Horizontal offset between agents as a share of an axis unit, so that their intervals do not overlap."""
 _MARGIN: Final = 4.0
-"""Percent below 0 and above 100 that are drawn, so that the marks of the best and the worst are whole."""
+"""Margin in percent drawn below 0 and above 100, so that markers at the ends are not cut."""
 _MARKERS: Final = "os^Dv<>pX*P"
-"""One more than there are colours: agents keep apart where colours repeat, and in print without any."""
+"""One more than the number of colours, so that agents stay distinct when colours repeat, and in black and white."""
 
 
 def axis_figure(evaluations: Sequence[Evaluation], axis: str, *, seed: int = 0) -> Figure:
-    """One panel a measure, one line an agent; percent with 95 % intervals."""
+    """Return a figure with one panel per measure and one line per agent, in percent with 95 % intervals."""
     figure = Figure(figsize=(3.4 * len(SHOWN) + 1.6, 3.0), layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(1, len(SHOWN), sharey=True, squeeze=False)[0]
@@ -38,7 +38,7 @@ def axis_figure(evaluations: Sequence[Evaluation], axis: str, *, seed: int = 0) 
     for number, evaluation in enumerate(evaluations):
         rows = [row for row in by_axis(evaluation, axis, seed=seed, measures=keys) if row.group[axis] is not None]
         places = np.array([float(row.group[axis]) for row in rows]) + (number - (len(evaluations) - 1) / 2) * _SHIFT
-        # Names of files may hold a dollar sign, which would begin a formula.
+        # File names may contain a dollar sign, which would begin a formula.
         label = evaluation.agent.replace("$", r"\$")
         for panel, (key, _) in zip(panels, SHOWN, strict=True):
             means, low, high = (
@@ -50,7 +50,7 @@ def axis_figure(evaluations: Sequence[Evaluation], axis: str, *, seed: int = 0) 
     for panel, (_, heading) in zip(panels, SHOWN, strict=True):
         _dress(panel, axis, heading, evaluations)
     handles, labels = panels[0].get_legend_handles_labels()
-    # Beside the panels, not in one: there it would hide what it explains.
+    # The legend is beside the panels, since inside one it would hide data.
     figure.legend(handles, labels, loc="outside right upper", frameon=False, fontsize="small")
     return figure
 
@@ -69,15 +69,15 @@ def _dress(panel: Any, axis: str, heading: str, evaluations: Sequence[Evaluation
 
 
 def save_figures(evaluations: Sequence[Evaluation], folder: Path, *, seed: int = 0) -> list[Path]:
-    """Write ``depth.png``, ``depth.pdf``, ``chain.png`` and ``chain.pdf``; the same scores give the same bytes.
+    """Write ``depth.png``, ``depth.pdf``, ``chain.png`` and ``chain.pdf``; equal scores give equal bytes.
 
     Raises
     ------
-    UsageError : nothing tells depth and chain, as in a stranger's R2R file
-    StoreError : the disk refused
+    UsageError : depth and chain length are unknown, as for an R2R file that is not ours
+    StoreError : a file can't be written
     """
     if not any(value is not None for evaluation in evaluations for value in evaluation.axes["depth"]):
-        raise UsageError("nothing tells the depth of these episodes", remedy="Plots need the manifest of an export.")
+        raise UsageError("the depth of these episodes is unknown", remedy="Plots need the manifest of an export.")
     written = []
     for axis in _AXES:
         figure = axis_figure(evaluations, axis, seed=seed)

@@ -44,7 +44,7 @@ PredictionFormat = Literal["vlnce", "rxr", "r2r"]
 
 _HEAD: Final = 1 << 16
 _FIRST_VALUE: Final = re.compile(rb'\{\s*"([^"\\]*(?:\\.[^"\\]*)*)"\s*:\s*(.)', re.DOTALL)
-"""How an object begins: its first key, and the first character of that key's value."""
+"""How an object of predictions begins: its first key, and the first character of that key's value."""
 _RXR_KEYS: Final = (b"instruction_id", b"path")
 
 _REMEDY: Final = (
@@ -55,16 +55,16 @@ _REMEDY: Final = (
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """What an agent did in one episode.
+    """An agent's trajectory in one episode.
 
     Attributes
     ----------
-    episode_id : as the file names it; RxR's numbers as their digits
+    episode_id : as in the file; RxR's integers as decimal text
     positions : (n, 3) float64, metres, Habitat frame, the start first; n = 0 for an empty path
     stopped : STOP was called at the last position
-    counts_actions : every action has its pose, so that a step budget can be held against the path
-    collided : (n,) whether the step to each position met an obstacle, where the file says so
-    headings : (n,) radians counter-clockwise from −z where they are known; no metric asks for them
+    counts_actions : every action has a pose, so that a step budget can be applied to the path
+    collided : (n,) whether the step to each position collided, if the file says so
+    headings : (n,) radians counter-clockwise from −z if known; no metric uses them
     """
 
     episode_id: str
@@ -77,18 +77,18 @@ class Prediction:
 
 @dataclass(frozen=True)
 class GraphPrediction:
-    """What an agent did in one episode on a graph: viewpoints in order."""
+    """An agent's path over viewpoints in one episode."""
 
     instruction_id: str
     viewpoints: tuple[str, ...]
 
 
 def detect_format(path: Path) -> PredictionFormat:
-    """Format of a file, from its beginning.
+    """Detect the format of a predictions file from its beginning.
 
     Raises
     ------
-    FormatError : none of the three; the message says what the file is instead
+    FormatError : none of the three formats; the message says what the file holds instead
     """
     text = head(path, _HEAD)
     if text.startswith(b"["):
@@ -116,16 +116,16 @@ def _kind_of_array(path: Path, inside: bytes) -> PredictionFormat:
 def read_predictions(
     path: str | os.PathLike[str], kind: PredictionFormat | None = None, *, assume_stop: bool = False
 ) -> Iterator[Prediction]:
-    """Predictions in continuous space, in the order of the file.
+    """Yield predictions in continuous space, in file order.
 
     Parameters
     ----------
-    assume_stop : take the last pose of a VLN-CE path without any ``stop`` as STOP
+    assume_stop : treat the last pose of a VLN-CE path without any ``stop`` as STOP
 
     Raises
     ------
-    FormatError : malformed, a position beyond `MAX_COORDINATE`, or one id twice; the message names the episode and the
-        step
+    FormatError : the file is malformed, a position exceeds `MAX_COORDINATE`, or an id is repeated; the message names
+        the episode and step
     """
     path = Path(path)
     kind = kind or detect_format(path)
@@ -142,11 +142,11 @@ def read_predictions(
 
 
 def read_graph_predictions(path: Path) -> Iterator[GraphPrediction]:
-    """R2R predictions, in the order of the file.
+    """Yield R2R predictions in file order.
 
     Raises
     ------
-    FormatError : malformed, or one id twice
+    FormatError : the file is malformed, or an id is repeated
     """
     seen: set[str] = set()
     for number, (_, data) in enumerate(entries(path)):
@@ -166,11 +166,11 @@ def read_graph_predictions(path: Path) -> Iterator[GraphPrediction]:
 
 
 def write_predictions(path: str | os.PathLike[str], predictions: Iterable[Prediction]) -> int:
-    """Write VLN-CE's format, one episode in memory at a time; returns how many.
+    """Write predictions in VLN-CE's format and return their number; only one episode is in memory at a time.
 
     Raises
     ------
-    StoreError : the disk refused; nothing half-written is left
+    StoreError : the file can't be written; no partial file is left
     """
     with atomic_stream(Path(path)) as stream:
         stream.write(b"{")
@@ -241,7 +241,7 @@ def _positions(path: Path, name: str, points: list[Any]) -> npt.NDArray[np.float
     if not points:
         return np.zeros((0, 3))
     try:
-        # numpy would take digits in quotes, true and false for numbers.
+        # numpy would accept quoted digits, true and false as numbers.
         sound = {*map(type, points)} == {list} and {*map(type, chain.from_iterable(points))} <= {float, int}
         positions = np.array(points if sound else (), dtype=np.float64)
     except (ValueError, OverflowError):

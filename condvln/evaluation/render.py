@@ -1,4 +1,4 @@
-"""Tables as terminal text, Markdown, LaTeX (booktabs), JSON and CSV."""
+"""Format tables as terminal text, Markdown, LaTeX (booktabs), JSON and CSV."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from condvln.evaluation.tables import Cell, Column, Table
 __all__ = ["as_csv", "as_document", "as_latex", "as_markdown", "as_rich", "written"]
 
 _NAME: Final = 16
-"""Characters of a name that a terminal's table keeps on one line."""
+"""Largest number of characters of a name that a terminal table keeps on one line."""
 _WIDE: Final = 9
-"""Columns of numbers that fit one column of a paper."""
+"""Largest number of numeric columns that fit one column of a paper."""
 _NOTHING: Final = "–"
 _SCALE: Final = {"percent": 100.0}
 _DECIMALS: Final = {"percent": 1, "metres": 2, "number": 1, "p": 4, "count": 0}
@@ -32,7 +32,7 @@ _LATEX_ESCAPES: Final = {
 
 
 def written(cell: Cell, column: Column, *, interval: bool = True) -> str:
-    """A cell as people read it: numbers rounded, the interval in brackets, and how many episodes are left out."""
+    """Return a cell as text: rounded number, interval in brackets, and the number of episodes if some are left out."""
     if cell.value is None or (isinstance(cell.value, float) and math.isnan(cell.value)):
         return _NOTHING
     if isinstance(cell.value, str) or column.kind == "text":
@@ -46,7 +46,9 @@ def written(cell: Cell, column: Column, *, interval: bool = True) -> str:
 
 
 def _narrow(cell: Cell, column: Column) -> str:
-    """As :func:`written`, with bounds on a line of their own and a digit less: a dozen columns must fit a terminal."""
+    """Return a cell like :func:`written`, with the interval on its own line and one digit less, for narrow
+    terminals.
+    """
     lines = [written(replace(cell, low=math.nan, high=math.nan, n=cell.total), column)]
     if not math.isnan(cell.low):
         digits = max(0, _DECIMALS[column.kind] - 1)
@@ -62,20 +64,20 @@ def _number(value: float, column: Column) -> str:
 
 
 def as_rich(table: Table) -> RichTable:
-    """For a terminal."""
+    """Return a table for the terminal."""
     shown = RichTable(
         title=table.title, caption=_note(table) or None, box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False
     )
     shown.collapse_padding = True
     for index, column in enumerate(table.columns):
-        # Broken where it may be, a heading is no wider than its numbers.
+        # If a heading may break, it is no wider than its numbers.
         heading = f"{column.heading} {_ARROWS[column.better]}".strip().replace("-", "-\n")
-        # Too narrow a terminal breaks a number, but never cuts it; a name of usual length is not broken.
+        # A terminal that is too narrow breaks a number but never cuts it; names of usual length do not break.
         longest = max((len(str(row[index].value)) for row in table.rows), default=1)
         if column.kind == "text":
             shown.add_column(heading, overflow="fold", min_width=min(longest, _NAME))
         else:
-            # What counts episodes is short, and first to be squeezed to nothing.
+            # Columns of episode counts are short and would be squeezed to nothing first.
             least = longest if column.kind == "count" else None
             shown.add_column(heading, justify="right", overflow="fold", min_width=least)
     for row in table.rows:
@@ -84,7 +86,7 @@ def as_rich(table: Table) -> RichTable:
 
 
 def as_markdown(table: Table) -> str:
-    """A titled pipe table."""
+    """Return a pipe table with a title."""
     headings = [f"{column.heading} {_ARROWS[column.better]}".strip() for column in table.columns]
     rules = ["---" if column.kind == "text" else "---:" for column in table.columns]
     lines = [f"### {table.title}", "", _piped(headings), _piped(rules)]
@@ -105,8 +107,10 @@ def _piped(cells: Sequence[str]) -> str:
 
 
 def as_latex(table: Table) -> str:
-    """A booktabs float: values without intervals, the best of each block in bold; a wide table spans both columns of a
-    paper in smaller type."""
+    """Return a booktabs float: values without intervals, the best of each block in bold.
+
+    A wide table spans both columns of a paper, in smaller type.
+    """
     wide = len(table.columns) > _WIDE
     align = "".join("l" if column.kind == "text" else "r" for column in table.columns)
     headings = [f"{_escaped(column.heading)} {_LATEX_ARROWS[column.better]}".strip() for column in table.columns]
@@ -160,7 +164,7 @@ def _escaped(text: str) -> str:
 
 
 def as_document(table: Table) -> dict[str, Any]:
-    """For JSON: unrounded numbers, undefined ones null."""
+    """Return a table as JSON: unrounded numbers, undefined ones null."""
     rows = []
     for row in table.rows:
         entry: dict[str, Any] = {}
@@ -184,8 +188,9 @@ def _plain(value: float | int | str | None) -> float | int | str | None:
 
 
 def as_csv(table: Table) -> str:
-    """Unrounded, with ``_low``, ``_high`` and ``_n`` columns where a number has an interval; undefined cells are
-    empty."""
+    """Return unrounded CSV, with columns ``_low``, ``_high`` and ``_n`` for numbers with an interval; undefined
+    cells are empty.
+    """
     header: list[str] = []
     wide = [any(row[index].n is not None for row in table.rows) for index in range(len(table.columns))]
     for column, has_interval in zip(table.columns, wide, strict=True):

@@ -30,8 +30,9 @@ from schemas.errors import FormatError
 __all__ = ["START_TOLERANCE", "Score", "ScoreRules", "score"]
 
 START_TOLERANCE: Final = 0.25
-"""Metres a path may begin away from the episode's start: one forward step. More means another episode or another
-frame."""
+"""Largest allowed distance in metres between the path's first point and the episode's start: one forward step. A larger
+one means another episode or another frame.
+"""
 
 NAN: Final = float("nan")
 Points = npt.NDArray[np.float64]
@@ -39,32 +40,32 @@ Points = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ScoreRules:
-    """How episodes are judged; the defaults are those of docs/metrics.md. Metres."""
+    """How episodes are scored; the defaults are those of docs/metrics.md. Lengths in metres."""
 
     distance: DistanceMode = "geodesic"
-    """How the distance to a subgoal is measured. Goals are always geodesic, as in Habitat."""
+    """How distances to subgoals are measured. Distances to goals are always geodesic, as in Habitat."""
     success_distance: float | None = None
-    """In place of each episode's own."""
+    """Overrides each episode's own success distance."""
     oracle_success_distance: float | None = None
-    """In place of the success distance where it is larger: a path that succeeds has come near."""
+    """Radius of oracle success, if larger than the success distance: a path that succeeds also has oracle success."""
     fidelity_distance: float = FIDELITY_DISTANCE
     fast_dtw: bool = False
-    """nDTW by VLN-CE's approximation."""
+    """Compute nDTW by VLN-CE's approximation."""
     keep_budget: bool = True
-    """Paths are cut at the episode's step budget."""
+    """Cut paths at the episode's step budget."""
 
 
 @dataclass(frozen=True)
 class Score:
-    """Measures of one episode; lengths in metres, rates 0 or 1 where not a fraction, NaN where a measure is undefined.
+    """Measures of one episode: lengths in metres; rates are 0 or 1, or fractions; NaN where a measure is undefined.
 
-    ``bsa`` and ``csr`` follow the paper: an episode without subgoals counts as reached when it succeeds and is left
-    out when it fails. ``bsa_all`` and ``csr_all`` are over every episode: without subgoals they are the success.
+    ``bsa`` and ``csr`` follow the paper: an episode without subgoals counts as reached if it succeeds and is left out
+    if it fails. ``bsa_all`` and ``csr_all`` are over all episodes; without subgoals they equal the success.
     """
 
     path_length: float
     navigation_error: float
-    """To the nearest goal point; straight line where ``unreachable``."""
+    """Distance to the nearest goal point; straight-line if ``unreachable``."""
     success: float
     oracle_success: float
     spl: float
@@ -77,24 +78,24 @@ class Score:
     bsa_all: float
     csr_all: float
     steps: float
-    """Actions, STOP included; NaN where the format does not tell."""
+    """Number of actions, STOP included; NaN if the format does not say."""
     collisions: float
     committed_leaf: int
     leaf_correct: float
     wrong_branch: float
     no_commit: float
     divergence: float
-    """Decisions right before the first wrong one; NaN where none was wrong."""
+    """Number of correct answers before the first wrong one; NaN if none was wrong."""
     stopped: float
     unreachable: float
     over_budget: float
     missing: float
-    """No prediction, or an empty path."""
+    """There is no prediction, or its path is empty."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Walk:
-    """The part of a prediction that is scored: the path within the step budget."""
+    """The scored part of a prediction: the path within the step budget."""
 
     path: SnappedPath
     stopped: bool
@@ -109,17 +110,17 @@ def score(
     rules: ScoreRules | None = None,
     where: str = "",
 ) -> Score:
-    """Measures of what ``prediction`` did in ``task``; a missing prediction and an empty path are failures.
+    """Score a prediction of an episode; a missing prediction and an empty path are failures.
 
     Parameters
     ----------
-    distances : the pathfinder of the task's scene, or what was made of it for many calls
-    rules : VLN-CE's where None
-    where : names the file of the prediction, for messages
+    distances : the pathfinder of the task's scene, or a cached `Nearness` of it
+    rules : VLN-CE's rules if None
+    where : the predictions' file, for error messages
 
     Raises
     ------
-    FormatError : the path begins elsewhere than the episode
+    FormatError : the path does not begin at the episode's start
     """
     nearness = distances if isinstance(distances, Nearness) else Nearness(distances)
     rules = rules or ScoreRules()
@@ -195,7 +196,9 @@ def _reached(task: Task, walk: _Walk, nearness: Nearness, rules: ScoreRules, rad
 
 
 def _subgoal_accuracy(reached: int, subgoals: int, success: bool) -> tuple[float, float]:
-    """(value over all episodes, value by the paper's rule, which is NaN for episodes that it leaves out)."""
+    """Return the value over all episodes, and the value by the paper's rule (NaN if the rule leaves the episode
+    out).
+    """
     if subgoals:
         return reached / subgoals, reached / subgoals
     return float(success), 1.0 if success else NAN
@@ -213,7 +216,7 @@ def _straight(point: Points, goals: Points) -> float:
 
 
 def _failure(task: Task, nearness: Nearness) -> Score:
-    """Score of a missing prediction: the agent stays at the start and fails."""
+    """Return the score of a missing prediction: the agent stays at the start and fails."""
     error = nearness.distance(task.start, task.gold.goals)
     unreachable = not np.isfinite(error)
     bsa = 0.0 if len(task.gold.subgoals) else NAN

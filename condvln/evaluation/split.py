@@ -1,4 +1,4 @@
-"""An export's split and files of predictions → evaluations, one an agent."""
+"""Evaluate prediction files against a split of an export: one evaluation per agent."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ __all__ = ["SplitOptions", "evaluate_split", "split_tasks"]
 
 @dataclass(frozen=True)
 class SplitOptions:
-    """How files are read and judged."""
+    """How files are read and scored."""
 
     rules: ScoreRules = field(default_factory=ScoreRules)
     radii: tuple[float, ...] = ()
     """Success distances of a sweep, metres."""
     navmesh_roots: tuple[Path, ...] = ()
-    """Folders of the datasets whose navmeshes the export does not ship."""
+    """Folders of the datasets whose navmeshes the export does not contain."""
     assume_stop: bool = False
     connectivity: tuple[Path, ...] = ()
     """Folders of ``<scan>_connectivity.json``, for paths over viewpoints."""
 
 
 def split_tasks(export: Path, split: str) -> list[Task]:
-    """Tasks of one split of an export, with its dense ground truth.
+    """Return the tasks of one split of an export, with its dense ground-truth paths.
 
     Raises
     ------
@@ -46,7 +46,9 @@ def split_tasks(export: Path, split: str) -> list[Task]:
     if not manifest.is_file():
         there = [path.stem for path in manifest_paths(export)]
         raise MissingFileError(
-            f"no split {split!r} here", where=manifest, remedy=f"There are: {', '.join(there) or 'none'}"
+            f"the export has no split {split!r}",
+            where=manifest,
+            remedy=f"Existing splits: {', '.join(there) or 'none'}",
         )
     truth = export / "vlnce" / split / f"{split}_gt.json.gz"
     return list(read_tasks(manifest, truth if truth.is_file() else None))
@@ -55,14 +57,14 @@ def split_tasks(export: Path, split: str) -> list[Task]:
 def evaluate_split(
     export: Path, split: str, predictions: Sequence[Path], options: SplitOptions | None = None
 ) -> tuple[list[Evaluation], list[Task]]:
-    """One evaluation for each file (or folder of ``stats_*.json``), agents named after the files.
+    """Evaluate each file (or folder of ``stats_*.json``); agents are named after the files.
 
-    Paths over viewpoints are judged against the split's R2R file; the tasks are then those that this file holds.
+    Paths over viewpoints are scored against the split's R2R file; the returned tasks are then those in this file.
 
     Raises
     ------
-    UsageError : two files of one name; paths in space and over viewpoints in one call; rules of paths in space for
-        paths over viewpoints
+    UsageError : two files have one name; the call mixes paths in space and over viewpoints; an option for paths in
+        space is used for paths over viewpoints
     InputError : from the readers
     """
     options = options or SplitOptions()
@@ -100,14 +102,14 @@ def evaluate_split(
 
 
 def _evaluate_stock(stock: Path, predictions: Mapping[str, Path]) -> list[Evaluation]:
-    """Results of a split that has no manifest, such as R2R_VLNCE's."""
+    """Evaluate results of a split that has no manifest, such as R2R_VLNCE's."""
     episodes = stock_episodes(stock)
     for path in predictions.values():
         if not is_episode_stats(path):
             raise UsageError(
-                "paths are judged on the navmesh that a manifest names, and this split has none",
+                "paths are scored on the navmesh named by a manifest, and this split has no manifest",
                 where=path,
-                remedy="Of such splits evaluate reads results, stats_<id>.json or {id: {measure: number}}",
+                remedy="For such splits, give per-episode results: stats_<id>.json or {id: {measure: number}}",
             )
     return [
         evaluation_of_stats(episodes, read_episode_stats(path), agent=name, where=str(path))

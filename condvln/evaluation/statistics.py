@@ -1,7 +1,7 @@
-"""Confidence intervals and tests. Episodes of one scene share its floor plan, so whole scenes are resampled.
+"""Confidence intervals and significance tests. Episodes of a scene share its floor plan, so whole scenes are resampled.
 
-Cluster bootstrap as in Cameron, Gelbach and Miller (2008), percentile intervals; paired permutation of the two agents'
-labels, a scene at a time.
+Intervals: cluster bootstrap as in Cameron, Gelbach and Miller (2008), percentiles. Comparison of two agents: paired
+permutation of their labels, scene by scene.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ __all__ = ["CONFIDENCE", "REPLICATES", "Estimate", "PairedTest", "estimate", "pa
 
 CONFIDENCE: Final = 0.95
 REPLICATES: Final = 10_000
-"""Draws of a bootstrap or a permutation test: the third digit of a p-value no longer moves."""
+"""Number of bootstrap or permutation draws: the third digit of a p-value no longer changes."""
 
 _EXACT_SCENES: Final = 13
-"""Up to this many scenes all sign patterns are tried (8,192) in place of random ones."""
+"""Up to this many scenes, all sign patterns are enumerated (8,192) instead of drawn."""
 
 Values = npt.NDArray[np.float64]
 Labels = npt.NDArray[Any] | Sequence[Any]
@@ -29,14 +29,14 @@ Labels = npt.NDArray[Any] | Sequence[Any]
 
 @dataclass(frozen=True)
 class Estimate:
-    """A mean with its interval.
+    """A mean with its confidence interval.
 
     Attributes
     ----------
-    mean : NaN where nothing is defined
-    low, high : bounds of the interval; NaN with fewer than two scenes, where nothing can be said
-    n : episodes that count; total : episodes asked about, those left out included
-    scenes : clusters among those that count
+    mean : NaN if no value is defined
+    low, high : bounds of the interval; NaN with fewer than two scenes
+    n : number of episodes with a value; total : number of all episodes
+    scenes : number of scenes with a value
     """
 
     mean: float
@@ -50,7 +50,7 @@ class Estimate:
 def estimate(
     values: Values, scenes: Labels, *, seed: int = 0, replicates: int = REPLICATES, confidence: float = CONFIDENCE
 ) -> Estimate:
-    """Mean over the episodes where ``values`` (n,) is defined, interval by drawing whole scenes with replacement."""
+    """Return the mean over the episodes where ``values`` (n,) is defined, with a bootstrap interval over scenes."""
     defined = ~np.isnan(values)
     n, total = int(defined.sum()), len(values)
     if n == 0:
@@ -70,13 +70,13 @@ def estimate(
 
 @dataclass(frozen=True)
 class PairedTest:
-    """Difference of two agents on the episodes that both were judged on.
+    """The difference of two agents over the episodes that both were scored on.
 
     Attributes
     ----------
     difference : mean of first − second
-    p_value : two-sided; the least it can be is 2 ÷ 2^scenes
-    exact : all sign patterns were tried
+    p_value : two-sided; at least 2 ÷ 2^scenes
+    exact : all sign patterns were enumerated
     """
 
     difference: float
@@ -89,11 +89,11 @@ class PairedTest:
 def paired_test(
     first: Values, second: Values, scenes: Labels, *, seed: int = 0, replicates: int = REPLICATES
 ) -> PairedTest:
-    """Do two agents differ? The labels of the agents are swapped scene by scene under the null hypothesis.
+    """Test whether two agents differ: under the null hypothesis their labels can be swapped in any scene.
 
     Parameters
     ----------
-    first, second : (n,) scores of the same episodes; where either is NaN the episode is left out
+    first, second : (n,) scores of the same episodes; an episode is left out if either is NaN
     """
     defined = ~(np.isnan(first) | np.isnan(second))
     n = int(defined.sum())
@@ -107,7 +107,7 @@ def paired_test(
         signs = np.array(list(product((1.0, -1.0), repeat=len(names))))
     else:
         signs = np.random.default_rng(seed).choice((1.0, -1.0), size=(replicates, len(names)))
-    # Sums that differ by rounding alone are equal.
+    # Sums that differ only by rounding count as equal.
     extreme = int((np.abs(signs @ sums) >= observed - 1e-9 * max(1.0, observed)).sum())
     p_value = extreme / len(signs) if exact else (extreme + 1) / (len(signs) + 1)
     return PairedTest(float(sums.sum()) / n, p_value, n, len(names), exact)

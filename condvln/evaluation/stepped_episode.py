@@ -1,4 +1,4 @@
-"""One episode, an action at a time: poses, collisions, budget, and the prediction that is scored at its end."""
+"""One episode executed action by action: poses, collisions, budget, and the prediction to score at the end."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ _BLOCKED: Final = 1e-3
 
 
 def heading_of(rotation: npt.ArrayLike) -> float:
-    """Heading in radians, counter-clockwise from −z, of a rotation ``[x, y, z, w]`` about +y."""
+    """Return the heading in radians, counter-clockwise from −z, of a rotation ``[x, y, z, w]`` about +y."""
     values = np.asarray(rotation, np.float64)
     return 2.0 * math.atan2(float(values[1]), float(values[3])) % (2.0 * math.pi)
 
 
 class SteppedEpisode:
-    """A walk through an episode, to its STOP or the end of its step budget.
+    """A walk through an episode, until STOP or the end of its step budget.
 
     Parameters
     ----------
-    max_steps : the episode's own budget where None
-    noise, seed : errors of the motor; none where None. The steps are Habitat's where there is none
+    max_steps : the episode's own budget if None
+    noise, seed : simulated actuation errors; without noise the steps equal Habitat's
 
     Attributes
     ----------
@@ -79,17 +79,17 @@ class SteppedEpisode:
 
     @property
     def collided(self) -> bool:
-        """Whether the last forward step was cut short."""
+        """Whether the last forward step collided."""
         return self._collisions[-1]
 
     @property
     def collisions(self) -> int:
-        """Forward steps that were cut short so far."""
+        """Number of forward steps that collided so far."""
         return sum(self._collisions)
 
     @property
     def out_of_steps(self) -> bool:
-        """Whether the budget is spent."""
+        """Whether the step budget is used up."""
         return self.steps >= self.limit
 
     def take(self, action: int) -> None:
@@ -97,14 +97,16 @@ class SteppedEpisode:
 
         Raises
         ------
-        UsageError : not an action, or the episode is over
+        UsageError : the action is unknown, or the episode is over
         """
         if action not in (STOP, FORWARD, LEFT, RIGHT):
             raise UsageError(
                 f"{action!r} is not an action", place=f"episode {self.task.episode_id}", remedy="Answer 0, 1, 2 or 3"
             )
         if self.stopped or self.out_of_steps:
-            raise UsageError("the episode is over", place=f"episode {self.task.episode_id}", remedy="Start another one")
+            raise UsageError(
+                "the episode is over", place=f"episode {self.task.episode_id}", remedy="Start another episode"
+            )
         before = self._positions[-1]
         if self._noise is None:
             self._agent.take(action)
@@ -119,7 +121,7 @@ class SteppedEpisode:
         self._collisions.append(action == FORWARD and moved < self._space.forward - _BLOCKED)
 
     def prediction(self) -> Prediction:
-        """The walk so far, as it is scored and written."""
+        """The trajectory so far, in the form that is scored and written."""
         return Prediction(
             self.task.episode_id,
             np.array(self._positions, dtype=np.float64),
@@ -130,7 +132,7 @@ class SteppedEpisode:
         )
 
     def _stagger(self, action: int, noise: NoiseConfig) -> tuple[npt.NDArray[np.float32], float]:
-        """Where a step leads with a motor that errs."""
+        """Return the position and heading after an action with actuation noise."""
         names = (self.task.episode_id, self.steps)
         forward, turn = noisy_move(self._space.forward, math.radians(self._space.turn), noise, self._seed, names)
         place, heading = self._positions[-1], self._headings[-1]

@@ -1,7 +1,7 @@
-"""A split of R2R_VLNCE or another stock file without a manifest: its episodes, as far as others' results need them.
+"""Read a split of R2R_VLNCE or another stock file without a manifest, to summarise other evaluators' results.
 
-Nothing tells branches there, so that only the measures in the results are summed up, by scene. Paths need the navmesh
-that an export's manifest names, and are not judged.
+Such a file has no branches, so only the measures in the results are summarised, by scene. Paths are not scored, since
+that needs the navmesh named by an export's manifest.
 """
 
 from __future__ import annotations
@@ -35,17 +35,17 @@ class StockEpisode:
 
 
 def stock_file(folder: Path, split: str) -> Path | None:
-    """The split's file in a folder that is laid out as R2R_VLNCE's; None where there is none."""
+    """Return the split's file in a folder with R2R_VLNCE's layout; None if there is none."""
     paths = (folder / shape.format(split=split) for shape in _SHAPES)
     return next((path for path in paths if path.is_file()), None)
 
 
 def stock_episodes(path: Path) -> list[StockEpisode]:
-    """The episodes of a stock VLN-CE, ANSR-v1 or RxR file.
+    """Read the episodes of a stock VLN-CE, ANSR-v1 or RxR file.
 
     Raises
     ------
-    FormatError : not such a file, or one id twice
+    FormatError : the file has another format, or an id occurs twice
     """
     content = document(path)
     episodes = content.get("episodes") if isinstance(content, dict) else None

@@ -44,7 +44,7 @@ Kind = Literal["text", "count", "metres", "percent", "number", "p"]
 
 @dataclass(frozen=True)
 class Column:
-    """One column: the measure it shows, its heading, and how its numbers are written."""
+    """One column: its measure, its heading, and its number format."""
 
     key: str
     heading: str
@@ -54,7 +54,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Cell:
-    """One number with its interval and how many of how many episodes it is over, or a text."""
+    """One number with its interval, the number of episodes with a value and of all episodes; or a text."""
 
     value: float | int | str | None
     low: float = float("nan")
@@ -65,8 +65,11 @@ class Cell:
 
 @dataclass(frozen=True)
 class Table:
-    """A titled table; ``blocks`` is the number of leading columns whose change begins a new block, ``intervals`` says
-    what the intervals are, for forms that show them."""
+    """A table with a title.
+
+    blocks : number of leading columns; a change in one of them begins a new block
+    intervals : description of the intervals, for formats that show them
+    """
 
     name: str
     title: str
@@ -95,7 +98,7 @@ MAIN_COLUMNS: Final = (
 
 _TWIN: Final = ("navigation_error", "oracle_success", "success", "spl", "ndtw", "bsa_all", "csr_all", "csr")
 TWIN_COLUMNS: Final = tuple(column for column in MAIN_COLUMNS if column.key in _TWIN)
-"""Fewer, so that the agents' longer names fit beside them."""
+"""Fewer measures, to leave room for the longer agent names."""
 
 BRANCH_COLUMNS: Final = (
     Column("success", "SR", "percent", "higher"),
@@ -130,24 +133,24 @@ _INTERVALS: Final = "Means with 95 % intervals, scenes drawn with replacement."
 
 
 def main_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Table:
-    """Main results by source and agent, and over all sources where there are several."""
+    """Return the main results by source and agent, and over all sources if there are several."""
     return _grouped("main", "Main results", evaluations, ("source",), MAIN_COLUMNS, seed, note=_NOTE)
 
 
 def axis_table(
     evaluations: Sequence[Evaluation], *axes: str, columns: Sequence[Column] = MAIN_COLUMNS, seed: int = 0
 ) -> Table:
-    """Results by one axis or several of :data:`~condvln.evaluation.evaluate.AXES`."""
+    """Return the results by one or several of :data:`~condvln.evaluation.evaluate.AXES`."""
     return _grouped("by_" + "_".join(axes), f"Results by {' and '.join(axes)}", evaluations, axes, columns, seed)
 
 
 def branch_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Table:
-    """Which branch was taken, by source and agent."""
+    """Return which branch was taken, by source and agent."""
     return _grouped("branches", "Branches taken", evaluations, ("source",), BRANCH_COLUMNS, seed)
 
 
 def sweep_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Table:
-    """Results at each success distance of the sweep."""
+    """Return the results at each success distance of the sweep."""
     found = [(e.agent, row) for e in evaluations for row in sweep_summary(e, seed=seed)]
     found.sort(key=lambda pair: pair[1].group["success_distance"])
     columns = (Column("success_distance", "τ", "metres"), _AGENT, *_SWEEP_COLUMNS, _EPISODES)
@@ -165,7 +168,7 @@ def sweep_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Table:
 
 
 def group_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Table:
-    """Counterfactual groups: the share that is right in every episode of the group."""
+    """Return the share of counterfactual groups in which every episode is right."""
     columns = (
         _AGENT,
         Column("groups", "groups", "count"),
@@ -184,7 +187,7 @@ def group_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Table:
 
 
 def confusion_tables(evaluation: Evaluation) -> list[Table]:
-    """By category, the leaf to reach against the leaf reached."""
+    """Return, for each category, the gold leaf against the leaf reached."""
     tables = []
     for category, counts in leaf_confusion(evaluation).items():
         leaves = counts.shape[0]
@@ -200,8 +203,9 @@ def confusion_tables(evaluation: Evaluation) -> list[Table]:
 
 
 def divergence_table(evaluations: Sequence[Evaluation], tasks: Sequence[Task]) -> Table:
-    """Share of wrong answers at each condition of the gold route, among agents that had answered all before it
-    rightly."""
+    """Return the share of wrong answers at each condition of the gold path, among agents that answered all earlier ones
+    correctly.
+    """
     columns = (
         _AGENT,
         Column("place", "condition", "count"),
@@ -221,7 +225,7 @@ def comparison_table(
     *,
     seed: int = 0,
 ) -> Table:
-    """Each pair of agents: difference and p-value of a paired permutation test by scene."""
+    """Return the difference of each pair of agents, with the p-value of a paired permutation test by scene."""
     columns = (
         Column("first", "agent", "text"),
         Column("second", "against", "text"),
@@ -242,9 +246,10 @@ def comparison_table(
 
 
 def twin_tables(pairs: Sequence[tuple[Evaluation, Evaluation]], *, seed: int = 0) -> list[Table]:
-    """Agents on a split and on its oracle-linear twin, (original, oracle) each: what resolving the conditions costs.
+    """Return agents on a split and on its oracle-linear twin; pairs : (original, oracle).
 
-    The gap is what the branching costs; what is left below 100 % under oracle text is plain instruction following.
+    The difference is the cost of resolving the conditions; the gap to 100 % under oracle text is plain instruction
+    following.
     """
     told = [
         (
@@ -267,9 +272,9 @@ _CONDITIONAL: Final = " (conditions)"
 
 
 def all_tables(evaluations: Sequence[Evaluation], tasks: Sequence[Task], *, seed: int = 0) -> list[Table]:
-    """All tables of one evaluation; an axis without known values has no table."""
+    """Return all tables of one evaluation; an axis without known values has no table."""
     tables = [main_table(evaluations, seed=seed), branch_table(evaluations, seed=seed)]
-    for axis in AXES[2:]:  # source has the main table, scene would fill pages
+    for axis in AXES[2:]:  # source is in the main table, and scene would fill pages
         if any(value is not None for evaluation in evaluations for value in evaluation.axes[axis]):
             tables.append(axis_table(evaluations, axis, seed=seed))
     if any(evaluation.sweep for evaluation in evaluations):
@@ -301,7 +306,7 @@ def _grouped(
         for evaluation in evaluations:
             row = summary(evaluation, group=dict.fromkeys(axes, "all"), seed=seed, measures=measures)
             blocks.setdefault(("all",) * len(axes), []).append((evaluation.agent, row))
-    # A measure that no agent's file tells has no column.
+    # A measure that no agent's file has gets no column.
     told = [row for found in blocks.values() for _, row in found]
     columns = [column for column in columns if any(row.estimates[column.key].n for row in told)]
     rows = tuple(

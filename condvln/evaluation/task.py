@@ -1,4 +1,4 @@
-"""What an episode asks, as the metrics need it: read from the manifest and the ground truth of an export."""
+"""What the metrics need of an episode, read from an export's manifest and ground-truth file."""
 
 from __future__ import annotations
 
@@ -27,8 +27,10 @@ Points = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class LeafTask:
-    """One leaf: its goal points (k, 3), the one nearest to the start first, its subgoals (m, 3) in order, and the
-    corners (c, 3) of its path."""
+    """One leaf of a task.
+
+    goals : (k, 3) metres, the one nearest to the start first; subgoals : (m, 3) in order; path : (c, 3) its corners
+    """
 
     goals: Points
     subgoals: Points
@@ -38,19 +40,19 @@ class LeafTask:
 
     @property
     def end(self) -> Points:
-        """The goal point (3,) at which its path ends."""
+        """The goal point (3,) at the end of its path."""
         found: Points = self.goals[np.square(self.goals - self.path[-1]).sum(axis=1).argmin()]
         return found
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """One episode.
+    """One episode, as the metrics need it.
 
     Attributes
     ----------
-    episode_id : as files name it, so a number in digits; episode_hash : the hash of its content
-    axes : the episode's place in the tables: source, scene, category, depth, chain, composition, observability,
+    episode_id : the id in files, an integer as decimal text; episode_hash : the hash of its content
+    axes : the episode's groups in the tables: source, scene, category, depth, chain, composition, observability,
         moves, and the classes of the route's length and of the number of words
     reference : (r, 3) dense locations of the gold route
     success_distance : τ, metres
@@ -82,24 +84,25 @@ class Task:
 
     @property
     def subgoals(self) -> int:
-        """Number of stops on the gold leaf's route before its goal."""
+        """Number of stops before the goal on the gold leaf's route."""
         return len(self.gold.subgoals)
 
     @property
     def aliases(self) -> tuple[str, ...]:
-        """Other names of the episode: its hash, the id of former releases; and the number of that hash, their id in
-        RxR's files."""
+        """Other ids of the episode: its hash (the id in former releases), and the number of that hash (its former id
+        in RxR files).
+        """
         known = self.episode_hash or self.episode_id
         return tuple(name for name in (known, str(numeric_id(known))) if name != self.episode_id)
 
     @property
     def gold(self) -> LeafTask:
-        """The leaf to reach."""
+        """The gold leaf."""
         return self.leaves[self.gold_leaf]
 
 
 def task_of(row: ManifestEpisode, locations: Points | None = None) -> Task:
-    """The task of a manifest row; without ``locations`` the gold reference path, made dense, is the reference."""
+    """Return the task of a manifest row; without ``locations``, the densified gold path is the reference."""
     leaves = tuple(
         LeafTask(
             np.array(leaf.goals, dtype=np.float64),
@@ -143,11 +146,11 @@ def task_of(row: ManifestEpisode, locations: Points | None = None) -> Task:
 
 
 def read_tasks(manifest: Path, ground_truth: Path | None = None) -> Iterator[Task]:
-    """Tasks of a split in the order of its manifest; ``ground_truth`` is its ``_gt`` file.
+    """Yield the tasks of a split in the order of its manifest; ``ground_truth`` is its ``_gt`` file.
 
     Raises
     ------
-    FormatError : a line that is not a manifest row, an id twice, an episode without ground truth
+    FormatError : a line is not a manifest row, an id is repeated, or an episode has no ground truth
     """
     locations = read_ground_truth(ground_truth) if ground_truth is not None else None
     for row in read_manifest(manifest):
@@ -160,11 +163,11 @@ def read_tasks(manifest: Path, ground_truth: Path | None = None) -> Iterator[Tas
 
 
 def read_ground_truth(path: Path) -> dict[str, Points]:
-    """Locations (r, 3) of each episode of a ``_gt`` file.
+    """Return the locations (r, 3) in metres of each episode of a ``_gt`` file.
 
     Raises
     ------
-    FormatError : not such a file
+    FormatError : the file has another format
     """
     found = {}
     for name, data in entries(path):

@@ -1,7 +1,7 @@
 """A kinematic simulator on the navmesh: VLN-CE's four actions, Habitat's sliding steps, no rendering.
 
-Poses are those of :class:`~condvln.navigation.follower.Follower`, which also replays ground truth. An agent knows its
-pose, the instruction and (where objects are given) the labels it could see; the truths stay with the evaluator.
+Poses are those of :class:`~condvln.navigation.follower.Follower`, which also replays ground truth. An agent gets its
+pose, the instruction and (if objects are given) the labels in view; ground truth stays with the evaluator.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ __all__ = ["Eyes", "Observation", "Policy", "SeenObject", "heading_of", "labels_
 Points = npt.NDArray[np.float64]
 
 SIGHT: Final = 5.0
-"""Metres an agent sees (VLN-CE's fog of war)."""
+"""Viewing distance in metres of the agent (VLN-CE's fog of war)."""
 FIELD_OF_VIEW: Final = 90.0
-"""Degrees, horizontal (VLN-CE's camera)."""
+"""Horizontal field of view in degrees (VLN-CE's camera)."""
 
-# An object round a corner is farther to walk to than to point at; this much is allowed for furniture in between.
+# The geodesic to an object around a corner is much longer than the straight line; this ratio allows for furniture.
 _DETOUR: Final = 1.2
 _DETOUR_METRES: Final = 0.5
 
@@ -41,8 +41,8 @@ class Observation:
     Attributes
     ----------
     position : (3,) metres, Habitat frame; heading : radians counter-clockwise from −z
-    labels : canonical labels of the objects in view, sorted; empty where the walker was given no eyes
-    collided : the last forward step was cut short
+    labels : canonical labels of the objects in view, sorted; empty without `eyes`
+    collided : the last forward step collided
     """
 
     episode_id: str
@@ -56,25 +56,25 @@ class Observation:
 
 
 class Policy(Protocol):
-    """An agent. Keep state between ``begin`` calls only where an agent may."""
+    """An agent. Within an episode it may keep state; ``begin`` starts a new episode."""
 
     def begin(self, observation: Observation) -> None:
-        """A new episode; the observation is that of the start."""
+        """Begin a new episode; the observation is that of the start."""
 
     def act(self, observation: Observation) -> int:
-        """STOP 0, FORWARD 1, LEFT 2 or RIGHT 3."""
+        """Return the next action: STOP 0, FORWARD 1, LEFT 2 or RIGHT 3."""
 
 
 @dataclass(frozen=True)
 class SeenObject:
-    """An object that can be seen: its canonical label and centre."""
+    """A visible object: its canonical label and its centre (3,) in metres."""
 
     label: str
     center: tuple[float, float, float]
 
 
 Eyes = Callable[[Task, Points, float], tuple[str, ...]]
-"""Labels in view from a position and heading."""
+"""Returns the labels in view from a position and heading."""
 
 
 def labels_in_view(
@@ -84,10 +84,10 @@ def labels_in_view(
     sight: float = SIGHT,
     field_of_view: float = FIELD_OF_VIEW,
 ) -> Eyes:
-    """Eyes that see objects within ``sight`` metres and the horizontal field of view (degrees).
+    """Return a function for the labels of objects within ``sight`` metres and the horizontal field of view (degrees).
 
-    There are no images here, so walls are guessed: an object is hidden when walking to it takes far longer than its
-    distance.
+    There is no rendering, so occlusion is estimated: an object is hidden if its geodesic distance is much longer than
+    its straight-line distance.
 
     Parameters
     ----------
@@ -124,11 +124,11 @@ def walk(
     sliding: bool = True,
     max_steps: int | None = None,
 ) -> Prediction:
-    """Let a policy walk one episode, to its STOP or the end of its step budget.
+    """Let a policy walk one episode, until STOP or the end of its step budget.
 
     Raises
     ------
-    UsageError : the policy answers something that is not an action
+    UsageError : the policy returns an unknown action
     """
     episode = SteppedEpisode(task, pathfinder, space=space, sliding=sliding, max_steps=max_steps)
     while not episode.stopped and not episode.out_of_steps:

@@ -1,4 +1,4 @@
-"""The folder of a dataset, which no path found in a file may leave."""
+"""File access below a dataset's root folder; a path found in a file can never leave it."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ __all__ = ["TRANSIENT", "DatasetRoot"]
 
 _DRIVE = re.compile(r"^[A-Za-z]:")
 TRANSIENT: Final = frozenset({errno.EIO, errno.EAGAIN, errno.EBUSY, errno.ESTALE, errno.ETIMEDOUT, errno.EINTR})
-"""Errors of the system that another try may cure."""
+"""Errors of the operating system that a retry may resolve."""
 _ESCAPE_REMEDY = "Paths must stay inside the dataset's root folder; correct the entry"
 
 
 class DatasetRoot:
-    """Reads files by paths relative to `folder`, '/'-separated."""
+    """Reads files by '/'-separated paths relative to `folder`."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -29,12 +29,12 @@ class DatasetRoot:
         self._inside: set[str] = set()
 
     def join(self, base: str, path: str, *, where: str = "", place: str = "") -> str:
-        """`path` as found in a file of folder `base`, normalised and relative to the root.
+        """Return `path`, as found in a file of folder `base`, normalised and relative to the root.
 
         Raises
         ------
-        PathEscapeError : an absolute path, or one that climbs out of the root
-        FormatError : not a path at all
+        PathEscapeError : the path is absolute or leads out of the root
+        FormatError : the value is not a path
         """
         if "\0" in path or not path.strip():
             raise FormatError(f"{path!r} is not a path", where=where, place=place, remedy="Correct the entry")
@@ -44,16 +44,16 @@ class DatasetRoot:
         joined = posixpath.normpath(posixpath.join(base, path))
         if joined == ".." or joined.startswith("../"):
             raise PathEscapeError(
-                f"the path {path!r} climbs out of the dataset", where=where, place=place, remedy=_ESCAPE_REMEDY
+                f"the path {path!r} leads out of the dataset", where=where, place=place, remedy=_ESCAPE_REMEDY
             )
         return joined
 
     def path(self, relative: str) -> Path:
-        """The file or folder itself; checked once it is there, because a symlink may lead out of the root.
+        """Return the file or folder, checked for symbolic links that lead out of the root.
 
         Raises
         ------
-        PathEscapeError : a symlink on the way leads out of the root
+        PathEscapeError : a symbolic link on the path leads out of the root
         """
         path = self.folder / relative
         if relative in self._inside:
@@ -63,18 +63,18 @@ class DatasetRoot:
             raise PathEscapeError(
                 "a symbolic link leads out of the dataset",
                 where=path,
-                remedy="Put the file itself inside the dataset's root folder",
+                remedy="Put the file itself, not a link, inside the dataset's root folder",
             )
         if os.path.lexists(path):
             self._inside.add(relative)
         return path
 
     def has(self, relative: str) -> bool:
-        """Is there such a file?"""
+        """Return whether the file exists."""
         return os.path.isfile(self.path(relative))
 
     def signature(self, relative: str) -> tuple[int, int]:
-        """Size and time of change of a file, (0, 0) where there is none: what a cache knows a file by."""
+        """Return size and modification time of a file, (0, 0) if it does not exist; a cache key."""
         try:
             status = self.path(relative).stat()
         except OSError:
@@ -82,12 +82,12 @@ class DatasetRoot:
         return status.st_size, status.st_mtime_ns
 
     def read(self, relative: str, limit: int) -> bytes:
-        """The bytes of a file of at most `limit` bytes.
+        """Return the bytes of a file of at most `limit` bytes.
 
         Raises
         ------
-        MissingFileError : there is no such file, or it can't be opened
-        FormatError : it is larger than `limit`
+        MissingFileError : the file does not exist, or can't be opened
+        FormatError : the file is larger than `limit`
         TransientIOError : the disk or the network failed
         """
         path = self.path(relative)

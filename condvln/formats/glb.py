@@ -1,7 +1,7 @@
-"""Binary glTF: the geometry of an untrusted file.
+"""Read the geometry of untrusted binary glTF files.
 
-The container and its JSON are checked against the bytes that are there before trimesh decodes them, so that no header's
-word decides an allocation. Materials and textures are never decoded.
+The container and its JSON are checked against the actual bytes before trimesh decodes them, so that a false size in a
+header can't cause a large allocation. Materials and textures are never decoded.
 """
 
 from __future__ import annotations
@@ -23,21 +23,22 @@ from schemas.errors import DeadlineError, FormatError
 __all__ = ["MAX_GLB_BYTES", "GlbGeometry", "glb_chunks", "glb_scene", "read_glb"]
 
 MAX_GLB_BYTES: Final = 1 << 29
-"""No scan or asset of the sources is half as large."""
+"""Size limit in bytes; more than twice the largest scan or asset of the sources."""
 
 _HEADER = struct.Struct("<4sII")
 _CHUNK = struct.Struct("<I4s")
 _REMEDY = "Take the file from its dataset again"
 _NOT_OF_THE_FILE = (MemoryError, DeadlineError)
-"""Faults that may strike in any library and say nothing against the bytes it reads."""
+"""Exceptions that may occur in any library and are no evidence against the file."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class GlbGeometry:
-    """All triangles of a file in its own root frame, node transforms applied in double precision.
+    """All triangles of a file in its root frame, with node transforms applied in double precision.
 
-    vertices (n, 3) metres, equal ones merged; faces (m, 3), counter-clockwise seen from outside; watertight: each edge
-    belongs to two faces that run along it in opposite directions.
+    vertices : (n, 3) metres, equal ones merged
+    faces : (m, 3), counter-clockwise seen from outside
+    watertight : each edge belongs to two faces that traverse it in opposite directions
     """
 
     vertices: NDArray[np.float64]
@@ -46,31 +47,31 @@ class GlbGeometry:
 
 
 def read_glb(data: bytes, where: str) -> GlbGeometry:
-    """The geometry of a GLB file's default scene.
+    """Return the geometry of a GLB file's default scene.
 
     Raises
     ------
-    FormatError : truncated, inconsistent or hostile; compressed; without triangles; beyond any real size
+    FormatError : the file is truncated, inconsistent, malicious, compressed, without triangles, or too large
     """
     scene = glb_scene(data, where)
     try:
         parts = [_part(scene, name) for name in sorted(scene.graph.nodes_geometry)]
     except _NOT_OF_THE_FILE:
         raise
-    except Exception as error:  # trimesh lets through whatever its parts raise
+    except Exception as error:  # trimesh lets any exception of its parts through
         raise _undecodable(error, where) from None
     return _joined(parts, where)
 
 
 def glb_scene(data: bytes, where: str) -> trimesh.Scene:
-    """The default scene of a GLB file with its vertices and faces unchanged, geometry only.
+    """Return the default scene of a GLB file, geometry only, with its vertices and faces unchanged.
 
-    Nodes are named `node0`, `node1`, … depth first, in the order of the file; a mesh of several primitives hangs below
-    its node, as `node0_…`, in their order.
+    Nodes are named `node0`, `node1`, … depth first, in the order of the file; the primitives of a mesh are children of
+    its node, `node0_…`, in their order.
 
     Raises
     ------
-    FormatError : as read_glb
+    FormatError : as for `read_glb`
     """
     root, binary = glb_chunks(data, where)
     tree = geometry_tree(root, len(binary))
@@ -80,7 +81,7 @@ def glb_scene(data: bytes, where: str) -> trimesh.Scene:
         )
     except _NOT_OF_THE_FILE:
         raise
-    except Exception as error:  # trimesh lets through whatever its parts raise
+    except Exception as error:  # trimesh lets any exception of its parts through
         raise _undecodable(error, where) from None
 
 
@@ -89,15 +90,15 @@ def _undecodable(error: Exception, where: str) -> FormatError:
 
 
 def _part(scene: trimesh.Scene, node: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Vertices in the root frame and faces of one node's mesh."""
+    """Return the vertices in the root frame and the faces of one node's mesh."""
     matrix, name = scene.graph[node]
     mesh = scene.geometry[name]
-    with np.errstate(invalid="ignore", over="ignore"):  # what is not finite is refused once all parts are there
+    with np.errstate(invalid="ignore", over="ignore"):  # non-finite vertices are rejected after all parts are collected
         vertices = np.asarray(mesh.vertices, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
     faces = np.asarray(mesh.faces, dtype=np.int64)
     if faces.size and not (faces.min() >= 0 and faces.max() < len(vertices)):
         raise IndexError("a face names a vertex that is not there")
-    # A mirroring node turns its triangles inside out.
+    # A mirroring transform reverses the winding of triangles.
     return vertices, faces[:, ::-1] if np.linalg.det(matrix[:3, :3]) < 0 else faces
 
 
@@ -108,7 +109,7 @@ def _joined(parts: list[tuple[NDArray[np.float64], NDArray[np.int64]]], where: s
     used = np.unique(faces)
     if not (np.abs(vertices[used]) <= MAX_COORDINATE).all():
         raise FormatError(f"a vertex is not finite or beyond ±{MAX_COORDINATE:g} m", where=where, remedy=_REMEDY)
-    # Vertices are doubled where normals differ; merging equal ones shows which edges belong together.
+    # Vertices are duplicated where normals differ; merging equal ones shows which edges coincide.
     merged, back = np.unique(vertices[used] + 0.0, axis=0, return_inverse=True)
     place = np.zeros(len(vertices), dtype=np.int64)
     place[used] = back.reshape(-1)
@@ -118,7 +119,7 @@ def _joined(parts: list[tuple[NDArray[np.float64], NDArray[np.int64]]], where: s
 
 
 def _watertight(faces: NDArray[np.int64], n: int) -> bool:
-    """Does each directed edge occur once, and once reversed?"""
+    """Return whether each directed edge occurs exactly once, and its reverse once."""
     if not len(faces):
         return False
     start = faces[:, [0, 1, 2]].ravel()
@@ -128,11 +129,11 @@ def _watertight(faces: NDArray[np.int64], n: int) -> bool:
 
 
 def glb_chunks(data: bytes, where: str) -> tuple[JsonNode, bytes]:
-    """The JSON tree and the binary chunk (empty where there is none) of a GLB file.
+    """Return the JSON tree and the binary chunk (empty if there is none) of a GLB file.
 
     Raises
     ------
-    FormatError : not a GLB file of version 2, cut off, or its JSON is not sound
+    FormatError : the file is not GLB version 2, is truncated, or has invalid JSON
     """
 
     def fail(what: str, offset: int) -> FormatError:
@@ -162,7 +163,7 @@ def glb_chunks(data: bytes, where: str) -> tuple[JsonNode, bytes]:
 
 
 def _packed(tree: dict[str, Any], binary: bytes) -> bytes:
-    """A GLB file of a reduced tree, with the bytes that its views use and no others: textures stay behind."""
+    """Return a GLB file of a reduced tree with only the bytes that its views use, without textures."""
     views, pieces, size = [], [], 0
     for view in tree["bufferViews"]:
         piece = binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]

@@ -1,6 +1,6 @@
-"""Materials of a GLB file with their textures, as far as they can be taken along.
+"""Read the materials of a GLB file with their textures.
 
-A texture whose image is not in the file is left out and counted; its material keeps its colours.
+A texture whose image is not embedded in the file is left out and counted; its material keeps its colours.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ __all__ = ["Image", "MaterialReader", "shifted"]
 
 _MIME: Final = frozenset({"image/png", "image/jpeg", "image/webp", "image/ktx2", "image/vnd-ms.dds", "image/x-basis"})
 _IMAGE_EXTENSIONS: Final = ("KHR_texture_basisu", "EXT_texture_webp", "GOOGLE_texture_basis")
-"""Extensions by which a texture names an image of another format than PNG and JPEG."""
+"""Extensions by which a texture uses an image format other than PNG and JPEG."""
 _TRANSFORM: Final = "KHR_texture_transform"
 _UNLIT: Final = "KHR_materials_unlit"
 _FILTERS, _WRAPS = frozenset({9728, 9729, 9984, 9985, 9986, 9987}), frozenset({10497, 33071, 33648})
 _SAMPLER: Final = {"magFilter": _FILTERS, "minFilter": _FILTERS, "wrapS": _WRAPS, "wrapT": _WRAPS}
 _COORDINATES: Final = frozenset({0, 1})
-"""Sets of texture coordinates that are taken along."""
+"""Largest number of texture coordinate sets that are copied."""
 _SLOTS: Final = ("normalTexture", "occlusionTexture", "emissiveTexture")
 _PBR_SLOTS: Final = ("baseColorTexture", "metallicRoughnessTexture")
 _ALPHA_MODES: Final = frozenset({"OPAQUE", "MASK", "BLEND"})
 _LIMIT: Final = 1e6
 MAX_COPIES: Final = 2
-"""How often the images of a file may read its bytes, on the whole."""
+"""Largest ratio of the bytes that all images read to the file's bytes."""
 
 Tree = dict[str, Any]
 
@@ -40,7 +40,7 @@ class Image:
 
 
 class MaterialReader:
-    """Materials, textures, samplers and images of one file; those asked for, numbered from 0 within the part."""
+    """Materials, textures, samplers and images of one file; those requested, numbered from 0 within the part."""
 
     def __init__(self, root: JsonNode, binary: bytes) -> None:
         self._root, self._binary = root, binary
@@ -56,11 +56,11 @@ class MaterialReader:
         self._asked = {node.text() for node in root.array("extensionsRequired")}
 
     def material(self, node: JsonNode) -> int:
-        """Number of a material, which `node` names by its index in the file.
+        """Return the number of the material that `node` refers to by its index in the file.
 
         Raises
         ------
-        FormatError : an index out of range, a wrong type, bytes that are not there
+        FormatError : an index is out of range, a type is wrong, or bytes are missing
         """
         index = node.index(len(self._root.array("materials")))
         if ("materials", index) not in self._number:
@@ -106,7 +106,7 @@ class MaterialReader:
         return found
 
     def _placement(self, slot: JsonNode) -> Tree:
-        """Settings of a texture reference beside its index."""
+        """Return the settings of a texture reference other than its index."""
         made: Tree = {"texCoord": _one_of(slot["texCoord"], _COORDINATES)} if "texCoord" in slot else {}
         made |= {key: slot[key].number(_LIMIT) for key in ("scale", "strength") if key in slot}
         extensions = slot.get("extensions")
@@ -152,7 +152,7 @@ class MaterialReader:
         return made or None
 
     def _image(self, node: JsonNode) -> int | None:
-        """Number of an image whose bytes are in the file; None for any other."""
+        """Return the number of an image whose bytes are in the file; None for any other."""
         index = node.index(len(self._root.array("images")))
         if ("images", index) not in self._number:
             source = self._root.array("images")[index]
@@ -165,7 +165,7 @@ class MaterialReader:
     def _mime(self, source: JsonNode) -> str:
         mime = source["mimeType"].text()
         if mime not in _MIME:
-            source["mimeType"].fail(f"{mime!r:.60} is not an image that a scene can have")
+            source["mimeType"].fail(f"{mime!r:.60} is not a supported image type")
         return mime
 
     def _bytes(self, node: JsonNode) -> bytes:
@@ -195,7 +195,7 @@ class MaterialReader:
 
 
 def shifted(material: Tree, textures: int) -> Tree:
-    """A material with its texture numbers shifted."""
+    """Return a material with its texture numbers shifted."""
 
     def moved(inner: Tree, names: tuple[str, ...]) -> Tree:
         return {

@@ -1,7 +1,7 @@
-"""A GLB file as a part of another: what can be copied, checked against the bytes that are there.
+"""Read a GLB file as a part of another one, checked against the actual bytes.
 
-Geometry comes first through `condvln.formats.gltf_tree`, which refuses what can't be read. Of the rest are kept the
-attributes and materials that a renderer of static scenes uses; skins, animations, cameras and lights stay behind.
+`condvln.formats.gltf_tree` first checks the geometry and rejects unreadable files. Of the rest, the attributes and
+materials that a renderer of static scenes uses are copied; skins, animations, cameras and lights are dropped.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ _KINDS: Final = {
     "TEXCOORD_1": ("VEC2",),
     "COLOR_0": ("VEC3", "VEC4"),
 }
-"""Attributes that are copied, in this order, and the types they may have."""
+"""Attributes that are copied, in this order, with their allowed types."""
 _TRIANGLES, _STRIP = 4, 5
 _FLOAT: Final = 5126
 _INDEX_TYPES: Final = frozenset({5121, 5123, 5125})
 MAX_COPIES: Final = 6
-"""How often the attributes of a file may read its bytes, on the whole."""
+"""Largest ratio of the bytes that all attributes read to the file's bytes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ class Accessor:
 
 @dataclass(frozen=True, slots=True)
 class Primitive:
-    """Triangles or a strip of them: accessors by attribute, indices, and a material; numbers within the part."""
+    """Triangles or a triangle strip: accessors by attribute, indices, and a material; all numbered within the part."""
 
     mode: int
     attributes: dict[str, int]
@@ -62,7 +62,7 @@ class Primitive:
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """A node: its own transform as glTF has it, its mesh, its children; numbers within the part."""
+    """A node: its own glTF transform, its mesh, its children; all numbered within the part."""
 
     transform: dict[str, list[float]]
     mesh: int | None
@@ -71,7 +71,7 @@ class Node:
 
 @dataclass(slots=True)
 class GlbPart:
-    """What is copied of one file. `look` holds materials and their textures."""
+    """The copied content of one file; `look` : materials and their textures."""
 
     nodes: list[Node] = field(default_factory=list)
     roots: tuple[int, ...] = ()
@@ -81,11 +81,11 @@ class GlbPart:
 
 
 def read_part(data: bytes, where: str) -> GlbPart:
-    """The default scene of a GLB file.
+    """Read the default scene of a GLB file.
 
     Raises
     ------
-    FormatError : truncated, inconsistent, hostile, compressed, or without triangles; `where` names the file
+    FormatError : the file is truncated, inconsistent, malicious, compressed, or without triangles; `where` names it
     """
     root, binary = glb_chunks(data, where)
     tree = geometry_tree(root, len(binary))
@@ -93,7 +93,7 @@ def read_part(data: bytes, where: str) -> GlbPart:
 
 
 class _Copier:
-    """Walks the default scene again; that its nodes and triangles are sound is known by now."""
+    """Copies the default scene, whose nodes and triangles have already been checked."""
 
     def __init__(self, root: JsonNode, binary: bytes, tree: dict[str, Any]) -> None:
         self.root, self.binary = root, binary
@@ -104,7 +104,7 @@ class _Copier:
         self.accessor_of: dict[tuple[int, str], int] = {}
         nodes = self.root.array("nodes")
         roots = self._roots(nodes)
-        # Parents come before their children, so that nothing recurses.
+        # Parents come before their children, so no recursion is needed.
         order, at = list(roots), 0
         while at < len(order):
             order += [c.integer() for c in nodes[order[at]].array("children")]
@@ -177,7 +177,7 @@ class _Copier:
                 component in _INDEX_TYPES if name == "indices" else floats or (normalized and component in (5121, 5123))
             )
             if kind not in kinds or not fits or (name in ("POSITION", "NORMAL", "TANGENT") and not floats):
-                source.fail(f"type {kind} of component {component} does not serve as {name}")
+                source.fail(f"type {kind} of component {component} is not allowed for {name}")
             packed = self._packed(source, component, _WIDTHS[kind])
             bounds: tuple[tuple[float, ...], ...] = ((), ())
             if name == "POSITION":
@@ -192,7 +192,7 @@ class _Copier:
         return self.accessor_of[index, name]
 
     def _packed(self, source: JsonNode, component: int, width: int) -> NDArray[Any]:
-        """The numbers of an accessor, (count, width), without the gaps between them."""
+        """Return the numbers of an accessor as (count, width), without padding between them."""
         if "sparse" in source:
             source.fail("sparse accessors can't be read", "Export it with plain accessors")
         dtype = np.dtype(_TYPES[component]).newbyteorder("<")

@@ -1,7 +1,7 @@
-"""The JSON of a glTF file: checked against the bytes that are there, and reduced to its geometry.
+"""Check the JSON of a glTF file against the actual bytes, and reduce it to its geometry.
 
-What is left of the tree (triangles, their accessors, the nodes of the default scene) can be handed to a decoder: every
-index is in range, every count is covered by bytes, the nodes form a forest, names are ours.
+The reduced tree (triangles, their accessors, the nodes of the default scene) is safe for a decoder: every index is in
+range, every count is covered by bytes, the nodes form a forest, and names are our own.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from condvln.formats.json_document import JsonNode
 __all__ = ["MAX_TRIANGLES", "geometry_tree"]
 
 MAX_TRIANGLES: Final = 10_000_000
-"""Of one file, instances counted each; several times the largest scan of Matterport3D."""
+"""Largest number of triangles of a file, each instance counted; several times the largest scan of Matterport3D."""
 MAX_NODES: Final = 200_000
 MAX_NODE_DEPTH: Final = 64
-"""Exporters nest a handful; a decoder walks from each node up to its root."""
+"""Largest depth of nested nodes. Exporters nest a handful; a decoder walks from each node up to its root."""
 MAX_STRIDE: Final = 252
-"""Bytes; glTF's own bound."""
+"""Largest stride in bytes; glTF's own limit."""
 MAX_OVERLAP: Final = 4
-"""How often accessors may read the bytes of the file, on the whole; each reading is a copy in memory."""
+"""Largest ratio of the bytes that all accessors read to the file's bytes; each read is a copy in memory."""
 MAX_SCALE: Final = 1e6
 
 _COMPONENT_BYTES: Final = {5121: 1, 5123: 2, 5125: 4, 5126: 4}
@@ -41,11 +41,12 @@ Tree = dict[str, Any]
 
 
 def geometry_tree(root: JsonNode, binary_size: int) -> Tree:
-    """A glTF tree of the default scene's triangles only, over one binary chunk of `binary_size` bytes.
+    """Return a glTF tree of only the default scene's triangles, over one binary chunk of `binary_size` bytes.
 
     Raises
     ------
-    FormatError : an index out of range, a count not covered by bytes, a cycle of nodes, geometry in an extension
+    FormatError : an index is out of range, a count is not covered by bytes, nodes form a cycle, or geometry is in an
+        extension
     """
     return _GeometryTree(root, binary_size).tree()
 
@@ -82,7 +83,7 @@ class _GeometryTree:
         }
 
     def _nodes(self) -> list[tuple[Tree, int | None]]:
-        """The nodes reached from the default scene, parents first, each with its parent's index."""
+        """Return the nodes reached from the default scene, parents first, each with its parent's index."""
         reached: list[tuple[Tree, int | None]] = []
         seen: set[int] = set()
         triangles = 0
@@ -124,7 +125,7 @@ class _GeometryTree:
         return [i for i in range(len(nodes)) if i not in children][::-1]
 
     def _mesh(self, index: int) -> int | None:
-        """Index of a mesh in the reduced tree; None where it has no triangles."""
+        """Return the index of a mesh in the reduced tree; None if it has no triangles."""
         if index not in self.mesh_of:
             primitives = [p for source in self.lists["meshes"][index].array("primitives") for p in self._drawn(source)]
             self.mesh_of[index] = len(self.meshes) if primitives else None
@@ -134,7 +135,7 @@ class _GeometryTree:
         return self.mesh_of[index]
 
     def _drawn(self, source: JsonNode) -> Iterator[tuple[Tree, int]]:
-        """A primitive and its number of triangles, where it is made of triangles."""
+        """Yield each triangle primitive and its number of triangles."""
         for name, _ in source["extensions"].items() if "extensions" in source else ():
             if name in _UNREADABLE:
                 source.fail(f"geometry under the extension {name} can't be read", "Export it uncompressed")
@@ -158,7 +159,7 @@ class _GeometryTree:
             yield primitive, corners // 3 if mode == _TRIANGLES else corners - 2
 
     def _accessor(self, node: JsonNode, kind: str) -> int:
-        """Index of an accessor in the reduced tree, with a view of its own."""
+        """Return the index of an accessor in the reduced tree, with its own view."""
         index = node.index(len(self.lists["accessors"]))
         if (index, kind) not in self.accessor_of:
             source = self.lists["accessors"][index]
@@ -166,9 +167,9 @@ class _GeometryTree:
                 source.fail("sparse accessors can't be read", "Export it with plain accessors")
             component = source["componentType"].integer()
             if source["type"].text() != kind or (component == _FLOAT) != (kind == "VEC3"):
-                source.fail(f"type {source['type'].text()} of component {component} does not serve here")
+                source.fail(f"type {source['type'].text()} of component {component} is not allowed here")
             if component not in _COMPONENT_BYTES:
-                source.fail(f"component type {component} does not serve here")
+                source.fail(f"component type {component} is not allowed here")
             item = _COMPONENT_BYTES[component] * (3 if kind == "VEC3" else 1)
             count = _count(source["count"])
             view = self.lists["bufferViews"][source["bufferView"].index(len(self.lists["bufferViews"]))]
@@ -198,7 +199,7 @@ class _GeometryTree:
         return self.accessor_of[index, kind]
 
     def _view(self, view: JsonNode) -> tuple[int, int, int]:
-        """Start, length and stride (0: none) of a buffer view in the binary chunk, in bytes."""
+        """Return start, length and stride (0 if none) in bytes of a buffer view in the binary chunk."""
         buffers = self.root.array("buffers")
         buffer = buffers[view["buffer"].index(len(buffers))]
         if view["buffer"].integer() != 0 or "uri" in buffer:
@@ -216,7 +217,7 @@ class _GeometryTree:
 
 
 def _transform(node: JsonNode) -> Tree:
-    """A node's own transform, its numbers checked."""
+    """Return a node's own transform, with its numbers checked."""
     if "matrix" in node:
         return {"matrix": node["matrix"].vector(16, MAX_SCALE).tolist()}
     kept: Tree = {}

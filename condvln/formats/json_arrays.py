@@ -1,7 +1,7 @@
-"""Large JSON documents: their long arrays stay text, and an entry is parsed when it is asked for.
+"""Parse large JSON documents lazily: long arrays stay text, and each entry is parsed on access.
 
-A parsed document takes several times the bytes of its text. What is read from a large one is a long array of objects,
-one after the other, so none but the entry at hand needs to be there.
+A parsed document takes several times the memory of its text. Large documents consist of a long array of objects that
+are read one after the other, so only the current entry needs to be in memory.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ __all__ = ["TextArray", "parse_large"]
 
 
 class TextArray(Sequence[Any]):
-    """An array of a document: sound JSON, where only the place of each entry is known.
+    """An array of a document, kept as valid JSON text with the position of each entry.
 
-    starts : of each entry in the text, and of what follows the last one
+    starts : offset of each entry in the text, and of the text after the last one
     """
 
     def __init__(self, text: str, starts: array[int], decoder: json.JSONDecoder) -> None:
@@ -45,13 +45,14 @@ class TextArray(Sequence[Any]):
 
 
 def parse_large(text: str, decoder: json.JSONDecoder) -> Any:
-    """The document as ``decoder.decode`` gives it, but that the arrays that its top object holds are `TextArray`.
+    """Parse a document like ``decoder.decode``, but return arrays that are values of its top-level object as
+    `TextArray`.
 
-    All of it is checked: every entry is parsed once, and dropped.
+    The whole document is checked: every entry is parsed once and discarded.
 
     Raises
     ------
-    ValueError : as ``decoder.decode``
+    ValueError : as for ``decoder.decode``
     """
     at = _blank(text, 0)
     if text[at : at + 1] != "{":

@@ -1,4 +1,4 @@
-"""JSON from outside: bounded parsing, and typed access that knows where in the file it stands."""
+"""Parse untrusted JSON with bounds, and access it by type, with the position in the file for error messages."""
 
 from __future__ import annotations
 
@@ -17,19 +17,21 @@ from schemas.errors import FormatError
 __all__ = ["MAX_COORDINATE", "MAX_DEPTH", "JsonNode", "canonical_json", "nesting_depth", "parse_json"]
 
 MAX_DEPTH = 64
-"""Deepest nesting accepted. Real documents have under ten levels; the parser's own limit depends on the call stack."""
+"""Deepest accepted nesting. Real documents have under ten levels; the parser's own limit depends on the call stack."""
 
 MAX_COORDINATE = 1e5
-"""Metres. A building is smaller, and products of three such numbers stay exact enough in double precision."""
+"""Largest coordinate in metres. Buildings are smaller, and products of three such numbers stay precise in double
+precision.
+"""
 
 LARGE_BYTES: Final = 16 << 20
-"""From here on long arrays stay text until they are asked for. Real documents of one scene have under 1 MB."""
+"""Size in bytes from which long arrays stay text until accessed. Real documents of one scene have under 1 MB."""
 
 _PIECE: Final = 1 << 20
-"""Bytes looked at in one go: what is counted for a piece takes ten times its size."""
+"""Bytes scanned at once; counting takes ten times the memory of the scanned piece."""
 
-# A whole string; or one that goes on behind the piece, of which its quote and a last lone backslash are kept. No input
-# makes either try again from every quote.
+# A whole string; or one that continues beyond the piece, of which the quote and a last single backslash are kept. The
+# pattern never backtracks to retry from every quote, whatever the input.
 _STRING = re.compile(rb'"[^"\\]*(?:\\.[^"\\]*)*"|(")[^"\\]*(?:\\.[^"\\]*)*(\\?)\Z', re.DOTALL)
 _REST = re.compile(rb'[^"\\]*(?:\\(?:.|\Z)[^"\\]*)*(?:"|\Z)', re.DOTALL)
 
@@ -38,11 +40,11 @@ _REMEDY = "Take the file from its dataset again, or correct the entry"
 
 
 def parse_json(data: bytes, where: str) -> JsonNode:
-    """A document's root node.
+    """Return the root node of a document.
 
     Raises
     ------
-    FormatError : not UTF-8 JSON, nested deeper than `MAX_DEPTH`, a key twice in one object, NaN or infinite numbers
+    FormatError : not UTF-8 JSON, nested deeper than `MAX_DEPTH`, a repeated key, NaN or infinite numbers
     """
     # The parser's own limit depends on the call stack.
     if data.count(b"[") + data.count(b"{") > MAX_DEPTH and (depth := nesting_depth(data)) > MAX_DEPTH:
@@ -67,12 +69,12 @@ def parse_json(data: bytes, where: str) -> JsonNode:
 
 
 def canonical_json(value: Any) -> bytes:
-    """The bytes that a part of a document is hashed by: sorted keys, no blanks, ASCII."""
+    """Return a value as canonical JSON bytes for hashing: sorted keys, no blanks, ASCII."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False, default=_listed).encode("ascii")
 
 
 def nesting_depth(data: bytes) -> int:
-    """The most brackets and braces that are open at one place, those inside of strings not counted."""
+    """Return the largest nesting depth of brackets and braces, without those inside strings."""
     at, depth, deepest = 0, 0, 0
     while at < len(data):
         end = min(at + _PIECE, len(data))
@@ -82,7 +84,7 @@ def nesting_depth(data: bytes) -> int:
             bare = _STRING.sub(rb"\1\2", bare)
             quote = bare.find(b'"')
         else:
-            # Most texts escape nothing; a quote then begins or ends a string.
+            # Most documents have no escapes; a quote then begins or ends a string.
             odd = np.cumsum(np.frombuffer(bare, dtype=np.uint8) == ord('"'), dtype=np.uint8) & 1
             outside = odd == 0
             quote = bare.rfind(b'"') if odd[-1] else -1
@@ -116,7 +118,7 @@ class JsonNode:
         raise FormatError(what, where=self.where, place=self.place or "top level", remedy=remedy)
 
     def object(self) -> JsonNode:
-        """This node, known to be an object."""
+        """Return this node after checking that it is an object."""
         if not isinstance(self.value, dict):
             self.fail(f"an object is expected, not {_kind(self.value)}")
         return self
@@ -125,48 +127,48 @@ class JsonNode:
         return key in self.object().value
 
     def __getitem__(self, key: str) -> JsonNode:
-        """A required member of this object."""
+        """Return a required member of this object."""
         if key not in self:
             self.fail(f"the key {key!r} is missing")
         return JsonNode(self.value[key], self.where, f"{self.place}.{key}" if self.place else key)
 
     def get(self, key: str) -> JsonNode | None:
-        """A member of this object; None where it is absent or null."""
+        """Return a member of this object; None if it is absent or null."""
         return self[key] if key in self and self.value[key] is not None else None
 
     def items(self) -> Iterator[tuple[str, JsonNode]]:
-        """Members of this object, in file order."""
+        """Yield the members of this object, in file order."""
         return ((key, self[key]) for key in self.object().value)
 
     def entries(self) -> Iterator[JsonNode]:
-        """Elements of this array, one at a time: of a large document's, none but the one at hand is kept in memory."""
+        """Yield the elements of this array one at a time; of a large document, only the current one is in memory."""
         if not isinstance(self.value, (list, TextArray)):
             self.fail(f"an array is expected, not {_kind(self.value)}")
         return (JsonNode(v, self.where, f"{self.place}[{i}]") for i, v in enumerate(self.value))
 
     def elements(self) -> list[JsonNode]:
-        """Elements of this array."""
+        """Return the elements of this array."""
         return list(self.entries())
 
     def array(self, key: str) -> list[JsonNode]:
-        """Elements of a member that is an array; none where it is absent or null."""
+        """Return the elements of a member that is an array; an empty list if it is absent or null."""
         member = self.get(key)
         return [] if member is None else member.elements()
 
     def text(self) -> str:
-        """This node as text."""
+        """Return this node's text."""
         if not isinstance(self.value, str):
             self.fail(f"text is expected, not {_kind(self.value)}")
         return self.value
 
     def boolean(self) -> bool:
-        """This node as true or false."""
+        """Return this node's boolean."""
         if not isinstance(self.value, bool):
             self.fail(f"true or false is expected, not {_kind(self.value)}")
         return self.value
 
     def integer(self) -> int:
-        """This node as a whole number that a double holds exactly."""
+        """Return this node's integer, which must be exact in a double."""
         value = self.value
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             self.fail(f"a whole number is expected, not {_kind(value)}")
@@ -175,14 +177,14 @@ class JsonNode:
         return int(value)
 
     def index(self, count: int) -> int:
-        """This node as an index into `count` things."""
+        """Return this node's integer as an index into `count` items."""
         value = self.integer()
         if not 0 <= value < count:
             self.fail(f"the index {value} is not among {count}")
         return value
 
     def number(self, limit: float = MAX_COORDINATE) -> float:
-        """This node as a finite number of at most `limit` in size."""
+        """Return this node's finite number; its absolute value is at most `limit`."""
         value = self.value
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             self.fail(f"a number is expected, not {_kind(value)}")
@@ -191,7 +193,7 @@ class JsonNode:
         return float(value)
 
     def vector(self, length: int, limit: float = MAX_COORDINATE) -> NDArray[np.float64]:
-        """This node as (length,) finite numbers."""
+        """Return this node as (length,) finite numbers."""
         elements = self.elements()
         if len(elements) != length:
             self.fail(f"{length} numbers are expected, not {len(elements)}")

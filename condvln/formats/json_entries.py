@@ -1,8 +1,8 @@
-"""The entries of a JSON file one by one: of one huge object, one huge array, or of JSON lines; plain or gzip.
+"""Read the entries of a JSON file one by one: of one large object, one large array, or JSON lines; plain or gzip.
 
-A prediction file holds a pose of every step of every episode; parsed whole it takes gigabytes, entry by entry what one
-episode takes. Whatever a file holds, reading it ends with its entries or with one error that names file and place: what
-an entry and a gzip file may grow to is bounded, and so is the nesting.
+A prediction file holds a pose for every step of every episode. Parsed as a whole it takes gigabytes; entry by entry,
+the memory of one episode. Reading always ends with the last entry or with one error that names file and place: sizes of
+entries and of decompressed files are limited, and so is the nesting.
 """
 
 from __future__ import annotations
@@ -36,15 +36,18 @@ __all__ = [
 ]
 
 MAX_ENTRY_BYTES: Final = 64 << 20
-"""Bytes of one entry or line. An episode of 500 steps takes 50 kB."""
+"""Size limit in bytes of one entry or line. An episode of 500 steps takes 50 kB."""
 
 MAX_DOCUMENT_BYTES: Final = 1 << 30
-"""Bytes of a file that is parsed whole (R2R files, results by episode). The largest known have 60 MB."""
+"""Size limit in bytes of a file that is parsed as a whole (R2R files, results by episode). The largest known have 60
+MB.
+"""
 
 MAX_RATIO: Final = 200
 FREE_BYTES: Final = 256 << 20
-"""A gzip file may unpack to so much, and beyond to `MAX_RATIO` times its size. Predictions are packed 10:1, bombs
-1000:1."""
+"""A gzip file may decompress to this many bytes, or to `MAX_RATIO` times its size if that is more. Predictions compress
+10:1, decompression bombs 1000:1.
+"""
 
 _BLOCK: Final = 1 << 20
 _GZIP_MAGIC: Final = b"\x1f\x8b"
@@ -53,14 +56,14 @@ _BLANKS: Final = b" \t\r\n"
 _LONGEST_KEY: Final = 1 << 16
 _REMEDY: Final = "Write the file again, as JSON in UTF-8"
 
-# What may stand before an entry of an object: a comma (not before the first), a key, a colon.
+# What may precede an entry of an object: a comma (not before the first), a key, a colon.
 _KEY: Final = re.compile(rb'\s*(,?)\s*("[^"\\]*(?:\\.[^"\\]*)*")\s*:\s*(?=[\[{])', re.DOTALL)
 _COMMA: Final = re.compile(rb"\s*(,?)\s*(?=[\[{])")
 _STRING: Final = re.compile(rb'"[^"\\]*(?:\\.[^"\\]*)*"', re.DOTALL)
 
 
 class _Unpacked:
-    """A gzip file that unpacks to a bounded number of bytes."""
+    """A gzip file read with a limit on its decompressed size."""
 
     def __init__(self, file: BinaryIO, path: Path) -> None:
         self._unpacked = cast(BinaryIO, gzip.GzipFile(fileobj=file))
@@ -87,12 +90,12 @@ class _Unpacked:
 
 @contextmanager
 def opened(path: Path) -> Iterator[BinaryIO]:
-    """A file of bytes, unpacked where it is gzip; read it by pieces or lines of a given size.
+    """Open a file of bytes, decompressed if it is gzip; read it by pieces or lines of a given size.
 
     Raises
     ------
-    MissingFileError : there is none, or it can't be opened
-    FormatError : a gzip file that is cut or damaged, or unpacks to more than any real one
+    MissingFileError : the file does not exist, or can't be opened
+    FormatError : a gzip file is truncated or damaged, or decompresses to more than the limit
     """
     try:
         with path.open("rb") as file:
@@ -112,7 +115,7 @@ def opened(path: Path) -> Iterator[BinaryIO]:
 
 
 def head(path: Path, size: int) -> bytes:
-    """The first ``size`` bytes of a file, without the byte order mark and blanks before its first character."""
+    """Return the first ``size`` bytes of a file, after its byte order mark and leading white space."""
     with opened(path) as file:
         text = file.read(size).removeprefix(_BOM).lstrip(_BLANKS)
         while not text and (block := file.read(_BLOCK)):
@@ -121,19 +124,19 @@ def head(path: Path, size: int) -> bytes:
 
 
 def first_character(path: Path) -> str:
-    """First character that is not white space; empty for a file of none."""
+    """Return the first character that is not white space; empty if there is none."""
     text = head(path, 64)
     return chr(text[0]) if text else ""
 
 
 def entries(path: Path) -> Iterator[tuple[str | None, bytes]]:
-    """Key and bytes of each entry of the one object in a file, or None and bytes of each entry of the one array.
+    """Yield (key, bytes) of each entry of the file's one object, or (None, bytes) of each entry of its one array.
 
     Every entry must itself be an object or an array.
 
     Raises
     ------
-    FormatError : not such a file, or cut; the message says at which entry
+    FormatError : the file has another format or is truncated; the message names the entry
     """
     state = new_state()
     pending = bytearray()
@@ -197,11 +200,11 @@ def _entry(path: Path, text: bytes, keyed: bool | None, count: int) -> tuple[str
 
 
 def json_lines(path: Path) -> Iterator[tuple[int, bytes]]:
-    """Number (from 1) and bytes of each line that is not blank.
+    """Yield the number (from 1) and bytes of each line that is not blank.
 
     Raises
     ------
-    FormatError : a line longer than `MAX_ENTRY_BYTES`
+    FormatError : a line is longer than `MAX_ENTRY_BYTES`
     """
     with opened(path) as file:
         number = 0
@@ -216,9 +219,9 @@ def json_lines(path: Path) -> Iterator[tuple[int, bytes]]:
 
 
 def document(path: Path, *, nonfinite: bool = False) -> object:
-    """The one value in a file, parsed whole.
+    """Parse a file as one value.
 
-    nonfinite : take NaN and infinities, which Python's own writer leaves in files of results
+    nonfinite : accept NaN and infinities, which Python's json module writes
 
     Raises
     ------
@@ -235,19 +238,19 @@ def document(path: Path, *, nonfinite: bool = False) -> object:
 
 
 def parsed(data: bytes, path: Path, place: str, *, item: str = "", nonfinite: bool = False) -> object:
-    """The value in ``data``.
+    """Parse ``data`` as one value.
 
     Parameters
     ----------
     item : what the elements of the array in ``data`` are called in messages, such as ``step``
-    nonfinite : take NaN and infinities
+    nonfinite : accept NaN and infinities
 
     Raises
     ------
-    FormatError : not JSON, nested deeper than `MAX_DEPTH`, a key twice in one object; NaN and infinities are named,
-        with the element that holds them
+    FormatError : not JSON, nested deeper than `MAX_DEPTH`, a repeated key, or NaN or infinity; the message names the
+        element
     """
-    # No parser is asked to recurse without end.
+    # Checked first, so that no parser recurses without limit.
     if data.count(b"[") + data.count(b"{") > MAX_DEPTH and (depth := nesting_depth(data)) > MAX_DEPTH:
         _refuse(path, place, _too_deep(depth))
     try:
@@ -268,7 +271,9 @@ def parsed(data: bytes, path: Path, place: str, *, item: str = "", nonfinite: bo
 
 
 def nonstandard_number(data: bytes) -> str:
-    """The first NaN or infinity in ``data``, which Python writes and JSON does not know; empty where there is none."""
+    """Return the first NaN or infinity in ``data``, which Python writes although JSON has none; empty if there is
+    none.
+    """
     seen: list[str] = []
     with suppress(ValueError, RecursionError):
         json.loads(data, parse_constant=seen.append)
@@ -276,7 +281,7 @@ def nonstandard_number(data: bytes) -> str:
 
 
 def _python_parsed(data: bytes, path: Path, place: str) -> Any:
-    """``data`` parsed by Python's own parser, which accepts NaN."""
+    """Parse ``data`` with Python's own parser, which accepts NaN."""
     try:
         return json.loads(data.decode("utf-8"))
     except json.JSONDecodeError as error:
@@ -289,7 +294,7 @@ def _python_parsed(data: bytes, path: Path, place: str) -> Any:
 
 
 def _nonfinite(value: Any) -> tuple[tuple[str | int, ...], float] | None:
-    """Keys that lead to the first number that is not finite, and the number; values are at most `MAX_DEPTH` deep."""
+    """Return the keys that lead to the first non-finite number, and the number; nesting is at most `MAX_DEPTH`."""
     if isinstance(value, float) and not np.isfinite(value):
         return (), value
     inside = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
@@ -300,7 +305,9 @@ def _nonfinite(value: Any) -> tuple[tuple[str | int, ...], float] | None:
 
 
 def _refuse_repeated_keys(value: Any, data: bytes, path: Path, place: str) -> None:
-    """The parser keeps the last of two equal keys; counting colons shows that one was lost."""
+    """Raise a FormatError for repeated keys: the parser keeps the last of them, and counting colons shows that one
+    was lost.
+    """
     colons = data.count(b":")
     if colons == _own_keys(value):
         return
@@ -311,7 +318,7 @@ def _refuse_repeated_keys(value: Any, data: bytes, path: Path, place: str) -> No
 
 
 def _own_keys(value: Any) -> int:
-    """Keys of an object, or of the objects that an array holds."""
+    """Return the keys of an object, or of the objects in an array."""
     if isinstance(value, dict):
         return len(value)
     return sum(len(item) for item in value if type(item) is dict) if isinstance(value, list) else 0

@@ -1,4 +1,4 @@
-"""Files of one JSON document a line, plain or gzip: all lines in turn, or any one of them, without holding the file."""
+"""Read files with one JSON document per line, plain or gzip: all lines in turn, or a single one, in bounded memory."""
 
 from __future__ import annotations
 
@@ -14,14 +14,16 @@ from schemas.errors import FormatError, MissingFileError
 __all__ = ["MAX_LINE_BYTES", "JsonLines"]
 
 MAX_LINE_BYTES: Final = 16 << 20
-"""A ProcTHOR house has 80 kB."""
+"""Size limit in bytes of a line. A ProcTHOR house has 80 kB."""
 
 MAX_LINES: Final = 500_000
-"""The largest set of ProcTHOR houses has 12,000."""
+"""Largest number of lines. The largest set of ProcTHOR houses has 12,000."""
 
 MAX_RATIO: Final = 200
 FREE_BYTES: Final = 256 << 20
-"""A gzip file may unpack to so much, and beyond to `MAX_RATIO` times its size: houses are packed 7:1, bombs 1000:1."""
+"""A gzip file may decompress to this many bytes, or to `MAX_RATIO` times its size if that is more: houses compress 7:1,
+decompression bombs 1000:1.
+"""
 
 _PIECE: Final = 1 << 16
 _UNPACKED_PIECE: Final = 1 << 20
@@ -32,19 +34,19 @@ _REMEDY = "Take the file from its dataset again"
 
 @dataclass(frozen=True)
 class _Checkpoint:
-    """A place to start reading from: bytes of text before it, bytes of file before it, the unpacker as it was there."""
+    """A position to resume reading from: offset in the text, offset in the file, and the decompressor's state there."""
 
     text: int
     file: int
     unpacker: Any
 
     def kept(self) -> _Checkpoint:
-        """A copy that stays as it is while reading goes on."""
+        """Return a copy that is unaffected by further reading."""
         return self if self.unpacker is None else replace(self, unpacker=self.unpacker.copy())
 
 
 class JsonLines:
-    """One file of lines under a dataset root; gzip where its name ends in ``.gz``."""
+    """A file of JSON lines under a dataset root; gzip if its name ends in ``.gz``."""
 
     def __init__(self, root: DatasetRoot, path: str) -> None:
         self._root = root
@@ -56,17 +58,17 @@ class JsonLines:
         self._checkpoints: list[_Checkpoint] = []
 
     def lines(self) -> Iterator[tuple[int, bytes]]:
-        """Number (from 0) and bytes of each line that is not blank, without its end.
+        """Yield the number (from 0) and bytes of each line that is not blank, without its line end.
 
         Raises
         ------
-        FormatError : not gzip, cut off, unpacking without end; a line longer than `MAX_LINE_BYTES`
-        MissingFileError : there is no such file
+        FormatError : not gzip, truncated, or too large after decompression; a line longer than `MAX_LINE_BYTES`
+        MissingFileError : the file does not exist
         """
         signature = self._root.signature(self.path)
         starts, checkpoints = [0], [_Checkpoint(0, 0, None)]
         number, length = 0, 0
-        begun: list[bytes] = []  # of the line whose end is not seen yet
+        begun: list[bytes] = []  # the part of a line whose end has not been read yet
         with self._open() as stream:
             for piece, checkpoint in self._pieces(stream, checkpoints[0]):
                 *whole, rest = piece.split(b"\n")
@@ -96,11 +98,11 @@ class JsonLines:
         self._signature, self._starts, self._checkpoints = signature, starts, checkpoints
 
     def line(self, number: int) -> bytes:
-        """The bytes of one line, without its end.
+        """Return the bytes of one line, without its line end.
 
         Raises
         ------
-        InputError : as `lines`; there is no such line
+        InputError : as for `lines`; the line does not exist
         """
         if self._signature != self._root.signature(self.path):
             for _ in self.lines():
@@ -143,7 +145,7 @@ class JsonLines:
             ) from None
 
     def _pieces(self, stream: BinaryIO, start: _Checkpoint) -> Iterator[tuple[bytes, _Checkpoint | None]]:
-        """Pieces of the text from `start` on, with the checkpoint behind it where there is one."""
+        """Yield pieces of the text from `start` on, each with the checkpoint behind it if there is one."""
         stream.seek(start.file)
         text, file = start.text, start.file
         if not self._packed:
@@ -165,9 +167,9 @@ class JsonLines:
                     data = unpacker.unconsumed_tail or unpacker.unused_data
                     text += len(piece)
                     if text > limit:
-                        what = f"{file} bytes of gzip unpack to more than {limit}: nothing real is packed so tightly"
+                        what = f"{file} bytes of gzip decompress to more than the allowed {limit} bytes"
                         raise FormatError(what, where=self.where, remedy=_REMEDY)
-                    # Only where nothing is left in hand can reading begin again.
+                    # Reading can resume only where no bytes are pending.
                     yield piece, None if data else _Checkpoint(text, file, unpacker)
         except zlib.error as error:
             raise FormatError(

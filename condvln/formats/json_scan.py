@@ -1,4 +1,4 @@
-"""Where the values of a huge JSON object or array begin and end, without parsing them."""
+"""Find where the values of a large JSON object or array begin and end, without parsing them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from condvln.compiled import compiled, register_warm_up
 
 __all__ = ["DEPTH", "ESCAPED", "IN_STRING", "new_state", "scan"]
 
-# Fields of the state carried from one block of bytes to the next.
+# Fields of the state that is carried from one block of bytes to the next.
 DEPTH, IN_STRING, ESCAPED = 0, 1, 2
 
 _QUOTE, _BACKSLASH, _COMMA = 34, 92, 44
@@ -17,14 +17,17 @@ _OPEN_LIST, _CLOSE_LIST, _OPEN_DICT, _CLOSE_DICT = 91, 93, 123, 125
 
 
 def new_state() -> npt.NDArray[np.int64]:
-    """State before the first byte."""
+    """Return the state before the first byte."""
     return np.zeros(3, np.int64)
 
 
 @compiled
 def scan(block: npt.NDArray[np.uint8], state: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """Offsets in ``block`` just after each container that stands directly inside the outermost one has closed, and
-    after the outermost itself has; ``state`` is moved on. A closing bracket too many makes the depth negative."""
+    """Return the offsets in ``block`` just after the end of each container directly inside the outermost one, and of
+    the outermost itself.
+
+    ``state`` is updated in place. An unmatched closing bracket makes the depth negative.
+    """
     ends = np.empty(block.shape[0], np.int64)
     count = 0
     depth, in_string, escaped = state[DEPTH], state[IN_STRING], state[ESCAPED]

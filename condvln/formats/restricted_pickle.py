@@ -1,8 +1,8 @@
-"""Pickles of plain data and numpy arrays, read without trusting them.
+"""Read untrusted pickles of plain data and numpy arrays.
 
-The pickle machine can call anything that a file names. Here it knows four names, which are stand-ins of this module
-that only keep their arguments; arrays are built afterwards, from the bytes that are there. The machine is the standard
-library's in Python, because the compiled one allocates what a length field claims before it looks for the bytes.
+A pickle can call any function that it names. Here only four names are allowed, bound to classes of this module that
+only store their arguments; arrays are built afterwards, from the actual bytes. The standard library's pure-Python
+unpickler is used, because the compiled one allocates what a length field claims before it checks for the bytes.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ __all__ = ["UnsafePickleError", "load_plain", "plain"]
 
 MAX_ARRAY_DIMENSIONS: Final = 8
 
-# Operations that make instances of classes, ask for objects from outside, or allocate by a claimed length.
+# Opcodes that create instances, request external objects, or allocate by a claimed length.
 _FORBIDDEN: Final = (
     b"P", b"Q", b"i", b"o", b"\x81", b"\x92", b"\x82", b"\x83", b"\x84", b"\x96", b"\x97", b"\x98",
 )  # fmt: skip
@@ -27,11 +27,11 @@ _DTYPE_KINDS: Final = frozenset("biufSUO")
 
 
 class UnsafePickleError(ValueError):
-    """The pickle asks for something other than plain data and arrays."""
+    """The pickle contains something other than plain data and arrays."""
 
 
 class _DType:
-    """A dtype by its string; its state says the byte order."""
+    """A dtype given by its string; its state holds the byte order."""
 
     def __init__(self, text: str) -> None:
         self.text = text
@@ -48,13 +48,13 @@ class _DType:
 
 
 class _Array:
-    """An array's shape, type and content as the pickle states them."""
+    """An array's shape, dtype and content as stated by the pickle."""
 
     def __init__(self) -> None:
         self.state: Any = None
 
     def value(self) -> Any:
-        """The array; of objects, a nested list."""
+        """Return the array; for an object array, a nested list."""
         try:
             _, shape, dtype, fortran, content = self.state
             shape = tuple(int(n) for n in shape)
@@ -96,14 +96,14 @@ def _scalar(dtype: Any, content: Any = None) -> Any:
 
 
 def _encode(text: Any, encoding: Any = "latin1") -> bytes:
-    """How protocol 2 writes bytes."""
+    """Replaces `_codecs.encode`, by which protocol 2 writes bytes."""
     if not isinstance(text, str) or encoding != "latin1":
         raise UnsafePickleError("bytes that are not Latin-1")
     return text.encode("latin1")
 
 
 def _no_bytes(*content: Any) -> bytes:
-    """How protocol 2 writes no bytes."""
+    """Replaces the `bytes` constructor, by which protocol 2 writes empty bytes."""
     if content:
         raise UnsafePickleError("bytes made by their class")
     return b""
@@ -136,7 +136,7 @@ class _Unpickler(pickle._Unpickler):
             raise UnsafePickleError(f"it asks for {module}.{name}") from None
 
     def load_build(self) -> None:
-        """Set the state of a stand-in; other objects are refused."""
+        """Set the state of one of our own classes; raise an error for any other object."""
         state = self.stack.pop()
         target = self.stack[-1]
         if isinstance(target, _Array):
@@ -150,26 +150,27 @@ class _Unpickler(pickle._Unpickler):
 
 
 def load_plain(data: bytes) -> Any:
-    """What a pickle holds: dicts, lists, tuples, sets, text, bytes, numbers, and `_Array`s to be opened by `plain`.
+    """Return a pickle's content: dicts, lists, tuples, sets, text, bytes, numbers, and `_Array`s to convert with
+    `plain`.
 
     Raises
     ------
-    UnsafePickleError : it asks for anything else, or is broken
+    UnsafePickleError : the pickle contains anything else, or is damaged
     """
     try:
         return _Unpickler(io.BytesIO(data), encoding="latin1").load()
     except UnsafePickleError:
         raise
-    except Exception as error:  # a broken pickle raises whatever its operations do
+    except Exception as error:  # a damaged pickle may raise any exception
         raise UnsafePickleError(f"not a sound pickle ({error!r:.80})") from None
 
 
 def plain(value: Any, most: int) -> Any:
-    """An array or number of a loaded pickle as lists and numbers, other values as they are.
+    """Return an array or number of a loaded pickle as lists and numbers, and other values unchanged.
 
     Raises
     ------
-    UnsafePickleError : an array without a sound state, or of more than `most` items
+    UnsafePickleError : an array has no valid state, or more than `most` items
     """
     found = value.value() if isinstance(value, _Array) else value
     if not isinstance(found, np.ndarray):

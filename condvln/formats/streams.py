@@ -1,8 +1,7 @@
-"""Files that are either whole or not there: written beside their name, moved onto it when complete.
+"""Write files atomically: under a temporary name, renamed to the final name when complete.
 
-gzip goes through zlib, whose output depends on nothing but its input, its level and its version; faster coders
-(ISA-L) choose their code by the processor they run on. The header carries no time and no file name, so the same rows
-give the same bytes.
+gzip uses zlib, whose output depends only on input, level and version; faster implementations (ISA-L) choose their code
+path by the processor. The header has no time and no file name, so equal rows give equal bytes.
 """
 
 from __future__ import annotations
@@ -33,21 +32,23 @@ __all__ = [
 ]
 
 GZIP_LEVEL: Final = 4
-"""Measured on made episodes: level 4 is 2.2 times as fast as 6 for 10 % more bytes; see benchmarks/export.py."""
+"""gzip level, measured on synthetic episodes: 4 is 2.2 times as fast as 6 for 10 % more bytes; see
+benchmarks/export.py.
+"""
 
 LARGEST: Final = 2 << 30
-"""Bytes of a document that is read whole."""
+"""Size limit in bytes of a document that is read as a whole."""
 
 _GZIP_WBITS: Final = 31
 _BUFFER: Final = 1 << 18
 
 
 class ByteStream:
-    """An open file under a provisional name; plain or gzip by the suffix of its final name.
+    """An open file under a temporary name; plain or gzip by the suffix of its final name.
 
     Raises
     ------
-    StoreError : from every method, where the disk refuses
+    StoreError : raised by every method if the file can't be written
     """
 
     def __init__(self, path: Path, level: int) -> None:
@@ -70,7 +71,7 @@ class ByteStream:
             self._drain()
 
     def commit(self) -> None:
-        """Write what is pending and move the file onto its final name."""
+        """Write pending data and rename the file to its final name."""
         self._drain()
         if self._compressor is not None:
             self._put(self._compressor.flush())
@@ -82,7 +83,7 @@ class ByteStream:
             sync(self.path.parent)
 
     def abandon(self) -> None:
-        """Remove the provisional file."""
+        """Remove the temporary file."""
         with suppress(OSError):
             self._file.close()
         with suppress(OSError):
@@ -104,13 +105,13 @@ class ByteStream:
 
 @contextmanager
 def atomic_stream(path: Path, level: int = GZIP_LEVEL, *, closing: bytes = b"") -> Iterator[ByteStream]:
-    """A stream that becomes ``path`` when the block ends well, and leaves no trace when it does not.
+    """Return a context manager of a stream that becomes ``path`` if the block succeeds, and is removed if it fails.
 
-    ``closing`` is written last.
+    ``closing`` : bytes written at the end.
 
     Raises
     ------
-    StoreError : the disk refused (full, read-only, no such folder)
+    StoreError : the file can't be written (disk full, read-only, no such folder)
     """
     stream = ByteStream(path, level)
     try:
@@ -123,11 +124,11 @@ def atomic_stream(path: Path, level: int = GZIP_LEVEL, *, closing: bytes = b"") 
 
 
 def atomic_copy(source: Path, path: Path) -> None:
-    """Copy a file so that ``path`` is whole or not there.
+    """Copy a file atomically: ``path`` is complete or does not exist.
 
     Raises
     ------
-    StoreError : the disk refused
+    StoreError : the file can't be written
     """
     part = path.with_name(f".{path.name}.part")
     try:
@@ -144,7 +145,7 @@ def atomic_copy(source: Path, path: Path) -> None:
 
 
 def sync(path: Path) -> None:
-    """Bring a file's bytes, or a folder's names, to the disk. File systems that can't sync folders are accepted."""
+    """Flush a file's content, or a folder's entries, to disk. File systems that can't sync folders are accepted."""
     opened = os.open(path, os.O_RDONLY)
     try:
         os.fsync(opened)
@@ -169,7 +170,7 @@ def _refusals(path: Path) -> Iterator[None]:
 
 @dataclass
 class JsonArrayStream:
-    """The growing part of a JSON array or object: entries with commas between them."""
+    """Writes a JSON array or object entry by entry, with commas in between."""
 
     stream: ByteStream
     count: int = 0
@@ -181,16 +182,16 @@ class JsonArrayStream:
 
 
 def read_unpacked(path: Path, limit: int = LARGEST) -> bytes:
-    """All bytes of a file, unpacked where its name says gzip.
+    """Return all bytes of a file, decompressed if its name ends in .gz.
 
     Parameters
     ----------
-    limit : bytes after unpacking; a few kilobytes of gzip can hold gigabytes
+    limit : size limit in bytes after decompression; a few kilobytes of gzip can hold gigabytes
 
     Raises
     ------
-    MissingFileError : there is no such file
-    FormatError : damaged gzip, or larger than ``limit``
+    MissingFileError : the file does not exist
+    FormatError : the gzip data is damaged, or larger than ``limit``
     """
     try:
         with path.open("rb") as file:
@@ -207,6 +208,6 @@ def read_unpacked(path: Path, limit: int = LARGEST) -> bytes:
         raise FormatError(f"can't be read: {error.strerror or error}", where=path, remedy="Check the disk") from error
     if len(data) > limit:
         raise FormatError(
-            f"holds more than {limit / 2**30:g} GiB", where=path, remedy="Cut it in one file a scene (content/)"
+            f"holds more than {limit / 2**30:g} GiB", where=path, remedy="Split it into one file per scene (content/)"
         )
     return data

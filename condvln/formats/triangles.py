@@ -1,7 +1,7 @@
-"""Triangles of mesh files and trimesh scenes, placed as Habitat places them: whole node transforms, in float32.
+"""Triangles of mesh files and trimesh scenes, placed as in Habitat: full node transforms, in float32.
 
-After ``ResourceManager::joinHierarchy`` of habitat-sim: the nodes of a file are visited depth first, transforms are
-multiplied down the tree and applied to float32 positions, and the triangles follow each other in that order.
+Follows ``ResourceManager::joinHierarchy`` of habitat-sim: the nodes of a file are visited depth first, transforms are
+multiplied down the tree and applied to float32 positions, and the triangles are concatenated in that order.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ import numpy.typing as npt
 from condvln.formats.glb import glb_scene
 from schemas.errors import FormatError, MissingFileError
 
-if TYPE_CHECKING:  # slow to import, and a build from arrays needs none of it
+if TYPE_CHECKING:  # slow to import, and not needed to build from arrays
     import trimesh
 
 Array: TypeAlias = npt.NDArray[Any]
 
 __all__ = ["Z_UP", "MeshSource", "PlacedMesh", "glb_triangles", "mesh_triangles"]
 
-# Takes a z-up file (MP3D, HM3D, Gibson scans) to Habitat's frame: (x, y, z) -> (x, z, -y).
+# Converts a z-up file (MP3D, HM3D, Gibson scans) to Habitat's frame: (x, y, z) -> (x, z, -y).
 Z_UP: Array = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float32)
 
-# A scene graph deeper than this is a mistake or an attack.
+# A deeper scene graph is an error or an attack.
 MAX_DEPTH = 512
 
 
@@ -44,12 +44,12 @@ MeshSource: TypeAlias = "str | os.PathLike[str] | trimesh.Scene | trimesh.Trimes
 
 
 def mesh_triangles(sources: Iterable[MeshSource]) -> tuple[Array, Array]:
-    """Vertices (n, 3) float32 and faces (m, 3) int32 of all sources, one after the other.
+    """Return vertices (n, 3) float32 and faces (m, 3) int32 of all sources, concatenated.
 
     Raises
     ------
     MissingFileError
-        A file is not there.
+        A file does not exist.
     FormatError
         A file can't be read, or a transform is not a finite (4, 4) matrix.
     """
@@ -77,12 +77,12 @@ def _joined(parts: list[tuple[Array, Array]]) -> tuple[Array, Array]:
 
 
 def glb_triangles(data: bytes, where: str, transform: npt.ArrayLike) -> tuple[Array, Array]:
-    """Vertices (n, 3) float32 and faces (m, 3) int32 of a GLB file's bytes, as :func:`mesh_triangles` has them.
+    """Return vertices (n, 3) float32 and faces (m, 3) int32 of a GLB file's bytes, as :func:`mesh_triangles` does.
 
     Raises
     ------
     FormatError
-        As `condvln.formats.glb.glb_scene`; `where` names the file.
+        As for `condvln.formats.glb.glb_scene`; `where` names the file.
     """
     return _joined(_parts_of_glb(data, where, _matrix(transform, "transform")))
 
@@ -100,21 +100,21 @@ def _read(path: Path, root: Array) -> list[tuple[Array, Array]]:
     if path.suffix.lower() == ".glb":
         return _parts_of_glb(path.read_bytes(), str(path), root)
     try:
-        # Unprocessed: merging vertices or dropping faces would change what is built.
+        # Unprocessed, because merging vertices or dropping faces would change the navmesh.
         scene = trimesh.load_scene(path, process=False)
-    except Exception as error:  # trimesh lets through whatever its readers raise
+    except Exception as error:  # trimesh lets any exception of its readers through
         what = f"can't be read as a mesh ({type(error).__name__}: {error})"
         raise FormatError(what, where=path, remedy="Give a sound GLB, OBJ or PLY file") from error
     return _join(scene, _depth_first(scene), root)
 
 
 def _node_number(name: str) -> int:
-    """Place of a node of ``glb_scene`` in depth-first order."""
+    """Return the depth-first index of a node of ``glb_scene``."""
     return int(name.removeprefix("node").partition("_")[0])
 
 
 def _depth_first(scene: trimesh.Scene) -> list[str]:
-    """Nodes of a scene graph, children in the order in which they were added."""
+    """Return the nodes of a scene graph depth first, children in the order in which they were added."""
     children = scene.graph.transforms.children
     found: list[str] = []
     pending: list[tuple[str, int]] = [(scene.graph.base_frame, 0)]
@@ -130,7 +130,7 @@ def _depth_first(scene: trimesh.Scene) -> list[str]:
 
 
 def _join(scene: trimesh.Scene, nodes: Iterable[str], root: Array) -> list[tuple[Array, Array]]:
-    """Placed vertices and faces of those nodes that have a mesh."""
+    """Return the placed vertices and faces of the nodes that have a mesh."""
     import trimesh
 
     graph = scene.graph.transforms
@@ -160,7 +160,7 @@ def _matrix(values: npt.ArrayLike, place: str) -> Array:
 
 
 def _product(a: Array, b: Array) -> Array:
-    """Matrix product in float32 with the sums in the order of Magnum's; numpy's own may use wider or fused steps."""
+    """Return the float32 matrix product with sums in Magnum's order; numpy's may use wider or fused steps."""
     product: Array = ((a[:, :1] * b[:1] + a[:, 1:2] * b[1:2]) + a[:, 2:3] * b[2:3]) + a[:, 3:] * b[3:]
     return product
 

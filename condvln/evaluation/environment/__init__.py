@@ -1,4 +1,4 @@
-"""Episodes as a gymnasium environment, with cameras and no simulator; needs the extra ``gym``.
+"""Episodes as a gymnasium environment with rendered cameras, without a simulator; needs the extra ``gym``.
 
 ``gymnasium.make("condvln/VLN-v0", export=…, split=…)`` works once this package is imported or condvln is installed.
 """

@@ -1,4 +1,4 @@
-"""A split of an export as a gymnasium environment: VLN-CE's actions and budget, cameras, text and poses."""
+"""A gymnasium environment over a split of an export: VLN-CE's actions and step budget, cameras, text and poses."""
 
 from __future__ import annotations
 
@@ -29,24 +29,24 @@ from schemas.errors import UsageError
 __all__ = ["NavigationEnv"]
 
 LONGEST_TEXT: Final = 8192
-"""Characters of a text observation; a longer one is cut."""
+"""Largest length in characters of a text observation; longer ones are cut."""
 TOLD_AFTER_STOP: Final = frozenset({"committed_leaf", "leaf_correct", "wrong_branch", "no_commit", "divergence"})
-"""Measures that name a leaf."""
+"""Measures whose value is a leaf index."""
 CHARACTERS: Final = frozenset(map(chr, range(32, 127))) | {"\n", "°"}
 
 Observation = dict[str, Any]
 
 
 class NavigationEnv(gymnasium.Env[Observation, np.int64]):
-    """Episodes of one split, one after the other.
+    """A gymnasium environment over the episodes of one split, in sequence.
 
-    An action is VLN-CE's: 0 STOP, 1 forward 0.25 m, 2 left 15°, 3 right 15°. STOP ends an episode (terminated); the end
-    of its budget cuts it off (truncated). The reward is 1 for a STOP within the success distance of the right leaf,
+    Actions are VLN-CE's: 0 STOP, 1 forward 0.25 m, 2 left 15°, 3 right 15°. STOP ends an episode (terminated), and so
+    does an exhausted step budget (truncated). The reward is 1 for a STOP within the success distance of the gold leaf,
     else 0.
 
     An observation has ``instruction``; ``gps`` (2,), metres ahead and to the right of the start, and ``compass`` (1,),
-    radians counter-clockwise from the first heading, as habitat-lab's; ``text`` where it is asked for; and what each
-    camera gives (depth as (h, w, 1)). No truth is in it.
+    radians counter-clockwise from the first heading, as habitat-lab's; ``text`` if requested; and each camera's image
+    (depth as (h, w, 1)). It contains no ground truth.
 
     ``info`` has the episode, its scene and VLN-CE's measures so far; at the end ``score``, all measures of
     :func:`condvln.evaluation.score.score` with None where one is undefined, those of leaves after STOP only.
@@ -54,13 +54,13 @@ class NavigationEnv(gymnasium.Env[Observation, np.int64]):
     Parameters
     ----------
     export, split : an export, or its folder, and one of its splits
-    cameras : a preset's name, or cameras by the name of what they give; none where None
+    cameras : a preset's name, or cameras by name (which begins with the modality); None for no cameras
     text : whether to give the text sensor's observation
     sources : the dataset of each family, or its folder; needed for cameras and text
-    roots : folders of the datasets whose navmeshes the export does not hold, where `export` is a folder
-    noise : errors of detector, pose and motor; none where None
+    roots : folders of the datasets whose navmeshes the export does not hold, if `export` is a folder
+    noise : simulated errors of detector, pose estimate and actuation; None for none
     shuffle : whether a `reset` with a seed also draws the order of the episodes; else it is the manifest's
-    scenes_kept : scenes kept open
+    scenes_kept : number of scenes that are kept open
 
     Raises
     ------
@@ -110,15 +110,17 @@ class NavigationEnv(gymnasium.Env[Observation, np.int64]):
 
     @property
     def prediction(self) -> Prediction:
-        """The walk of the current episode so far, as `write_predictions` takes it and `evaluate` scores it."""
+        """The current episode's trajectory so far, in the form that `write_predictions` writes and `evaluate`
+        scores.
+        """
         return self._walk().prediction()
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin an episode: the one that ``options["episode_id"]`` names, else the next one.
+        """Begin the episode named by ``options["episode_id"]``, or else the next one.
 
-        With a seed the order begins again; equal seeds give equal episodes and equal noise.
+        A seed restarts the order of episodes; equal seeds give equal episodes and equal noise.
 
         Raises
         ------
@@ -130,7 +132,7 @@ class NavigationEnv(gymnasium.Env[Observation, np.int64]):
             self._order = self.np_random.permutation(len(self._tasks)) if self._shuffle else np.arange(len(self._tasks))
         unknown = set(options or {}) - {"episode_id"}
         if unknown:
-            raise UsageError(f"unknown option {sorted(unknown)[0]!r}", remedy="The one option is episode_id")
+            raise UsageError(f"unknown option {sorted(unknown)[0]!r}", remedy="The only option is episode_id")
         asked = (options or {}).get("episode_id")
         if asked is None:
             task = self._tasks[int(self._order[self._next % len(self._order)])]
@@ -149,7 +151,7 @@ class NavigationEnv(gymnasium.Env[Observation, np.int64]):
 
         Raises
         ------
-        UsageError : not an action, or the episode is over
+        UsageError : the action is unknown, or the episode is over
         """
         episode = self._walk()
         episode.take(int(action))
@@ -165,7 +167,7 @@ class NavigationEnv(gymnasium.Env[Observation, np.int64]):
         return self._observation(), reward, terminated, truncated, info
 
     def render(self) -> NDArray[np.uint8] | None:
-        """What the agent sees, (480, 640, 3)."""
+        """Return the agent's view as an image (480, 640, 3); None unless the render mode is rgb_array."""
         if self.render_mode is None:
             return None
         episode = self._walk()
@@ -248,7 +250,7 @@ def _image_space(name: str, camera: CameraConfig) -> spaces.Box:
 
 
 def _pose(task: Task, position: NDArray[np.float64], heading: float) -> Observation:
-    """``gps`` and ``compass`` in the frame of the start."""
+    """Return ``gps`` and ``compass`` in the frame of the start pose."""
     first = 2 * math.atan2(task.start_rotation[1], task.start_rotation[3])
     east, south = (position - task.start)[[0, 2]]
     ahead = -math.sin(first) * east - math.cos(first) * south

@@ -1,4 +1,4 @@
-"""The environment's name in gymnasium's registry."""
+"""Register the environment with gymnasium."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ ENVIRONMENT_ID: Final = "condvln/VLN-v0"
 
 
 def register_environments() -> None:
-    """Make `ENVIRONMENT_ID` known to ``gymnasium.make``; a second call changes nothing.
+    """Register `ENVIRONMENT_ID` for ``gymnasium.make``; a second call has no effect.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The scenes of an export's episodes as cameras see them, each opened once and kept while there is room."""
+"""Open the scenes of an export's episodes for rendering, with a bounded cache."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from schemas.errors import UsageError
 __all__ = ["SCENES_KEPT", "SceneViews", "View"]
 
 SCENES_KEPT: Final = 4
-"""Scenes kept open; a large scan with its textures takes up to a gigabyte."""
+"""Number of scenes kept open; a large scan with its textures takes up to a gigabyte."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -29,12 +29,12 @@ class View:
 
 
 class SceneViews:
-    """Scenes by the axis ``scene`` of a task, ``<source>/<scene id>``.
+    """Opened scenes by a task's axis ``scene``, ``<source>/<scene id>``.
 
     Parameters
     ----------
     sources : the dataset of each family, or its folder
-    kept : scenes kept open; the one that was not asked for longest goes first
+    kept : number of scenes kept open; the least recently used one is closed first
     """
 
     def __init__(self, sources: Mapping[str, Source | str | os.PathLike[str]], kept: int = SCENES_KEPT) -> None:
@@ -43,11 +43,11 @@ class SceneViews:
         self._open: OrderedDict[str, View] = OrderedDict()
 
     def __call__(self, name: str) -> View:
-        """The view of a scene.
+        """Return a scene and its renderer.
 
         Raises
         ------
-        UsageError : no dataset was named for its family
+        UsageError : no dataset was given for the scene's family
         InputError : the scene can't be read
         """
         if name in self._open:
@@ -66,8 +66,8 @@ class SceneViews:
         found = self._sources.get(family)
         if found is None:
             raise UsageError(
-                f"no dataset of the family {family!r} was named, so that its scenes cannot be seen",
-                remedy=f"Pass sources={{{family!r}: <its folder>}}, or ask for no cameras and no text",
+                f"no dataset was given for the family {family!r}, so its scenes can't be rendered",
+                remedy=f"Pass sources={{{family!r}: <its folder>}}, or disable cameras and text",
             )
         if isinstance(found, str | os.PathLike):
             self._sources[family] = found = open_source(family, found)

@@ -1,1 +1,1 @@
-"""Compiled loops; each file calls only files of this folder."""
+"""Compiled kernels of the metrics; each file calls only functions of this folder."""

@@ -1,4 +1,4 @@
-"""Dynamic time warping between two paths, and how far a reference is from a path."""
+"""Dynamic time warping between two paths, and the distances from a reference to a path."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _gap(first: Points, i: int, second: Points, j: int) -> float:
 
 @compiled
 def dtw(path: Points, reference: Points) -> float:
-    """Least sum of Euclidean distances over all monotone alignments; two rows of the table in memory."""
+    """Return the least sum of Euclidean distances over all monotone alignments; memory is two rows of the table."""
     n, m = path.shape[0], reference.shape[0]
     row = np.full(m + 1, np.inf)
     row[0] = 0.0
@@ -39,7 +39,7 @@ def dtw(path: Points, reference: Points) -> float:
 
 @compiled
 def dtw_of_costs(costs: Points) -> float:
-    """:func:`dtw` where the (n, m) distances are given, as on a graph."""
+    """Return :func:`dtw` for given (n, m) distances, as on a graph."""
     n, m = costs.shape
     row = np.full(m + 1, np.inf)
     row[0] = 0.0
@@ -55,7 +55,7 @@ def dtw_of_costs(costs: Points) -> float:
 
 @compiled
 def coverage_distances(path: Points, reference: Points) -> Points:
-    """Euclidean distance from each reference point to the nearest point of the path, (m,)."""
+    """Return the Euclidean distance (m,) from each reference point to the nearest point of the path."""
     nearest = np.empty(reference.shape[0])
     for j in range(reference.shape[0]):
         least = np.inf
@@ -76,13 +76,13 @@ def _halved(points: Points) -> Points:
     return half
 
 
-# Moves of an alignment, in the order in which equal sums are resolved.
+# Steps of an alignment, in the order in which ties are resolved.
 _FROM_PATH, _FROM_REFERENCE, _FROM_BOTH = 0, 1, 2
 
 
 @compiled
 def _windowed(path: Points, reference: Points, low: Ints, high: Ints) -> tuple[float, Ints]:
-    """DTW over columns ``low[i] <= j < high[i]`` of each row, and its alignment as (k, 2) pairs."""
+    """Return DTW restricted to columns ``low[i] <= j < high[i]`` of each row i, and its alignment as (k, 2) pairs."""
     n = path.shape[0]
     starts = np.zeros(n + 1, np.int64)
     for i in range(n):
@@ -134,7 +134,9 @@ def _everything(n: int, m: int) -> tuple[Ints, Ints]:
 
 @compiled
 def _around(pairs: Ints, n: int, m: int, radius: int) -> tuple[Ints, Ints]:
-    """Columns of each row of the fine table within ``radius`` cells of an alignment of the coarse one."""
+    """Return the columns of each row of the fine table that are within ``radius`` cells of a coarse table's
+    alignment.
+    """
     low = np.full(n, m, np.int64)
     high = np.zeros(n, np.int64)
     for k in range(pairs.shape[0]):
@@ -148,8 +150,11 @@ def _around(pairs: Ints, n: int, m: int, radius: int) -> tuple[Ints, Ints]:
 
 @compiled
 def fast_dtw(path: Points, reference: Points, radius: int) -> float:
-    """The approximation of Salvador and Chan (2007), as the package ``fastdtw`` computes it: at most twice as coarse a
-    table first, then only the cells within ``radius`` of its alignment. VLN-CE's default, radius 1."""
+    """Return the approximate DTW of Salvador and Chan (2007), as the package ``fastdtw`` computes it.
+
+    At each level the table is restricted to cells within ``radius`` of the alignment at half the resolution. VLN-CE
+    uses radius 1.
+    """
     levels = 0
     n, m = path.shape[0], reference.shape[0]
     while n >= radius + 2 and m >= radius + 2:

@@ -295,11 +295,11 @@ def changed(path: str, value: Any) -> Any:
         (changed("materials/0/pbrMetallicRoughness/baseColorTexture/texCoord", 10**9), "1000000000 is none of 0, 1"),
         (changed("materials/0/pbrMetallicRoughness/metallicFactor", "x"), "a number is expected"),
         (changed("textures/0/source", 3), "the index 3 is not among 1"),
-        (changed("images/0/mimeType", "text/html"), "is not an image"),
+        (changed("images/0/mimeType", "text/html"), "is not a supported image type"),
         (changed("images/0/bufferView", 99), "the index 99 is not among"),
         (changed("materials/0/alphaMode", "ODD"), "is not an alpha mode"),
         (changed("materials", {}), "an array is expected"),
-        (changed("meshes/0/primitives/0/attributes/NORMAL", 0), "does not serve as NORMAL"),
+        (changed("meshes/0/primitives/0/attributes/NORMAL", 0), "is not allowed for NORMAL"),
         (changed("extensionsRequired", ["KHR_draco_mesh_compression"]), "can't be read"),
     ],
 )
