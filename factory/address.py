@@ -1,4 +1,4 @@
-"""The address of a store, as a configuration or a command line gives it."""
+"""Opening a store by its address, as a configuration or a command line gives it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["open_store"]
 
 
 def open_store(address: str | Path) -> Store:
-    """The store at ``address``: a folder, or ``s3://bucket/prefix[?endpoint=…&region=…]``."""
+    """Open the store at ``address``: a folder, or ``s3://bucket/prefix[?endpoint=…&region=…]``."""
     if isinstance(address, str) and "://" in address:
         return ObjectStore.from_url(address)
     return LocalStore(address)

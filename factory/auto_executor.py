@@ -1,4 +1,4 @@
-"""Ray where it pays, for who has asked for no number of workers: a small run goes inline, and says so."""
+"""Executor that uses Ray only where it pays, for runs that ask for no number of workers; a small run is done inline."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ from factory.receipt import Receipt
 __all__ = ["SMALL_SECONDS", "AutoExecutor"]
 
 SMALL_SECONDS: Final = 20.0
-"""Estimated work below which Ray does not pay: starting it costs about nine CPU seconds, five by the clock."""
+"""CPU seconds of estimated work below which Ray is not started: its start costs about nine CPU seconds (five by the
+clock)."""
 
 
 class AutoExecutor:
-    """Chooses by the estimated cost of what is to be done. A Ray that is up already, or a cluster, is always used.
+    """Chooses inline or Ray by the estimated cost of the work. A running Ray and a cluster are always used.
 
     Only for who has configured neither workers nor an address: those are obeyed, see ``jobs.generate``.
 

@@ -1,4 +1,4 @@
-"""One unit's chain of stages, walked by the planner and the workers alike: keys, and what is known behind them."""
+"""The chain of stages of one unit, walked by planner and workers alike: keys, and the tables that each stage reads."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from schemas.errors import CorruptShardError, StoreError
 
 __all__ = ["Chain", "SharedTables", "Upstream", "receipt_of"]
 
-_RENEW = "Run condvln rebuild CONFIG: it is restored from the snapshot; else --priors builds it again."
+_RENEW = "Run condvln rebuild CONFIG, which restores it from the snapshot; if it can't, add --priors to build it again."
 
 
 class Upstream(Mapping[str, pa.Table]):
@@ -40,7 +40,7 @@ class Upstream(Mapping[str, pa.Table]):
 
 
 class SharedTables:
-    """The pinned aggregates of a run: hashes are known, tables are read from the store when a stage asks.
+    """The pinned aggregates of a run. Their hashes are known; a table is read from the store when a stage asks for it.
 
     hashes : name of the aggregate → logical hash
     """
@@ -51,7 +51,7 @@ class SharedTables:
 
     @staticmethod
     def path(name: str, hash_: str) -> str:
-        """Where an aggregate lies in the store."""
+        """Return the path of an aggregate in the store."""
         return f"aggregates/{name}/{hash_}.parquet"
 
     def _loader(self, commits: Commits, name: str, found: str) -> Callable[[], pa.Table]:
@@ -71,17 +71,17 @@ class SharedTables:
         return load
 
     def of(self, names: tuple[str, ...]) -> Mapping[str, pa.Table]:
-        """Just the tables that a stage needs."""
+        """Select the tables that a stage needs."""
         return Upstream({name: partial(self._tables.__getitem__, name) for name in names})
 
 
 class Chain:
-    """The stages of one unit that are done, one after the other.
+    """The stages of one unit that are done, in their order.
 
     Stages may be known from a commit, from an earlier snapshot's index, or made just now; in the last case their tables
     are at hand, otherwise they are read from the store when a later stage asks.
 
-    discard : remove commits that turn out damaged, so that they are made again; False where nothing may be written
+    discard : remove commits that turn out damaged, so that they are rebuilt; False where nothing may be written
     """
 
     def __init__(
@@ -105,11 +105,11 @@ class Chain:
 
     @property
     def at(self) -> int:
-        """Position of the next stage."""
+        """Return the position of the next stage."""
         return len(self.done)
 
     def key(self) -> StageKey:
-        """Key of the next stage."""
+        """Compute the key of the next stage."""
         stage = self._pipeline.stages[self.at]
         hashes = {table: self._hash(table, position) for table, position in self._pipeline.visible(self.at)}
         depends = None
@@ -121,7 +121,7 @@ class Chain:
         return next(t.hash.hex() for t in self.done[position].tables if t.table == table)
 
     def upstream(self) -> Mapping[str, pa.Table]:
-        """The tables that the next stage reads."""
+        """Return the tables that the next stage reads."""
         return Upstream({table: self._loader(table, position) for table, position in self._pipeline.visible(self.at)})
 
     def _loader(self, table: str, position: int) -> Callable[[], pa.Table]:
@@ -140,18 +140,18 @@ class Chain:
         return load
 
     def shared(self) -> Mapping[str, pa.Table]:
-        """The aggregates that the next stage needs."""
+        """Return the aggregates that the next stage needs."""
         return self._shared.of(self._pipeline.stages[self.at].needs)
 
     def add(self, receipt: StageReceipt, tables: Mapping[str, pa.Table] | None = None) -> None:
-        """The next stage is done; ``tables`` are its rows where they are at hand."""
+        """Record that the next stage is done. ``tables`` are its rows, where they are in memory."""
         for name, table in (tables or {}).items():
             self._in_memory[name, self.at] = table
         self.done.append(receipt)
 
 
 def receipt_of(committed: Committed, *, made: bool) -> StageReceipt:
-    """A commit as a receipt."""
+    """Convert a commit to a receipt."""
     commit = committed.commit
     parts = commit.key_parts
     return StageReceipt(

@@ -25,18 +25,18 @@ from schemas.unit import QuarantineRecord, ShardRecord, TableRecord, UnitCommit
 __all__ = ["LISTING", "REBUILD_VERIFIED", "UNIT_FILE", "Commits", "Committed"]
 
 LISTING = "listing"
-"""The stage name under which units that could not even be listed are quarantined."""
+"""Stage name under which units are quarantined that could not even be listed."""
 
-REBUILD_VERIFIED: Final = "Run condvln rebuild CONFIG --verify: it makes damaged files again."
-"""The remedy for every damaged file that can be made again."""
+REBUILD_VERIFIED: Final = "Run condvln rebuild CONFIG --verify, which rebuilds damaged files."
+"""The remedy for every damaged file that can be rebuilt."""
 
 UNIT_FILE: Final = "unit.json"
-"""The commit of a unit's stage, written last."""
+"""File name of the commit of a unit's stage. It is written last."""
 
 
 @dataclass(frozen=True, slots=True)
 class Committed:
-    """One stage of one unit, committed.
+    """One committed stage of one unit.
 
     stored : bytes of all its files, ``unit.json`` included: a listing tells by it that one is missing or cut
     """
@@ -54,7 +54,7 @@ class Commits:
 
     @staticmethod
     def folder(stage: str, key: str) -> str:
-        """Where the files of a key lie."""
+        """Return the folder that holds the files of a key."""
         return f"units/{stage}/{key[:2]}/{key}"
 
     def exists(self, stage: str, key: str) -> bool:
@@ -62,16 +62,16 @@ class Commits:
         return self.store.exists(f"{self.folder(stage, key)}/unit.json")
 
     def committed(self) -> Iterator[tuple[str, str]]:
-        """(stage, key) of everything that is committed."""
+        """Yield (stage, key) of everything that is committed."""
         for entry in self.store.list("units"):
             parts = entry.path.split("/")
             if parts[-1] == "unit.json" and len(parts) == 5:
                 yield parts[1], parts[3]
 
     def find(self, stage: str, key: str, *, discard: bool = True) -> Committed | None:
-        """The commit under this key, or None where it or one of its files is missing, cut or not readable.
+        """Return the commit under this key, or None if it or one of its files is missing, cut or not readable.
 
-        discard : remove a damaged one, so that it is made again; False where nothing may be written
+        discard : remove a damaged one, so that it is rebuilt; False where nothing may be written
         """
         folder = self.folder(stage, key)
         try:
@@ -92,7 +92,8 @@ class Commits:
         return None
 
     def damaged_file(self, stage: str, key: str) -> str | None:
-        """Path of the first file of a commit whose bytes are not as committed, or None. Reads all of them."""
+        """Return the path of the first file of a commit whose bytes differ from the commit, or None. Reads all of
+        them."""
         folder = self.folder(stage, key)
         found = self.find(stage, key, discard=False)
         if found is None:
@@ -107,7 +108,7 @@ class Commits:
     def save(
         self, pipeline: Pipeline, commit: UnitCommit, tables: Mapping[str, pa.Table], files: Mapping[str, bytes]
     ) -> Committed:
-        """Write the files of a stage, then its ``unit.json``; returns the commit with the files' hashes and sizes.
+        """Write the files of a stage, then its ``unit.json``; return the commit with the files' hashes and sizes.
 
         tables : canonical tables, whose ``rows`` and ``logical_hash`` are in ``commit`` already
         """
@@ -135,7 +136,7 @@ class Commits:
         return Committed(commit, len(content) + sum(record.bytes for record in _files(commit).values()))
 
     def table(self, stage: str, key: str, name: str, rows_hash: str | None = None) -> pa.Table:
-        """One table of a commit.
+        """Read one table of a commit.
 
         rows_hash : logical hash that its rows must have
 
@@ -151,7 +152,7 @@ class Commits:
         return table
 
     def file(self, commit: UnitCommit, name: str) -> bytes:
-        """One further file of a commit. Raises ``CorruptShardError`` as ``table`` does."""
+        """Read another file of a commit. Raises ``CorruptShardError`` as ``table`` does."""
         return bytes(self._verified(f"{self.folder(commit.stage, commit.key)}/{name}", commit.files[name].sha256))
 
     def _verified(self, path: str, sha256: str | None) -> Any:
@@ -171,20 +172,20 @@ class Commits:
         return f"{self.store.url}/{path}"
 
     def discard(self, stage: str, key: str) -> None:
-        """Forget a commit: ``unit.json`` goes first, so that at no time a commit stands without its files."""
+        """Delete a commit. ``unit.json`` goes first, so that no commit is ever without its files."""
         folder = self.folder(stage, key)
         self.store.delete(f"{folder}/unit.json")
         for entry in [*self.store.list(folder)]:
             self.store.delete(entry.path)
 
     def quarantine(self, record: QuarantineRecord) -> None:
-        """Record why a unit could not be made, in place of an older record of the same key."""
+        """Record why a unit failed, in place of an older record of the same key."""
         self._faults.reach("quarantine-before-record")
         path = f"quarantine/{record.stage}/{record.key}.json"
         self.store.write(path, record.model_dump_json(indent=1).encode())
 
     def quarantine_record(self, stage: str, key: str) -> QuarantineRecord | None:
-        """The record under this key, or None (also when it is damaged: then the unit is tried again)."""
+        """Return the record under this key, or None (also when it is damaged: the unit is then tried again)."""
         path = f"quarantine/{stage}/{key}.json"
         try:
             return QuarantineRecord.model_validate_json(self.store.read(path))
@@ -199,7 +200,7 @@ class Commits:
         self.store.delete(f"quarantine/{stage}/{key}.json")
 
     def quarantined(self) -> Iterator[tuple[str, str]]:
-        """(stage, key) of every record."""
+        """Yield (stage, key) of every quarantine record."""
         for entry in self.store.list("quarantine"):
             parts = entry.path.split("/")
             # Whatever else a person put there is not ours.
@@ -208,5 +209,5 @@ class Commits:
 
 
 def _files(commit: UnitCommit) -> dict[str, ShardRecord]:
-    """All files of a commit but ``unit.json``, by name."""
+    """Return all files of a commit except ``unit.json``, by name."""
     return {**{f"{name}.parquet": record for name, record in commit.tables.items()}, **commit.files}

@@ -1,4 +1,4 @@
-"""What every worker of a run is given, once."""
+"""Parameters of a run that every worker receives."""
 
 from __future__ import annotations
 
@@ -39,4 +39,4 @@ class RunContext:
     busy_seconds: float = BUSY_SECONDS
     faults: str = ""
     token: str = ""
-    """Names the run; a record of quarantine under it is never tried again within the run."""
+    """Name of the run. A unit that this run has quarantined is not tried again within the run."""

@@ -1,4 +1,5 @@
-"""What a unit will cost: what it took last time, or its own estimate, corrected by what such estimates were worth."""
+"""Cost model of units: what a unit took last time, or its own estimate, corrected by how accurate such estimates
+were."""
 
 from __future__ import annotations
 
@@ -15,10 +16,10 @@ from factory.unit import Unit
 __all__ = ["MEMORY_MARGIN", "PRIOR_SECONDS", "CostModel"]
 
 MEMORY_MARGIN: Final = 1.25
-"""Asked for above the peak that was measured: the same unit varies by some percent from run to run."""
+"""Factor on the measured peak memory when memory is requested: the same unit varies by some percent from run to run."""
 
 PRIOR_SECONDS: Final = 1.0
-"""CPU seconds of receipts that weigh as much as what was believed before them: one unit teaches little."""
+"""Weight of the prior in CPU seconds of receipts: a stage's scale changes little until that much work is measured."""
 
 
 class CostModel:
@@ -48,7 +49,7 @@ class CostModel:
         self._scales: dict[tuple[str, str], float] = {}
 
     def _learned(self, stage: str, partitions: list[str], numbers: Any) -> dict[str, tuple[float, float]]:
-        """(CPU seconds, estimates) of a stage by partition, and over all under ''."""
+        """Return (CPU seconds, estimates) of a stage by partition, and over all under ''."""
         spent, estimated = self._spent[stage], self._estimated[stage]
         both = (spent > 0) & (estimated > 0)
         sums = {"": (float(spent[both].sum()), float(estimated[both].sum()))}
@@ -67,7 +68,7 @@ class CostModel:
         return known
 
     def stage_seconds(self, unit: Unit, row: int, stage: str) -> float:
-        """Expected CPU seconds of one stage; ``row`` of the index it was published in, or -1."""
+        """Return the expected CPU seconds of one stage. ``row`` is that of the index it was published in, or -1."""
         estimate = unit.costs.get(stage, 0.0)
         spent = float(self._spent[stage][row]) if row >= 0 else 0.0
         if spent > 0:
@@ -76,18 +77,18 @@ class CostModel:
         return estimate * self._scale(stage, unit.partition) if estimate > 0 else 0.0
 
     def seconds(self, unit: Unit, row: int, first: int = 0, until: int | None = None) -> float:
-        """Expected CPU seconds of the stages at positions ``first`` to ``until`` (all by default)."""
+        """Return the expected CPU seconds of the stages at positions ``first`` to ``until`` (all by default)."""
         return sum(self.stage_seconds(unit, row, name) for name in self._names[first:until])
 
     def memory(self, unit: Unit, row: int) -> int:
-        """Expected bytes at the peak, with a margin where they were measured."""
+        """Return the expected bytes at the peak, with a margin where they were measured."""
         if row >= 0 and self._peak_rss[row] > 0:
             return int(MEMORY_MARGIN * self._peak_rss[row])
         return unit.memory
 
 
 def _numbers(index: Index, column: str) -> Any:
-    """(rows,) float64 of a column; 0 where it is null or not there."""
+    """Return a column as (rows,) float64, with 0 where it is null or missing."""
     if column not in index.table.column_names:
         return np.zeros(len(index))
     return np.nan_to_num(index.table.column(column).to_numpy().astype(float))

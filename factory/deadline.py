@@ -1,4 +1,4 @@
-"""How a unit or a run is stopped: a limit on a unit's seconds, and SIGTERM, which schedulers send.
+"""Stopping a unit or a run: a limit on a unit's seconds, and SIGTERM, which schedulers send.
 
 Python code is interrupted by a signal and quarantined with its traceback. Compiled code that keeps the interpreter
 locked cannot be: there, in a worker process that may die, a watchdog written in C prints where every thread stands
@@ -21,14 +21,14 @@ from schemas.errors import DeadlineError
 __all__ = ["Deadline", "terminable"]
 
 _AGAIN: Final = 1.0
-"""Seconds until the signal comes again, should a stage have swallowed the error."""
+"""Seconds until the signal is sent again, in case a stage has swallowed the error."""
 
 _GRACE: Final = 5.0
-"""Seconds beyond which compiled code that does not return is ended together with its process."""
+"""Seconds past the deadline after which a process whose compiled code does not return is ended."""
 
 
 class Deadline:
-    """The time left of one unit.
+    """The time limit of one unit.
 
     seconds : the whole limit; None for no limit
     may_exit : this process may be ended by the watchdog (a worker, not the driver)
@@ -69,7 +69,7 @@ class Deadline:
 
 @contextlib.contextmanager
 def terminable() -> Iterator[threading.Event]:
-    """Let SIGTERM stop a run as Ctrl-C does: nothing more is handed out, Ray is shut down by its owner.
+    """Let SIGTERM stop a run as Ctrl-C does: no more work is handed out, and the owner of Ray shuts it down.
 
     The event is set as well: what is raised inside a callback of C code may be printed and forgotten there.
     """

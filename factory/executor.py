@@ -1,4 +1,4 @@
-"""Who does the work: the interface, and the executor that does it in this very process."""
+"""The interface of executors, and the executor that works in this process."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["Executor", "InlineExecutor", "Task"]
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """Units that travel together.
+    """Units that are handed out together.
 
     until : number of stages to make
     attempt : how many times these units were given out, this one included
@@ -36,40 +36,40 @@ class Task:
 
     @property
     def seconds(self) -> float:
-        """Estimated seconds of all its units."""
+        """Return the estimated seconds of all units."""
         return sum(item.seconds for item in self.work)
 
 
 class Executor(Protocol):
-    """Runs tasks in any order; hands back one receipt for each unit, as they are done."""
+    """Runs tasks in any order and yields one receipt per finished unit."""
 
     @property
     def workers(self) -> int:
-        """How many units are worked on at once."""
+        """Return how many units are processed at once."""
         ...
 
     def workers_for(self, seconds: float) -> int:
-        """How many units it will work on at once where that many CPU seconds are expected."""
+        """Return how many units would be processed at once for this many expected CPU seconds."""
         ...
 
     def busy(self) -> Sequence[Busy]:
-        """Units under way, as far as it knows; asked from another thread while ``run`` goes."""
+        """Return the units under way that are known; called from another thread while ``run`` goes on."""
         ...
 
     def run(self, context: RunContext, tasks: Iterable[Task]) -> Iterator[Receipt]:
-        """Run ``tasks``. After the iterator is closed no task is started; what is committed stays.
+        """Run ``tasks``. When the iterator is closed, no further task is started; commits stay.
 
         Each receipt holds what was expected of its unit. Raises ``ClusterError`` when Ray dies.
         """
         ...
 
     def pack(self, context: RunContext, jobs: Iterable[PackJob]) -> Iterator[Packed]:
-        """Write the parts of a snapshot."""
+        """Write the files of a snapshot."""
         ...
 
 
 class InlineExecutor:
-    """All in this process, one unit after the other, the smallest first, without Ray: for small runs and debugging."""
+    """Works in this process, one unit after the other, the smallest first: for small runs and debugging."""
 
     workers = 1
 

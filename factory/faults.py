@@ -1,4 +1,4 @@
-"""Faults on purpose: a process dies, or an error strikes, at a named point, so that tests can prove the recovery.
+"""Fault injection for tests: at a named point the process dies or an error is raised.
 
 Points are named where the store's state changes (``POINTS``). A plan is text, ``point[@n][=action]`` separated by
 commas: at the n-th time (default first) that the point is reached in a process, do the action: ``kill`` (SIGKILL to
@@ -40,7 +40,7 @@ ENVIRONMENT: Final = "FACTORY_FAULTS"
 
 @dataclass
 class FaultPlan:
-    """What to do at which point; the empty plan does nothing."""
+    """The faults to inject, by point; an empty plan injects none."""
 
     actions: dict[str, tuple[int, str]] = field(default_factory=dict)
     reached: dict[str, int] = field(default_factory=dict)
@@ -59,11 +59,11 @@ class FaultPlan:
 
     @classmethod
     def from_environment(cls) -> FaultPlan:
-        """The plan in ``FACTORY_FAULTS``; empty without it."""
+        """Read the plan in ``FACTORY_FAULTS``; empty if it is not set."""
         return cls.parse(os.environ.get(ENVIRONMENT, ""))
 
     def reach(self, point: str) -> None:
-        """Say that ``point`` is reached; does what the plan has for it."""
+        """Inject the fault that is planned at ``point``, if any."""
         if point not in self.actions:
             return
         count = self.reached[point] = self.reached.get(point, 0) + 1

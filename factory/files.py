@@ -1,4 +1,4 @@
-"""Hashes of input files, remembered by (path, size, mtime): planning an unchanged corpus reads no file twice.
+"""Hashes of input files, cached by (path, size, mtime), so that planning an unchanged corpus reads no file twice.
 
 The memory is one SQLite file beside the store, or anywhere local; losing it costs time only. A file that changed while
 keeping its size and its modification time to the nanosecond would be missed; files touched within the last two seconds
@@ -23,11 +23,11 @@ __all__ = ["FileHashes", "hash_file"]
 
 _CHUNK: Final = 1 << 20
 _SETTLED: Final = 2.0
-"""Seconds a file must be old before its hash is remembered: the coarsest clock of a common file system (FAT)."""
+"""Least age of a file in seconds for its hash to be cached: the resolution of the coarsest common file system (FAT)."""
 
 
 def hash_file(path: Path) -> str:
-    """SHA-256 of a file's bytes. Raises ``MissingFileError``, or ``TransientIOError`` when reading fails."""
+    """Return the SHA-256 of a file's bytes. Raises ``MissingFileError``, or ``TransientIOError`` when reading fails."""
     state = hashlib.sha256()
     try:
         with open(path, "rb") as handle:
@@ -43,7 +43,7 @@ def hash_file(path: Path) -> str:
 
 
 class FileHashes:
-    """A local memory of file hashes.
+    """A local cache of file hashes.
 
     path : the SQLite file; None keeps it in memory
     """
@@ -64,7 +64,7 @@ class FileHashes:
                         path.unlink()
 
     def file(self, root: Path, relative: str) -> InputFile:
-        """The keyed form of ``root/relative``. Errors as ``hash_file``."""
+        """Return the keyed form of ``root/relative``. Raises as ``hash_file`` does."""
         place = os.path.join(root, relative)
         try:
             stat = os.stat(place)
@@ -80,7 +80,7 @@ class FileHashes:
         return InputFile(relative, stat.st_size, found)
 
     def save(self) -> None:
-        """Write what is new; a cache that can't be written is not an error."""
+        """Write new hashes; a cache that can't be written is not an error."""
         if self._path is None or not self._new:
             return
         try:

@@ -1,4 +1,4 @@
-"""The guard against a version that was not raised: keys and output hashes of a golden corpus, kept in a file.
+"""Golden keys and output hashes of a small corpus: they show when a stage changed and its version was not raised.
 
 A stage whose rows change while its key stays would leave old and new rows side by side in every store, for ever. So a
 test makes a small corpus from scratch and compares: under an equal key, the rows must be equal.
@@ -21,15 +21,15 @@ from schemas.errors import ProofError
 __all__ = ["Drift", "Fingerprints", "compare", "fingerprints"]
 
 StageFingerprint: TypeAlias = Mapping[str, str]
-"""``key``, and for each table its logical hash."""
+"""``key``, and the logical hash of each table."""
 
 Fingerprints: TypeAlias = Mapping[str, Mapping[str, StageFingerprint]]
-"""unit id → stage → fingerprint; plain JSON."""
+"""Fingerprints by unit id and stage; plain JSON."""
 
 
 @dataclass(frozen=True)
 class Drift:
-    """How a corpus differs from its golden fingerprints.
+    """Differences between a corpus and its golden fingerprints.
 
     unbumped : ``unit: stage`` whose rows changed under an equal key: the stage's version must be raised
     outdated : ``unit: stage`` whose key changed, or that is new or gone: the golden file must be written again
@@ -40,7 +40,7 @@ class Drift:
 
 
 def fingerprints(pipeline: Pipeline, units: Iterable[Unit]) -> dict[str, dict[str, dict[str, str]]]:
-    """Make ``units`` from scratch, in this process; returns keys and hashes.
+    """Process ``units`` from scratch in this process; return their keys and hashes.
 
     Raises ``ProofError`` when a unit fails.
     """
@@ -61,7 +61,7 @@ def fingerprints(pipeline: Pipeline, units: Iterable[Unit]) -> dict[str, dict[st
 
 
 def compare(golden: Fingerprints, found: Fingerprints) -> Drift:
-    """What changed from ``golden`` to ``found``."""
+    """List what changed from ``golden`` to ``found``."""
     unbumped: list[str] = []
     outdated: list[str] = []
     for unit_id in sorted({*golden, *found}):

@@ -1,4 +1,4 @@
-"""Reports on units that take long, so that a slow run does not look like one that hangs."""
+"""Messages about units that take long, so that a slow run does not look like one that hangs."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from typing import Final
 __all__ = ["BUSY_SECONDS", "Busy", "Heartbeat", "Place", "busy_message"]
 
 BUSY_SECONDS: Final = 30.0
-"""Seconds at one stage of one unit before it is mentioned; again at twice as many, and so on."""
+"""Seconds at one stage of one unit before the first message; the next comes after twice as many, and so on."""
 
 LONGEST_SILENCE: Final = 600.0
-"""Seconds after which a unit that is still at the same stage is mentioned again at the latest."""
+"""Longest time in seconds between two messages about a unit that is still at the same stage."""
 
 _PAUSE: Final = 1.0
-"""Seconds between two looks."""
+"""Seconds between two checks."""
 
 
 @dataclass(frozen=True, slots=True)
 class Busy:
-    """A unit under way, and how many seconds it has been at its stage.
+    """A unit under way, and for how many seconds it has been at its stage.
 
     endable : its process may be ended when it is late (a worker of Ray's, not the driver)
     """
@@ -35,7 +35,7 @@ class Busy:
 
 
 def busy_message(busy: Busy, deadline: float | None = None) -> str:
-    """One line for a person. A unit that is past its deadline is in compiled code, which no signal interrupts."""
+    """Format one line about a unit. If it is past its deadline, it is in compiled code, which no signal interrupts."""
     line = f"{busy.unit_id}: at stage {busy.stage} for {busy.seconds:.0f} s"
     if deadline is not None and busy.seconds > deadline and not busy.endable:
         line += (
@@ -46,7 +46,7 @@ def busy_message(busy: Busy, deadline: float | None = None) -> str:
 
 
 class Heartbeat:
-    """A thread that looks at what is under way and calls `say` for units that take long. A context manager.
+    """A thread that checks which units are under way and calls `say` for those that take long; a context manager.
 
     look : the units under way
     say : called from the thread
@@ -73,7 +73,7 @@ class Heartbeat:
             self.beat()
 
     def beat(self) -> None:
-        """Look once."""
+        """Check once."""
         due = {}
         for busy in self._look():
             name = (busy.unit_id, busy.stage)
@@ -96,7 +96,7 @@ class Heartbeat:
 
 
 class Place:
-    """Where a worker is: written by the thread that works, read by others."""
+    """The unit and stage of a worker, written by the working thread and read by others."""
 
     __slots__ = ("_at",)
 
@@ -104,7 +104,7 @@ class Place:
         self._at: tuple[str, str, float] | None = None
 
     def enter(self, unit_id: str, stage: str) -> None:
-        """A stage of a unit begins."""
+        """Record that a stage of a unit begins."""
         self._at = (unit_id, stage, time.monotonic())
 
     def leave(self) -> None:
@@ -112,6 +112,6 @@ class Place:
         self._at = None
 
     def busy(self) -> Busy | None:
-        """The unit and stage that are under way, if any."""
+        """Return the unit and stage under way, if any."""
         at = self._at
         return None if at is None else Busy(at[0], at[1], time.monotonic() - at[2])

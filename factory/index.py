@@ -52,12 +52,12 @@ _STAGE_FIELDS: Final = (
     ("stored", pa.int64()),
 )
 _BATCH: Final = 4096
-"""Receipts turned into columns at a time."""
-_REBUILD: Final = "Run condvln rebuild CONFIG: it writes the index again."
+"""Number of receipts that are converted to columns at a time."""
+_REBUILD: Final = "Run condvln rebuild CONFIG, which writes the index again."
 
 
 def index_schema(pipeline: Pipeline) -> pa.Schema:
-    """Columns of the index of ``pipeline``."""
+    """Return the columns of the index of ``pipeline``."""
     fields = [pa.field(name, kind) for name, kind in _UNIT_FIELDS.items()]
     for stage in pipeline.stages:
         fields += [pa.field(f"{stage.name}.{name}", kind) for name, kind in _STAGE_FIELDS]
@@ -103,7 +103,7 @@ def _row(receipt: Receipt) -> dict[str, Any]:
 
 
 class IndexWriter:
-    """Gathers receipts into columns, a batch at a time."""
+    """Converts receipts to columns, a batch at a time."""
 
     def __init__(self, pipeline: Pipeline) -> None:
         self._schema = index_schema(pipeline)
@@ -111,7 +111,7 @@ class IndexWriter:
         self._batches: list[pa.RecordBatch] = []
 
     def add(self, receipt: Receipt) -> None:
-        """Take one finished unit in."""
+        """Add one finished unit."""
         self._pending.append(_row(receipt))
         if len(self._pending) >= _BATCH:
             self._flush()
@@ -122,7 +122,7 @@ class IndexWriter:
         self._pending.clear()
 
     def finish(self, carried: pa.Table | None) -> pa.Table:
-        """All rows, those carried over from an older index included, sorted by unit id."""
+        """Return all rows sorted by unit id, those from an older index included."""
         if self._pending:
             self._flush()
         whole = pa.Table.from_batches(self._batches, schema=self._schema)
@@ -139,7 +139,8 @@ class IndexWriter:
 
 
 def _conformed(table: pa.Table, schema: pa.Schema) -> pa.Table:
-    """``table`` with just the columns of ``schema``; what it lacks is null (a stage that is new, say)."""
+    """Return ``table`` with exactly the columns of ``schema``; missing ones are null (those of a new stage, for
+    example)."""
     columns = [
         table.column(f.name).cast(f.type) if f.name in table.column_names else pa.nulls(table.num_rows, f.type)
         for f in schema
@@ -148,14 +149,14 @@ def _conformed(table: pa.Table, schema: pa.Schema) -> pa.Table:
 
 
 def failed_keys(index: pa.Table) -> set[tuple[str, str]]:
-    """(stage, key) of the quarantined units of an index."""
+    """Return (stage, key) of the quarantined units of an index."""
     failed = pc.equal(index.column("status"), "quarantined")
     rows = index.select(["failure.stage", "failure.key"]).filter(failed).to_pylist()
     return {(row["failure.stage"], row["failure.key"].hex()) for row in rows}
 
 
 class Index:
-    """A read index: whole columns, and single units by id.
+    """An index in memory: whole columns, and single units by id.
 
     damaged : it stands in for one that is missing or damaged
     """
@@ -176,7 +177,7 @@ class Index:
 
     @staticmethod
     def path(hash_: str) -> str:
-        """Where an index lies in the store."""
+        """Return the path of an index in the store."""
         return f"indexes/{hash_}.parquet"
 
     @classmethod
@@ -197,7 +198,7 @@ class Index:
 
     @staticmethod
     def write(store: Store, table: pa.Table) -> str:
-        """Write an index; returns the hash that names it."""
+        """Write an index; return the hash that names it."""
         sink = pa.BufferOutputStream()
         pq.write_table(table, sink, compression="zstd", compression_level=1, row_group_size=131_072)
         data = sink.getvalue()
@@ -210,7 +211,7 @@ class Index:
         return int(self.table.num_rows)
 
     def rows_of(self, unit_ids: Sequence[str]) -> Any:
-        """(n,) int64 row of each unit id; -1 where there is none."""
+        """Return the (n,) int64 rows of unit ids; -1 where there is none."""
         if not len(self):
             return np.full(len(unit_ids), -1, np.int64)
         wanted = id_hashes(unit_ids)
@@ -228,17 +229,17 @@ class Index:
         return int(pc.index(self._ids, unit_id).as_py())
 
     def fingerprints(self) -> list[bytes]:
-        """Fingerprint of every row."""
+        """Return the fingerprint of every row."""
         found: list[bytes] = self.table.column("fingerprint").to_pylist()
         return found
 
     def statuses(self) -> list[str]:
-        """Status of every row."""
+        """Return the status of every row."""
         found: list[str] = self.table.column("status").to_pylist()
         return found
 
     def receipt(self, row: int, pipeline: Pipeline) -> Receipt:
-        """The unit in ``row`` as its receipt, as far as its stages are still in ``pipeline``."""
+        """Return the unit in ``row`` as its receipt, with the stages that are still in ``pipeline``."""
         values = self.table.slice(row, 1).to_pylist()[0]
         stages = []
         for stage in pipeline.stages:
@@ -274,12 +275,12 @@ class Index:
         )
 
     def receipts(self, rows: Iterable[int], pipeline: Pipeline) -> Iterator[Receipt]:
-        """Several units as their receipts."""
+        """Return several units as their receipts."""
         return (self.receipt(row, pipeline) for row in rows)
 
 
 def id_hashes(unit_ids: Sequence[str]) -> Any:
-    """(n,) uint64 hash of each id: small enough to keep for a million units."""
+    """Return the (n,) uint64 hashes of ids: small enough to keep for a million units."""
     joined = b"".join(
         hashlib.blake2b(text.encode("utf-8", "surrogatepass"), digest_size=8).digest() for text in unit_ids
     )

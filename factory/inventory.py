@@ -1,4 +1,4 @@
-"""Which files of a published state exist: units and files of the snapshot, by names and sizes.
+"""Which files of a published state exist, by names and sizes: those of the units and of the snapshot.
 
 A ref names a snapshot and a unit index; what these name must be in the store. A unit whose files are missing or cut is
 made again, a missing file of the snapshot is packed again. Bytes that changed while a file's size stayed are found
@@ -24,10 +24,11 @@ from factory.store import Store
 __all__ = ["Inventory", "glance", "missing_parts"]
 
 _BATCH: Final = 8192
-"""Folders compared with the index at a time."""
+"""Number of folders that are compared with the index at a time."""
 
 FOLDERS_LOOKED_INTO: Final = 10_000
-"""Unit folders up to which a glance lists every file (some 0.2 s); beyond, it goes by the folders above them."""
+"""Number of unit folders up to which a glance lists every file (about 0.2 s). Beyond, it looks only at their parent
+folders."""
 
 
 class Inventory:
@@ -50,12 +51,12 @@ class Inventory:
                 self.whole &= ~self._lost[stage]
 
     def lost(self, stage: str, row: int) -> bool:
-        """Whether the index names this stage of the unit in ``row`` and its files are missing or cut."""
+        """Whether the unit in ``row`` has this stage and files of it are missing or cut."""
         return stage in self._lost and bool(self._lost[stage][row])
 
 
 def _lost(commits: Commits, table: pa.Table, stage: str) -> npt.NDArray[np.bool_]:
-    """(rows,) whether the stage was made for the unit and is not wholly there."""
+    """Return (rows,) bool: whether files of the stage are missing or cut."""
     column = table.column(f"{stage}.key").combine_chunks()
     column = column.chunk(0) if isinstance(column, pa.ChunkedArray) else column
     made: npt.NDArray[np.bool_] = column.is_valid().to_numpy(zero_copy_only=False)
@@ -86,7 +87,7 @@ def _lost(commits: Commits, table: pa.Table, stage: str) -> npt.NDArray[np.bool_
 
 
 def _unit_folders(store: Store, stage: str) -> Iterator[tuple[bytes, int]]:
-    """(key, bytes of all files) of every committed unit of a stage; what a person put there is passed over."""
+    """Yield (key, bytes of all files) of every committed unit of a stage; folders that are not units are skipped."""
     for folder, files in store.folders(f"units/{stage}"):
         parts = folder.split("/")
         if len(parts) == 2 and UNIT_FILE in files:
@@ -99,8 +100,8 @@ def _unit_folders(store: Store, stage: str) -> Iterator[tuple[bytes, int]]:
 
 
 def missing_parts(store: Store, snapshot_id: str) -> list[str]:
-    """Paths of a snapshot's files that are missing or of another size than its manifest says; the manifest's own where
-    that can't be read."""
+    """Return the paths of a snapshot's files that are missing or of another size than its manifest records; the
+    manifest's own path where it can't be read."""
     manifest = read_manifest(store, snapshot_id)
     if manifest is None:
         return [manifest_path(snapshot_id)]
@@ -111,7 +112,8 @@ def missing_parts(store: Store, snapshot_id: str) -> list[str]:
 
 
 def glance(store: Store, ref: str) -> list[Any]:
-    """A cheap fingerprint of everything that a ref names: if two are equal, nothing was added, removed or rewritten.
+    """Return a cheap fingerprint of everything that a ref names. Equal fingerprints mean that nothing was added,
+    removed or rewritten.
 
     It reads two small files, however many units there are.
     Covered are the ref, the snapshot's files, the index, the pins and their tables, each by size and time; and on disk
@@ -129,8 +131,8 @@ def glance(store: Store, ref: str) -> list[Any]:
 
 
 def _units_at_a_glance(store: Store) -> list[Any]:
-    """Each folder ``units/<stage>/<key[:2]>`` of a store on disk with its time and number of links, which change with
-    every unit that comes or goes: some 256 a stage. In a small store every file with its size as well."""
+    """Yield each folder ``units/<stage>/<key[:2]>`` of a store on disk (about 256 per stage) with its time and number
+    of links, which change with every unit. In a small store, every file with its size is added."""
     root = store.local_path("units")
     if root is None:
         return []

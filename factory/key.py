@@ -1,4 +1,4 @@
-"""Keys: what a stage's output is a function of, hashed.
+"""Keys of stages: the hash of everything that a stage's output depends on.
 
 A key is made of four parts, so that a plan can say which one changed:
 
@@ -42,12 +42,12 @@ class StageKey:
 
     @property
     def hex(self) -> str:
-        """The key as the store names it."""
+        """Return the key in hexadecimal, as the store names it."""
         return self.key.hex()
 
 
 class Keyer:
-    """Makes the keys of one pipeline; remembers what is the same for all units."""
+    """Computes the keys of one pipeline, and caches what is the same for all units."""
 
     def __init__(self, pipeline: Pipeline) -> None:
         self._pipeline = pipeline
@@ -62,23 +62,23 @@ class Keyer:
         return _hash({"stage": stage.name, "version": stage.version, "schema": major, "tables": schemas})
 
     def code(self, at: int) -> bytes:
-        """Hash of the code part of the stage at position ``at``."""
+        """Hash the code part of the stage at position ``at``."""
         return self._code[at]
 
     def reads_inputs(self, at: int) -> bool:
-        """Whether the stage at position ``at`` is keyed on the unit's files."""
+        """Whether the key of the stage at position ``at`` covers the unit's files."""
         return at == 0 or self._pipeline.stages[at].reads_inputs
 
     def inputs(self, unit: Unit) -> bytes:
-        """Hash of the unit's files."""
+        """Hash the unit's files."""
         return _hash(sorted((file.path, file.size, file.sha256) for file in unit.inputs))
 
     def content(self, unit: Unit) -> bytes:
-        """Hash of the unit's bytes alone, without paths: what stays when a unit is renamed."""
+        """Hash the unit's bytes alone, without paths, so that the hash stays when a unit is renamed."""
         return _hash(sorted((file.size, file.sha256) for file in unit.inputs))
 
     def parameters(self, unit: Unit, at: int) -> bytes:
-        """Hash of the parameters; remembered as long as the stage returns the same object."""
+        """Hash the parameters. The hash is cached as long as the stage returns the same object."""
         value = self._pipeline.stages[at].parameters(unit)
         known = self._remembered[at]
         if known is not None and known[0] is value:
@@ -88,7 +88,7 @@ class Keyer:
         return found
 
     def fingerprint(self, unit: Unit, shared: Mapping[str, str], stages: int | None = None) -> bytes:
-        """Hash of all that the whole chain can depend on, with shared tables by their hashes.
+        """Hash everything that the whole chain can depend on, with shared tables by their hashes.
 
         Equal fingerprints mean equal keys of every stage, by purity; nothing needs to be read to know it. The converse
         does not hold: a changed shared table may leave every key as it was. A shared table that is not pinned yet makes
@@ -108,7 +108,7 @@ class Keyer:
         return state.digest()[:16]
 
     def key(self, unit: Unit, at: int, upstream: Mapping[str, str], dependencies: JSON) -> StageKey:
-        """Key of the stage at position ``at``.
+        """Compute the key of the stage at position ``at``.
 
         upstream : logical hashes of the tables it reads, by name
         dependencies : what the stage returned; ignored unless it needs shared tables

@@ -27,10 +27,11 @@ from schemas.snapshot import PartRecord
 __all__ = ["COPIES_KEPT", "local_copy"]
 
 FETCHERS: Final = 4
-"""Files fetched at once: each may take some tens of megabytes of memory."""
+"""Number of files that are fetched at once: each may take some tens of megabytes of memory."""
 
 COPIES_KEPT: Final = 3
-"""Copies of snapshots that stay, the one asked for included; others go when nobody used them for a day."""
+"""Number of copies of snapshots that are kept, the requested one included. Others are removed after a day without
+use."""
 
 IDLE_SECONDS: Final = 24 * 3600.0
 
@@ -38,7 +39,7 @@ IDLE_SECONDS: Final = 24 * 3600.0
 def local_copy(
     snapshot: Snapshot, cache: Path, tables: Iterable[str] | None = None, hashes: FileHashes | None = None
 ) -> Path:
-    """The folder of ``snapshot`` on this disk, ``<table>/source=<partition>/part-*.parquet`` below it.
+    """Return the folder of ``snapshot`` on this disk, with ``<table>/source=<partition>/part-*.parquet`` below it.
 
     cache : where copies of snapshots stand, in ``snapshots/<id>``; not touched when the store itself is on this disk
     tables : those that are needed; all by default
@@ -99,7 +100,7 @@ def local_copy(
 
 
 def _forget(folder: Path, used: str) -> None:
-    """Remove copies that were not used lately."""
+    """Remove copies that were not used recently."""
 
     def last_use(copy: Path) -> float:
         try:

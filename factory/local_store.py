@@ -1,4 +1,4 @@
-"""The store in a folder, on local disk or a network disk."""
+"""The store in a folder on a local or network disk."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ __all__ = ["LocalStore"]
 
 _FULL = {errno.ENOSPC, errno.EDQUOT}
 _NO_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK}
-"""What file systems without hard links answer (FAT, many that are mounted from elsewhere)."""
+"""Errors of file systems without hard links (FAT, many network mounts)."""
 
 
 class LocalStore:
-    """A folder on local disk (or a network disk that has ``flock``).
+    """A folder on a local disk, or on a network disk that supports ``flock``.
 
     Files are written beside their place, flushed, and renamed; the folder is flushed after that. ``durable=False``
     leaves out the flushes: safe against killed processes, not against power cuts.
@@ -162,7 +162,7 @@ class LocalStore:
         return self._at(path)
 
     def unfinished(self) -> Iterator[Path]:
-        """Files that a killed writer left behind."""
+        """List files that a killed writer left behind."""
         yield from self.root.rglob(f"{self._TEMPORARY}*")
 
     @contextlib.contextmanager
@@ -189,7 +189,7 @@ class LocalStore:
 
     @contextlib.contextmanager
     def _locked(self, folder: Path) -> Iterator[None]:
-        """Alone among those that lock `folder`. flock goes with its holder: a killed publisher blocks nobody."""
+        """Hold the exclusive lock of `folder`. flock ends with its holder, so that a killed publisher blocks nobody."""
         self._make(folder)
         lock = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
         try:
@@ -199,7 +199,7 @@ class LocalStore:
             os.close(lock)
 
     def _make(self, folder: Path) -> None:
-        """Make a folder; its name, and those of new ones above it, outlast a power cut as the files in it do."""
+        """Create a folder and sync its parents, so that it survives a power cut as its files do."""
         new = []
         at = folder
         while not at.exists():

@@ -1,4 +1,4 @@
-"""What is recorded about the machine, never keyed: host, versions, seconds, peak memory, and a probe of its speed."""
+"""Facts about the machine that are recorded but not part of any key: host, versions, peak memory, and a speed test."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ __all__ = [
 
 @functools.cache
 def host() -> str:
-    """Name of this machine."""
+    """Return the name of this machine."""
     return socket.gethostname()
 
 
 @functools.cache
 def library_versions() -> dict[str, str]:
-    """Versions that a difference in rows or bytes could come from."""
+    """Return the versions of libraries that may change rows or bytes."""
     found = {"python": platform.python_version()}
     for name in ("numba", "numpy", "pyarrow", "ray", "scipy", "trimesh"):
         try:
@@ -51,7 +51,7 @@ def library_versions() -> dict[str, str]:
 
 
 def reset_peak_rss() -> None:
-    """Let the next ``peak_rss`` count from now on, where the system can (Linux)."""
+    """Reset ``peak_rss`` to count from now, where the system can (Linux)."""
     try:
         with open("/proc/self/clear_refs", "w") as handle:
             handle.write("5")
@@ -60,7 +60,7 @@ def reset_peak_rss() -> None:
 
 
 def peak_rss() -> int:
-    """Highest resident memory of this process in bytes, since ``reset_peak_rss`` or the start."""
+    """Return the highest resident memory of this process in bytes, since ``reset_peak_rss`` or the start."""
     try:
         with open("/proc/self/status") as handle:
             for line in handle:
@@ -73,12 +73,12 @@ def peak_rss() -> int:
 
 
 def rss() -> int:
-    """Resident memory of this process in bytes; 0 where the system does not say (not Linux)."""
+    """Return the resident memory of this process in bytes; 0 where the system does not report it (not Linux)."""
     return _statm(1)
 
 
 def private_memory() -> int:
-    """Private virtual memory of this process in bytes, as ``RLIMIT_DATA`` counts it; 0 where unknown."""
+    """Return the private virtual memory of this process in bytes, as ``RLIMIT_DATA`` counts it; 0 where unknown."""
     return _statm(5)
 
 
@@ -91,12 +91,13 @@ def _statm(field: int) -> int:
 
 
 def memory_total() -> int:
-    """Memory of this machine in bytes, or what its container may have; 0 where the system does not say."""
+    """Return the memory of this machine or its container in bytes; 0 where the system does not report it."""
     return min([_meminfo("MemTotal"), *(limit for limit, _ in container_limits())])
 
 
 def memory_available() -> int:
-    """Bytes that processes can still take before the machine or its container runs out; 0 where unknown."""
+    """Return the bytes that processes can still allocate before the machine or its container runs out; 0 where
+    unknown."""
     return max(min([_meminfo("MemAvailable"), *(limit - used for limit, used in container_limits())]), 0)
 
 
@@ -111,7 +112,7 @@ def _meminfo(name: str) -> int:
 def container_limits(
     groups: Path = Path("/proc/self/cgroup"), mounted: Path = Path("/sys/fs/cgroup")
 ) -> Iterator[tuple[int, int]]:
-    """(limit, used) in bytes of each control group around this process that has a limit; version 2, then 1."""
+    """Yield (limit, used) in bytes of each control group of this process that has a limit; version 2, then 1."""
     try:
         lines = groups.read_text().splitlines()
     except OSError:
@@ -138,21 +139,22 @@ def container_limits(
 
 
 REFERENCE_PROBE_SECONDS: Final = 0.037
-"""CPU seconds of ``probe`` on the reference machine. Estimates of units are in CPU seconds of that machine, so this is
-measured together with them (``python -m benchmarks costs``)."""
+"""CPU seconds of ``probe`` on the reference machine. Estimates of units are in CPU seconds of that machine, so ``python
+-m benchmarks costs`` measures both together."""
 
 _ROUNDS: Final = 4
-"""Rounds of the probe; the quickest counts, since whatever disturbs one makes it longer."""
+"""Number of times that the probe runs. The fastest counts, since disturbances only make it longer."""
 
 
 def probe() -> float:
-    """CPU seconds of a fixed piece of work: half of it numpy on small arrays, half plain Python. Takes under 0.2 s."""
+    """Measure the CPU seconds of a fixed piece of work: half numpy on small arrays, half plain Python. Takes under 0.2
+    s."""
     return min(_round() for _ in range(_ROUNDS))
 
 
 @functools.cache
 def slowness() -> float:
-    """CPU seconds that this machine takes for one CPU second of the reference machine; probed once a process."""
+    """Return the CPU seconds of this machine for one CPU second of the reference machine; measured once per process."""
     return probe() / REFERENCE_PROBE_SECONDS
 
 

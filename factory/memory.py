@@ -1,4 +1,4 @@
-"""A ceiling on the memory of a process while it works on a unit, so that one unit costs its own result only.
+"""A memory limit for a process while it works on a unit, so that a unit which is too large fails alone.
 
 Two guards. A thread looks at the resident memory every 20 ms and, beyond the ceiling, raises ``MemoryCeilingError`` in
 the main thread: between two steps of Python code, not inside a call into compiled code. For one single large request
@@ -34,26 +34,27 @@ from schemas.errors import MemoryCeilingError
 __all__ = ["LEAST", "MemoryCeiling", "release", "share"]
 
 LEAST: Final = 1 << 30
-"""No ceiling that is derived from the machine is lower: a worker holds 0.4 GiB before it reads a scene."""
+"""Least limit that is derived from the machine, bytes: a worker holds 0.4 GiB before it reads a scene."""
 
 SHARE: Final = 0.8
-"""Part of the machine's memory, and of what is free of it, that the workers may take together."""
+"""Share of the machine's memory, and of what is free of it, that all workers together may take."""
 
 _SLACK: Final = 1.25
-"""Private virtual memory allowed, in multiples of the resident memory that is left below the ceiling."""
+"""Private virtual memory that is allowed, as a multiple of the resident memory left below the limit."""
 
 _LOOK: Final = 0.02
-"""Seconds between two looks at the resident memory."""
+"""Seconds between two checks of the resident memory."""
 
 _AGAIN: Final = 1.0
-"""Seconds until the error is raised again, should a stage have swallowed it."""
+"""Seconds until the error is raised again, in case a stage has swallowed it."""
 
 _SIGNAL: Final = signal.SIGUSR2
-"""Sent by the watching thread to the main one; it ends a wait in the system too."""
+"""Signal that the watching thread sends to the main thread; it also ends a blocking system call."""
 
 
 def share(slots: int) -> int | None:
-    """Bytes that one of `slots` processes of this machine may hold; None where the system does not say."""
+    """Return the bytes that one of `slots` processes of this machine may hold; None where the system does not report
+    its memory."""
     total, free = machine.memory_total(), machine.memory_available()
     if not total:
         return None
@@ -62,7 +63,7 @@ def share(slots: int) -> int | None:
 
 
 def release() -> None:
-    """Give freed memory back to the system."""
+    """Return freed memory to the system."""
     gc.collect()
     pa.default_memory_pool().release_unused()
     if sys.platform == "linux":
@@ -104,7 +105,7 @@ class MemoryCeiling:
 
     @contextlib.contextmanager
     def armed(self) -> Iterator[None]:
-        """Inside ``watch``: the part in which the error may be raised. Not to be nested."""
+        """Mark the part of ``watch`` in which the error may be raised. Not to be nested."""
         if not self._watched or self.ceiling is None:
             yield
             return
@@ -118,7 +119,7 @@ class MemoryCeiling:
             _limit(before)
 
     def named(self, error: BaseException) -> BaseException:
-        """``error``, or, for a ``MemoryError`` of anyone else, the error that names the ceiling it was raised under."""
+        """Return ``error``; for a ``MemoryError`` raised elsewhere, an error that names the limit in force."""
         if self.ceiling is None or not isinstance(error, MemoryError) or isinstance(error, MemoryCeilingError):
             return error
         named = self._error(self.ceiling, str(error) or "a request was refused")
@@ -126,7 +127,7 @@ class MemoryCeiling:
         return named
 
     def look(self) -> bool:
-        """Whether the main thread is to be interrupted now; called by the watching thread."""
+        """Whether the main thread must be interrupted now; called by the watching thread."""
         over = self._armed and self.ceiling is not None and machine.rss() > self.ceiling
         self._over = self._over or over
         return over
@@ -146,7 +147,7 @@ class MemoryCeiling:
 
 
 class _Watcher:
-    """The one thread of this process that looks at its memory; it sleeps while nothing is watched."""
+    """The one thread of this process that checks its memory; it sleeps while nothing is watched."""
 
     def __init__(self) -> None:
         self._ceiling: MemoryCeiling | None = None
@@ -156,7 +157,7 @@ class _Watcher:
         threading.Thread(target=self._run, name="memory ceiling", daemon=True).start()
 
     def look_after(self, ceiling: MemoryCeiling | None) -> None:
-        """Watch `ceiling` from now on. No signal is sent for the one before once this has returned."""
+        """Watch `ceiling` from now on. Once this returns, no signal is sent for the former one."""
         with self._lock:
             self._ceiling = ceiling
         if ceiling is None:
@@ -181,7 +182,7 @@ def _watcher() -> _Watcher:
 
 
 def _limits() -> tuple[int, int]:
-    """(soft, hard) limit on private memory in bytes."""
+    """Return the (soft, hard) limit on private memory in bytes."""
     return resource.getrlimit(resource.RLIMIT_DATA)
 
 
@@ -190,7 +191,7 @@ def _limit(limits: tuple[int, int]) -> None:
 
 
 def _lowered(limits: tuple[int, int], ceiling: int) -> tuple[int, int]:
-    """The limits with a soft one that leaves this process little more than what is left below the ceiling."""
+    """Return limits whose soft value leaves this process little more than what is left below the ceiling."""
     _, hard = limits
     found = machine.private_memory() + int(_SLACK * max(ceiling - machine.rss(), 0))
     return min([found, *(limit for limit in limits if limit != resource.RLIM_INFINITY)]), hard

@@ -1,4 +1,4 @@
-"""The store on S3 and what speaks its protocol (MinIO, R2, GCS, Ceph): the same interface as local disk.
+"""The store on S3 and services with its protocol (MinIO, R2, GCS, Ceph): the same interface as local disk.
 
 A put of an object is atomic by itself. The two conditional writes are the protocol's own: ``If-None-Match: *`` for
 ``create``, ``If-Match: <etag>`` for ``swap``. A server that takes these headers and ignores them would let two
@@ -25,7 +25,7 @@ from schemas.errors import PathEscapeError, PublishConflictError, StoreError, Tr
 __all__ = ["ObjectStore"]
 
 ATTEMPTS: Final = 5
-"""Tries of one request, with growing pauses, before ``TransientIOError``; counted by boto3."""
+"""Tries of one request, with growing pauses, before ``TransientIOError``; boto3 counts them."""
 
 CONFLICT_TRIES: Final = 20
 """Tries of a conditional write while another one on the same key is under way (409)."""
@@ -38,7 +38,7 @@ _REFUSED: Final = {"403", "AccessDenied", "InvalidAccessKeyId", "SignatureDoesNo
 
 @functools.lru_cache(maxsize=8)
 def _client(endpoint: str | None, region: str | None) -> Any:
-    """One client for all threads of a process (clients may be shared, and take a third of a second to make)."""
+    """Return the client of this process, shared by its threads; a new one takes a third of a second."""
     try:
         import boto3
         from botocore.config import Config
@@ -73,12 +73,13 @@ class ObjectStore:
 
     @classmethod
     def from_url(cls, url: str) -> ObjectStore:
-        """``s3://bucket/prefix[?endpoint=http://host:port][&region=name]``. Raises ``UsageError`` on anything else."""
+        """Parse ``s3://bucket/prefix[?endpoint=http://host:port][&region=name]``. Raises ``UsageError`` on anything
+        else."""
         parts = urlsplit(url)
         query = parse_qs(parts.query)
         if "@" in parts.netloc or "@" in urlsplit(query.get("endpoint", [""])[-1]).netloc:
             raise UsageError(
-                "an object store's address holds no secrets",
+                "the address of an object store must not contain secrets",
                 remedy="Leave them to the environment: AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or a profile.",
             )
         if parts.scheme != "s3" or not parts.netloc or set(query) - {"endpoint", "region"}:
@@ -109,7 +110,7 @@ class ObjectStore:
         return self._get(path)[0]
 
     def _get(self, path: str) -> tuple[bytes, str]:
-        """(bytes, etag)."""
+        """Return (bytes, etag) of an object."""
         with self._errors(path):
             answer = self._client.get_object(Bucket=self.bucket, Key=self._key(path))
             with answer["Body"] as body:
@@ -170,7 +171,7 @@ class ObjectStore:
             return False
 
     def _prove(self) -> None:
-        """Once in a process: conditional writes are refused when their condition does not hold."""
+        """Check once per process that the server refuses conditional writes whose condition does not hold."""
         if self._proven:
             return
         path = f"probe/{secrets.token_hex(8)}"

@@ -40,10 +40,10 @@ __all__ = [
 ]
 
 PART_BYTES: Final = 128 * 1024 * 1024
-"""Canonical bytes that one part may hold: a file of some 16-64 MB after zstd, packed within 1 GiB of memory."""
+"""Most canonical bytes of one part: a file of some 16-64 MB after zstd, packed within 1 GiB of memory."""
 
 READERS: Final = 16
-"""Requests to an object store at once while packing: each takes some tens of milliseconds and no CPU."""
+"""Number of requests to an object store at once while packing: each takes some tens of milliseconds and no CPU."""
 
 _BATCH: Final = 8192
 
@@ -64,13 +64,13 @@ class PackJob:
 
     @property
     def logical_bytes(self) -> int:
-        """Canonical bytes of all members."""
+        """Return the canonical bytes of all members."""
         return int(pc.sum(self.members.column("bytes")).as_py() or 0)
 
 
 @dataclass(frozen=True, slots=True)
 class Packed:
-    """Result of a job: the file, or the units whose damaged committed files were removed."""
+    """Result of a job: the file, or the units whose damaged files were removed."""
 
     table: str
     partition: str
@@ -79,7 +79,7 @@ class Packed:
 
 
 def buckets(members: pa.Table, part_bytes: int) -> Iterator[tuple[int, pa.Table]]:
-    """(bucket, members) of one table and partition; one empty bucket when there is no row at all."""
+    """Yield (bucket, members) of one table and partition; one empty bucket when there is no row at all."""
     count = bucket_count(members, part_bytes)
     if count == 1:
         yield 0, members
@@ -96,7 +96,7 @@ def buckets(members: pa.Table, part_bytes: int) -> Iterator[tuple[int, pa.Table]
 
 
 def bucket_count(members: pa.Table, part_bytes: int) -> int:
-    """Number of buckets of one table and partition, a power of two."""
+    """Return the number of buckets of one table and partition, a power of two."""
     whole = int(pc.sum(members.column("bytes")).as_py() or 0)
     count = 1
     while count * part_bytes < whole:
@@ -105,19 +105,19 @@ def bucket_count(members: pa.Table, part_bytes: int) -> int:
 
 
 def _rows(members: pa.Table, *names: str) -> Iterator[tuple[Any, ...]]:
-    """Values of some columns, row by row, without holding all of them as objects."""
+    """Yield values of some columns row by row, without holding all of them as objects."""
     for batch in members.select(list(names)).to_batches(max_chunksize=_BATCH):
         yield from zip(*(column.to_pylist() for column in batch.columns), strict=True)
 
 
 def in_threads(load: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
-    """As ``map``, with requests to a distant store side by side."""
+    """Work as ``map`` does, with concurrent requests to a remote store."""
     with ThreadPoolExecutor(READERS) as pool:
         yield from pool.map(load, items)
 
 
 def members_hash(members: pa.Table, state: Any = None) -> str:
-    """128-bit hash over (unit id, logical hash of its rows)."""
+    """Return a 128-bit hash over (unit id, logical hash of its rows)."""
     state = hashlib.sha256() if state is None else state
     for unit_id, hash_ in _rows(members, "unit_id", "hash"):
         name = unit_id.encode()
@@ -127,13 +127,13 @@ def members_hash(members: pa.Table, state: Any = None) -> str:
 
 
 def content_hash(spec: TableSpec, members: pa.Table) -> str:
-    """128-bit hash of all that a part's bytes depend on (but for the versions of libraries)."""
+    """Return a 128-bit hash of everything that a part's bytes depend on (except versions of libraries)."""
     settings = [schema_hash(spec.schema), *spec.sort_keys, str(ROW_GROUP_ROWS), str(ZSTD_LEVEL)]
     return members_hash(members, hashlib.sha256(bytes.fromhex(digest(settings))))
 
 
 def pack(store: Store, pipeline: Pipeline, job: PackJob, faults: str = "") -> Packed:
-    """Write the file of ``job``; every unit's rows are checked against their logical hash on the way."""
+    """Write the file of ``job``, and check every unit's rows against their logical hash."""
     plan = FaultPlan.parse(faults) if faults else FaultPlan.from_environment()
     commits = Commits(store)
     spec = pipeline.tables[job.table]

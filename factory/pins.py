@@ -1,4 +1,4 @@
-"""Aggregates: tables over all units, built once when a first pass is complete, and then pinned by hash for a ref.
+"""Aggregates: tables over all units, built once after a first pass, and then pinned by hash for a ref.
 
 The pin is one small file, ``pins/<pipeline>/<ref>.json``, replaced atomically; the tables are named by their hash,
 ``aggregates/<name>/<hash>.parquet``. A run that is killed before the pin is written builds the same table again from
@@ -51,11 +51,11 @@ class Pins:
         self._faults = faults or FaultPlan()
         self._published = published
         self.damaged: list[str] = []
-        """Paths of files that are missing or damaged, and that ``restore`` writes again."""
+        """Paths of files that are missing or damaged, which ``restore`` writes again."""
         self.pin = self._read()
 
     def damaged_tables(self) -> list[str]:
-        """Paths of pinned tables that are missing or damaged; reads all of them."""
+        """Return the paths of pinned tables that are missing or damaged; reads all of them."""
         paths = {SharedTables.path(name, pinned.hash): pinned.hash for name, pinned in self.pin.tables.items()}
         return [path for path, rows_hash in paths.items() if not self._sound(path, rows_hash)]
 
@@ -77,8 +77,8 @@ class Pins:
         return Pin(tables=tables)
 
     def hashes(self, renew: Iterable[str] = ()) -> dict[str, str]:
-        """Hashes of the valid aggregates: pinned under this version and these parameters, not to be renewed, and
-        there (in their place or in the snapshot)."""
+        """Return the hashes of the valid aggregates: pinned under this version and these parameters, not to be renewed,
+        and present in the store or the snapshot."""
         found = {}
         for aggregate in self._aggregates:
             pinned = self.pin.tables.get(aggregate.name)
@@ -95,7 +95,7 @@ class Pins:
         return found
 
     def restore(self) -> list[str]:
-        """Write again what is missing or damaged, as far as it is known; returns the paths."""
+        """Write missing or damaged files again where their content is known; return the paths."""
         written = []
         for path in self.damaged:
             if path == self._path:
@@ -118,7 +118,7 @@ class Pins:
             return False
 
     def _copy(self, name: str, rows_hash: str) -> bytes | None:
-        """The table's file as the published snapshot keeps it, or None."""
+        """Return the copy of the table in the published snapshot, or None."""
         record = None if self._published is None else self._published.shared.get(name)
         if self._published is None or record is None or record.hash != rows_hash:
             return None
@@ -126,7 +126,7 @@ class Pins:
         return self._commits.store.read(path) if self._sound(path, rows_hash) else None
 
     def set(self, aggregate: Aggregate, table: pa.Table, units: int, *, renew: bool = False) -> str:
-        """Keep ``table`` and pin it; returns its hash.
+        """Store ``table`` and pin it; return its hash.
 
         renew : another table than the pinned one is wanted
 
@@ -140,10 +140,10 @@ class Pins:
             if before.hash != found:
                 raise StoreError(
                     f"the shared table {aggregate.name!r} is missing or damaged, here and in the published snapshot, "
-                    "and the units of today give another",
+                    "and a table built from the present units differs from it",
                     where=f"{self._commits.store.url}/{SharedTables.path(aggregate.name, before.hash)}",
-                    remedy="Put the file back; or run condvln rebuild CONFIG --priors, which builds it from today's "
-                    "units and makes again what depends on it.",
+                    remedy="Restore the file, or run condvln rebuild CONFIG --priors, which builds it from the present "
+                    "units and rebuilds what depends on it.",
                 )
             self._commits.store.write(path, parquet_bytes(table))
             return found
@@ -166,12 +166,12 @@ class Pins:
 
 
 def _holds(pinned: PinnedTable, aggregate: Aggregate) -> bool:
-    """Whether it was built by this version and with these parameters."""
+    """Whether the table was built by this version and with these parameters."""
     return pinned.version == aggregate.version and pinned.parameters == digest(aggregate.parameters())
 
 
 def build_aggregate(aggregate: Aggregate, commits: Commits, receipts: Iterable[Receipt]) -> tuple[pa.Table, int]:
-    """(table, number of units) of ``aggregate`` over units in the order of their ids.
+    """Build ``aggregate`` over units in the order of their ids; return (table, number of units).
 
     A unit counts when the stage was made for it and it has not failed. Raises ``CorruptShardError`` when a unit's
     committed table is damaged; it is removed, and making that unit again helps.
@@ -189,7 +189,8 @@ def build_aggregate(aggregate: Aggregate, commits: Commits, receipts: Iterable[R
 
 
 def discard_damaged(aggregate: Aggregate, commits: Commits, receipts: Iterable[Receipt]) -> int:
-    """Remove every commit that ``aggregate`` could not read, so that one more pass makes all of them; how many."""
+    """Remove every commit that ``aggregate`` could not read, so that another pass rebuilds all of them; return their
+    number."""
     damaged = 0
     for _, tables in _tables(aggregate, commits, receipts):
         try:
@@ -203,7 +204,7 @@ def discard_damaged(aggregate: Aggregate, commits: Commits, receipts: Iterable[R
 def _tables(
     aggregate: Aggregate, commits: Commits, receipts: Iterable[Receipt]
 ) -> Iterator[tuple[str, Mapping[str, pa.Table]]]:
-    """(unit id, the tables that ``aggregate`` reads, each read when asked for) of all units that count."""
+    """Yield (unit id, the tables that ``aggregate`` reads, each loaded on demand) of all units that count."""
     for receipt in receipts:
         stage = next((s for s in receipt.stages if s.stage == aggregate.after and not s.skipped), None)
         if stage is None:

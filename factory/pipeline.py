@@ -18,7 +18,7 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.\-]{0,99}")
 
 
 def plain_name(name: str) -> bool:
-    """Whether ``name`` can be a file or a folder anywhere: ASCII letters, digits, ``_ . -``; at most 100 of them."""
+    """Whether ``name`` is a valid file or folder name everywhere: at most 100 ASCII letters, digits, ``_ . -``."""
     return _NAME.fullmatch(name) is not None
 
 
@@ -37,13 +37,13 @@ class TableSpec:
 
     @property
     def stages(self) -> tuple[str, ...]:
-        """The stages whose rows are published."""
+        """Return the stages whose rows are published."""
         return (self.stage,) if isinstance(self.stage, str) else self.stage
 
 
 @dataclass(frozen=True)
 class Pipeline:
-    """Stages, aggregates and published tables; checked when it is made.
+    """Stages, aggregates and published tables, checked on construction.
 
     Raises ``UsageError`` naming the part that does not fit (a repeated name, a table no stage writes, an aggregate
     that a stage needs before it can be there).
@@ -70,11 +70,16 @@ class Pipeline:
                 _require(names.count(name) == 1, f"two {kind}s are called {name!r}")
         _require(bool(self.stages), "there is no stage")
         for aggregate in self.aggregates:
-            _require(aggregate.after in self._order, f"aggregate {aggregate.name!r} follows no stage of this pipeline")
+            _require(
+                aggregate.after in self._order,
+                f"aggregate {aggregate.name!r} follows a stage that is not in this pipeline",
+            )
         for at, stage in enumerate(self.stages):
             for need in stage.needs:
                 found = [a for a in self.aggregates if a.name == need and self._order[a.after] < at]
-                _require(bool(found), f"stage {stage.name!r} needs {need!r}, which no earlier stage leads to")
+                _require(
+                    bool(found), f"stage {stage.name!r} needs {need!r}, which no earlier stage or aggregate provides"
+                )
             for table in stage.reads or ():
                 _require(
                     any(table in earlier.tables for earlier in self.stages[:at]),
@@ -89,15 +94,16 @@ class Pipeline:
             _require(set(spec.sort_keys) <= set(spec.schema.names), f"table {name!r} lacks one of its sort keys")
 
     def position(self, stage: str) -> int:
-        """Where ``stage`` stands in the chain."""
+        """Return the position of ``stage`` in the chain."""
         return self._order[stage]
 
     def stage_tables(self, stage: Stage) -> tuple[tuple[str, TableSpec | None], ...]:
-        """The tables of ``stage`` with their contract, or None for tables that are not published."""
+        """Return the tables of ``stage`` with their contract, or None for tables that are not published."""
         return tuple((name, self.tables.get(name)) for name in stage.tables)
 
     def visible(self, at: int) -> tuple[tuple[str, int], ...]:
-        """(table, stage position) of what the stage at position ``at`` reads; the latest writer of a name wins."""
+        """Return (table, stage position) of what the stage at position ``at`` reads; the latest writer of a name
+        counts."""
         writers = {table: position for position, stage in enumerate(self.stages[:at]) for table in stage.tables}
         reads = self.stages[at].reads
         return tuple(

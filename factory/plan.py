@@ -1,4 +1,4 @@
-"""A plan: which units are missing, stale (and why), fresh or quarantined, and what it would cost to make them.
+"""A plan: which units are missing, stale (and why), fresh or quarantined, and what processing them would cost.
 
 It runs nothing. It is exact for everything that is known before running; a stage behind a stale one is POSSIBLE,
 since an equal output there would spare it (early cut-off).
@@ -15,7 +15,8 @@ from factory.spool import Spool
 __all__ = ["Plan", "PlanEntry", "Reason", "StagePlan", "UnitPlan"]
 
 Reason = Literal["data", "parameters", "code", "dependency", "partition", "damaged"]
-"""``damaged``: nothing changed, but files of the unit are missing from the store, or cut."""
+"""Reasons of staleness. ``damaged``: the inputs are unchanged, but files of the unit are missing from the store or
+cut."""
 StagePlan = Literal["FRESH", "STALE", "MISSING", "POSSIBLE", "QUARANTINED"]
 UnitPlan = Literal["FRESH", "STALE", "MISSING", "QUARANTINED"]
 
@@ -74,11 +75,11 @@ class Plan:
 
     @property
     def unchanged(self) -> bool:
-        """Whether a run would publish what is published now, and a listing finds all of it."""
+        """Whether a run would publish what is published now, and a listing finds all its files."""
         return self.empty and self.snapshot_id is not None and self.carried == len(self.entries)
 
     def add(self, entry: PlanEntry) -> None:
-        """Take one unit in."""
+        """Add one unit."""
         self.entries.append(entry)
         self.counts[entry.status] += 1
         self.reasons.update(entry.reasons)

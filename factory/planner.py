@@ -24,10 +24,10 @@ from schemas.errors import CondVLNError, CorruptShardError, InputError, StageErr
 __all__ = ["Planner"]
 
 _BATCH: Final = 2048
-"""Units compared at a time."""
+"""Number of units that are compared at a time."""
 
 PROBES: Final = 100
-"""Single questions to an object store after which everything committed is listed instead, a thousand to a request."""
+"""Number of single requests to an object store after which all commits are listed instead, a thousand per request."""
 
 
 class Planner:
@@ -72,15 +72,15 @@ class Planner:
         self._seen: list[Any] = []
         self._all_fresh: tuple[tuple[str, StagePlan], ...] = tuple((stage.name, "FRESH") for stage in pipeline.stages)
         self.seconds_behind = 0.0
-        """Expected CPU seconds of the stages behind the planned ones, of all units that ``work`` gave out."""
+        """Expected CPU seconds of the stages behind the planned ones, of all units that ``work`` yielded."""
         self.kept = np.zeros(len(index), dtype=bool)
-        """(rows of the index,) whether the unit is unchanged, so that its row is carried over."""
+        """(rows of the index,) bool: the unit is unchanged, and its row is kept."""
         self._only_damaged = np.zeros(len(index), dtype=bool)
         self.present = np.zeros(len(index), dtype=bool)
-        """(rows of the index,) whether the unit is still in the corpus."""
+        """(rows of the index,) bool: the unit is still in the corpus."""
 
     def compare(self, units: Iterable[Unit]) -> Iterator[tuple[Unit, bytes, int, bool]]:
-        """(unit, fingerprint, row in the index or -1, unchanged) of each unit.
+        """Yield (unit, fingerprint, row in the index or -1, unchanged) of each unit.
 
         Raises ``UsageError`` on a unit id that comes twice or can't be stored.
         """
@@ -105,17 +105,18 @@ class Planner:
                 yield checked, fingerprint, row, fresh
         seen = np.sort(np.concatenate(self._seen)) if self._seen else np.zeros(0, np.uint64)
         if (seen[1:] == seen[:-1]).any():
-            raise UsageError("two units of this run have one id", remedy="Ids must be unique over all sources.")
+            raise UsageError("two units of this run have the same id", remedy="Ids must be unique over all sources.")
 
     def _stands(self, row: int) -> bool:
-        """A quarantined unit stands as long as its record does: without it, it is tried again."""
+        """Whether the unit's published result is still valid. A quarantined unit whose record was removed is tried
+        again."""
         if self._statuses[row] != "quarantined":
             return True
         failure = self.index.receipt(row, self.pipeline).failure
         return failure is not None and (failure.stage, failure.key.hex()) in self._quarantined
 
     def status(self, row: int) -> str:
-        """Published status of the unit in ``row`` of the index."""
+        """Return the published status of the unit in ``row`` of the index."""
         return self._statuses[row]
 
     def _fingerprint(self, unit: Unit) -> tuple[Unit, bytes]:
@@ -130,7 +131,7 @@ class Planner:
         return unit, id_hashes([unit.unit_id]).tobytes() + id_hashes([str(unit.fault)]).tobytes()
 
     def work(self, units: Iterable[Unit]) -> Iterator[Work]:
-        """The units that a run must look at; the others are marked in ``kept``."""
+        """Yield the units that a run must process; the others are marked in ``kept``."""
         for unit, fingerprint, row, fresh in self.compare(units):
             if not fresh:
                 seconds = self._model.seconds(unit, row, self._made, self.stages)
@@ -138,7 +139,7 @@ class Planner:
                 yield Work(unit, fingerprint, seconds, self._model.memory(unit, row))
 
     def entry(self, unit: Unit, row: int, fresh: bool) -> PlanEntry:
-        """The exact plan for one unit."""
+        """Return the exact plan for one unit."""
         if fresh and self._statuses[row] == "ok":
             return PlanEntry(unit.unit_id, unit.partition, "FRESH", stages=self._all_fresh)
         old = self.index.receipt(row, self.pipeline) if row >= 0 else None
@@ -165,7 +166,8 @@ class Planner:
         return self._inventory is not None and row >= 0 and self._inventory.lost(stage, row)
 
     def _damaged_entry(self, unit: Unit, old: Receipt, row: int) -> PlanEntry:
-        """Nothing changed, but files are missing or cut: just those stages are made again, and give the same rows."""
+        """Plan a unit whose inputs are unchanged but whose files are missing or cut: only those stages run, and give
+        the same rows."""
         lost = {stage.stage for stage in old.stages if self._lost(stage.stage, row)}
         return PlanEntry(
             unit.unit_id,
@@ -245,7 +247,7 @@ class Planner:
     def _behind(
         self, unit: Unit, first: int, before: Mapping[str, StageReceipt], reasons: list[Reason]
     ) -> Iterator[tuple[str, StagePlan]]:
-        """The stages from the first that is not done: that one runs, those that read from it perhaps."""
+        """Plan the stages from the first that is not done: that one runs, and those that read from it may run."""
         unsure = {first}
         for at in range(first, self.stages):
             stage = self.pipeline.stages[at]
@@ -282,7 +284,7 @@ class Planner:
         return sums["certain"], sums["possible"]
 
     def renamed(self, missing: Mapping[bytes, str]) -> tuple[tuple[str, str], ...]:
-        """(old id, new id) of published units that are gone and whose bytes are those of a missing one.
+        """Return (old id, new id) of published units that are gone and whose bytes are those of a missing one.
 
         missing : hash of the content → unit id
         """
@@ -292,7 +294,7 @@ class Planner:
         return tuple((row["unit_id"], missing[row["content"]]) for row in gone if row["content"] in missing)
 
     def removed(self) -> tuple[str, ...]:
-        """Published units that were not in what was compared."""
+        """Return the published units that were not among the compared ones."""
         return tuple(self.index.table.column("unit_id").filter(~self.present).to_pylist())
 
 

@@ -1,4 +1,4 @@
-"""Publishing: a snapshot's files, its manifest, its unit index, and at last the ref."""
+"""Publishing: write a snapshot's files, its manifest and its unit index, then move the ref."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from schemas.snapshot import PartRecord, PinnedTable, Published, Ref, SharedReco
 __all__ = ["Publisher", "published_index"]
 
 HISTORY: Final = 50
-"""Earlier states that a ref remembers; a sweep may keep that many snapshots."""
+"""Number of earlier states that a ref remembers; a sweep may keep that many snapshots."""
 
 
 def published_index(pipeline: Pipeline, store: Store, ref: Ref | None) -> Index:
-    """The unit index behind ``ref``; an empty one where it is gone or damaged.
+    """Return the unit index behind ``ref``; an empty one where it is missing or damaged.
 
     Without it a run is slower, but nothing is lost: the commits are all there.
     """
@@ -47,7 +47,7 @@ def published_index(pipeline: Pipeline, store: Store, ref: Ref | None) -> Index:
 
 
 class Publisher:
-    """Publishes under one ref, from the state that the ref had when this was made.
+    """Publishes under one ref, starting from the state of the ref when this object was created.
 
     old : that state; None when nothing was published yet
     """
@@ -71,21 +71,21 @@ class Publisher:
         self._part_bytes = part_bytes
         self.old, self._token = read_ref(store, ref)
         self.manifest = read_manifest(store, self.old.snapshot_id) if self.old is not None else None
-        """Of what is published; None where it is missing or damaged."""
+        """Manifest of the published snapshot; None where it is missing or damaged."""
         self._damaged: frozenset[str] = frozenset()
 
     def index(self) -> Index:
-        """The published unit index."""
+        """Return the published unit index."""
         return published_index(self._pipeline, self._store, self.old)
 
     def look(self) -> None:
-        """Find published files that are missing or cut, by listing them; they will be made again."""
+        """Find published files that are missing or cut, by listing them; they will be rebuilt."""
         if self.old is not None:
             self._note(missing_parts(self._store, self.old.snapshot_id), "is missing or cut")
 
     def verify(self, commits: Commits, index: Index) -> None:
-        """Read again every file that the published snapshot rests on, of its units too. What differs from its hash
-        will be made again."""
+        """Read again every file that the published snapshot depends on, those of its units too. Files that differ from
+        their hash will be rebuilt."""
         if self.old is None:
             return
         self._note(damaged_parts(self._store, self.old.snapshot_id), "differs from its hash")
@@ -104,13 +104,13 @@ class Publisher:
             self._progress.step()
             for stage, key, path in damaged:
                 commits.discard(stage, key)
-                self._progress.note(f"{path} is missing or differs from its hash: made again")
+                self._progress.note(f"{path} is missing or differs from its hash: it is rebuilt")
 
     def _note(self, paths: Iterable[str], what: str) -> None:
         found = sorted({*paths} - self._damaged)
         self._damaged |= {*found}
         for path in found:
-            self._progress.note(f"{path} {what}: made again")
+            self._progress.note(f"{path} {what}: it is rebuilt")
 
     def sound(self) -> bool:
         """Whether a snapshot is published and no damage was found in it."""
@@ -137,7 +137,7 @@ class Publisher:
     def _write_parts(
         self, composition: Composition, context: RunContext, pinned: Mapping[str, PinnedTable]
     ) -> set[str]:
-        """Write the snapshot, unless it is there; returns ids of units whose committed files are damaged."""
+        """Write the snapshot, unless it exists; return ids of units whose committed files are damaged."""
         if read_manifest(self._store, composition.snapshot_id) is not None:
             self._damaged |= {*missing_parts(self._store, composition.snapshot_id)}
         own = f"snapshots/{composition.snapshot_id}/"
@@ -170,7 +170,7 @@ class Publisher:
         return set()
 
     def _keep(self, snapshot_id: str, name: str, pinned: PinnedTable) -> SharedRecord:
-        """Put a copy of a shared table into the snapshot; not a link to it, which would be damaged together with it."""
+        """Copy a shared table into the snapshot. A link to it would be damaged together with it."""
         data = self._store.read(SharedTables.path(name, pinned.hash))
         path = f"shared/{name}.parquet"
         self._store.write(f"snapshots/{snapshot_id}/{path}", data)
@@ -180,7 +180,7 @@ class Publisher:
     def _carry_over(
         self, jobs: Iterable[PackJob], parts: Mapping[tuple[str, str], list[PartRecord]]
     ) -> Iterator[PackJob]:
-        """Take files over from the published snapshot where the same rows are in them; yields the others."""
+        """Reuse files of the published snapshot that hold the same rows; yield the others."""
         before = self.manifest
         known = {}
         if before is not None:

@@ -1,4 +1,4 @@
-"""Quarantine, seen from a worker: what an error counts as, its record in the store, and what a receipt says of it."""
+"""Quarantine as a worker uses it: classify an error, store its record, and shorten it for a receipt."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from schemas.unit import Cause, QuarantineRecord
 __all__ = ["Failed", "Quarantine", "failed_by"]
 
 MESSAGE_LENGTH: Final = 300
-"""Characters of a message that a receipt takes along; the record has it whole."""
+"""Longest message in a receipt, characters; the record has the whole message."""
 
 
 class Failed(Exception):
-    """A stage failed and its unit goes to quarantine."""
+    """A stage failed, and its unit goes to quarantine."""
 
     def __init__(self, cause: Cause, error: BaseException, attempts: int) -> None:
         super().__init__(str(error))
@@ -32,7 +32,7 @@ class Failed(Exception):
 
 
 def failed_by(error: BaseException, attempts: int) -> Failed:
-    """The failure that an error is, by what it counts as.
+    """Classify an error as a failure.
 
     What a signal's handler raised while compiled code ran is handed on by numba's dispatcher as the cause of a
     ``SystemError``. Raises ``KeyboardInterrupt`` again.
@@ -45,14 +45,14 @@ def failed_by(error: BaseException, attempts: int) -> Failed:
 
 
 class Quarantine:
-    """Records of failure that a run finds and writes."""
+    """Reads and writes records of failures for one run."""
 
     def __init__(self, context: RunContext, commits: Commits) -> None:
         self._context = context
         self._commits = commits
 
     def known(self, stage: str, key: str, attempt: int) -> Failure | None:
-        """The record that forbids another try: an older one, or one of this run if an earlier attempt died."""
+        """Return the record that forbids another try: an older one, or one of this run if an earlier attempt died."""
         listed = (stage, key) in self._context.quarantined
         if not listed and attempt == 1:
             return None
@@ -62,7 +62,7 @@ class Quarantine:
         return _failure(record, known=True)
 
     def put(self, unit: Unit, stage: str, key: str | None, failed: Failed, attempt: int) -> Failure:
-        """Record what a stage of the unit raised.
+        """Record the error that a stage of the unit raised.
 
         key : None where it could not even be computed: it is stood in for by what is known
         """
@@ -98,7 +98,7 @@ class Quarantine:
         attempts: int = 1,
         peak_rss: int = 0,
     ) -> Failure:
-        """Write a record and say what it says in short."""
+        """Write a record, and return its short form."""
         record = QuarantineRecord(
             unit_id=unit.unit_id,
             partition=unit.partition,

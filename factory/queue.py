@@ -1,4 +1,4 @@
-"""The order of work: biggest first, so that no big unit is left to run alone at the end; tiny units share a task.
+"""The order of work: largest units first, so that none is left to run alone at the end; tiny units share a task.
 
 One worker alone takes the smallest first.
 """
@@ -18,14 +18,14 @@ from factory.unit import Work
 __all__ = ["Queue", "tasks"]
 
 TASK_SECONDS: Final = 2.0
-"""Units are put together until they make this much work: the cost of handing out a task is then below 1 %."""
+"""Expected CPU seconds up to which units share a task, so that handing out a task costs below 1 %."""
 
 TASK_UNITS: Final = 64
-"""Most units of a task: their receipts, 2 kB each at most, stay small enough to be handed back directly."""
+"""Most units of a task, so that their receipts (2 kB each at most) can be returned directly."""
 
 
 class Queue:
-    """Tasks over a spool of work, made one by one; in memory are only costs and positions."""
+    """Tasks over work that is spooled to disk, created one by one; only costs and positions are in memory."""
 
     def __init__(self, work: Spool[Work], until: int, workers: int) -> None:
         self._work = work
@@ -37,11 +37,11 @@ class Queue:
         self._target = min(TASK_SECONDS, self.seconds / (4 * max(workers, 1)))
 
     def __iter__(self) -> Iterator[Task]:
-        """Biggest units first."""
+        """Yield the largest units first."""
         return self._tasks(-self._costs)
 
     def smallest_first(self) -> Iterator[Task]:
-        """For one worker, which has nobody to wait for: a unit without end then blocks no other."""
+        """Yield the smallest units first, for a single worker: a unit that never ends then blocks no other."""
         return self._tasks(self._costs)
 
     def _tasks(self, ranks: Any) -> Iterator[Task]:
@@ -63,5 +63,5 @@ class Queue:
 
 
 def tasks(work: Spool[Work], until: int, workers: int) -> Queue:
-    """The tasks of ``work``, biggest units first."""
+    """Yield the tasks of ``work``, largest units first."""
     return Queue(work, until, workers)

@@ -1,4 +1,4 @@
-"""Word of long units from Ray's workers to the driver, through the key-value store of Ray's head.
+"""Reports about long units, from Ray's workers to the driver through the key-value store of Ray's head.
 
 A worker writes only about a unit that has been at one stage for half a minute, so short units cost nothing. Where
 Ray's interface is another, or the store does not answer, there is no word and nothing else is lost.
@@ -22,13 +22,13 @@ PAUSE: Final = 5.0
 """Seconds between two reports of a worker."""
 
 STALE: Final = 6 * PAUSE
-"""A report older than this is of a worker that is gone."""
+"""Age in seconds from which a report counts as left by a worker that is gone."""
 
 _PREFIX: Final = "condvln-busy:"
 
 
 def report_to_board(run: str, place: Place, after: float) -> Callable[[], None]:
-    """In a worker process: report from now on what is at `place`. Call the result to end it.
+    """In a worker process: report from now on which unit is at `place`. Call the result to stop.
 
     run : name of the dispatch that the worker serves
     after : seconds at one stage of a unit that are worth a report
@@ -58,7 +58,7 @@ def report_to_board(run: str, place: Place, after: float) -> Callable[[], None]:
 
 
 def read_board(run: str) -> list[Busy]:
-    """In the driver: units that workers reported to be long under way."""
+    """In the driver: return the units that workers reported as long under way."""
     try:
         from ray.experimental import internal_kv
 

@@ -1,4 +1,4 @@
-"""Tasks through Ray: how many are in flight, and whose fault it is when one does not come back.
+"""Dispatch of tasks through Ray: how many are in flight, and how a task that fails is classified.
 
 Ray itself retries nothing here. A dead worker or node gives its units back, one by one from then on, so that the one
 which kills workers is found; after ``SYSTEM_TRIES`` it is quarantined. Running out of memory gives a unit one more try
@@ -30,32 +30,33 @@ from schemas.errors import StoreError, TransientIOError
 __all__ = ["Dispatch", "pack_task", "work_task"]
 
 SYSTEM_TRIES: Final = 3
-"""Deaths of workers that a unit may cause before it is quarantined."""
+"""Number of deaths of workers that a unit may cause before it is quarantined."""
 
 LATE_TRIES: Final = 2
-"""Deaths of workers past the deadline before a unit is quarantined: one may be by chance, since waiting counts too."""
+"""Number of deaths of workers past the deadline before a unit is quarantined. One may be by chance, since waiting
+counts too."""
 
 NODE_TRIES: Final = 10
-"""Losses of whole nodes that a unit may see: spot nodes go away, which is not the unit's fault."""
+"""Number of lost nodes after which a unit is quarantined: a lost spot node is not the unit's fault."""
 
 TRANSIENT_TRIES: Final = 5
-"""Tries of a task whose store did not answer."""
+"""Number of tries of a task whose store did not answer."""
 
 TASKS_PER_CPU: Final = 2
-"""Tasks in flight for each CPU: one runs, one waits, so that no worker idles while the driver looks away."""
+"""Tasks in flight for each CPU: one runs and one waits, so that no worker idles."""
 
 LEAST_IN_FLIGHT: Final = 8
-"""Tasks in flight on a cluster that has no CPUs yet, for an autoscaler to see."""
+"""Tasks in flight on a cluster that has no CPUs yet, so that an autoscaler sees demand."""
 
 PACK_FACTOR: Final = 6
-"""Memory of packing a part in multiples of its canonical bytes: rows read, sorted, written, with a margin."""
+"""Memory for packing a part, as a multiple of its canonical bytes: rows read, sorted and written, with a margin."""
 
 _workers: dict[str, Worker] = {}
-"""In a worker process: the worker of the dispatch it serves, by name."""
+"""In a worker process: the worker of the dispatch that it serves, by name."""
 
 
 _reports: list[Callable[[], None]] = []
-"""In a worker process: what ends the reports of long units, of the worker above."""
+"""In a worker process: function that stops the reports of long units."""
 
 
 def _worker(name: str, context: Sequence[Any]) -> Worker:
@@ -71,7 +72,7 @@ def _worker(name: str, context: Sequence[Any]) -> Worker:
 
 
 def _slots() -> int:
-    """Tasks that may be at work on this node at once."""
+    """Return the number of tasks that may run on this node at once."""
     import ray
 
     own = ray.get_runtime_context().get_node_id()
@@ -80,7 +81,7 @@ def _slots() -> int:
 
 
 def work_task(name: str, context: Sequence[Any], task: Task) -> list[Receipt]:
-    """In a worker process: work a task off."""
+    """In a worker process: process the units of a task."""
     worker = _worker(name, context)
     return [
         worker.work(item.unit, task.until, item.fingerprint, attempt=task.attempt, last_try=task.last_try)
@@ -96,7 +97,7 @@ def pack_task(name: str, context: Sequence[Any], job: PackJob) -> list[Packed]:
 
 @dataclass(frozen=True, slots=True)
 class _Flight:
-    """Something handed to Ray.
+    """A task or pack job that was handed to Ray.
 
     tries : how often it was handed out, deaths of nodes not counted
     nodes : how many nodes were lost under it
@@ -152,7 +153,7 @@ class Dispatch:
         self._driver = Worker(context)
 
     def busy(self) -> list[Busy]:
-        """Units that workers reported to be long under way."""
+        """Return the units that workers reported as long under way."""
         return read_board(self._name)
 
     # ---- flow
@@ -192,7 +193,7 @@ class Dispatch:
                 yield from result
 
     def _stream(self, flights: Iterator[_Flight], memory: Any) -> Iterator[tuple[_Flight, Any]]:
-        """(flight, list of results or the exception), as they come; failed ones may be put into ``_again``."""
+        """Yield (flight, list of results or the exception) as they come; failed ones may be put into ``_again``."""
         more = True
         try:
             while True:
@@ -237,7 +238,7 @@ class Dispatch:
             self._metrics.in_flight(0)
 
     def _room(self) -> int:
-        """Tasks that may be in flight now."""
+        """Return the number of tasks that may be in flight now."""
         now = time.monotonic()
         if now - self._looked > 5.0:
             self._looked = now
@@ -252,7 +253,7 @@ class Dispatch:
         return room if self._most is None else min(room, self._most)
 
     def _bounded(self, memory: float) -> int:
-        """A request that some node can meet: a bigger one would wait for ever."""
+        """Limit a memory request to what some node can meet: a larger one would wait for ever."""
         return int(min(memory, self._memory * 0.9)) if self._memory else int(memory)
 
     # ---- failures
@@ -278,7 +279,7 @@ class Dispatch:
             yield self._driver.blame(task.work[0], task.until, "deadline", "DeadlineError", message, attempts=attempts)
             return
         if len(task.work) == 1 and (tries > SYSTEM_TRIES or nodes > NODE_TRIES):
-            message = f"{attempts} workers died while they had this unit. {error}"
+            message = f"{attempts} workers died while they processed this unit. {error}"
             yield self._driver.blame(
                 task.work[0], task.until, "worker", type(error).__name__, message, attempts=attempts
             )
@@ -322,7 +323,7 @@ def _pack_memory(job: PackJob) -> int:
 
 
 def _unwrapped(error: BaseException) -> tuple[BaseException, str]:
-    """(the cause, raised | memory | node | worker)."""
+    """Return (cause, kind of failure: raised | memory | node | worker)."""
     import ray
 
     if isinstance(error, ray.exceptions.RayTaskError):
@@ -339,14 +340,14 @@ def _unwrapped(error: BaseException) -> tuple[BaseException, str]:
 
 
 _KILLED: Final = re.compile(r"\btask\b.*memory used[=:] ?([0-9.]+) ?Gi?B", re.IGNORECASE)
-"""How Ray tells, a line each, what the workers held that it killed; its GB are 2^30 bytes."""
+"""Pattern of the lines in which Ray reports the memory of the workers that it killed; its GB are 2^30 bytes."""
 
 _DETAILS: Final = "Object store memory usage"
-"""What follows in Ray's message is about the whole machine, down to other people's command lines."""
+"""Marker in Ray's message; what follows is about the whole machine, including other people's command lines."""
 
 
 def _killed_rss(error: BaseException) -> int:
-    """Most bytes that a worker held when Ray killed it, and others with it, for its memory; 0 if Ray does not say."""
+    """Return the most bytes that a worker held when Ray killed workers to free memory; 0 if Ray does not say."""
     found = [float(gigabytes) for gigabytes in _KILLED.findall(str(error))]
     return int(max(found, default=0.0) * 2**30)
 

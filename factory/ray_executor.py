@@ -1,4 +1,4 @@
-"""The Ray executor: one Ray Core task for a big unit or a handful of small ones; workers write, receipts come back.
+"""The Ray executor: one Ray task per large unit or per few small ones. Workers write results, and return receipts.
 
 Ray is imported only when this executor starts.
 """
@@ -30,7 +30,7 @@ __all__ = ["RayExecutor"]
 SINGLE_THREADED: Final = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "ARROW_NUM_THREADS"), "1"
 )
-"""Workers share the CPUs by units; threads inside one would only fight."""
+"""Environment of workers: units already share the CPUs, so libraries must not start threads."""
 
 
 class RayExecutor:
@@ -58,14 +58,14 @@ class RayExecutor:
 
     @property
     def running(self) -> bool:
-        """Whether using Ray costs no start: it is up, or it is a cluster to be joined."""
+        """Whether using Ray costs no start: it is running, or it is a cluster to join."""
         if self._address is not None or self._owner:
             return True
         module = sys.modules.get("ray")
         return module is not None and bool(module.is_initialized())
 
     def start(self) -> None:
-        """Start or join Ray; done by itself when the first task comes."""
+        """Start or join Ray; called automatically when the first task comes."""
         import ray
 
         if ray.is_initialized():
@@ -114,7 +114,8 @@ class RayExecutor:
 
     @property
     def workers(self) -> int:
-        """Tasks that work at once: the number asked for, else the CPUs of this machine, or of the cluster as it is now.
+        """Return the number of tasks that run at once: the requested one, else the CPUs of this machine, or of the
+        cluster as it is now.
 
         A cluster is joined to be asked.
         """
@@ -161,7 +162,7 @@ class RayExecutor:
 
 @contextlib.contextmanager
 def _own_signals() -> Iterator[None]:
-    """Ray takes SIGTERM for itself and would end this process on the spot; what the run does about it stays."""
+    """Keep this process's handler of SIGTERM: Ray replaces it and would end the process at once."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -174,7 +175,7 @@ def _own_signals() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _environment(values: Mapping[str, str]) -> Iterator[None]:
-    """Ray's processes inherit these; this process keeps its own."""
+    """Set variables that Ray's processes inherit; this process keeps its own."""
     before = {name: os.environ.get(name) for name in values}
     os.environ.update(values)
     try:

@@ -1,4 +1,4 @@
-"""A small process that has the last word when Ray ends the driver.
+"""A small process that reports the reason when Ray ends the driver.
 
 When a node dies, Ray's compiled code may end the driver within milliseconds, past every handler of Python. So a driver
 that starts Ray also starts this file as a script, writes to its input how far it is, and says goodbye when it ends in
@@ -24,11 +24,11 @@ ADVICE = (
 
 _BYE = b"bye\n"
 _TAIL = 1 << 16
-"""Bytes of the raylet's log that are searched for its reason."""
+"""Bytes of the raylet's log that are searched for the reason of its end."""
 
 
 class Guard:
-    """The driver's side of the guard: it starts the process and tells it of progress.
+    """The driver's side of the guard: starts the process and reports progress to it.
 
     logs : Ray's folder of logs
     """
@@ -52,7 +52,7 @@ class Guard:
         self._write(b"%d\n" % units)
 
     def end(self) -> None:
-        """The driver goes on without Ray, or ends by itself."""
+        """Stop the guard: the driver goes on without Ray, or ends normally."""
         self._write(_BYE)
         process, self._process = self._process, None
         if process is not None and process.stdin is not None:
@@ -73,7 +73,7 @@ class Guard:
 
 
 def watch(logs: str) -> str:
-    """Read the driver's lines until they end. What is to be said then; nothing after a goodbye."""
+    """Read the driver's lines until they end. Return the message to print; empty if the driver said goodbye."""
     units = 0
     for line in sys.stdin.buffer:
         if line == _BYE:
@@ -87,7 +87,7 @@ def watch(logs: str) -> str:
 
 
 def _reason(logs: str) -> str:
-    """What Ray's node wrote about its own end, in a line."""
+    """Return what Ray's node logged about its own end, in one line."""
     try:
         data = Path(logs, "raylet.out").read_bytes()[-_TAIL:].decode("utf-8", "replace")
     except OSError:

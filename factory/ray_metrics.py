@@ -23,11 +23,11 @@ METRICS: Final = {
 }
 
 BUCKETS: Final = [0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0]
-"""Bounds of the histogram of seconds: half-decades from a text stage to the biggest building."""
+"""Bounds of the histogram of seconds: half-decades from a text stage to the largest building."""
 
 
 class RunMetrics:
-    """Counts what comes back. Ray must be up."""
+    """Counts results of tasks. Ray must be running."""
 
     def __init__(self) -> None:
         from ray.util.metrics import Counter, Gauge, Histogram
@@ -45,7 +45,7 @@ class RunMetrics:
         self._flying = Gauge("factory_tasks_in_flight", description=METRICS["factory_tasks_in_flight"])
 
     def unit(self, receipt: Receipt) -> None:
-        """A unit is done."""
+        """Count a finished unit."""
         self._units.inc(1, {"status": receipt.status})
         for stage in receipt.stages:
             if not stage.made:
@@ -58,7 +58,7 @@ class RunMetrics:
                     self._rows.inc(table.rows, {"table": table.table})
 
     def failed(self, kind: str) -> None:
-        """A task came back without receipts."""
+        """Count a task that came back without receipts."""
         self._failures.inc(1, {"kind": kind})
 
     def in_flight(self, tasks: int) -> None:

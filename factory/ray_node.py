@@ -1,4 +1,4 @@
-"""Whether Ray still lives, so that its end is reported in our words.
+"""Checks whether Ray is still alive, so that its end is reported as one clear error.
 
 When the raylet (Ray's process of each node) or the control store of the head ends, Ray's own code ends the driver
 some seconds later, in the middle of whatever it does and with raw lines of its log. Whoever drives Ray therefore asks
@@ -18,14 +18,14 @@ from schemas.errors import ClusterError
 __all__ = ["RayNode", "lost"]
 
 _ESSENTIAL: Final = {"raylet": "raylet", "gcs_server": "control store (gcs_server)"}
-"""Processes of a local Ray without which it can't go on, by Ray's name for them."""
+"""Processes that a local Ray needs, by Ray's names for them."""
 
 _PAUSE: Final = 5.0
-"""Seconds between two questions to a cluster whose processes are not ours."""
+"""Seconds between two checks of a cluster whose processes are not ours."""
 
 
 class RayNode:
-    """The node that this process is connected through."""
+    """The Ray node to which this process is connected."""
 
     def __init__(self) -> None:
         self._processes = dict(_own_processes())
@@ -52,7 +52,7 @@ class RayNode:
 
     @contextmanager
     def answers(self) -> Iterator[None]:
-        """Ray is asked inside: when it does not answer any more, that is a ``ClusterError`` too."""
+        """Context in which Ray is called: if it no longer answers, that is a ``ClusterError`` too."""
         self.check()
         with answered(self.logs):
             yield
@@ -60,7 +60,7 @@ class RayNode:
 
 @contextmanager
 def answered(logs: str = "") -> Iterator[None]:
-    """Turn Ray's errors of a lost connection into ours."""
+    """Convert Ray's errors of a lost connection to ``ClusterError``."""
     import ray
 
     try:
@@ -71,12 +71,12 @@ def answered(logs: str = "") -> Iterator[None]:
 
 
 def lost(what: str, logs: str = "") -> ClusterError:
-    """The error of a Ray that is gone."""
+    """Return the error for a Ray that is gone."""
     return ClusterError(f"Ray died while units were under way: {what}", remedy=ADVICE.format(logs=logs or "its logs"))
 
 
 def _own_processes() -> Iterator[tuple[str, Callable[[], int | None]]]:
-    """Polls of the essential processes that this process started; none where it joined a cluster."""
+    """Return handles of the essential processes that this process started; none where it joined a cluster."""
     try:
         from ray._private import worker
 

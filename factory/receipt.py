@@ -1,4 +1,4 @@
-"""What a worker hands back for a unit: what was made and its hashes, never rows. At most 2 kB pickled."""
+"""What a worker returns for a unit: names and hashes of its results, never rows. At most 2 kB pickled."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from typing import Literal
 __all__ = ["Failure", "Receipt", "StageReceipt", "Status", "TableReceipt"]
 
 Status = Literal["ok", "skipped", "quarantined", "partial", "memory"]
-"""``partial``: well so far, made only up to the stage that was asked for; ``memory``: to be tried once with more."""
+"""Status of a unit. ``partial``: no failure, done up to the requested stage; ``memory``: to be retried once with more
+memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +24,7 @@ class TableReceipt:
 
 @dataclass(frozen=True, slots=True)
 class StageReceipt:
-    """One stage of a unit: its key and the parts of it (16 bytes each), and what it cost when it was made.
+    """One stage of a unit: its key with the key's parts (16 bytes each), and what it cost.
 
     seconds : by the clock
     made : it was made just now, rather than found committed
@@ -51,7 +52,7 @@ class StageReceipt:
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """Why and where a unit was quarantined; the whole record is in the store.
+    """Why and at which stage a unit was quarantined; the full record is in the store.
 
     known : it stood in quarantine already and was not tried again
     attempts : how often it was tried
@@ -68,7 +69,7 @@ class Failure:
 
 @dataclass(frozen=True, slots=True)
 class Receipt:
-    """One unit, done with.
+    """The result of one unit.
 
     expected : CPU seconds that were expected of it, by which a run tells how much is left; set by the executor
     content : hash of its files' bytes without their paths, by which a renamed unit is known
@@ -87,20 +88,20 @@ class Receipt:
 
     @property
     def made(self) -> int:
-        """How many stages were made just now."""
+        """Return the number of stages that were run just now."""
         return sum(stage.made for stage in self.stages)
 
     @property
     def seconds(self) -> float:
-        """Seconds spent just now, by the clock."""
+        """Return the wall-clock seconds spent just now."""
         return sum(stage.seconds for stage in self.stages if stage.made)
 
     @property
     def cpu_seconds(self) -> float:
-        """CPU seconds spent just now."""
+        """Return the CPU seconds spent just now."""
         return sum(stage.cpu_seconds for stage in self.stages if stage.made)
 
     @property
     def rows(self) -> int:
-        """Rows of all its tables."""
+        """Return the rows of all tables."""
         return sum(table.rows for stage in self.stages for table in stage.tables)

@@ -1,4 +1,4 @@
-"""What a run reports: while it goes on (``Progress``, time left) and when it is done (``RunReport``)."""
+"""Reports of a run: while it goes on (``Progress``, time left), and when it is done (``RunReport``)."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ WITH_QUARANTINE: Final = 3
 ABORTED: Final = 4
 
 LISTED_FAILURES: Final = 1000
-"""Failures that a report lists; the index and the quarantine have all of them."""
+"""Number of failures that a report lists; the index and the quarantine have all of them."""
 
 
 RECORDED_FAILURES: Final = 100
-"""Failures that a run's record lists."""
+"""Number of failures that a run's record lists."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class FailureBudget:
 
     @classmethod
     def of(cls, value: FailureBudget | float | None) -> FailureBudget:
-        """A whole number counts units, a fraction is a share, None means no limit."""
+        """Parse a budget: a whole number counts units, a fraction is a share, None means no limit."""
         if isinstance(value, FailureBudget):
             return value
         if value is None:
@@ -60,22 +60,22 @@ class FailureBudget:
 
 
 class Progress(Protocol):
-    """Receives what happens in a run, to draw, log or measure it. Called from the driver's thread, except ``busy``."""
+    """Receives the events of a run, to draw, log or measure them. Called from the driver's thread, except ``busy``."""
 
     def phase(self, name: str, total: int, seconds: float, workers: int = 1) -> None:
-        """A phase begins: its name, how many steps it has, the CPU seconds expected of them, and who shares them."""
+        """A phase begins; its name, number of steps, expected CPU seconds, and number of workers."""
         ...
 
     def unit(self, receipt: Receipt) -> None:
-        """A unit is done, well or not."""
+        """A unit is finished, whether it succeeded or failed."""
         ...
 
     def step(self) -> None:
-        """A step of a phase without units (a file packed) is done."""
+        """A step of a phase without units is done (a file packed)."""
         ...
 
     def note(self, message: str) -> None:
-        """Something a person should know."""
+        """A message for the user."""
         ...
 
     def busy(self, unit: Busy, message: str) -> None:
@@ -99,7 +99,7 @@ class Silence:
 
 @dataclass
 class RunReport:
-    """The end of a run.
+    """The result of a run.
 
     exit_code : 0 done, 3 done with quarantined units, 4 stopped over the failure budget
     snapshot_id : what is published at the end; None when the run was stopped
@@ -171,12 +171,12 @@ class RunReport:
 
 
 PRIOR_SECONDS: Final = 5.0
-"""CPU seconds of done work that weigh as much as the model's own word on the pace, so that the first receipt, which
-pays for imports and caches, does not decide alone."""
+"""Weight of the model's own estimate, in CPU seconds of done work, so that the first receipt, which pays for imports
+and caches, does not decide alone."""
 
 
 class Remaining:
-    """Seconds left by the clock.
+    """Estimates the seconds left, by the clock.
 
     seconds : CPU seconds expected of the whole phase
     workers : how many share them
@@ -189,19 +189,19 @@ class Remaining:
         self._took = 0.0
 
     def unit(self, receipt: Receipt) -> None:
-        """A unit is done. What it took by the clock counts, since others may share the machine."""
+        """Count a finished unit. Its wall-clock time counts, since others may share the machine."""
         self._done += receipt.expected
         self._took += receipt.seconds
 
     @property
     def seconds(self) -> float:
-        """Work left ÷ workers, times seconds by the clock for each expected CPU second so far."""
+        """Return the work left ÷ workers, times wall-clock seconds per expected CPU second so far."""
         pace = (self._took + PRIOR_SECONDS) / (self._done + PRIOR_SECONDS)
         return max(self._expected - self._done, 0.0) * pace / self._workers
 
 
 def readable(seconds: float) -> str:
-    """A duration for a person: ``45 s``, ``12 min``, ``3 h 20 min``."""
+    """Format a duration: ``45 s``, ``12 min``, ``3 h 20 min``."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     minutes = round(seconds / 60)

@@ -1,4 +1,4 @@
-"""Rows with one form: sorted, with exactly their contract's columns, hashed whatever the encoding.
+"""The canonical form of rows: sorted, with exactly their contract's columns, and hashed independently of the encoding.
 
 The logical hash covers column names, types and values. It does not depend on chunks, dictionary or run-end encoding,
 the bytes under nulls, offsets of slices, or the version of pyarrow (whose IPC padding and metadata may change), and so
@@ -22,14 +22,15 @@ from schemas.errors import CorruptShardError, StageError
 __all__ = ["ROW_GROUP_ROWS", "canonical_table", "logical_hash", "parquet_bytes", "parquet_table", "schema_hash"]
 
 ROW_GROUP_ROWS: Final = 122_880
-"""Rows of a row group: DuckDB's default, its unit of parallelism."""
+"""Rows per row group: DuckDB's default, its unit of parallelism."""
 
 ZSTD_LEVEL: Final = 3
-"""Level 9 gains less than 1 % on these tables and costs several times as much."""
+"""Compression level of zstd. Level 9 gains less than 1 % on these tables and costs several times as much."""
 
 
 def canonical_table(table: pa.Table, spec: TableSpec | None, name: str) -> pa.Table:
-    """``table`` in its one form: columns, types and order of ``spec``; a table without a contract keeps its own.
+    """Return ``table`` in canonical form: columns, types and order of ``spec``; a table without a contract keeps its
+    own.
 
     Raises ``StageError`` on missing or extra columns, values that do not fit, nulls where none may be, and rows that
     the sort keys do not tell apart.
@@ -81,7 +82,7 @@ def _refuse_nulls(column: Any, field: pa.Field, where: str) -> None:
 
 
 def logical_hash(table: pa.Table) -> tuple[str, int]:
-    """(128-bit hash in hexadecimal, size in bytes) of the rows of ``table`` in the order they have.
+    """Return (128-bit hash in hexadecimal, size in bytes) of the rows of ``table`` in their order.
 
     Raises ``StageError`` on a column type that has no canonical form here (maps, unions).
     """
@@ -94,7 +95,7 @@ def logical_hash(table: pa.Table) -> tuple[str, int]:
 
 
 def schema_hash(schema: pa.Schema) -> str:
-    """128-bit hash of names, types and nullability of the columns, in their order."""
+    """Return a 128-bit hash of names, types and nullability of the columns, in their order."""
     text = ";".join(f"{f.name}:{_type_name(f.type)}{'?' if f.nullable else ''}" for f in schema)
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
@@ -104,7 +105,7 @@ def _empty(kind: pa.DataType) -> Any:
 
 
 def _type_name(kind: pa.DataType) -> str:
-    """A name that does not depend on how a version of pyarrow prints types, nor on how the values are encoded."""
+    """Return a type's name that does not depend on the version of pyarrow or on the encoding of the values."""
     if pa.types.is_dictionary(kind) or pa.types.is_run_end_encoded(kind):
         return _type_name(kind.value_type)
     if isinstance(kind, pa.BaseExtensionType):
@@ -123,7 +124,7 @@ def _type_name(kind: pa.DataType) -> str:
 
 
 class _Feed:
-    """Feeds arrays to a hash; every value is framed by its length, so that no two tables feed the same bytes."""
+    """Feeds arrays to a hash. Every value is preceded by its length, so that different tables feed different bytes."""
 
     def __init__(self) -> None:
         self.hash = hashlib.sha256()
@@ -204,7 +205,7 @@ class _Feed:
 def parquet_bytes(
     table: pa.Table, *, sort_keys: tuple[str, ...] = (), metadata: Mapping[str, str] | None = None
 ) -> Any:
-    """``table`` as one Parquet file in memory, from one ``write_table``, so that equal tables give equal bytes."""
+    """Encode ``table`` as one Parquet file by one ``write_table``, so that equal tables give equal bytes."""
     sink = pa.BufferOutputStream()
     pq.write_table(
         table.replace_schema_metadata(dict(metadata) if metadata else None),
@@ -221,7 +222,7 @@ def parquet_bytes(
 
 
 def parquet_table(data: Any, where: str, columns: Iterable[str] | None = None) -> pa.Table:
-    """The table in ``data``, as it was before it was written (columns' types included).
+    """Decode the table in ``data``, with the column types that it had when it was written.
 
     Raises ``CorruptShardError`` when it is not a Parquet file.
     """
@@ -234,7 +235,7 @@ def parquet_table(data: Any, where: str, columns: Iterable[str] | None = None) -
         raise CorruptShardError(
             f"not a readable Parquet file: {error}",
             where=where,
-            remedy="Run condvln rebuild CONFIG --verify: it makes damaged files again.",
+            remedy="Run condvln rebuild CONFIG --verify, which rebuilds damaged files.",
         ) from error
     return pa.table(table.columns, schema=_plain(table.schema))
 
@@ -244,7 +245,7 @@ def _plain(schema: pa.Schema) -> pa.Schema:
 
 
 def concatenated(tables: Iterator[pa.Table], spec: TableSpec, name: str) -> pa.Table:
-    """Rows of several canonical tables of one contract, in its order."""
+    """Concatenate canonical tables of one contract, in canonical order."""
     whole = [*tables]
     if not whole:
         return spec.schema.remove_metadata().empty_table()

@@ -1,4 +1,4 @@
-"""A run: plan, work off what changed, compose a snapshot, publish it.
+"""A run: plan, process what changed, compose a snapshot, publish it.
 
 ::
 
@@ -54,7 +54,7 @@ from schemas.errors import ClusterError, CorruptShardError, FailureBudgetError, 
 __all__ = ["plan", "run"]
 
 _REPAIRS: Final = 3
-"""How often damaged files found while publishing are made again before giving up."""
+"""How often damaged files found while publishing are rebuilt before the run gives up."""
 
 
 def plan(
@@ -66,7 +66,7 @@ def plan(
     retry_quarantined: bool = False,
     renew: Iterable[str] = (),
 ) -> Plan:
-    """What ``run`` with the same arguments would do. Runs nothing and writes nothing.
+    """Return what ``run`` with the same arguments would do. Runs nothing and writes nothing.
 
     renew : names of aggregates to build again
     """
@@ -170,7 +170,7 @@ class _Run:
     stop: threading.Event
     report: RunReport = field(default_factory=RunReport)
     failed: set[tuple[str, str]] = field(default_factory=set)
-    """(stage, key) of what failed in this run: a later pass does not try it again."""
+    """(stage, key) of what failed in this run; a later pass does not try it again."""
     token: str = field(default_factory=lambda: secrets.token_hex(8))
 
     def go(self, units: Iterable[Unit]) -> RunReport:
@@ -244,13 +244,13 @@ class _Run:
                 for stage, key in sorted(failed_keys(self.index.table) - failed_keys(table)):
                     self.commits.release(stage, key)
                 return
-            self.progress.note(f"committed files of {len(damaged)} units are damaged: made again")
+            self.progress.note(f"committed files of {len(damaged)} units are damaged: they are rebuilt")
         raise StoreError("committed files keep getting damaged", where=self.store.url, remedy="Check the disk.")
 
     # ---- working off
 
     def _begin(self) -> None:
-        """Units are counted by the last pass over them, stages by all."""
+        """Reset the counts: units are counted in the last pass over them, stages in all passes."""
         self.report.counts.clear()
         self.report.failures.clear()
 
@@ -261,8 +261,8 @@ class _Run:
             with Spool(planner.work(units)) as spool, Spool[Receipt]() as receipts:
                 if planner.seconds_behind:
                     self.progress.note(
-                        f"a first pass makes {', '.join(a.name for a in due)}; after it come about "
-                        f"{planner.seconds_behind:.0f} CPU s of work"
+                        f"a first pass builds {', '.join(a.name for a in due)}; after it, about "
+                        f"{planner.seconds_behind:.0f} CPU s of work remain"
                     )
                 for receipt in self._work(spool, until, f"first pass, for {', '.join(a.name for a in due)}"):
                     receipts.append(receipt)
@@ -276,11 +276,11 @@ class _Run:
                 except CorruptShardError as error:
                     for aggregate in due:
                         discard_damaged(aggregate, self.commits, (receipts[at] for at in order))
-                    self.progress.note(f"{error}: made again, and others like it")
+                    self.progress.note(f"{error}: this commit and others like it are rebuilt")
         raise StoreError("committed files keep getting damaged", where=self.store.url, remedy="Check the disk.")
 
     def _pass(self, units: Iterable[Unit], again: frozenset[str], made: int) -> pa.Table | None:
-        """The new index; None when nothing at all changed. Units in ``again`` are looked at in any case.
+        """Return the new index; None when nothing changed. Units in ``again`` are processed in any case.
 
         made : how many stages the first passes of this run made for every unit
         """
@@ -318,7 +318,7 @@ class _Run:
         return not self.index.damaged and len(self.index) > 0
 
     def _work(self, work: Spool[Work], until: int, phase: str) -> Iterator[Receipt]:
-        """Receipts of all units in ``work``, counted, as they come."""
+        """Yield the receipts of all units in ``work`` as they come, and count them."""
         self.report.counts["total"] = max(self.report.counts["total"], len(work))
         queue = tasks(work, until, self.executor.workers)
         workers = min(self.executor.workers_for(queue.seconds), max(len(work), 1))

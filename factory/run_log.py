@@ -1,4 +1,4 @@
-"""The structured log of a run: one JSON line for each event and each unit, written as it happens."""
+"""The structured log of a run: one JSON line per event and per unit, written as it happens."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ class RunLog:
         self._lock = threading.Lock()
 
     def phase(self, name: str, total: int, seconds: float, workers: int = 1) -> None:
-        """A phase begins."""
+        """Log that a phase begins."""
         self._line("phase", name=name, total=total, estimated_cpu_seconds=round(seconds, 3), workers=workers)
         self._inner.phase(name, total, seconds, workers)
 
     def unit(self, receipt: Receipt) -> None:
-        """A unit is done: what became of each stage, and the cause if it failed."""
+        """Log a finished unit: the result of each stage, and the cause if it failed."""
         stages = [
             {
                 "stage": stage.stage,
@@ -82,21 +82,21 @@ class RunLog:
         self._inner.unit(receipt)
 
     def step(self) -> None:
-        """A step of a phase without units is done."""
+        """Log that a step of a phase without units is done."""
         self._inner.step()
 
     def note(self, message: str) -> None:
-        """Something a person should know."""
+        """Log a message for the user."""
         self._line("note", message=message)
         self._inner.note(message)
 
     def busy(self, unit: Busy, message: str) -> None:
-        """A unit takes long."""
+        """Log that a unit takes long."""
         self._line("busy", unit=unit.unit_id, stage=unit.stage, seconds=round(unit.seconds, 1))
         self._inner.busy(unit, message)
 
     def event(self, event: str, **fields: Any) -> None:
-        """Anything else worth a line."""
+        """Log any other event."""
         self._line(event, **fields)
 
     def _line(self, event: str, **fields: Any) -> None:

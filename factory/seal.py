@@ -1,4 +1,4 @@
-"""Documents of the store that carry their own checksum, which finds damage even where the document is still valid JSON.
+"""Checksums inside documents of the store, which reveal damage even where the document is still valid JSON.
 
 A changed digit in a manifest would otherwise be taken for what was published. Documents written before there were
 checksums have none and are taken as they are.
@@ -19,13 +19,13 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def sealed(document: BaseModel) -> bytes:
-    """The document as JSON, its field ``checksum`` set."""
+    """Encode the document as JSON with its field ``checksum`` set."""
     content = document.model_dump(mode="json", exclude={"checksum"})
     return json.dumps({**content, "checksum": digest(content)}, indent=1, ensure_ascii=False).encode()
 
 
 def unsealed(kind: type[Model], data: bytes) -> Model:
-    """The document in ``data``. Raises ``ValueError`` when it is malformed or differs from its checksum."""
+    """Decode the document in ``data``. Raises ``ValueError`` when it is malformed or differs from its checksum."""
     document = kind.model_validate_json(data)
     content = json.loads(data)
     checksum = content.pop("checksum", None)

@@ -41,7 +41,7 @@ __all__ = ["Composition", "Snapshot", "damaged_parts", "read_manifest", "read_re
 
 @dataclass(frozen=True)
 class Composition:
-    """What a snapshot will be, known from the index alone, before any file of it is written.
+    """The content of a snapshot, known from the index alone, before any file of it is written.
 
     members : for each (table, partition) the rows' places and hashes, as in ``PackJob``
     hashes : for each (table, partition) the hash over all rows
@@ -72,7 +72,7 @@ class Composition:
         return cls(pipeline, index, members, hashes, snapshot_id)
 
     def jobs(self, part_bytes: int) -> Iterator[PackJob]:
-        """The files of the snapshot."""
+        """Return the pack jobs for the files of the snapshot."""
         for (table, partition), members in self.members.items():
             spec = self.pipeline.tables[table]
             for bucket, share in buckets(members, part_bytes):
@@ -86,7 +86,7 @@ class Composition:
         shared: Mapping[str, SharedRecord],
         provenance: Mapping[str, str],
     ) -> SnapshotManifest:
-        """The manifest, once all parts are there."""
+        """Return the manifest, once all parts exist."""
         tables = {}
         for name, spec in sorted(self.pipeline.tables.items()):
             partitions = {
@@ -135,7 +135,7 @@ class Composition:
 
 
 def _members(index: pa.Table, here: pa.Array, table: str, stages: tuple[str, ...]) -> pa.Table:
-    """Units of ``here`` with rows in ``table``, by id and then by the order of ``stages``."""
+    """Return the units of ``here`` with rows in ``table``, by id and then by the order of ``stages``."""
     parts = []
     for order, stage in enumerate(stages):
         prefix = f"{stage}/{table}"
@@ -158,7 +158,7 @@ def _members(index: pa.Table, here: pa.Array, table: str, stages: tuple[str, ...
 
 
 def read_ref(store: Store, name: str) -> tuple[Ref | None, str | None]:
-    """(the ref, its token for ``Store.swap``); (None, None) when it was never published."""
+    """Return (the ref, its token for ``Store.swap``); (None, None) if it was never published."""
     path = ref_path(name)
     try:
         data = store.read(path)
@@ -179,19 +179,19 @@ def _first_line(error: Exception) -> str:
 
 
 def ref_path(name: str) -> str:
-    """Where a ref lies. Raises ``UsageError`` when the name is not a plain one."""
+    """Return the path of a ref. Raises ``UsageError`` when the name is not a plain one."""
     if not plain_name(name):
-        raise UsageError(f"{name!r} can't name a ref", remedy="Use letters, digits, '-', '_' and '.'.")
+        raise UsageError(f"{name!r} is not a valid name of a ref", remedy="Use letters, digits, '-', '_' and '.'.")
     return f"refs/{name}.json"
 
 
 def manifest_path(snapshot_id: str) -> str:
-    """Where a snapshot's manifest lies."""
+    """Return the path of a snapshot's manifest."""
     return f"snapshots/{snapshot_id}/manifest.json"
 
 
 def read_manifest(store: Store, snapshot_id: str) -> SnapshotManifest | None:
-    """The manifest of a snapshot, or None when there is none (the snapshot was never finished, or is damaged)."""
+    """Read the manifest of a snapshot; None when there is none (the snapshot was never finished, or is damaged)."""
     try:
         manifest = unsealed(SnapshotManifest, store.read(manifest_path(snapshot_id)))
     except (FileNotFoundError, ValueError):
@@ -200,7 +200,7 @@ def read_manifest(store: Store, snapshot_id: str) -> SnapshotManifest | None:
 
 
 def damaged_parts(store: Store, snapshot_id: str) -> Iterator[str]:
-    """Paths of a snapshot's files that are missing or differ from the manifest; reads all of them."""
+    """Return the paths of a snapshot's files that are missing or differ from the manifest; reads all of them."""
     manifest = read_manifest(store, snapshot_id)
     if manifest is None:
         return
@@ -224,7 +224,7 @@ class Snapshot:
 
     @classmethod
     def open(cls, store: Store, ref: str = "main") -> Snapshot:
-        """The snapshot that ``ref`` names now. Raises ``StoreError`` when nothing was published under it."""
+        """Open the snapshot that ``ref`` names now. Raises ``StoreError`` when nothing was published under it."""
         found, _ = read_ref(store, ref)
         if found is None:
             raise StoreError(
@@ -237,17 +237,17 @@ class Snapshot:
             raise CorruptShardError(
                 "the manifest of the published snapshot is missing or damaged",
                 where=f"{store.url}/{manifest_path(found.snapshot_id)}",
-                remedy="Run condvln rebuild CONFIG: it writes the manifest again.",
+                remedy="Run condvln rebuild CONFIG, which writes the manifest again.",
             )
         return cls(store, manifest, found.index)
 
     @property
     def snapshot_id(self) -> str:
-        """Hash over the logical hashes of all rows."""
+        """Return the id: a hash over the logical hashes of all rows."""
         return self.manifest.snapshot_id
 
     def paths(self, table: str) -> tuple[str, ...]:
-        """Paths in the store of a table's files. Raises ``UsageError`` on a table that is not there."""
+        """Return the paths in the store of a table's files. Raises ``UsageError`` on an unknown table."""
         if table not in self.manifest.tables:
             raise UsageError(f"there is no table {table!r}", remedy=f"There are: {', '.join(self.manifest.tables)}.")
         partitions = self.manifest.tables[table].partitions
@@ -258,7 +258,7 @@ class Snapshot:
         )
 
     def local_paths(self, table: str) -> tuple[Path, ...]:
-        """The same on this machine's disk. Raises ``StoreError`` for a store that is elsewhere."""
+        """Return the same paths on this machine's disk. Raises ``StoreError`` for a store that is elsewhere."""
         found = tuple(self.store.local_path(path) for path in self.paths(table))
         local = tuple(path for path in found if path is not None)
         if len(local) != len(found):
@@ -266,7 +266,7 @@ class Snapshot:
         return local
 
     def table(self, name: str, columns: list[str] | None = None, partition: str | None = None) -> pa.Table:
-        """Rows of a table, with the partition as the last column ``source``.
+        """Read rows of a table, with the partition as the last column ``source``.
 
         Raises ``CorruptShardError`` when a file differs from the manifest.
         """
@@ -290,11 +290,11 @@ class Snapshot:
         return pa.concat_tables(tables) if tables else pa.table({})
 
     def index(self) -> Index:
-        """The unit index this snapshot was published from."""
+        """Return the unit index that this snapshot was published from."""
         return Index.read(self.store, self.index_hash)
 
     def unit_files(self, unit_id: str, pipeline: Pipeline) -> dict[str, bytes]:
-        """Further files that the stages of a unit kept, by name. Raises ``UsageError`` on an unknown unit."""
+        """Return the names and content of files that a unit's stages kept. Raises ``UsageError`` on an unknown unit."""
         commits = Commits(self.store)
         found = {}
         for stage in self._stages(unit_id, pipeline):
@@ -305,7 +305,8 @@ class Snapshot:
         return found
 
     def unit_table(self, unit_id: str, pipeline: Pipeline, name: str) -> pa.Table:
-        """A table that a stage of a unit keeps but the snapshot doesn't publish; no rows where it was not made.
+        """Read a table that a stage of a unit keeps but the snapshot does not publish; no rows if the stage did not
+        write it.
 
         Raises ``UsageError`` on an unknown unit, ``CorruptShardError`` where the table is damaged or was swept away.
         """

@@ -1,4 +1,4 @@
-"""Lists too long for memory: objects pickled one after the other into a temporary file, read back in any order."""
+"""Lists that are too long for memory: objects pickled into a temporary file, and read back in any order."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ T = TypeVar("T")
 
 
 class Spool(Generic[T]):
-    """An append-only list on disk; eight bytes an item in memory.
+    """An append-only list on disk, with eight bytes of memory per item.
 
     Holds what this process wrote itself and removes it with the process, so unpickling it is safe.
     """
@@ -29,7 +29,7 @@ class Spool(Generic[T]):
             self.append(item)
 
     def append(self, item: T) -> int:
-        """Add one item; returns its position."""
+        """Append one item; return its position."""
         data = pickle.dumps(item, protocol=pickle.HIGHEST_PROTOCOL)
         self._file.seek(self._end)
         self._file.write(data)
@@ -52,7 +52,7 @@ class Spool(Generic[T]):
             yield self[at]
 
     def close(self) -> None:
-        """Give the disk space back."""
+        """Free the disk space."""
         self._file.close()
 
     def __enter__(self) -> Spool[T]:

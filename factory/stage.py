@@ -1,4 +1,4 @@
-"""What a pipeline is made of: stages that turn one unit's tables into more tables, and aggregates over all units.
+"""The parts of a pipeline: stages, which derive tables from one unit's tables, and aggregates over all units.
 
 Subclass the protocols to inherit their defaults. Instances are pickled to the workers, so they hold parameters, not
 open files. A stage is a pure function of what its key covers: the unit's id and inputs (or the tables it reads),
@@ -22,7 +22,7 @@ __all__ = ["Aggregate", "Stage", "StageOutput"]
 
 @dataclass(slots=True)
 class StageOutput:
-    """What one stage made of one unit.
+    """The output of one stage for one unit.
 
     tables : one for each name in ``Stage.tables`` (a skipped output may leave some out: they count as empty)
     files : further files kept in the unit's folder (plain names), such as a built navmesh
@@ -39,7 +39,7 @@ class StageOutput:
 
 
 class Stage(Protocol):
-    """One step of a unit's chain.
+    """One stage of the pipeline.
 
     name : plain name, the folder under ``units/``
     version : raised by hand whenever the output for equal inputs changes
@@ -57,18 +57,20 @@ class Stage(Protocol):
     reads_inputs: bool = False
 
     def parameters(self, unit: Unit) -> JSON:
-        """All configuration this stage reads for ``unit``, and nothing else: it is keyed.
+        """Return all configuration that this stage reads for ``unit``, and nothing else: it is part of the key.
 
         Returning the same object for every unit makes planning faster.
         """
         return {}
 
     def dependencies(self, unit: Unit, upstream: Mapping[str, pa.Table], shared: Mapping[str, pa.Table]) -> JSON:
-        """What this unit's rows depend on in ``shared``; keyed in place of the whole shared tables."""
+        """Return what this unit's rows depend on in ``shared``; it is part of the key instead of the whole shared
+        tables."""
         return None
 
     def run(self, unit: Unit, upstream: Mapping[str, pa.Table], shared: Mapping[str, pa.Table]) -> StageOutput:
-        """Make the tables of ``unit``. Any error quarantines this unit, except ``TransientIOError``, tried again."""
+        """Compute the tables of ``unit``. Any error quarantines the unit, except ``TransientIOError``, which is
+        retried."""
         ...
 
 
@@ -87,7 +89,7 @@ class Aggregate(Protocol):
     tables: tuple[str, ...]
 
     def parameters(self) -> JSON:
-        """All configuration that ``build`` reads: a table that was pinned under other parameters is built again."""
+        """Return all configuration that ``build`` reads. A table that was pinned with other parameters is rebuilt."""
         return {}
 
     def build(self, tables: Iterator[tuple[str, Mapping[str, pa.Table]]]) -> pa.Table:

@@ -1,4 +1,4 @@
-"""What a store holds: refs and their snapshots, the quarantine with its causes, latest runs, drift of pinned tables."""
+"""The content of a store: refs and their snapshots, quarantine with causes, latest runs, drift of pinned tables."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from schemas.unit import QuarantineRecord
 __all__ = ["AggregateDrift", "RefStatus", "StoreStatus", "drift", "store_status"]
 
 RUNS_SHOWN: Final = 10
-"""Latest runs that a status tells."""
+"""Number of latest runs that a status lists."""
 
 
 @dataclass(frozen=True)
 class RefStatus:
-    """One ref and what it names.
+    """One ref, and the snapshot that it names.
 
     manifest : None when it is missing or damaged
     damaged : what the ref names and is not there, or not whole by a listing: a line for each file, one for all units
@@ -42,7 +42,7 @@ class RefStatus:
 
 @dataclass(frozen=True)
 class StoreStatus:
-    """A store at a glance.
+    """Summary of a store.
 
     quarantine : every record, by unit id
     runs : the latest first
@@ -60,7 +60,7 @@ class StoreStatus:
 
 
 def store_status(store: Store, *, sizes: bool = False) -> StoreStatus:
-    """Look at a store. ``sizes`` lists every file of it, which takes long for a big one."""
+    """Summarize a store. ``sizes`` lists every file of it, which takes long for a large store."""
     refs = []
     for entry in sorted(store.list("refs"), key=lambda entry: entry.path):
         ref, _ = read_ref(store, entry.path.split("/", 1)[1].removesuffix(".json"))
@@ -93,7 +93,7 @@ def store_status(store: Store, *, sizes: bool = False) -> StoreStatus:
 
 
 def _damage(store: Store, ref: Ref, manifest: SnapshotManifest | None) -> Iterator[str]:
-    """Missing or damaged files of a published state, found by names and sizes."""
+    """Return missing or damaged files of a published state, found by names and sizes."""
     for path in missing_parts(store, ref.snapshot_id):
         yield f"{store.url}/{path} is missing or damaged"
     commits = Commits(store)
@@ -113,7 +113,7 @@ def _damage(store: Store, ref: Ref, manifest: SnapshotManifest | None) -> Iterat
 
 @dataclass(frozen=True)
 class AggregateDrift:
-    """How far a pinned aggregate is from what the published units would give now.
+    """Difference between a pinned aggregate and one built from the units published now.
 
     rows, rows_now : of the pinned table, and of the one built now
     differing : rows that are in only one of the two (each counted)

@@ -1,4 +1,4 @@
-"""Garbage collection: what no ref needs goes, after a grace period. What a ref names never does.
+"""Garbage collection: removes what no ref needs, after a grace period.
 
 Kept for each ref are its snapshot and the ones before it, ``keep`` in all, with their unit indexes, the units that
 these list, the shared tables they were made with or that are pinned, and the quarantine of what they list; and the
@@ -29,17 +29,17 @@ from schemas.snapshot import Pin, Published
 __all__ = ["GRACE_SECONDS", "SweepReport", "sweep"]
 
 GRACE_SECONDS: Final = 24 * 3600.0
-"""A run that is killed is commonly started again within a day; until then its commits are safe from sweeping."""
+"""Seconds for which the commits of a killed run are kept: such a run is commonly started again within a day."""
 
 RUNS_KEPT: Final = 200
-"""Records of runs that are kept, some kilobytes each, and their logs."""
+"""Number of records of runs, and their logs, that are kept; each has some kilobytes."""
 
 _KINDS: Final = ("snapshots", "indexes", "units", "aggregates", "quarantine", "runs", "logs")
 
 
 @dataclass
 class SweepReport:
-    """What went (or would go): files and bytes by folder; and ids of snapshots that stay and go.
+    """What was removed (or would be): files and bytes by folder, and ids of the snapshots that stay and go.
 
     unreadable : indexes and manifests of kept states that are gone or damaged: because of them no unit went
     """
@@ -154,7 +154,7 @@ def _live(store: Store, keep: int) -> _Live:
 
 
 def _latest(store: Store, kind: str) -> frozenset[str]:
-    """Names of the latest runs' files: they begin with the time at which the run began."""
+    """Return the names of the latest runs' files; names begin with the time at which the run began."""
     return frozenset(sorted(entry.path.split("/")[1] for entry in store.list(kind))[-RUNS_KEPT:])
 
 
@@ -167,7 +167,8 @@ def _keys(index: pa.Table) -> Iterator[tuple[str, str]]:
 
 
 def _whole(store: Store, kind: str, before: float) -> Iterator[tuple[str, list[Entry]]]:
-    """(name, files) of everything of a kind that is wholly older than ``before``; its commit comes first."""
+    """Yield (name, files) of every unit or snapshot of which all files are older than ``before``; the commit comes
+    first."""
     groups: dict[str, list[Entry]] = {}
     for entry in store.list(kind):
         parts = entry.path.split("/")

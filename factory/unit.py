@@ -1,4 +1,5 @@
-"""A unit of work: the smallest thing that is made, kept, and made again when its inputs change."""
+"""A unit of work: the smallest part of a corpus that is processed, stored, and processed again when its inputs
+change."""
 
 from __future__ import annotations
 
@@ -13,7 +14,7 @@ __all__ = ["InputFile", "Unit", "Work"]
 
 @dataclass(frozen=True, slots=True)
 class InputFile:
-    """One keyed input: a file, or a record inside one (``houses.jsonl#12``).
+    """One input that is part of the key: a file, or a record inside one (``houses.jsonl#12``).
 
     path : relative to the dataset's root, '/' between folders, so that a moved dataset keeps its keys
     size : bytes
@@ -48,13 +49,13 @@ class Unit:
 
     @property
     def cost(self) -> float:
-        """Estimated CPU seconds of all stages on the reference machine."""
+        """Return the estimated CPU seconds of all stages on the reference machine."""
         return sum(self.costs.values())
 
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """One unit as a run gives it to a worker.
+    """One unit, as a run hands it to a worker.
 
     fingerprint : hash of all that its chain can depend on (16 bytes)
     seconds : expected CPU seconds on this machine

@@ -1,4 +1,4 @@
-"""The worker's side: runs what is not done of one unit's chain and commits each stage.
+"""The worker: runs those stages of a unit that are not done, and commits each stage.
 
 The same code runs inline and inside a Ray task. What happens to an error:
 
@@ -47,14 +47,14 @@ from schemas.unit import Cause, KeyParts, TableRecord, UnitCommit
 __all__ = ["Worker"]
 
 PENDING: Final = "0" * 64
-"""Stands for a file's hash until the file is written."""
+"""Placeholder of a file's hash until the file is written."""
 
 
 class Worker:
-    """Works units off, one at a time."""
+    """Processes units, one at a time."""
 
     def __init__(self, context: RunContext, *, may_exit: bool = False, slots: int = 1) -> None:
-        """A worker of this process.
+        """Create the worker of this process.
 
         may_exit : this process may be ended when a unit hangs in compiled code
         slots : how many workers share this machine's memory; on its last try a unit has the machine to itself
@@ -73,7 +73,7 @@ class Worker:
         self.shared = SharedTables(self.commits, context.shared)
 
     def work(self, unit: Unit, until: int, fingerprint: bytes, *, attempt: int = 1, last_try: bool = False) -> Receipt:
-        """Make the stages before position ``until`` that are not there yet.
+        """Run the stages before position ``until`` that are not committed yet.
 
         attempt : how many times the unit was given to a worker, this one included
         last_try : running out of memory quarantines it, rather than handing it back
@@ -105,9 +105,9 @@ class Worker:
             try:
                 return self._walk(unit, chain, until, fingerprint, attempt, last_try, ceiling)
             except CorruptShardError:
-                continue  # the damaged commit was removed: its stage is made again
+                continue  # the damaged commit was removed: its stage is run again
         raise StoreError(
-            f"files of {unit.unit_id} are damaged again as soon as they are made",
+            f"files of {unit.unit_id} are damaged again right after they are written",
             where=self.context.store.url,
             remedy="Check the disk.",
         )
@@ -165,7 +165,7 @@ class Worker:
         reason: str = "",
         failure: Failure | None = None,
     ) -> Receipt:
-        """What was done of a unit's chain, and how it ended."""
+        """Return what was done for a unit, and how it ended."""
         return Receipt(
             unit_id=unit.unit_id,
             partition=unit.partition,
@@ -229,7 +229,7 @@ class Worker:
         return committed, tables
 
     def _run(self, unit: Unit, chain: Chain, stage: Stage) -> tuple[StageOutput, dict[str, pa.Table]]:
-        """Run the stage, with further tries for transient faults, and bring its tables into their one form."""
+        """Run the stage, with retries on transient faults, and convert its tables to canonical form."""
         pause = self.context.transient_pause
         for attempt in range(1, self.context.transient_tries + 1):
             try:
@@ -276,7 +276,7 @@ class Worker:
     def blame(
         self, work: Work, until: int, cause: Cause, exception: str, message: str, attempts: int, peak_rss: int = 0
     ) -> Receipt:
-        """Quarantine a unit that took its workers down with it, at the stage that it can't have got past.
+        """Quarantine a unit that killed its workers, at the first stage that is not committed.
 
         peak_rss : bytes that its worker held when it was ended, where that is known
 

@@ -125,7 +125,7 @@ def _check_rows(snapshot: Snapshot, report: ExportReport) -> None:
         raise CorruptShardError(
             f"the table episodes has {found} rows, and the manifest says {rows}",
             where=f"{snapshot.store.url}/snapshots/{snapshot.snapshot_id}",
-            remedy="Run condvln rebuild CONFIG --verify: it makes the missing files again.",
+            remedy="Run condvln rebuild CONFIG --verify, which rebuilds the missing files.",
         )
 
 

@@ -50,14 +50,14 @@ def make_plan(config: Config, *, every_scene: bool = False) -> Report:
     if found.snapshot_id is None:
         lines.append(f"nothing is published as {config.name!r} yet: {store.url}/refs/{config.name}.json is not there")
     if found.removed:
-        lines.append(f"{len(found.removed)} no longer in the sources: {', '.join(found.removed[:5])} …")
+        lines.append(f"{len(found.removed)} scenes are no longer in the sources: {', '.join(found.removed[:5])} …")
     if found.renewed:
-        lines.append(f"would be built again: {', '.join(found.renewed)}")
+        lines.append(f"aggregates that would be rebuilt: {', '.join(found.renewed)}")
     if found.reasons["damaged"]:
-        lines.append(f"files of {found.reasons['damaged']} scenes are missing from the store, or cut: made again")
+        lines.append(f"files of {found.reasons['damaged']} scenes are missing from the store, or cut: they are rebuilt")
     if found.damaged:
         lines.append(
-            f"{len(found.damaged)} published files are missing or damaged; generate or rebuild makes them again: "
+            f"{len(found.damaged)} published files are missing or damaged; generate or rebuild restores them: "
             + ", ".join(f"{store.url}/{path}" for path in found.damaged[:SHOWN_FILES])
             + (" …" if len(found.damaged) > SHOWN_FILES else "")
         )

@@ -104,7 +104,7 @@ def _tell_damage(report: Report, found: StoreStatus) -> None:
     if lines:
         report.lines += [f"DAMAGED: {line}" for line in lines]
         report.lines.append(
-            "Run condvln rebuild CONFIG: it makes again what is missing or cut (--verify reads every file)"
+            "Run condvln rebuild CONFIG, which rebuilds what is missing or cut (--verify reads every file)"
         )
         report.exit_code = DAMAGED
 

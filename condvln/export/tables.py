@@ -17,7 +17,7 @@ from schemas.errors import FormatError, MissingFileError, StoreError
 
 __all__ = ["FolderTables", "MemoryTables", "SnapshotTables", "joined_by_scene", "rows_by_scene"]
 
-_REMEDY: Final = "Run condvln rebuild CONFIG --verify: it makes damaged files again"
+_REMEDY: Final = "Run condvln rebuild CONFIG --verify, which rebuilds damaged files"
 
 BATCH_ROWS: Final = 1024
 """Rows decoded at a time: enough to spread the cost of Arrow's calls, few enough to keep memory flat."""

@@ -148,8 +148,8 @@ def test_what_is_not_json_is_refused(value: Any) -> None:
     [
         (lambda: toys.pipeline(count=toys.Count(name="square")), "two stages"),
         (lambda: toys.pipeline(count=toys.Count(name="../x")), "plain file name"),
-        (lambda: toys.pipeline(total=toys.Total(after="word")), "no earlier stage leads to"),
-        (lambda: toys.pipeline(total=toys.Total(after="nothing")), "follows no stage"),
+        (lambda: toys.pipeline(total=toys.Total(after="word")), "no earlier stage or aggregate provides"),
+        (lambda: toys.pipeline(total=toys.Total(after="nothing")), "follows a stage that is not in this pipeline"),
         (lambda: toys.pipeline(word=toys.Word(reads=("squared",))), "no earlier stage writes"),
         (lambda: replace(toys.pipeline(), stages=()), "no stage"),
         (

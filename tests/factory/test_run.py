@@ -247,7 +247,7 @@ def test_a_table_that_only_a_unit_keeps_is_read_by_its_hash(store: LocalStore) -
 
 
 def test_two_units_with_one_id_are_refused(store: LocalStore) -> None:
-    with pytest.raises(UsageError, match="one id"):
+    with pytest.raises(UsageError, match="the same id"):
         run(toys.pipeline(), [toys.unit("a/x"), toys.unit("a/x", 3)], store)
 
 

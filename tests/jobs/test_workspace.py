@@ -34,8 +34,8 @@ def test_an_object_store_is_named_by_its_address(tmp_path: Path) -> None:
     [
         ("gs://bucket/a", "is not an object store's address"),
         ("s3://", "is not an object store's address"),
-        ("s3://key:secret@bucket/a", "holds no secrets"),
-        ("s3://bucket/a?endpoint=http://key:secret@localhost:9000", "holds no secrets"),
+        ("s3://key:secret@bucket/a", "must not contain secrets"),
+        ("s3://bucket/a?endpoint=http://key:secret@localhost:9000", "must not contain secrets"),
         ("s3://bucket/a?secret_key=x", "is not an object store's address"),
     ],
 )
