@@ -1,4 +1,7 @@
-"""``python -m benchmarks [NAME …]``: run all benchmarks, or those named, each in a process of its own."""
+"""``python -m benchmarks [NAME …]``: run all benchmarks, or those named, each in a process of its own.
+
+``python -m benchmarks versus COMMIT`` compares this tree with an earlier commit; it is not run with the others.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,14 @@ from pathlib import Path
 
 def main() -> int:
     """Run the chosen modules one after the other; the worst exit code is ours."""
-    known = sorted(p.stem for p in Path(__file__).parent.glob("*.py") if not p.stem.startswith("_"))
+    if sys.argv[1:2] == ["versus"]:
+        from benchmarks.versus import main as compare
+
+        compare(sys.argv[2:])
+        return 0
+    known = sorted(
+        p.stem for p in Path(__file__).parent.glob("*.py") if not p.stem.startswith("_") and p.stem != "versus"
+    )
     chosen = sys.argv[1:] or known
     unknown = sorted(set(chosen) - set(known))
     if unknown:

@@ -10,6 +10,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from condvln.episodes.kernels.ways import passes_through
 from condvln.scene import OrientedBox, SceneObject
 from schemas.config.constants import UPRIGHT_COSINE
 
@@ -123,9 +124,15 @@ class Footprints:
         self._center = np.array([box.center for box in boxes]).reshape(-1, 1, 2)
         self._half = np.array([box.half for box in boxes]).reshape(-1, 1, 2)
         self._axes = np.array([box.axes for box in boxes]).reshape(-1, 2, 2).swapaxes(1, 2)
+        found = (self._center[:, 0], self._half[:, 0], self._axes)
+        self._boxes = tuple(np.array(values, np.float64, order="C") for values in found)
 
     def __len__(self) -> int:
         return len(self._first)
+
+    def stand_in(self, path: F64) -> bool:
+        """Whether a way (n, 3) passes through the inside of any footprint."""
+        return len(self._center) > 0 and passes_through(path, *self._boxes)
 
     def crossings(self, starts: F64, ends: F64) -> NDArray[np.bool_]:
         """Return (m, n): whether each horizontal segment (n, 3)-(n, 3) crosses the interior of each of the m

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from condvln.episodes.facing import HEADINGS, Facings, Headings
 from condvln.episodes.footprint import Footprints
 from condvln.episodes.goals import blocked_footprints, is_standable, wide_islands
-from condvln.episodes.routes import GoalField, Route, clearance
+from condvln.episodes.kernels.ways import comes_within
+from condvln.episodes.routes import GoalField, Route
 from condvln.instructions.stops import Stops
 from condvln.navigation.follower import FollowedRoute, Follower
 from condvln.navigation.pathfinder import Pathfinder
@@ -385,9 +386,9 @@ class Placer:
     def _check_separation(self, routes: Sequence[Route], goals: Sequence[F64]) -> None:
         for k, route in enumerate(routes):
             for j, points in enumerate(goals):
-                if j != k and clearance(route.path, points) < self.tau:
+                if j != k and comes_within(route.path, points, self.tau):
                     raise Rejected("path_enters_other_leaf")
 
     def _check_furniture(self, path: F64) -> None:
-        if len(self._solid) and self._solid.crossings(path[:-1], path[1:]).any():
+        if self._solid.stand_in(path):
             raise Rejected("path_through_furniture")

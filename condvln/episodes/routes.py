@@ -5,11 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Final
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from condvln.compiled import register_warm_up
+from condvln.episodes.kernels.ways import comes_within, least_distance, passes_through
 from condvln.navigation.protocol import PathfinderProtocol
 from condvln.scene import round_mm
 from schemas.config.constants import SNAP_AT_MOST
@@ -33,6 +37,10 @@ class Route:
     length: float
 
 
+_GAPS: Final[WeakKeyDictionary[PathfinderProtocol, dict[tuple[float, bytes, bytes], F64]]] = WeakKeyDictionary()
+"""The last gaps of each pathfinder in use."""
+
+
 class GoalField:
     """The goal points of a scene's objects, with cached geodesic distances from any point to all of them."""
 
@@ -47,6 +55,7 @@ class GoalField:
         self._points = np.concatenate([*self.goals.values(), np.empty((0, 3))])
         self._owner = np.repeat(np.arange(len(self.goals)), [len(points) for points in self.goals.values()])
         self._distances: dict[tuple[bytes, str], F64] = {}
+        self._rows: dict[bytes, F64] = {}
         self._paths: dict[bytes, F64 | None] = {}
 
     def __contains__(self, object_id: str) -> bool:
@@ -54,14 +63,23 @@ class GoalField:
 
     def distances(self, start: F64, object_id: str) -> F64:
         """Return geodesic distances (k,) from `start` to the goal points of an object; inf where there is no path."""
-        key = (start.tobytes(), object_id)
-        if key not in self._distances:
-            self._distances[key] = self._table(start[None], self.goals[object_id])[0]
-        return self._distances[key]
+        return self._from(start.tobytes(), start, object_id)
+
+    def _from(self, name: bytes, start: F64, object_id: str) -> F64:
+        row = self._rows.get(name)
+        if row is not None:
+            return row[self._span[object_id]]
+        key = (name, object_id)
+        found = self._distances.get(key)
+        if found is None:
+            found = self._distances[key] = self._table(start[None], self.goals[object_id])[0]
+        return found
 
     def rows(self, starts: F64) -> F64:
         """Return geodesic distances (s, P) from `starts` (s, 3) to all P goal points of the scene."""
-        return self._table(starts, self._points)
+        table = self._table(starts, self._points)
+        self._rows.update((start.tobytes(), row) for start, row in zip(starts, table, strict=True))
+        return table
 
     def _table(self, starts: F64, ends: F64) -> F64:
         table: F64 = np.array(self.pathfinder.distance_table(starts, ends), dtype=np.float64)
@@ -79,6 +97,14 @@ class GoalField:
         Both directions are computed: Detour's path from a to b may be up to 2 m longer than its path from b to a on
         real navmeshes. Gaps of `enough` metres or more count as `enough`. The diagonal is 0.
         """
+        key = (enough, self._points.tobytes(), self._owner.tobytes())
+        known = _GAPS.setdefault(self.pathfinder, {})
+        if key not in known:
+            known.clear()  # drawing and placing ask for the same
+            known[key] = self._gaps(enough)
+        return known[key]
+
+    def _gaps(self, enough: float) -> F64:
         n = len(self.goals)
         # Farther points are skipped: a geodesic is no shorter than the straight line between the snapped points.
         within = enough + 2 * SNAP_AT_MOST
@@ -112,8 +138,8 @@ class GoalField:
         stops, pieces = [], [start[None]]
         for name in moves:
             away = self.distances(at, name)
-            best = int(np.argmin(away))
-            if not np.isfinite(away[best]):
+            best = int(away.argmin())
+            if not math.isfinite(away[best]):
                 return None
             point = self.goals[name][best]
             piece = self.path(at, point)
@@ -152,9 +178,8 @@ class GoalField:
         agree at the start. A route through stops may end at another goal point.
         """
         points = self.goals[object_id]
-        first = int(np.argmin(self.distances(start, object_id)))
-        rest = [k for k in range(len(points)) if k != first]
-        return np.asarray(points[[first, *rest]], dtype=np.float64)
+        first = int(self.distances(start, object_id).argmin())
+        return np.concatenate([points[first : first + 1], points[:first], points[first + 1 :]])
 
 
 def clearance(path: F64, points: F64) -> float:
@@ -162,9 +187,13 @@ def clearance(path: F64, points: F64) -> float:
 
     A straight line is never longer than a geodesic, so this is also a lower bound of the geodesic clearance.
     """
-    a, b = path[:-1, None], path[1:, None]
-    d = b - a
-    with np.errstate(divide="ignore", invalid="ignore"):
-        t = ((points[None] - a) * d).sum(axis=2) / (d * d).sum(axis=2)
-    t = np.clip(np.nan_to_num(t), 0.0, 1.0)[..., None]
-    return float(np.linalg.norm(points[None] - (a + t * d), axis=2).min())
+    return least_distance(path, points, 0.0)
+
+
+def _warm_up() -> None:
+    line, square = np.array([[0.0, 0, 0], [1, 0, 0]]), np.array([[0.5, 0.5]])
+    passes_through(line, square, square, np.eye(2)[None])
+    comes_within(line, line + 1.0, 0.5)
+
+
+register_warm_up("ways of episodes", _warm_up)

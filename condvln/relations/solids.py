@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, Final
 
 import fcl
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from condvln.formats.glb import GlbGeometry
 from condvln.relations.box_distances import SIGNS
 from condvln.scene import SceneObject
 from condvln.scene.meshes import WorldMesh
@@ -47,12 +48,22 @@ _WINDING_CHUNK: Final = 1 << 20
 """Number of point–triangle pairs processed at once: about 100 MB of temporaries."""
 
 
+ASSETS_KEPT: Final = 256
+"""Assets whose bounding volume hierarchies are kept: of real assets 1 MB each and less."""
+
+
 def _bvh(vertices: F64, faces: NDArray[np.int32]) -> Any:
     model = fcl.BVHModel()
     model.beginModel(len(vertices), len(faces))
     model.addSubModel(np.ascontiguousarray(vertices, dtype=np.float64), np.ascontiguousarray(faces, dtype=np.int64))
     model.endModel()
-    return fcl.CollisionObject(model)
+    return model
+
+
+@lru_cache(maxsize=ASSETS_KEPT)
+def _bvh_of(asset: GlbGeometry) -> Any:
+    """The hierarchy of an asset in its own frame: one for all scenes that it is in."""
+    return _bvh(asset.vertices, asset.faces)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +88,7 @@ class BoxSolid:
     @cached_property
     def surface(self) -> Any:
         """The surface as 12 triangles, for distances to meshes."""
-        return _bvh(self.vertices, _BOX_FACES)
+        return fcl.CollisionObject(_bvh(self.vertices, _BOX_FACES))
 
     @property
     def pieces(self) -> F64:
@@ -105,7 +116,10 @@ class MeshSolid:
     @cached_property
     def surface(self) -> Any:
         """The triangles as a bounding volume hierarchy."""
-        return _bvh(self.mesh.vertices, self.mesh.faces)
+        if self.mesh.asset is None or self.mesh.pose is None:
+            return fcl.CollisionObject(_bvh(self.mesh.vertices, self.mesh.faces))
+        pose = fcl.Transform(self.mesh.pose[:3, :3], self.mesh.pose[:3, 3])
+        return fcl.CollisionObject(_bvh_of(self.mesh.asset), pose)
 
     @cached_property
     def pieces(self) -> F64:
@@ -157,7 +171,7 @@ class CompoundSolid:
     def surface(self) -> Any:
         """The surfaces of all parts, 12 triangles each."""
         faces = [_BOX_FACES + 8 * k for k in range(len(self.parts))]
-        return _bvh(np.concatenate([part.vertices for part in self.parts]), np.concatenate(faces))
+        return fcl.CollisionObject(_bvh(np.concatenate([part.vertices for part in self.parts]), np.concatenate(faces)))
 
     @cached_property
     def pieces(self) -> F64:

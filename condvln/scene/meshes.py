@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
@@ -15,10 +16,13 @@ from condvln.formats.glb import MAX_GLB_BYTES, GlbGeometry, read_glb
 from condvln.scene.boxes import transform_points
 from condvln.scene.scene import MeshPart, SceneObject
 
-__all__ = ["CACHE_BYTES", "MeshLibrary", "WorldMesh"]
+__all__ = ["CACHE_BYTES", "MeshLibrary", "WorldMesh", "shared_library"]
 
 CACHE_BYTES: Final = 192 << 20
 """Size limit of the cache of decoded geometry; all of ReplicaCAD's objects take 40 MB, and a worker has 1 GiB."""
+
+RIGID_TOLERANCE: Final = 1e-12
+"""Entries of R·Rᵀ so near to the identity's leave lengths as they are: 10 m by 0.01 nm."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -27,11 +31,15 @@ class WorldMesh:
     outside.
 
     watertight : all parts are closed surfaces, so that "inside" is defined
+    asset, pose : the triangles in their own frame and the rigid placement (4, 4) that they were moved by; None for what
+        has several parts or is scaled
     """
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.int32]
     watertight: bool
+    asset: GlbGeometry | None = None
+    pose: NDArray[np.float64] | None = None
 
 
 class MeshLibrary:
@@ -66,9 +74,14 @@ class MeshLibrary:
         """Return a mesh part in the scene's frame."""
         geometry = self.geometry(part.path)
         faces = geometry.faces
-        if np.linalg.det(part.transform[:3, :3]) < 0:
-            faces = faces[:, ::-1]
-        return WorldMesh(transform_points(part.transform, geometry.vertices), faces, geometry.watertight)
+        turned = part.transform[:3, :3]
+        rigid = bool(np.abs(turned @ turned.T - np.eye(3)).max() <= RIGID_TOLERANCE)
+        if np.linalg.det(turned) < 0:
+            faces, rigid = faces[:, ::-1], False
+        vertices = transform_points(part.transform, geometry.vertices)
+        if not rigid:
+            return WorldMesh(vertices, faces, geometry.watertight)
+        return WorldMesh(vertices, faces, geometry.watertight, geometry, part.transform)
 
     def world_mesh(self, item: SceneObject) -> WorldMesh | None:
         """Return all parts of an object as one mesh; None if it has none."""
@@ -85,3 +98,9 @@ class MeshLibrary:
 
 def _bytes(geometry: GlbGeometry) -> int:
     return geometry.vertices.nbytes + geometry.faces.nbytes
+
+
+@lru_cache(maxsize=4)
+def shared_library(root: Path) -> MeshLibrary:
+    """The library of a dataset's meshes that all work of this process shares, so that a file is read once."""
+    return MeshLibrary(root)

@@ -21,7 +21,7 @@ from condvln.labels import vocabulary
 from condvln.scene import MeshPart, Room, Scene, SceneObject, SceneWarning, round_mm
 from condvln.scene.boxes import aabb_of, oriented_box, rounded_box, transform_points
 from condvln.scene.geometry import SceneGeometry
-from condvln.scene.meshes import MeshLibrary
+from condvln.scene.meshes import shared_library
 from condvln.sources.body import Body, BodyReader
 from condvln.sources.input_ledger import InputLedger
 from condvln.sources.lexicon import read_descriptors
@@ -61,7 +61,7 @@ class ReplicaCadSource(SceneSource):
 
     def __init__(self, root: Path, options: SourceOptions) -> None:
         super().__init__(root, options)
-        self._meshes = MeshLibrary(root)
+        self._meshes = shared_library(Path(root))
         SceneDataset(self.files)
 
     def listing(self) -> Iterator[tuple[str, Note]]:

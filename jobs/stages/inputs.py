@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Final
+from typing import Final, Generic, TypeVar
 
 import pyarrow as pa
 
@@ -89,8 +89,42 @@ def source_of(unit: Unit, limits: LimitsConfig = DEFAULT_LIMITS) -> Source:
     )
 
 
+V = TypeVar("V")
+
+
+class _Latest(Generic[V]):
+    """The last thing that was made, for as long as it is asked for with the very same parts.
+
+    The stages of one scene follow each other in a process and read the same tables, so one is enough.
+    """
+
+    def __init__(self) -> None:
+        self._kept: tuple[tuple[object, ...], V] | None = None
+
+    def get(self, parts: tuple[object, ...], make: Callable[[], V]) -> V:
+        """What `make` makes; the last one where each of `parts` is the same object as then, or equal text."""
+        kept = self._kept
+        if kept is not None and len(kept[0]) == len(parts) and all(map(_same, kept[0], parts)):
+            return kept[1]
+        self._kept = None  # freed before the next one is made
+        made = make()
+        self._kept = (parts, made)
+        return made
+
+
+def _same(one: object, other: object) -> bool:
+    return one is other or (isinstance(one, (str, float)) and one == other)
+
+
+_scenes: Final[_Latest[Scene]] = _Latest()
+_walkables: Final[_Latest[Walkable]] = _Latest()
+
+
 def scene_of(unit: Unit, tables: Tables) -> Scene:
-    return scene_from_tables(tables, Path(str(unit.payload["root"])), family=str(unit.payload["family"]))
+    """The scene of a unit's tables; one object for all stages that read the same tables."""
+    root, family = str(unit.payload["root"]), str(unit.payload["family"])
+    parts = (root, family, *(tables[name] for name in ("scenes", "rooms", "objects")))
+    return _scenes.get(parts, lambda: scene_from_tables(tables, Path(root), family=family))
 
 
 def pathfinder_of(scene: Scene, tables: Tables) -> Pathfinder:
@@ -105,8 +139,12 @@ def walkable_of(unit: Unit, scene: Scene, tables: Tables, max_climb: float) -> W
     """Where an agent can walk in the scene and what it sees there; None where the scene has no navmesh."""
     if scene.navmesh is None:
         return None
-    view = SceneView(scene, source_of(unit).geometry(scene))
-    return Walkable(pathfinder_of(scene, tables), view, max_climb)
+
+    def make() -> Walkable:
+        view = SceneView(scene, source_of(unit).geometry(scene))
+        return Walkable(pathfinder_of(scene, tables), view, max_climb)
+
+    return _walkables.get((scene, unit, tables["navmeshes"], max_climb), make)
 
 
 def dump(section: Section) -> dict[str, JSON]:

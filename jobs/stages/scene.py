@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from condvln.navigation.scene_navmesh import with_built_navmesh, with_shipped_navmesh
 from condvln.relations import relate_scene, relation_table
-from condvln.scene.meshes import MeshLibrary
+from condvln.scene.meshes import shared_library
 from condvln.scene.tables import scene_tables
 from factory.stage import Stage, StageOutput
 from factory.unit import Unit
@@ -79,5 +79,5 @@ class RelationStage(Stage):
 
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
         scene = scene_of(unit, upstream)
-        relations = relate_scene(scene, self.thresholds, MeshLibrary(scene.root).world_mesh)
+        relations = relate_scene(scene, self.thresholds, shared_library(scene.root).world_mesh)
         return StageOutput(tables={"relations": relation_table(scene, relations, self.thresholds)})

@@ -129,16 +129,17 @@ def _best_heading(
     near_enough: np.float32,
     contact: bool,
     points: Floats,
-) -> tuple[int, np.float32]:
+    tried: Floats,
+) -> tuple[int, np.float32, int]:
     """Heading to step along from ``point``, and the geodesic distance after it; -1 and infinite if there is none.
 
     Going straight on comes first where the aim is within one turn, then the headings nearest to the aim. The first that
-    makes good progress is taken; failing that the one which makes most.
+    makes good progress is taken; failing that the one which makes most. In the first case ``tried`` is where the step
+    ends and ``points`` the way on from there, of as many corners as the third value says; otherwise that is 0.
     """
     headings = gait.moves.shape[0]
     best_heading = -1
     best = INFINITE
-    tried = np.empty(3, np.float32)
     straight_first = abs(off) <= 1.0 + TURN_SLACK
     for number in range(-1 if straight_first else 0, headings):
         turns = 0 if number < 0 else _candidate(number, off)
@@ -148,15 +149,17 @@ def _best_heading(
         free = _try_heading(mesh, gait, point, candidate, tried)
         if not (free or contact):
             continue
-        after, _ = _remaining(mesh, search, tried, goal, points)
-        if not (free or gait.sliding) and not _can_go_on(mesh, search, gait, tried, after, goal, points):
-            continue
+        after, corners = _remaining(mesh, search, tried, goal, points)
+        if not (free or gait.sliding):
+            corners = 0  # the next line writes other points
+            if not _can_go_on(mesh, search, gait, tried, after, goal, points):
+                continue
         if after < best:
             best = after
             best_heading = candidate
         if distance - after >= GOOD_PROGRESS * gait.length or after <= near_enough:
-            return candidate, after
-    return best_heading, best
+            return candidate, after, corners
+    return best_heading, best, 0
 
 
 @compiled
@@ -257,21 +260,26 @@ def _plan(
     limits: Limits,
     careful: bool,
     points: Floats,
-) -> Indices:
-    """Headings of the next steps: one that shortens the way, or those of a way around; none if there is neither."""
+    tried: Floats,
+) -> tuple[Indices, np.float32, int]:
+    """Headings of the next steps: one that shortens the way, or those of a way around; none if there is neither.
+
+    The other values are those of :func:`_best_heading`: where the last one is not 0, the step has been made already.
+    """
     off = _turns_to_aim(gait, heading, path, corners)
-    best, after = -1, INFINITE
+    best, after, known = -1, INFINITE, 0
     for attempt in range(1 if gait.sliding or careful else 2):
         if attempt == 1 and distance - after >= SLOW_PROGRESS * gait.length:
             break
         contact = gait.sliding or attempt == 1
-        other, after_other = _best_heading(
-            mesh, search, gait, point, heading, off, distance, goal, limits.stop_within, contact, points
+        other, after_other, known_other = _best_heading(
+            mesh, search, gait, point, heading, off, distance, goal, limits.stop_within, contact, points, tried
         )
+        known = 0
         if after_other < after:
-            best, after = other, after_other
+            best, after, known = other, after_other, known_other
     if distance - after >= LEAST_PROGRESS:
-        return np.full(1, best, np.int64)
+        return np.full(1, best, np.int64), after, known
     around = np.empty(0, np.int64)
     if distance > limits.arrive_within:
         for attempt in range(1 if gait.sliding else 2):
@@ -279,7 +287,7 @@ def _plan(
             around = _way_around(mesh, search, gait, point, distance, goal, contact, points)
             if around.shape[0] > 0:
                 break
-    return around
+    return around, after, 0
 
 
 @compiled
@@ -320,11 +328,11 @@ def follow(
         if distance == INFINITE:
             status = NO_PATH
         plan = np.empty(0, np.int64)
-        taken = 0
+        taken, known, after = 0, 0, INFINITE
         while status == ARRIVED and distance > limits.stop_within:
             if taken == plan.shape[0]:
-                plan = _plan(
-                    mesh, search, gait, point, heading, points, count, distance, goal, limits, careful, scratch
+                plan, after, known = _plan(
+                    mesh, search, gait, point, heading, points, count, distance, goal, limits, careful, scratch, reached
                 )
                 taken = 0
                 if plan.shape[0] == 0:
@@ -348,10 +356,16 @@ def follow(
             made += 1
             walked += 1
             heading = towards
-            _try_heading(mesh, gait, point, heading, reached)
+            if known > 0:
+                # The step was tried in planning, and the way on from its end is in ``scratch``.
+                distance, count = after, known
+                points, scratch = scratch, points
+                known = 0
+            else:
+                _try_heading(mesh, gait, point, heading, reached)
+                distance, count = _remaining(mesh, search, reached, goal, points)
             point[:] = reached
             locations[walked] = point
-            distance, count = _remaining(mesh, search, point, goal, points)
         if status != ARRIVED:
             break
         arrivals[number] = walked

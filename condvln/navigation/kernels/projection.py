@@ -33,6 +33,8 @@ from condvln.navigation.tile import Floats, Indices
 # Half extents (metres) of the box in which habitat-sim looks for a polygon.
 REACH_GROUND = np.float32(2.0)
 REACH_HEIGHT = np.float32(4.0)
+# Metres around a point in which polygons below it are looked for first: far more than rounding of the tree's boxes.
+REACH_BELOW = np.float32(0.2)
 # habitat-sim's isNavigable: a navigable point is snapped by no more than this in the ground plane, metres.
 NAVIGABLE_SHIFT = np.float32(1e-2)
 
@@ -111,8 +113,8 @@ def nearest_polygon(
     nothing = (NO_POLYGON, NAN, NAN, NAN)
     if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
         return nothing
-    low_x, low_y, low_z = x - REACH_GROUND, y - REACH_HEIGHT, z - REACH_GROUND
-    high_x, high_y, high_z = x + REACH_GROUND, y + REACH_HEIGHT, z + REACH_GROUND
+    low_x, low_z = x - REACH_GROUND, z - REACH_GROUND
+    high_x, high_z = x + REACH_GROUND, z + REACH_GROUND
     if math.floor((low_x - grid[ORIGIN_X]) / grid[TILE_WIDTH]) > ZERO:
         return nothing
     if math.floor((high_x - grid[ORIGIN_X]) / grid[TILE_WIDTH]) < ZERO:
@@ -121,6 +123,21 @@ def nearest_polygon(
         return nothing
     if math.floor((high_z - grid[ORIGIN_Z]) / grid[TILE_HEIGHT]) < ZERO:
         return nothing
+    # Most points lie over a polygon, which few of the tree's boxes can hold.
+    below = _nearest_within(mesh, x, y, z, island, REACH_BELOW, True)
+    if below[0] != NO_POLYGON:
+        return below
+    return _nearest_within(mesh, x, y, z, island, REACH_GROUND, False)
+
+
+@compiled
+def _nearest_within(
+    mesh: QueryMesh, x: np.float32, y: np.float32, z: np.float32, island: int, reach: np.float32, over_only: bool
+) -> tuple[int, np.float32, np.float32, np.float32]:
+    """The answer of :func:`nearest_polygon` in a box; ``over_only``: the first polygon at distance 0, if any."""
+    grid = mesh.grid
+    low_x, low_y, low_z = x - reach, y - REACH_HEIGHT, z - reach
+    high_x, high_y, high_z = x + reach, y + REACH_HEIGHT, z + reach
     bx, by, bz = grid[BMIN], grid[BMIN + 1], grid[BMIN + 2]
     tx, ty, tz = grid[BMAX], grid[BMAX + 1], grid[BMAX + 2]
     q = grid[QUANT]
@@ -151,18 +168,21 @@ def nearest_polygon(
             and overlap
             and mesh.walkable[index]
             and (island == ANY_ISLAND or mesh.island[index] == island)
-            and not _too_far(mesh, index, x, z, best)
+            and not _too_far(mesh, index, x, z, ZERO if over_only else best)
         ):
             over, height = height_on_polygon(mesh, index, x, z)
             if over:
                 cx, cy, cz = x, height, z
                 d = abs(y - height) - grid[CLIMB]
                 d = d * d if d > ZERO else ZERO
+            elif over_only:
+                node += 1
+                continue
             else:
                 cx, cy, cz = nearest_on_detail_edges(mesh, index, x, z, True)
                 dx, dy, dz = x - cx, y - cy, z - cz
                 d = dx * dx + dy * dy + dz * dz
-            if d < best:
+            if d < best and (d <= ZERO or not over_only):
                 best = d
                 best_poly = index
                 best_x, best_y, best_z = cx, cy, cz

@@ -54,23 +54,44 @@ def blocked_looks(
     centers, half : (b, 3) float64; axes : (b, 3, 3) float64, columns the boxes' axes
     headroom : (b,) float64, metres
     """
+    count = len(centers)
     out = np.zeros(len(eyes), np.bool_)
+    begins = np.empty((count, 3), np.float64)  # the eye in each box's axes
+    holds_eye = np.empty(count, np.bool_)
+    of_eye = -1
+    last = 0  # the box met last: looks from one eye to one thing often meet the same box
     for k in range(len(eyes)):
         x, y, z = points[k, 0] - eyes[k, 0], points[k, 1] - eyes[k, 1], points[k, 2] - eyes[k, 2]
         length = math.sqrt(x * x + y * y + z * z)
         if not length > touch:
             continue
         margin = touch / length
-        for b in range(len(centers)):
-            dx, dy, dz = eyes[k, 0] - centers[b, 0], eyes[k, 1] - centers[b, 1], eyes[k, 2] - centers[b, 2]
+        if (
+            of_eye < 0
+            or eyes[k, 0] != eyes[of_eye, 0]
+            or eyes[k, 1] != eyes[of_eye, 1]
+            or eyes[k, 2] != eyes[of_eye, 2]
+        ):
+            for b in range(count):
+                dx, dy, dz = eyes[k, 0] - centers[b, 0], eyes[k, 1] - centers[b, 1], eyes[k, 2] - centers[b, 2]
+                inside = True
+                for i in range(3):
+                    begins[b, i] = dx * axes[b, 0, i] + dy * axes[b, 1, i] + dz * axes[b, 2, i]
+                    inside = inside and abs(begins[b, i]) <= half[b, i] + touch
+                holds_eye[b] = inside
+            of_eye = k
+        for number in range(count):
+            b = last + number
+            if b >= count:
+                b -= count
+            if holds_eye[b]:
+                continue
             enter = -math.inf
             leave = math.inf
-            holds_eye = True
             holds_point = True
             for i in range(3):
-                begin = dx * axes[b, 0, i] + dy * axes[b, 1, i] + dz * axes[b, 2, i]
+                begin = begins[b, i]
                 way = x * axes[b, 0, i] + y * axes[b, 1, i] + z * axes[b, 2, i]
-                holds_eye = holds_eye and abs(begin) <= half[b, i] + touch
                 holds_point = holds_point and abs(begin + way) <= half[b, i] + touch
                 if way != 0.0:
                     one = (-half[b, i] - begin) / way
@@ -79,11 +100,14 @@ def blocked_looks(
                     leave = min(leave, max(one, other))
                 elif abs(begin) > half[b, i]:
                     leave = -math.inf  # beside the box all the way
-            # A slit as thin as rounding is none: the look only brushes an edge.
-            meets = enter < leave and leave > margin and enter < 1.0 - margin
-            if meets and not holds_eye and not holds_point and headroom[b] > 0.0:
-                holds_point = _is_above(points[k], centers[b], half[b], axes[b], headroom[b], touch)
-            if meets and not holds_eye and (not holds_point or own[k] == b):
-                out[k] = True
-                break
+                # A slit as thin as rounding is none: the look only brushes an edge.
+                if not (enter < leave and leave > margin and enter < 1.0 - margin):
+                    break
+            else:
+                if not holds_point and headroom[b] > 0.0:
+                    holds_point = _is_above(points[k], centers[b], half[b], axes[b], headroom[b], touch)
+                if not holds_point or own[k] == b:
+                    out[k] = True
+                    last = b
+                    break
     return out

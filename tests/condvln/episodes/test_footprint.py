@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from shapely import LineString, Point, Polygon
 
-from condvln.episodes.footprint import Footprint
+from condvln.episodes.footprint import Footprint, Footprints
 from condvln.scene import OrientedBox, SceneObject
 
 metres = st.floats(-5, 5).map(lambda v: round(v, 3))
@@ -87,3 +87,9 @@ def test_tilted_box_falls_back_to_its_aabb() -> None:
 
 def test_unknown_extent_has_no_footprint() -> None:
     assert Footprint.of(SceneObject("a", "r", "x", "x", np.zeros(3))) is None
+
+
+@given(st.lists(boxes, max_size=4), points)
+def test_a_way_stands_in_what_some_segment_crosses(several: list[Footprint], at: np.ndarray) -> None:
+    crossed = bool(several) and bool(Footprints(several).crossings(at[:-1], at[1:]).any())
+    assert Footprints(several).stand_in(at) == crossed

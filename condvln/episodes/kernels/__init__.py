@@ -1,0 +1,1 @@
+"""Compiled loops; each file calls only files of this folder."""
