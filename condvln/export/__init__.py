@@ -1,1 +1,1 @@
-"""Episode rows of a snapshot → the files that other people's loaders read."""
+"""Export: write a snapshot's episodes to the file formats that other projects' loaders read."""

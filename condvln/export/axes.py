@@ -1,4 +1,4 @@
-"""How episodes are classed where they are counted and scored: the observability and the horizon as tables name them."""
+"""The classes by which episodes are counted and scored: observability, route length and text length."""
 
 from __future__ import annotations
 
@@ -8,24 +8,26 @@ from typing import Final
 __all__ = ["ROUTE_BOUNDS", "WORD_BOUNDS", "observability_class", "route_class", "words_class"]
 
 ROUTE_BOUNDS: Final = (5, 10, 20)
-"""Metres by the stops at which a longer class of routes begins; single rooms seldom reach the second."""
+"""Route lengths in metres at which the next class begins; single rooms seldom reach the second."""
 
 WORD_BOUNDS: Final = (40, 80, 120)
-"""Words at which a longer class of texts begins."""
+"""Numbers of words at which the next class begins."""
 
 
 def observability_class(observability: str | None, evidence_in_view: bool | None) -> str | None:
-    """O0f where all evidence is in the first view, else O0, O1 or O2; None where it is not known."""
+    """Return O0f if all evidence is in the first view, else O0, O1 or O2; None if unknown."""
     return "O0f" if observability == "O0" and evidence_in_view else observability
 
 
 def route_class(route_length: float) -> str:
-    """Class of a gold route's length in metres: ``05–10 m``; sorted as text, the classes are in order."""
+    """Return the class of a gold route's length in metres, such as ``05–10 m``; sorting classes as text keeps their
+    order.
+    """
     return f"{_between(route_length, ROUTE_BOUNDS, 2)} m"
 
 
 def words_class(words: int) -> str:
-    """Class of a text's number of words: ``040–079``; sorted as text, the classes are in order."""
+    """Return the class of a text's number of words, such as ``040–079``; sorting classes as text keeps their order."""
     return _between(words, WORD_BOUNDS, 3, last=1)
 
 

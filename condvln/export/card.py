@@ -1,4 +1,4 @@
-"""The dataset card: a Hugging Face ``README.md`` whose numbers all come from the export's own report."""
+"""The dataset card: a Hugging Face ``README.md`` whose numbers all come from the export's report."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _AXES: Final = (
 
 
 def dataset_card(report: ExportReport, name: str) -> str:
-    """The card of one export; the same report gives the same text."""
+    """Return the dataset card of an export; equal reports give equal text."""
     sections = [
         _front_matter(report, name),
         f"# {name}",
@@ -81,7 +81,9 @@ def _front_matter(report: ExportReport, name: str) -> str:
 
 
 def _version(report: ExportReport) -> str:
-    """A version by the contents of the manifests: the ``datasets`` library caches by it, and not by the contents."""
+    """Return a version derived from the manifests' contents: the ``datasets`` library caches by version, not by
+    contents.
+    """
     hashes = [f"{path} {file.sha256}" for path, file in sorted(report.files.items()) if path.startswith("manifest/")]
     number = int(hashlib.sha256("\n".join(hashes).encode()).hexdigest()[:12], 16)
     return f"1.{number >> 24}.{number & 0xFFFFFF}"
@@ -153,7 +155,7 @@ def _counts(report: ExportReport) -> str:
 
 
 def _examples(report: ExportReport) -> str:
-    """One text of each category, as it is in the files."""
+    """Return one text of each category, as it is in the files."""
     return "\n".join(
         f"* {category} (episode {report.examples[category][0]}): “{report.examples[category][1]}”"
         for category in CATEGORIES

@@ -1,7 +1,7 @@
-"""What changed between two exports, and why: ``CHANGELOG.md``, newest first.
+"""Describe what changed between two exports, and why: ``CHANGELOG.md``, newest first.
 
-It is the history of a folder, so the export's own index leaves it out. It carries no dates: the same two snapshots
-give the same entry on any day. Of each episode only hashes are kept, so that two exports of a million fit in memory.
+The file is the history of a folder, so the export's own index does not list it. It has no dates: the same two snapshots
+give the same entry on any day. Only hashes of each episode are kept, so that two exports of a million fit in memory.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _BLOCK: Final = 4096
 
 @dataclass(frozen=True, eq=False)
 class PublishedEpisodes:
-    """The n episodes of an export.
+    """The n published episodes of an export, as hashes.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class PublishedEpisodes:
 
     @classmethod
     def of_export(cls, export: Path) -> PublishedEpisodes | None:
-        """Read the manifests of an export; None where there is none, or none that can be read."""
+        """Read the manifests of an export; None if it has none, or none that can be read."""
 
         def rows() -> Iterator[tuple[Split, str, dict[str, Any]]]:
             for split in SPLITS:
@@ -73,7 +73,7 @@ class PublishedEpisodes:
 
     @classmethod
     def of_rows(cls, snapshot: str, rows: Iterator[tuple[Split, str, dict[str, Any]]]) -> PublishedEpisodes:
-        """From (split, source, row of the manifest or of the episodes table)."""
+        """Build from (split, source, row of the manifest or of the episodes table)."""
         codes: dict[str, int] = {}
         navmeshes: dict[str, str] = {}
         names: list[pa.Array] = []
@@ -113,7 +113,7 @@ class PublishedEpisodes:
 
 @dataclass(frozen=True, eq=False)
 class Generated:
-    """Which episodes a snapshot has, chosen or not, and why some may be in no split."""
+    """Which episodes a snapshot has, published or not, and why some could be in no split."""
 
     ids: Hashes
     unfit: npt.NDArray[np.int64]
@@ -121,12 +121,12 @@ class Generated:
 
     @classmethod
     def of(cls, pool: ExportPool) -> Generated:
-        """The columns of a pool that explain why an episode is new or gone."""
+        """Return the columns of a pool that explain why an episode is new or gone."""
         order = np.argsort(pool.episode)
         return cls(pool.episode[order], pool.unfit[order], pool.reasons)
 
     def reason(self, name: int) -> str | None:
-        """Why the episode may be in no split, empty where it may; None where it was not generated."""
+        """Return why the episode could be in no split: empty if it could, None if it was not generated."""
         at = int(np.searchsorted(self.ids, np.uint64(name)))
         if at == len(self.ids) or int(self.ids[at]) != name:
             return None
@@ -136,7 +136,7 @@ class Generated:
 
 @dataclass
 class Changes:
-    """Counts by reason, and a few examples of each."""
+    """Counts by reason, with a few examples of each."""
 
     former: str
     snapshot: str
@@ -155,7 +155,7 @@ class Changes:
             found[:] = heapq.nsmallest(_EXAMPLES, found)
 
     def entry(self) -> str:
-        """The section of the changelog."""
+        """Return the section of the changelog."""
         lines = [f"## {self.snapshot}", "", f"From {self.former}; {self.kept:,} episodes are as they were."]
         for title, kind in (("Added", self.added), ("Dropped", self.dropped), ("Changed", self.changed)):
             if kind:
@@ -173,12 +173,12 @@ def changes_between(
     before: Generated | None = None,
     now: Generated | None = None,
 ) -> Changes:
-    """Compare two exports, each episode under its likeliest reason.
+    """Compare two exports; each changed episode is counted under its most likely reason.
 
     Parameters
     ----------
-    before, now : what the two snapshots have beyond what is published; without it, changes of generation and of choice
-        are left out
+    before, now : unpublished episodes of the two snapshots; without them, changes of generation and of selection are
+        left out
     """
     changes = Changes(former.snapshot, new.snapshot)
     _, at, to = np.intersect1d(former.ids, new.ids, assume_unique=True, return_indices=True)
@@ -203,7 +203,7 @@ def changes_between(
 
 
 class _Words(NamedTuple):
-    """Wording of the reasons for episodes that are in one of two exports only."""
+    """The wording of the reasons for episodes that are in only one of two exports."""
 
     left_out: str
     scene: str
@@ -217,7 +217,7 @@ _DROPPED: Final = _Words("left out now", "their scene is gone", "no longer gener
 def _why_alone(
     words: _Words, own: PublishedEpisodes, row: int, navmeshes: Mapping[str, str], other: Generated | None
 ) -> str:
-    """Why an episode is in one export only; navmeshes and generated episodes are those of the other one."""
+    """Return why an episode is in one export only; `navmeshes` and generated episodes are those of the other export."""
     told = other.reason(int(own.ids[row])) if other is not None else None
     if told is not None:
         return f"{words.left_out}: {told or 'beyond the balance'}"
@@ -230,7 +230,7 @@ def _why_alone(
 
 
 def with_entry(changelog: str, changes: Changes) -> str:
-    """The changelog with one section more at its head; as it was where that section is there already."""
+    """Return the changelog with one more section at its head; unchanged if that section is already there."""
     body = changelog.removeprefix(_TITLE).lstrip("\n")
     entry = changes.entry()
     if entry in body:

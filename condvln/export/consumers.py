@@ -1,9 +1,9 @@
-"""Configuration files for those who run the episodes: whole task files, to be named where the consumer's own is.
+"""Write configuration files for projects that run the episodes: complete task files to use in place of their own.
 
-Paths are those of an export that is linked as ``data/datasets/condvln`` in the consumer's checkout, beside its
-``data/scene_datasets``. Success distances are set for SR, SPL, OSR and BSA alike; nDTW keeps R2R's 3 m. Keys as in
-VLN-CE's ``vlnce_task.yaml`` and ``rxr_vlnce_english_task.yaml``, habitat-lab's ``vln_r2r.yaml`` and the ANSR-v1 tasks
-of Open-Nav and VLN-Zero.
+Paths assume that the export is linked as ``data/datasets/condvln`` in the project's checkout, beside its
+``data/scene_datasets``. Success distances are set for SR, SPL, OSR and BSA; nDTW keeps R2R's 3 m. Keys follow VLN-CE's
+``vlnce_task.yaml`` and ``rxr_vlnce_english_task.yaml``, habitat-lab's ``vln_r2r.yaml`` and the ANSR-v1 tasks of
+Open-Nav and VLN-Zero.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from schemas.config.constants import STEP_CEILING
 __all__ = ["LINK", "consumer_files"]
 
 LINK: Final = "data/datasets/condvln"
-"""Where the consumers' files expect the export."""
+"""Path at which the configuration files expect the export."""
 
 _SCENES: Final = "data/scene_datasets/"
 _FIDELITY_DISTANCE: Final = 3.0
 _RXR_HEIGHT: Final = 0.88
-"""Height of RxR-Habitat's agent and of its cameras, metres."""
+"""Height in metres of RxR-Habitat's agent and of its cameras."""
 _FALLBACK_SUCCESS_DISTANCE: Final = 1.0
 _ACTIONS: Final = ("STOP", "MOVE_FORWARD", "TURN_LEFT", "TURN_RIGHT")
 _MEASUREMENTS: Final = (
@@ -37,7 +37,7 @@ _MEASUREMENTS: Final = (
 
 
 def consumer_files(report: ExportReport) -> dict[str, str]:
-    """Text by path below the export."""
+    """Return the text of each configuration file by path below the export."""
     radius, mixed = _success_distance(report)
     split = next((s for s in ("val_unseen", "test", "val_seen", "train") if report.episodes.get(s)), "val_unseen")
     steps = report.most_steps or STEP_CEILING
@@ -69,7 +69,7 @@ def consumer_files(report: ExportReport) -> dict[str, str]:
 
 
 def _success_distance(report: ExportReport) -> tuple[float, bool]:
-    """The commonest success distance, and whether there are others."""
+    """Return the most frequent success distance, and whether there are others."""
     counts: dict[str, int] = {}
     for split in SPLITS:
         for value, count in report.shapes.get(split, {}).get("success_distance", {}).items():
@@ -81,7 +81,7 @@ def _success_distance(report: ExportReport) -> tuple[float, bool]:
 
 @dataclass(frozen=True)
 class _AnsrAgent:
-    """How one of the public conditional evaluators moves, and where its data lies."""
+    """How one of the public conditional evaluators moves, and where its data is."""
 
     root: str
     forward: float
@@ -93,7 +93,7 @@ class _AnsrAgent:
 
 _OPEN_NAV: Final = _AnsrAgent("", 0.25, 15, ("HIGHTOLOW",), {"TYPE": "Sim-v1"})
 _WAYPOINTS: Final = 20
-"""Open-Nav counts waypoint moves, not steps."""
+"""Step limit of Open-Nav, which counts waypoint moves, not steps."""
 _MAP: Final = "TOP_DOWN_MAP_VLNCE"
 _VLN_ZERO: Final = _AnsrAgent("VLN_CE/", 1.0, 30, measured=(_MAP,))
 
@@ -174,7 +174,7 @@ def _ansr(split: str, radius: float, agent: _AnsrAgent, steps: int) -> dict[str,
 
 
 def _navid(split: str, radius: float, steps: int) -> dict[str, Any]:
-    """NaVid answers angles, which its evaluator cuts into turns of 30°, and looks at the map that VLN-CE draws."""
+    """NaVid outputs angles, which its evaluator splits into turns of 30°, and uses the map that VLN-CE draws."""
     document = _vlnce("vlnce", "VLN-CE-v1", split, radius, steps)
     document["SIMULATOR"]["TURN_ANGLE"] = 30
     document["TASK"]["MEASUREMENTS"].append(_MAP)
@@ -183,8 +183,9 @@ def _navid(split: str, radius: float, steps: int) -> dict[str, Any]:
 
 
 def _rxr(split: str, radius: float, steps: int, language: str) -> dict[str, Any]:
-    """RxR's body, cameras and actions (turns of 30°), with the text itself: RxR's own sensor reads BERT features of
-    each text from files, which an export has not."""
+    """RxR's agent size, cameras and actions (turns of 30°), with the text sensor: RxR's own sensor reads BERT features
+    of each text from files, which an export does not have.
+    """
     document = _vlnce("rxr", "RxR-VLN-CE-v1", split, radius, steps)
     folder = f"{LINK}/rxr"
     document["TASK"]["NDTW"]["GT_PATH"] = document["TASK"]["SDTW"]["GT_PATH"] = (
@@ -230,7 +231,10 @@ def _habitat_lab(split: str, radius: float, steps: int) -> dict[str, Any]:
 def _experiment(
     name: str, split: str, root: str = "", *, trainer: str = "", early_stop: tuple[int, int] | None = None
 ) -> dict[str, Any]:
-    """An experiment file; ``early_stop`` gives the steps and the turns in a row after which NaVid's loop gives up."""
+    """Return an experiment file.
+
+    early_stop : numbers of steps and of consecutive turns after which NaVid's loop gives up
+    """
     evaluation: dict[str, Any] = {"SPLIT": split, "EPISODE_COUNT": -1}
     if early_stop is not None:
         steps, turns = early_stop

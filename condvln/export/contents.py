@@ -1,4 +1,4 @@
-"""Which files of an export's folder are the export's own; all others are the user's and outlive it."""
+"""Which files in an export's folder belong to the export; all others are the user's and are kept on re-export."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ __all__ = [
 ]
 
 INDEX: Final = "export.json"
-"""The export's own record: its counts, and every file with its hash."""
+"""The export's index: its counts, and every file with its hash."""
 
 ORIGIN: Final = "origin.json"
-"""What the export was made of; the next one is compared with it."""
+"""The inputs of the export; the next export is compared with them."""
 
 CHANGELOG: Final = "CHANGELOG.md"
 """The history of the folder."""
 
 CERTIFICATES: Final = "certificates"
-"""Folder with ``<split>.jsonl``, one proof an episode, and the summary of them."""
+"""Folder with ``<split>.jsonl``, one proof per episode, and their summary."""
 
 SUMMARY: Final = "summary.json"
 
@@ -44,12 +44,12 @@ _PROOFS: Final = (f"{CERTIFICATES}/*.jsonl", f"{CERTIFICATES}/{SUMMARY}")
 
 
 def read_index(folder: Path) -> dict[str, Any] | None:
-    """The export's own record; None where the folder has none, or none that can be read."""
+    """Return the export's index; None if the folder has none, or none that can be read."""
     return read_document(folder / INDEX)
 
 
 def read_document(path: Path) -> dict[str, Any] | None:
-    """A JSON object in a file; None where there is none, or none that can be read."""
+    """Return the JSON object in a file; None if there is none, or none that can be read."""
     try:
         document = orjson.loads(path.read_bytes())
     except (OSError, ValueError):
@@ -58,19 +58,19 @@ def read_document(path: Path) -> dict[str, Any] | None:
 
 
 def document_digest(document: Mapping[str, Any]) -> str:
-    """SHA-256 over a document without its own ``digest``, by which one that was changed or cut is known."""
+    """Return the SHA-256 of a document without its own ``digest``, which detects changed or truncated documents."""
     rest = {key: value for key, value in document.items() if key != "digest"}
     return hashlib.sha256(orjson.dumps(rest, option=orjson.OPT_SORT_KEYS)).hexdigest()
 
 
 def exported_snapshot(folder: Path) -> str:
-    """Id of the snapshot that a folder's export was made of; empty where it holds none."""
+    """Return the id of the snapshot that a folder's export was made from; empty if there is no export."""
     index = read_index(folder)
     return str(index["snapshot"]) if index is not None and "snapshot" in index else ""
 
 
 def file_hashes(folder: Path) -> dict[str, str]:
-    """SHA-256 of each file by path, as the export's own record lists them; empty if that can't be read."""
+    """Return the SHA-256 of each file by path, as listed in the export's index; empty if the index can't be read."""
     try:
         return {str(path): str(entry["sha256"]) for path, entry in (read_index(folder) or {})["files"].items()}
     except (KeyError, TypeError, AttributeError):
@@ -78,9 +78,9 @@ def file_hashes(folder: Path) -> dict[str, str]:
 
 
 def owned_files(folder: Path) -> set[str]:
-    """Paths below ``folder`` of the files that its export wrote, proofs of it excepted.
+    """Return the paths below ``folder`` of the files that its export wrote, except proofs of it.
 
-    Names that lead out of the folder are never among them, whatever its record says.
+    Paths that lead out of the folder are never included, whatever the index says.
     """
     index = read_index(folder) or {}
     listed = index.get("files")
@@ -90,12 +90,12 @@ def owned_files(folder: Path) -> set[str]:
         if not path.is_absolute() and ".." not in path.parts:
             names.add(str(path))
     names |= {path.relative_to(folder).as_posix() for pattern in _VIEWPOINTS for path in folder.glob(pattern)}
-    # Left by an export that was killed while it wrote in place, as earlier versions did.
+    # Left by an export of an earlier version that was killed while it wrote in place.
     return names | {str(PurePosixPath(name).with_name(f".{PurePosixPath(name).name}.part")) for name in names}
 
 
 def stale_proofs(folder: Path, files: dict[str, str]) -> set[str]:
-    """Paths of the certificates in ``folder``, unless they prove files of exactly these hashes (by path)."""
+    """Return the paths of the proofs in ``folder``, unless they prove files of exactly these hashes (by path)."""
     proofs = {path.relative_to(folder).as_posix() for pattern in _PROOFS for path in folder.glob(pattern)}
     try:
         proven = orjson.loads((folder / CERTIFICATES / SUMMARY).read_bytes())["files"]

@@ -1,4 +1,4 @@
-"""Croissant 1.0 metadata (``croissant.json``), so that dataset tools can load the manifests unaided."""
+"""Croissant 1.0 metadata (``croissant.json``), so that dataset tools can load the manifests directly."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ _FIELDS: Final = (
 
 
 def croissant(report: ExportReport, name: str) -> dict[str, Any]:
-    """The JSON-LD document of one export; every manifest with its size and hash."""
+    """Return the JSON-LD document of an export; every manifest is listed with its size and hash."""
     manifests = [f"manifest/{split}.jsonl" for split in SPLITS if report.episodes.get(split)]
     families = sorted({scene.split("/", 1)[0] for found in report.scenes.values() for scene in found})
     terms = [f"{FAMILIES[family].name}: {FAMILIES[family].terms}" for family in families if family in FAMILIES]

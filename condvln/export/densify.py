@@ -1,7 +1,7 @@
-"""Paths made dense, as ground truth must be.
+"""Densify paths, as ground truth for nDTW requires.
 
-nDTW depends on the sampling of its reference: against bare corners a perfect walk in 0.25 m steps scores 0, against
-points 0.25 m apart it scores 1.
+nDTW depends on the sampling of its reference: a perfect walk in 0.25 m steps scores 0 against the corners only, and 1
+against points 0.25 m apart.
 """
 
 from __future__ import annotations
@@ -15,14 +15,15 @@ from schemas.config.constants import PATH_SPACING
 
 __all__ = ["densify", "densify_many"]
 
-# Slack in units of the spacing, so that a segment of 2.5000000001 m is ten steps and not eleven.
+# Tolerance in units of the spacing, so that a segment of 2.5000000001 m is ten steps and not eleven.
 _SLACK: Final = 1e-6
 
 Array = npt.NDArray[np.float64]
 
 
 def densify(points: npt.ArrayLike, spacing: float = PATH_SPACING) -> Array:
-    """Points along the polyline, corners kept, each segment cut into equal parts of at most ``spacing`` metres.
+    """Return points along a polyline: its corners, with each segment divided evenly into parts of at most ``spacing``
+    metres.
 
     Parameters
     ----------
@@ -31,7 +32,7 @@ def densify(points: npt.ArrayLike, spacing: float = PATH_SPACING) -> Array:
 
     Returns
     -------
-    dense : (m, 3), m ≥ n less the corners that repeat their predecessor
+    dense : (m, 3); corners equal to their predecessor are dropped
     """
     corners = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     return densify_many(corners, np.array([0, len(corners)], dtype=np.int64), spacing)[0]
@@ -40,7 +41,7 @@ def densify(points: npt.ArrayLike, spacing: float = PATH_SPACING) -> Array:
 def densify_many(
     points: Array, offsets: npt.NDArray[np.integer[Any]], spacing: float = PATH_SPACING
 ) -> tuple[Array, npt.NDArray[np.int64]]:
-    """As :func:`densify` for many polylines, one after another in the arrays.
+    """Densify many polylines, stored consecutively, as :func:`densify` does.
 
     Parameters
     ----------
@@ -54,7 +55,7 @@ def densify_many(
     starts = np.asarray(offsets, dtype=np.int64)
     if len(points) == 0:
         return np.zeros((0, 3)), np.zeros(len(starts), dtype=np.int64)
-    # A point opens the segment to its successor; the last point of a polyline opens one of length zero, kept as one
+    # A point starts the segment to its successor; the last point of a polyline starts one of length zero, kept as one
     # point.
     following = np.minimum(np.arange(1, len(points) + 1), len(points) - 1)
     is_last = np.zeros(len(points), dtype=bool)

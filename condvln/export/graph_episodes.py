@@ -1,7 +1,7 @@
-"""Discrete R2R for Matterport3D scans without a mesh: instructions placed on the viewpoint graph.
+"""Discrete R2R episodes for Matterport3D scans without a mesh: instructions placed on the viewpoint graph.
 
-Such episodes stand in ``r2r/`` alone: the R2R file's items, and manifest rows whose positions are viewpoints and whose
-``navmesh`` is the connectivity file, so that branches can be judged on the graph.
+These episodes are only in ``r2r/``: items of the R2R file, and manifest rows whose positions are viewpoints and whose
+``navmesh`` is the connectivity file, so that branches can be scored on the graph.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ class GraphEpisodes:
     Parameters
     ----------
     graphs : connectivity by scan
-    seed : of the starts
-    preamble : texts with compass words open with the start heading, said as `wording` says
+    seed : seed of the start positions
+    preamble : texts with compass words begin with the start heading, in the form that `wording` sets
     left_out : counts by reason, filled while iterating
     """
 
@@ -111,7 +111,7 @@ class GraphEpisodes:
         return GraphEpisode(split, row, instruction, item)
 
     def _scans(self) -> list[str]:
-        """Scans with a graph and without a navmesh."""
+        """Return the scans with a graph and without a navmesh."""
         try:
             rows = rows_of(self._whole["scenes"].select(["scene_id", "navmesh_path"]))
         except KeyError:
@@ -128,7 +128,7 @@ class GraphEpisodes:
 
     @cached_property
     def _whole(self) -> dict[str, pa.Table]:
-        """The tables asked for scan by scan, read once: a hundred scans hold some ten thousand instructions."""
+        """The tables that are queried scan by scan, read once: a hundred scans have about ten thousand instructions."""
         found = {}
         for name in ("scenes", "rooms", "objects", "instructions"):
             try:
@@ -187,7 +187,7 @@ def _row(
         "route_length": placement.leaves[gold].length,
         "leaves": leaves,
         "success_distance": REACH,
-        # R2R has no step budget; a viewpoint a step, there and back, is what its agents are given.
+        # R2R has no step budget; agents get one step per viewpoint, there and back.
         "max_steps": 2 * max(len(leaf.path) for leaf in placement.leaves),
         "words": len(text.split()),
         "instruction_text": text,

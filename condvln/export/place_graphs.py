@@ -1,13 +1,13 @@
-"""``connectivity_graphs.pkl``: by scene a graph of places, which VLN-CE's top-down map wants.
+"""Write ``connectivity_graphs.pkl``: for each scene a graph of places, which VLN-CE's top-down map requires.
 
-``TopDownMapVLNCE`` (VLN-CE, NaVid, VLN-Zero) unpickles ``{scene: networkx.Graph}`` when it is made, finds the place
-nearest to the agent at every step, and draws places and their edges. A scene that is not in the file is a KeyError. A
-node has ``position`` ``[x, y, z]``, metres, Habitat frame. Scans with a viewpoint graph have their viewpoints as nodes;
-in other scenes nodes are the places that the routes to all leaves of all episodes pass, one a cubic metre, so that the
-gold leaf shows in nothing. Agents see the map in no observation.
+``TopDownMapVLNCE`` (VLN-CE, NaVid, VLN-Zero) unpickles ``{scene: networkx.Graph}`` when it is created, finds the place
+nearest to the agent at every step, and draws places and edges. A scene that is missing in the file raises KeyError. A
+node has ``position`` ``[x, y, z]``, metres, Habitat frame. Scans with a viewpoint graph use their viewpoints as nodes.
+In other scenes the nodes are the places, one per cubic metre, on the routes to all leaves of all episodes, so that the
+graph does not reveal the gold leaf. Agents never observe the map.
 
-The file is written so that it is safe to load: the only name in it is ``networkx.classes.graph.Graph``, and its state
-is dictionaries, lists, texts and numbers. It loads with networkx 2 and 3.
+The file is safe to load: the only name in it is ``networkx.classes.graph.Graph``, and its state consists of
+dictionaries, lists, texts and numbers. It loads with networkx 2 and 3.
 """
 
 from __future__ import annotations
@@ -33,21 +33,21 @@ PLACES: Final = "connectivity_graphs.pkl"
 """Path below the export's folder."""
 
 _PROTOCOL: Final = 2
-"""The oldest that names its classes as the loaders' Python 3.7 finds them."""
+"""Pickle protocol: the oldest that names classes in a form that the loaders' Python 3.7 finds."""
 _CELL: Final = 1.0
-"""Edge of a cell, metres: a node for each that a route passes."""
+"""Edge length of a cell in metres; each cell on a route becomes a node."""
 
 
 class Places:
-    """The graph of each scene, gathered as the scenes are written."""
+    """The place graph of each scene, collected while scenes are written."""
 
     def __init__(self) -> None:
         self._graphs: dict[str, tuple[list[str], npt.NDArray[np.float64], npt.NDArray[np.int64]]] = {}
 
     def add(self, scene_id: str, rows: Iterable[Row], viewpoints: ViewpointGraph | None = None) -> None:
-        """Note the places of one scene; without ``viewpoints``, those on the routes of its ``rows``.
+        """Add the places of one scene; without ``viewpoints``, those on the routes of its ``rows``.
 
-        scene_id : that of the episodes, ``<family>/<scene>/<scene>.glb``
+        scene_id : the episodes' scene id, ``<family>/<scene>/<scene>.glb``
         """
         if viewpoints is None:
             names, positions, edges = _of_routes(rows)
@@ -56,31 +56,33 @@ class Places:
             positions = viewpoints.positions.astype(np.float64)
         if names:
             for key in graph_keys(scene_id):
-                # Two scenes may lie in one folder; the map then looks its places up by this folder's name.
+                # Two scenes may be in one folder; the map then looks up the folder's name.
                 self._graphs.setdefault(key, (names, positions, edges))
 
     def pickled(self) -> bytes:
-        """The file; the same places give the same bytes."""
+        """Return the bytes of the file; equal places give equal bytes."""
         return pickled_graphs({key: _graph(*self._graphs[key]) for key in sorted(self._graphs)})
 
 
 def graph_keys(scene_id: str) -> list[str]:
-    """Names under which the map looks a scene up: its file's without what follows the first dot, and its folder's."""
+    """Return the keys under which the map looks a scene up: its file name up to the first dot, and its folder's
+    name.
+    """
     parts = scene_id.split("/")
     return sorted({parts[-1].split(".")[0], *parts[-2:-1]})
 
 
 def pickled_graphs(graphs: Mapping[str, nx.Graph[str]]) -> bytes:
-    """``{name: graph}`` as a pickle that names :class:`networkx.Graph` and nothing else."""
+    """Return ``{name: graph}`` as a pickle whose only class is :class:`networkx.Graph`."""
     stream = io.BytesIO()
     pickler = _GraphPickler(stream, protocol=_PROTOCOL)
-    pickler.fast = True  # without a memo equal graphs give equal bytes, whatever objects they share
+    pickler.fast = True  # without a memo, equal graphs give equal bytes even if they share objects
     pickler.dump(dict(graphs))
     return stream.getvalue()
 
 
 class _GraphPickler(pickle.Pickler):
-    """Writes of a graph what networkx 2 and 3 both keep, and nothing of the version that is installed here."""
+    """Pickles the part of a graph that networkx 2 and 3 share, independent of the installed version."""
 
     def reducer_override(self, value: Any) -> Any:
         if type(value) is nx.Graph:
@@ -91,7 +93,7 @@ class _GraphPickler(pickle.Pickler):
 
 
 def _of_routes(rows: Iterable[Row]) -> tuple[list[str], npt.NDArray[np.float64], npt.NDArray[np.int64]]:
-    """Cells that routes pass, each with its least point; two are joined where a route goes from one to the other."""
+    """Return the cells on the routes, each with its least point, and edges between cells that a route connects."""
     routes = [leaf["reference_path"] for row in rows for leaf in row["leaves"]]
     if not routes:
         return [], np.zeros((0, 3)), np.zeros((0, 2), dtype=np.int64)

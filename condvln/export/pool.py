@@ -1,8 +1,8 @@
-"""The light columns of all episodes of a snapshot, by which splits are chosen; the heavy ones are read when they are
-written.
+"""The pool: the light columns of all episodes of a snapshot, from which splits are selected. Heavy columns are read on
+writing.
 
-A million episodes must fit in a part of a gigabyte, so names are kept as 64-bit hashes: of a million, two collide with
-a probability of 3e-8, and then two programs are kept in one split that need not be.
+A million episodes must fit in a fraction of a gigabyte, so names are kept as 64-bit hashes. The probability that two of
+a million collide is 3e-8; the effect is only that two programs are kept in one split unnecessarily.
 """
 
 from __future__ import annotations
@@ -65,13 +65,13 @@ Hashes = npt.NDArray[np.uint64]
 
 @dataclass(frozen=True)
 class ExportPool:
-    """One entry an episode, in the order in which the snapshot is read.
+    """The pool's columns, one entry per episode, in the order in which the snapshot is read.
 
     ``source``, ``scene``, ``category``, ``stratum`` and ``unfit`` are indices into names; ``episode``, ``instruction``,
-    ``unit`` and ``start`` (a place of a scene) are hashes.
-    ``conditions[offsets[i]:offsets[i + 1]]`` are the kinds of condition that the instruction
-    of episode ``i`` asks (label, room type, bare or with a relation), ``truths`` whether each holds.
-    ``reasons[unfit[i]]`` says why an episode can be in no split.
+    ``unit`` and ``start`` (a position in a scene) are hashes.
+    ``conditions[offsets[i]:offsets[i + 1]]`` are the kinds of condition (label, room type, with or without a relation)
+    in the instruction of episode ``i``, ``truths`` whether each is true. ``reasons[unfit[i]]`` says why an episode can
+    be in no split.
     """
 
     sources: tuple[str, ...]
@@ -101,7 +101,7 @@ class ExportPool:
 
 @dataclass
 class _Names:
-    """Names in the order in which they were first seen."""
+    """Assigns codes to names in the order in which they are first seen."""
 
     codes: dict[Any, int] = field(default_factory=dict)
 
@@ -109,7 +109,7 @@ class _Names:
         return self.codes.setdefault(name, len(self.codes))
 
     def all(self, names: pa.Array) -> npt.NDArray[np.int32]:
-        """Codes of a whole column."""
+        """Return the codes of a whole column."""
         encoded = names.dictionary_encode()
         own = np.array([self(name) for name in encoded.dictionary.to_pylist()], dtype=np.int32)
         return own[encoded.indices.to_numpy()] if len(own) else own
@@ -119,9 +119,9 @@ class _Names:
 
 
 class PoolBuilder:
-    """Gathers batches of the tables, source by source.
+    """Collects batches of the tables, source by source.
 
-    max_tokens : texts of more are not fit; None or 0 = no limit
+    max_tokens : texts with more tokens are excluded; None or 0 means no limit
     """
 
     def __init__(self, max_tokens: int | None = None) -> None:
@@ -133,7 +133,7 @@ class PoolBuilder:
         self._asked: list[tuple[Hashes, Codes, npt.NDArray[np.int32], npt.NDArray[np.bool_]]] = []
 
     def add_instructions(self, source: str, batches: Iterable[pa.RecordBatch]) -> None:
-        """Note what the instructions of ``source`` ask (columns :data:`INSTRUCTION_COLUMNS`)."""
+        """Add the conditions of the instructions of ``source`` (columns :data:`INSTRUCTION_COLUMNS`)."""
         for batch in batches:
             listed = batch.column("conditions")
             asked = listed.flatten()
@@ -145,7 +145,9 @@ class PoolBuilder:
             self._asked.append((names, pc.list_value_length(listed).to_numpy().astype(np.int64), kinds, truths))
 
     def add_episodes(self, source: str, batch: pa.RecordBatch, barred: Mapping[str, str] | None = None) -> None:
-        """Append episodes of ``source`` (columns :data:`POOL_COLUMNS`); ``barred`` gives the reason by scene id."""
+        """Add episodes of ``source`` (columns :data:`POOL_COLUMNS`); ``barred`` : reason by scene id for excluded
+        scenes.
+        """
         column = {name: batch.column(name).to_pylist() for name in POOL_COLUMNS if name not in _NUMBERS}
         number = {name: batch.column(name).to_numpy().astype(np.int64) for name in _NUMBERS}
         scenes, units = column["scene_id"], _units(column)
@@ -182,11 +184,11 @@ class PoolBuilder:
             self._columns.setdefault(name, []).append(values)
 
     def build(self) -> ExportPool:
-        """All that was added.
+        """Return the pool of everything that was added.
 
         Raises
         ------
-        StoreError : nothing was, or two episodes have one id
+        StoreError : nothing was added, or two episodes have the same hash
         """
         if not sum(len(numbers) for numbers, _ in self._ids):
             raise StoreError(
@@ -240,14 +242,14 @@ class PoolBuilder:
         )
 
     def _colliding(self) -> list[int]:
-        """Rows whose id an episode of smaller hash has, in whatever scene."""
+        """Return the rows whose id also belongs to an episode with a smaller hash, in any scene."""
         numbers = np.concatenate([ids.to_numpy() for ids, _ in self._ids])
         if len(np.unique(numbers)) == len(numbers):
             return []
         return colliding(numbers.tolist(), [name for _, hashes in self._ids for name in hashes.to_pylist()])
 
     def _conditions(self, instructions: Hashes) -> tuple[Codes, Codes, npt.NDArray[np.bool_]]:
-        """Conditions of each episode's instruction; empty if unknown."""
+        """Return the conditions of each episode's instruction; empty if unknown."""
         names = _joined([part[0] for part in self._asked], np.uint64)
         if not len(names):
             nothing = np.zeros(0, dtype=np.int64)
@@ -268,13 +270,15 @@ _NUMBERS: Final = ("gold_leaf", "n_leaves", "ground_truth_steps", "max_steps")
 
 
 def _units(column: Mapping[str, list[Any]]) -> list[str]:
-    """Groups of episodes that stay together: a counterfactual group, or the episodes of one instruction."""
+    """Return the unit of each episode: its counterfactual group, or its instruction. The episodes of a unit stay
+    together.
+    """
     pairs = zip(column["group_id"], column["instruction_id"], strict=True)
     return [f"group {group}" if group is not None else f"instruction {instruction}" for group, instruction in pairs]
 
 
 def hashes_of(names: Iterable[tuple[Any, ...]]) -> Hashes:
-    """64-bit hash of each tuple of names."""
+    """Return the 64-bit hash of each tuple of names."""
     digests = [hashlib.blake2b("\0".join(map(str, parts)).encode(), digest_size=8).digest() for parts in names]
     return np.frombuffer(b"".join(digests), dtype=">u8").astype(np.uint64)
 

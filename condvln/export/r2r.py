@@ -1,7 +1,7 @@
-"""Discrete R2R over Matterport's viewpoints: ``R2R_<split>.json`` as Matterport3DSimulator's agents read it.
+"""Discrete R2R over Matterport3D viewpoints: ``R2R_<split>.json`` in the format of Matterport3DSimulator's agents.
 
-Start, subgoals and goal become the viewpoints nearest to them, joined by shortest paths in the connectivity graph; the
-heading is radians clockwise from +y of the scan, which is −z here.
+Start, subgoals and goal become the nearest viewpoints, joined by shortest paths in the connectivity graph. Headings are
+radians clockwise from +y of the scan, which is −z in Habitat's frame.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from condvln.navigation.graph_pathfinder import GraphPathfinder
 __all__ = ["ERROR_MARGIN", "Graphs", "r2r_episode", "reason_against"]
 
 ERROR_MARGIN: Final = 3.0
-"""Metres; R2R's success distance."""
+"""R2R's success distance in metres."""
 
 Graphs = Mapping[str, GraphPathfinder]
 """Connectivity graph by scan."""
 
 
 def r2r_episode(row: Row, graph: GraphPathfinder) -> dict[str, Any] | str:
-    """The R2R item of one episode, or the reason why there is none."""
+    """Return the R2R item of an episode, or the reason why there is none."""
     leaf = gold(row)
     start = graph.viewpoint(row["start_position"])
     stops = [graph.viewpoint(subgoal["position"]) for subgoal in leaf["subgoals"]] + [graph.viewpoint(leaf["goals"][0])]
@@ -50,7 +50,7 @@ def r2r_episode(row: Row, graph: GraphPathfinder) -> dict[str, Any] | str:
 
 
 def _too_near(graph: GraphPathfinder, start: str, ends: list[str]) -> str | None:
-    """R2R's evaluator judges by 3 m for all: nearer leaves would both count as reached."""
+    """Return a reason if leaves are too close: R2R's evaluator always uses 3 m, so that both would count as reached."""
     between = graph.viewpoint_distance
     if any(between(one, other) < ERROR_MARGIN for one, other in combinations(ends, 2)):
         return f"two leaves within {ERROR_MARGIN:g} m on the graph"
@@ -60,7 +60,7 @@ def _too_near(graph: GraphPathfinder, start: str, ends: list[str]) -> str | None
 
 
 def reason_against(start: str | None, stops: list[str | None], ends: list[str | None]) -> str | None:
-    """Why an episode can't be an item on the graph; None if it can."""
+    """Return why an episode can't be an item on the graph; None if it can."""
     if start is None or None in stops or None in ends:
         return "a start or goal with no viewpoint in reach"
     if len(set(ends)) < len(ends):

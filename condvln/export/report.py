@@ -1,4 +1,4 @@
-"""What an export wrote, what it left out and why; stands in the export as ``export.json``, written last."""
+"""The report of an export: what was written, what was left out and why. Stored as ``export.json``, written last."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ __all__ = ["ExportReport", "WrittenFile"]
 
 
 SMALL_SPLIT: Final = 0.05
-"""A split with less than this share of the largest one's episodes is named."""
+"""A split with less than this share of the largest split's episodes is reported as lopsided."""
 
 FEW_SCENES: Final = 5
-"""Fewer scenes than these are named, where another split has twice as many at least."""
+"""A split with fewer scenes than this is reported if another one has at least twice as many."""
 
 
 def _sums(counts: Iterable[Mapping[str, int]]) -> dict[str, int]:
@@ -30,7 +30,7 @@ def _sums(counts: Iterable[Mapping[str, int]]) -> dict[str, int]:
 
 @dataclass(frozen=True)
 class WrittenFile:
-    """One file of the export: its size on disk and the hash of its bytes."""
+    """One file of the export: its size in bytes and its SHA-256."""
 
     bytes: int
     sha256: str
@@ -38,53 +38,55 @@ class WrittenFile:
 
 @dataclass
 class ExportReport:
-    """Counts of one export."""
+    """The counts and settings of one export."""
 
     snapshot: str
     texts: dict[str, Any] = field(default_factory=dict)
-    """What the texts were rendered with, so that ``condvln oracle`` finds the same words again."""
+    """The settings with which the texts were rendered; ``condvln oracle`` reuses them."""
     episodes: dict[str, int] = field(default_factory=dict)
     scenes: dict[str, list[str]] = field(default_factory=dict)
-    """By split, ``<source>/<scene>``."""
+    """Scenes of each split, as ``<source>/<scene>``."""
     cells: list[SelectionCell] = field(default_factory=list)
     left_out: dict[str, int] = field(default_factory=dict)
-    """Episodes of the pool in no split, by reason."""
+    """Number of the pool's episodes that are in no split, by reason."""
     empty_splits: dict[str, str] = field(default_factory=dict)
-    """Splits that were asked for and have no episode, with the reason."""
+    """Requested splits without episodes, with the reason."""
     truth_imbalance: dict[str, float] = field(default_factory=dict)
-    """By source: 0 = conditions on a label in a room type are true as often as false; 1 = the label gives it away."""
+    """Imbalance by source: 0 if conditions on a label in a room type are true as often as false, 1 if the label
+    determines the truth.
+    """
     shapes: dict[str, dict[str, dict[str, int]]] = field(default_factory=dict)
-    """Episodes by split, axis and value."""
+    """Number of episodes by split, axis and value."""
     examples: dict[str, tuple[int, str]] = field(default_factory=dict)
-    """By category the episode of the least id, and its text."""
+    """For each category the episode of the least id, and its text."""
     most_steps: int = 0
-    """Largest step budget of an episode, and of all where the configuration sets one number."""
+    """Largest step budget of an episode; of all episodes if the configuration sets one number."""
     least_steps: int = 0
-    """Smallest one."""
+    """Smallest step budget of an episode."""
     r2r_episodes: int = 0
     r2r_left_out: dict[str, int] = field(default_factory=dict)
-    """Episodes of Matterport3D scans that mean nothing on the graph, by reason."""
+    """Number of Matterport3D episodes that are not possible on the graph, by reason."""
     vocabulary: int = 0
     texts_cut: int = 0
-    """Texts with more tokens than are kept; ``instruction_text`` is whole."""
+    """Number of texts that are truncated to the kept tokens; ``instruction_text`` is complete."""
     bias: BiasReport | None = None
-    """Whether a guess beats chance; None where nobody asked."""
+    """The bias gate's report; None if the gate was not run."""
     files: dict[str, WrittenFile] = field(default_factory=dict)
-    """By path below the export's folder."""
+    """Files by path below the export's folder."""
 
     @property
     def language(self) -> str:
-        """Code of the language of the texts."""
+        """Language code of the texts."""
         return str(self.texts.get("language", "en"))
 
     @property
     def shortfalls(self) -> list[SelectionCell]:
-        """Cells with fewer episodes than were wanted."""
+        """Cells with fewer episodes than wanted."""
         return [cell for cell in self.cells if cell.shortfall]
 
     @property
     def lopsided(self) -> dict[str, str]:
-        """Splits that could not be filled as the others are, with what is odd about each."""
+        """Splits with too few episodes or scenes compared with the others, with a description."""
         largest = max(self.episodes.values(), default=0)
         total = sum(self.episodes.values())
         categories = _sums(found.get("category", {}) for found in self.shapes.values())
@@ -111,7 +113,7 @@ class ExportReport:
         return told
 
     def document(self) -> dict[str, Any]:
-        """The report as JSON; the same export gives the same document."""
+        """Return the report as JSON; equal exports give equal documents."""
         cells = [{**asdict(cell), "shortfall": cell.shortfall} for cell in self.cells]
         return {
             "schema_version": SCHEMA_VERSION,

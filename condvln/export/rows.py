@@ -1,7 +1,7 @@
-"""Arrow batches of the tables as plain rows, points as ``[x, y, z]`` lists.
+"""Convert Arrow batches to plain rows, with points as ``[x, y, z]`` lists.
 
-``RecordBatch.to_pylist`` makes a dictionary of every point; a split holds a hundred points an episode. Here a whole
-column of points becomes one (n, 3) array first.
+``RecordBatch.to_pylist`` makes a dictionary of every point, and episodes have a hundred points each. Here a whole
+column of points is first converted to one (n, 3) array.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ _POINT_FIELDS = (["x", "y", "z"], ["x", "y", "z", "w"])
 
 
 def rows_of(batch: pa.RecordBatch | pa.Table) -> list[Row]:
-    """The rows of ``batch``; structs of x, y, z (w) become lists, other structs dictionaries, nulls None."""
+    """Return the rows of ``batch``; structs of x, y, z (w) become lists, other structs dictionaries, nulls None."""
     if isinstance(batch, pa.Table):
         return [row for part in batch.to_batches() for row in rows_of(part)]
-    # The collector's passes over a batch's lists cost more than making them.
+    # Garbage collection during the conversion would cost more than the conversion.
     with no_collection():
         columns = [_values(batch.column(index)) for index in range(batch.num_columns)]
         return _records(batch.schema.names, columns)
@@ -43,7 +43,7 @@ def _values(array: pa.Array) -> list[Any]:
         return _with_nulls(array, _structs(array))
     if pa.types.is_list(kind) or pa.types.is_large_list(kind):
         offsets = array.offsets.to_numpy()
-        # The values of a slice are those of the whole array; only its own are decoded.
+        # A slice shares the values of the whole array; only the slice's own are decoded.
         values = _values(array.values.slice(offsets[0], offsets[-1] - offsets[0]))
         return _with_nulls(array, [values[a:b] for a, b in pairwise((offsets - offsets[0]).tolist())])
     if array.null_count == 0 and (pa.types.is_integer(kind) or pa.types.is_floating(kind)):

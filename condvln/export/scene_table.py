@@ -1,4 +1,4 @@
-"""Rows of the scenes table as an export needs them, and the navmeshes that go with it."""
+"""The rows of the scenes table that an export needs, and the scenes' navmeshes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from condvln.sources.gibson import GibsonSource, verified_twin
 __all__ = ["NavmeshBytes", "SceneTable"]
 
 NavmeshBytes = Callable[[str, Row], bytes | None]
-"""The navmesh built for a scene, from its source and its row of the scenes table; None where it is lost."""
+"""Returns the navmesh built for a scene, from its source and its row of the scenes table; None if it is missing."""
 
 
 class SceneTable:
@@ -20,7 +20,7 @@ class SceneTable:
 
     Parameters
     ----------
-    navmeshes : gives built navmeshes, which are then files of the export; without it they are only named
+    navmeshes : returns built navmeshes, which are then written to the export; without it only their names are recorded
     """
 
     def __init__(self, tables: SnapshotTables, navmeshes: NavmeshBytes | None) -> None:
@@ -31,11 +31,11 @@ class SceneTable:
         }
 
     def row(self, source: str, scene: str) -> Row:
-        """One row of the table."""
+        """Return one row of the table."""
         return self._rows[source][scene]
 
     def barred(self, source: str) -> dict[str, str]:
-        """Scenes whose episodes can't be published, with the reason."""
+        """Return the scenes whose episodes can't be published, with the reason."""
         reasons = {}
         for scene, row in self._rows[source].items():
             if row["navmesh_path"] is None:
@@ -43,12 +43,12 @@ class SceneTable:
             elif self._is_shipped(row) and self.navmesh(source, scene) is None:
                 reasons[scene] = "the navmesh built for its scene is missing or changed"
             elif source == GibsonSource.family and verified_twin(scene) in self._rows[source]:
-                # The kinds of annotation are drawn apart: one building could stand in two splits.
+                # The two kinds of annotation are split separately, so one building could otherwise be in two splits.
                 reasons[scene] = "its building is there by its verified annotation"
         return reasons
 
     def navmesh(self, source: str, scene: str) -> bytes | None:
-        """The built navmesh as recorded; None where there is none or its hash is another."""
+        """Return the built navmesh; None if there is none or its hash differs from the recorded one."""
         row = self._rows[source][scene]
         data = self._navmeshes(source, row) if self._navmeshes is not None else None
         if data is None or hashlib.sha256(data).hexdigest() != row["navmesh_sha256"]:
@@ -56,7 +56,7 @@ class SceneTable:
         return data
 
     def navmesh_path(self, source: str, scene: str) -> tuple[str, bool]:
-        """Path of the navmesh for the manifest, and whether it is a file of the export."""
+        """Return the path of the navmesh for the manifest, and whether it is a file of the export."""
         row = self._rows[source][scene]
         return str(row["navmesh_path"]), self._is_shipped(row)
 

@@ -1,8 +1,8 @@
-"""``select``: which episodes of the pool are published, and in which split.
+"""``select``: choose which episodes of the pool are published, and in which split.
 
-Three things hold of the result, so that nothing but the scene tells where to go: within each split, source and
-category every gold leaf is equally frequent; the axes are as even as the pool allows; and conditions on one label in
-one type of room are as often true as false, as far as the pool allows. What could not be had is counted.
+The selection keeps three balances, so that only the scene determines the gold leaf: within each split, source and
+category every gold leaf is equally frequent; the axes are as balanced as the pool allows; and conditions on one label
+in one room type are as often true as false, as far as the pool allows. Shortfalls are counted.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ OUT: Final = -1
 """Code of an episode that is in no split."""
 
 VERSION: Final = 2
-"""Raised when an equal pool and configuration give other episodes than before."""
+"""Version of the selection; raised when equal pool and configuration select other episodes than before."""
 
 LOOKAHEAD: Final = 64
-"""Candidates looked at for each place: the more, the evener the truths; the fewer, the faster."""
+"""Number of candidates compared per pick: more give more balanced truths, fewer are faster."""
 
 _HALVED: Final = "its counterfactual group is not whole"
 _NO_ROOM: Final = "its counterfactual group does not fit the balance"
 
 Terms = list[tuple[int, int]]
-"""Kind of each condition of an episode (of all episodes of a group), and +1 where it is true, −1 where false."""
+"""Kind of each condition of an episode (or of all episodes of a group), with +1 if it is true and −1 if false."""
 
 
 @dataclass(frozen=True)
 class SelectionCell:
-    """One split × source × category × gold leaf: what there was, what was wanted of it, and what was taken."""
+    """One split × source × category × gold leaf: number of available, wanted and selected episodes."""
 
     split: Split
     source: str
@@ -52,31 +52,35 @@ class SelectionCell:
 
     @property
     def shortfall(self) -> int:
-        """Episodes wanted that could not be had."""
+        """Number of wanted episodes that were not available."""
         return max(0, self.wanted - self.selected)
 
 
 @dataclass
 class Selection:
-    """``split[i]`` is the index into :data:`SPLITS` of episode ``i`` of the pool, or :data:`OUT`."""
+    """The result: ``split[i]`` is the index into :data:`SPLITS` of episode ``i`` of the pool, or :data:`OUT`."""
 
     split: npt.NDArray[np.int8]
     cells: list[SelectionCell] = field(default_factory=list)
     left_out: Counter[str] = field(default_factory=Counter)
     truth_imbalance: dict[str, float] = field(default_factory=dict)
-    """By source: Σ |true − false| ÷ Σ (true + false) over label × room type × kind of condition, before and after."""
+    """Imbalance by source, before and after: Σ |true − false| ÷ Σ (true + false) over label × room type × kind of
+    condition.
+    """
     empty: dict[Split, str] = field(default_factory=dict)
-    """Splits that were asked for and have no episode, with the reason."""
+    """Requested splits without episodes, with the reason."""
 
 
 def select(pool: ExportPool, config: SplitsConfig) -> Selection:
-    """Choose and place; the same pool and configuration give the same answer, whatever the order of their names."""
+    """Select episodes and assign splits; equal pool and configuration give the same result, whatever the order of
+    names.
+    """
     selection = Selection(np.full(len(pool), OUT, dtype=np.int8))
     placed = _place(pool, config, selection.left_out)
     order = _seeded_order(pool, config.seed)
     for split_code, split in enumerate(SPLITS):
         members = order[placed[order] == split_code]
-        # True less false, by source and kind of condition.
+        # Number of true minus false conditions, by source and kind of condition.
         balances = [[0] * len(pool.kinds) for _ in pool.sources]
         for category, name in enumerate(CATEGORIES):
             blocks = {
@@ -105,7 +109,9 @@ def select(pool: ExportPool, config: SplitsConfig) -> Selection:
 
 
 def _empty_splits(pool: ExportPool, config: SplitsConfig, selection: Selection) -> dict[Split, str]:
-    """Why splits have no episode. A split without a share and without scenes in the configuration is left out."""
+    """Return why splits have no episodes. Splits without a share and without scenes in the configuration are left
+    out.
+    """
     groups = Counter(scene_group(family, scene, config) for family, scene in pool.scenes)
     shares = dict(zip(GROUPS, config.fractions, strict=True))
     found: dict[Split, str] = {}
@@ -131,13 +137,13 @@ def _empty_splits(pool: ExportPool, config: SplitsConfig, selection: Selection) 
 
 
 def _place(pool: ExportPool, config: SplitsConfig, left_out: Counter[str]) -> npt.NDArray[np.int8]:
-    """Split of each eligible episode; no unit and no program is in two splits."""
+    """Return the split of each eligible episode; no unit and no program is in two splits."""
     groups = [scene_group(family, scene, config) for family, scene in pool.scenes]
     by_group = {"train": SPLITS.index("train"), "val_unseen": SPLITS.index("val_unseen"), "test": SPLITS.index("test")}
     placed = np.array([by_group[group] for group in groups], dtype=np.int8)[pool.scene]
     train = placed == by_group["train"]
-    # All episodes from one start are in one split: their oracle twins may well have one text. A unit's start is that of
-    # its first episode.
+    # All episodes with the same start go to one split, since their oracle twins may have equal texts. A unit's start is
+    # that of its first episode.
     _, first, which = np.unique(pool.unit, return_index=True, return_inverse=True)
     seen = fractions(pool.start[first][which], config.seed, "val_seen") < config.val_seen_share
     placed[train & seen] = SPLITS.index("val_seen")
@@ -145,14 +151,14 @@ def _place(pool: ExportPool, config: SplitsConfig, left_out: Counter[str]) -> np
     for code, count in enumerate(np.bincount(pool.unfit, minlength=len(pool.reasons)).tolist()):
         if code != FIT and count:
             left_out[pool.reasons[code]] += count
-    # A program that units of two splits share stays where it stands first.
+    # A program shared by units in two splits stays in the split in which it occurs first.
     _, first, which = np.unique(pool.instruction[fit], return_index=True, return_inverse=True)
     torn = placed[fit] != placed[fit][first][which]
     if torn.any():
         left_out["its program is in another split"] += int(torn.sum())
     kept = np.full(len(pool), OUT, dtype=np.int8)
     kept[fit[~torn]] = placed[fit[~torn]]
-    # Of a counterfactual group nothing is left when one is missing.
+    # If one member of a counterfactual group is missing, the whole group is dropped.
     halved = pool.grouped & np.isin(pool.unit, pool.unit[pool.grouped & (kept == OUT)]) & (kept != OUT)
     if halved.any():
         left_out[_HALVED] += int(halved.sum())
@@ -161,7 +167,7 @@ def _place(pool: ExportPool, config: SplitsConfig, left_out: Counter[str]) -> np
 
 
 def _seeded_order(pool: ExportPool, seed: int) -> npt.NDArray[np.int64]:
-    """All episodes by the hash of their id, but one of each scene before the second of any."""
+    """Return all episodes ordered by the hash of their id, with one episode of each scene before the second of any."""
     by_hash = np.argsort(fractions(pool.episode, seed, "order"), kind="stable")
     by_scene = by_hash[np.argsort(pool.scene[by_hash], kind="stable")]
     scenes = pool.scene[by_scene]
@@ -172,7 +178,7 @@ def _seeded_order(pool: ExportPool, seed: int) -> npt.NDArray[np.int64]:
 
 
 def _groups(pool: ExportPool, block: npt.NDArray[np.int64]) -> list[list[int]]:
-    """Rows of each counterfactual group of a block, in the order in which it has their first."""
+    """Return the rows of each counterfactual group of a block, in the order of their first members."""
     groups: dict[int, list[int]] = defaultdict(list)
     for row in block[pool.grouped[block]].tolist():
         groups[int(pool.unit[row])].append(row)
@@ -180,9 +186,10 @@ def _groups(pool: ExportPool, block: npt.NDArray[np.int64]) -> list[list[int]]:
 
 
 def _with_fitting_groups(pool: ExportPool, block: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """The block without the counterfactual groups that can't all be taken where every leaf is taken equally often.
+    """Return the block without the counterfactual groups that can't be selected whole while every leaf is equally
+    frequent.
 
-    A group is taken as a whole or not at all, so that of what it has too many of one leaf nothing else makes up.
+    A group is selected whole or not at all, so a surplus of one leaf within groups can't be compensated.
     """
     groups = _groups(pool, block)
     if not groups:
@@ -204,14 +211,16 @@ def _with_fitting_groups(pool: ExportPool, block: npt.NDArray[np.int64]) -> npt.
 
 
 def _quotas(pool: ExportPool, blocks: dict[int, npt.NDArray[np.int64]], per_cell: int | None) -> dict[int, int]:
-    """Episodes of each leaf that each source gives: as many as its scarcest leaf has, the sources sharing
-    ``per_cell`` evenly."""
+    """Return the number of episodes of each leaf that each source contributes.
+
+    It is at most the number for the source's scarcest leaf; the sources share ``per_cell`` evenly.
+    """
     most = {source: _scarcest_leaf(pool, block) for source, block in blocks.items()}
     if per_cell is None:
         return most
     given = dict.fromkeys(most, 0)
     left = per_cell
-    # The source that can give least is asked first; what it leaves open is shared by the rest.
+    # The source with the fewest episodes is served first; the others share what it leaves.
     waiting = sorted(most, key=lambda source: (most[source], pool.sources[source]))
     for position, source in enumerate(waiting):
         given[source] = min(most[source], -(-left // (len(waiting) - position)))
@@ -220,8 +229,9 @@ def _quotas(pool: ExportPool, blocks: dict[int, npt.NDArray[np.int64]], per_cell
 
 
 def _wanted(pool: ExportPool, quotas: dict[int, int], per_cell: int | None) -> dict[int, int]:
-    """Episodes of each leaf that each source should give, ``per_cell`` together: what it gives, and of what all lack
-    together its share."""
+    """Return the number of episodes of each leaf wanted of each source, ``per_cell`` in total: its quota, plus its
+    share of what all sources lack together.
+    """
     wanted = dict(quotas)
     left = (per_cell or 0) - sum(quotas.values())
     share = -(-(per_cell or 0) // len(quotas))
@@ -241,7 +251,7 @@ def _scarcest_leaf(pool: ExportPool, block: npt.NDArray[np.int64]) -> int:
 
 
 class _Picker:
-    """Takes ``quota`` episodes of each leaf from one split × source × category."""
+    """Selects ``quota`` episodes of each leaf for one split × source × category."""
 
     def __init__(self, pool: ExportPool, block: npt.NDArray[np.int64], quota: int, balance: list[int]) -> None:
         self._pool = pool
@@ -252,7 +262,7 @@ class _Picker:
         self._room = [quota] * self._n_leaves
 
     def pick(self) -> npt.NDArray[np.int64]:
-        """The episodes taken, whole counterfactual groups before single ones, which make up for the rest."""
+        """Return the selected episodes: whole counterfactual groups first, then single episodes up to the quota."""
         single = np.bincount(self._pool.leaf[self._single], minlength=self._n_leaves)[: self._n_leaves]
         quota = self._room[0]
         before = list(self._balance)
@@ -293,7 +303,7 @@ class _Picker:
         return queues
 
     def _take(self, by_stratum: dict[int, _Queue]) -> int:
-        """The candidate that evens the truths most, from the stratum that has least."""
+        """Return the candidate that balances the truths best, from the stratum with the fewest selected episodes."""
         stratum = min((q.taken, self._pool.strata[s], s) for s, q in by_stratum.items() if q.window or q.waiting)[2]
         queue = by_stratum[stratum]
         queue.taken += 1
@@ -303,7 +313,7 @@ class _Picker:
         return rows[0]
 
     def _evenest(self, queue: _Queue) -> list[int] | None:
-        """Take out of the next candidates the one that adds least to Σ (true − false)²; the earliest of equals."""
+        """Remove and return the next candidate that adds least to Σ (true − false)²; the earliest on ties."""
         while queue.waiting and len(queue.window) < LOOKAHEAD:
             rows = queue.waiting.pop()
             queue.window.append((rows, self._terms(rows)))
@@ -329,7 +339,9 @@ class _Picker:
 
 @dataclass
 class _Queue:
-    """Candidates of one leaf and stratum: the next ones in ``window``, the later ones in ``waiting``, last first."""
+    """Candidates of one leaf and stratum: the next ones in ``window``, the later ones in ``waiting`` in reverse
+    order.
+    """
 
     waiting: list[list[int]] = field(default_factory=list)
     window: list[tuple[list[int], Terms]] = field(default_factory=list)
@@ -355,7 +367,7 @@ def _cells(
 
 
 def _imbalance(pool: ExportPool, inside: npt.NDArray[np.bool_]) -> float:
-    """Σ |true − false| ÷ Σ (true + false) over the kinds of condition of the episodes ``inside``."""
+    """Return Σ |true − false| ÷ Σ (true + false) over the kinds of condition of the episodes ``inside``."""
     chosen = np.repeat(inside, np.diff(pool.offsets))
     kinds, truths = pool.conditions[chosen], pool.truths[chosen]
     if len(kinds) == 0:

@@ -1,4 +1,4 @@
-"""A snapshot → an export folder: splits chosen, every variant written, everything counted."""
+"""Write a snapshot to an export folder: choose splits, write every variant, count everything."""
 
 from __future__ import annotations
 
@@ -37,26 +37,28 @@ from schemas.errors import InputError, StoreError
 __all__ = ["ExportConfig", "NavmeshBytes", "export_snapshot"]
 
 Complete = Callable[[Path, ExportReport], None]
-"""Called with the new files and their report before they take the place of the former export."""
+"""Called with the new files and their report before they replace the former export."""
 
 Progress = Callable[[int, int], None]
-"""Told how many episodes of how many are written."""
+"""Called with the number of written episodes and of all episodes."""
 
 
 @dataclass(frozen=True)
 class ExportConfig:
-    """What is written and how."""
+    """What is written, and in which form."""
 
     splits: SplitsConfig = field(default_factory=SplitsConfig)
     scene_patterns: Mapping[str, str] = field(default_factory=lambda: dict(SCENE_PATTERNS))
-    """``scene_id`` by family, with ``{family}``, ``{scene}`` and ``{name}``; the entry ``""`` serves the others."""
+    """Pattern of ``scene_id`` by family, with ``{family}``, ``{scene}`` and ``{name}``; the entry ``""`` is the
+    default.
+    """
     token_length: int = TOKEN_LENGTH
     vocabulary: Vocabulary | None = None
-    """A foreign vocabulary (that of a trained agent) in place of our own; its unknown words become UNK."""
+    """Vocabulary of a trained agent to use in place of our own; unknown words become UNK."""
     name: str = "CondVLN"
     """Title of the dataset card."""
     texts: Mapping[str, Any] = field(default_factory=dict)
-    """What the texts were rendered with: ``seed``, ``preamble``, ``language``, ``voices``, ``length``."""
+    """The settings with which the texts were rendered: ``seed``, ``preamble``, ``language``, ``voices``, ``length``."""
 
 
 def export_snapshot(
@@ -71,26 +73,26 @@ def export_snapshot(
     progress: Progress | None = None,
     complete: Complete | None = None,
 ) -> ExportReport:
-    """Write all splits of a snapshot in one pass over its rows, a scene in memory at a time.
+    """Write all splits of a snapshot in one pass over its rows, one scene in memory at a time.
 
-    The export is written beside ``out`` and takes its place at once, whole or not at all (``condvln.export.staging``);
-    one process at a time may write an ``out``. Files of the user in ``out`` are kept. ``export.json`` lists all files
-    with their hashes. The same snapshot and configuration give the same bytes (``CHANGELOG.md`` aside, the history of
-    the folder).
+    The export is written beside ``out`` and replaces it atomically (``condvln.export.staging``);
+    one process at a time may write an ``out``. The user's own files in ``out`` are kept. ``export.json`` lists all
+    files with their hashes. The same snapshot and configuration give the same bytes (``CHANGELOG.md`` aside, the
+    history of the folder).
 
     Parameters
     ----------
-    oracle_texts : linear texts; without them there is no oracle twin
-    navmeshes : gives built navmeshes, which are then shipped
+    oracle_texts : linear texts of the oracle twin; without them no twin is written
+    navmeshes : returns built navmeshes, which are then included
     graphs : connectivity by Matterport3D scan; with them the discrete R2R files are written
-    former : the snapshot published before, against which ``CHANGELOG.md`` is written where the folder holds no other
-        export; where it holds that one's, it tells what was generated but not chosen
+    former : the previously published snapshot. If the folder holds no export, ``CHANGELOG.md`` compares with this
+        snapshot; if it holds this snapshot's export, the snapshot says which episodes were generated but not selected
 
-    complete : may add files, or raise to keep the former export
+    complete : called before the exchange; may add files, or raise an error to keep the former export
 
     Raises
     ------
-    StoreError : the snapshot has no episodes, is damaged, or the disk refused
+    StoreError : the snapshot has no episodes or is damaged, or a file can't be written
     """
     with staged(out) as new:
         return _write_export(
@@ -110,7 +112,7 @@ def _write_export(
     progress: Progress | None,
     complete: Complete | None,
 ) -> ExportReport:
-    """The export that takes the place of ``out``, written in the folder ``new``."""
+    """Write the export that will replace ``out`` into the folder ``new``."""
     report = ExportReport(tables.id, dict(config.texts))
     scenes = SceneTable(tables, navmeshes)
     selection, splits_of, generated = _choose(tables, config, scenes)
@@ -166,7 +168,7 @@ def _write_rows(
 
 
 def _write_documents(out: Path, name: str, report: ExportReport) -> None:
-    """The card, the metadata and the consumers' configuration files, all of which only restate the report."""
+    """Write the card, the metadata and the configuration files, which only restate the report."""
     texts = {
         **consumer_files(report),
         "README.md": dataset_card(report, name),
@@ -181,8 +183,11 @@ def _write_documents(out: Path, name: str, report: ExportReport) -> None:
 def _formerly(
     out: Path, exported: str, now: str, former: SnapshotTables | None, config: ExportConfig
 ) -> tuple[PublishedEpisodes | None, Generated | None]:
-    """What was published before: by the folder's manifests, else as ``former`` would have been exported; and what its
-    snapshot held beyond that, where ``former`` is it."""
+    """Return what was published before, and what its snapshot had beyond that.
+
+    The first is read from the folder's manifests, or else from what exporting ``former`` would give; the second is
+    known if ``former`` is the published snapshot.
+    """
     if exported == now or (not exported and (former is None or former.id == now)):
         return None, None
     published = PublishedEpisodes.of_export(out) if exported else None
@@ -192,7 +197,8 @@ def _formerly(
         _, splits_of, generated = _choose(former, config, SceneTable(former, None))
         if published is None:
             published = PublishedEpisodes.of_rows(former.id, _chosen_rows(former, splits_of))
-    except (StoreError, InputError):  # it held no episodes, or is damaged: this one is exported all the same
+    # the former snapshot has no episodes or is damaged; the new one is exported all the same
+    except (StoreError, InputError):
         return published, None
     return published, generated
 
@@ -211,7 +217,7 @@ def _write_changelog(
     except (OSError, ValueError):
         text = ""
     now = PublishedEpisodes.of_export(new) if former is not None else None
-    if former is not None and now is not None:  # where nothing is published now, the card says so
+    if former is not None and now is not None:  # the dataset card says so if the new export has no episodes
         text = with_entry(text, changes_between(former, now, before=before, now=generated))
     if text:
         with atomic_stream(new / CHANGELOG) as stream:
@@ -241,7 +247,7 @@ def _choose(
 
 
 def _texts(tables: SnapshotTables, splits_of: SplitCodes, oracle_texts: OracleText | None) -> Iterator[str]:
-    """All texts of all splits, the twins' included."""
+    """Yield all texts of all splits, including the oracle twins."""
     for source, codes in splits_of.items():
         at = 0
         if oracle_texts is None:

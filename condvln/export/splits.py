@@ -1,7 +1,7 @@
-"""Which scenes belong to which group of splits: {train, val_seen}, {val_unseen} or {test}, never two.
+"""Assign scenes to groups of splits: {train, val_seen}, {val_unseen} or {test}, never two of them.
 
-Families with official lists keep to them, so that nobody's pretrained agent has seen our test scenes. All other
-scenes go by the hash of their own id, so that a scene more moves no other.
+Families with official lists keep to them, so that pretrained agents have not seen our test scenes. All other scenes are
+assigned by the hash of their own id, so that adding a scene moves no other.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ GROUPS: Final[tuple[Group, ...]] = ("train", "val_unseen", "test")
 
 
 def scene_group(family: str, scene_id: str, config: SplitsConfig) -> Group:
-    """Group of one scene, from its name alone: as the configuration says, else by the official list, else by hash.
+    """Return the group of a scene by its name: from the configuration, else the official list, else by hash.
 
     Raises
     ------
-    ConfigError : the configuration puts it into two groups
+    ConfigError : the configuration puts the scene into two groups
     """
     configured = _configured(family, scene_id, config)
     if configured is not None:
@@ -46,7 +46,7 @@ def scene_group(family: str, scene_id: str, config: SplitsConfig) -> Group:
 
 
 def fractions(hashes: npt.NDArray[np.uint64], seed: int, purpose: str) -> npt.NDArray[np.float64]:
-    """For each 64-bit hash a number in [0, 1) that depends on it, ``seed`` and ``purpose`` alone.
+    """Return for each 64-bit hash a number in [0, 1) that depends only on it, ``seed`` and ``purpose``.
 
     The mixer is SplitMix64's finaliser (Steele, Lea and Flood 2014).
     """
@@ -60,7 +60,7 @@ def fractions(hashes: npt.NDArray[np.uint64], seed: int, purpose: str) -> npt.ND
 
 
 def hash_fraction(seed: int, *names: str) -> float:
-    """A number in [0, 1) that depends on ``seed`` and ``names`` alone."""
+    """Return a number in [0, 1) that depends only on ``seed`` and ``names``."""
     text = "\0".join((str(seed), *names)).encode()
     return int.from_bytes(hashlib.blake2b(text, digest_size=8).digest(), "big") / 2.0**64
 

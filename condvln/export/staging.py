@@ -1,11 +1,11 @@
-"""An export is written beside the one in place and takes its place at once, whole or not at all.
+"""Write an export beside the existing one and exchange the two atomically.
 
-For an export folder ``NAME`` three siblings may be there for a while: ``.NAME.new`` is being written or removed,
-``.NAME.ready`` is complete (and holds the former export once the two were exchanged), ``.NAME.old`` is the former
-export where the file system can't exchange two folders. A process that is killed leaves some of them; the next export
-removes them, see :func:`recover`.
+An export folder ``NAME`` may temporarily have three siblings: ``.NAME.new`` is being written or removed;
+``.NAME.ready`` is complete (and holds the former export after the exchange); ``.NAME.old`` is the former export on file
+systems that can't exchange two folders. A killed process leaves some of them, and the next export removes them, see
+:func:`recover`.
 
-Files of the user in the export's folder are kept: they are linked into the new one before the exchange.
+The user's own files in the export's folder are kept: they are linked into the new one before the exchange.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ __all__ = ["check_place", "placed", "recover", "staged"]
 _AT_FDCWD: Final = -100
 _RENAME_EXCHANGE: Final = 2
 _NO_EXCHANGE: Final = {errno.ENOSYS, errno.EINVAL, errno.ENOTSUP}
-"""What the system says where it knows no exchange of two names (NFS, kernels before 3.15)."""
+"""Errors of systems that can't exchange two names atomically (NFS, kernels before 3.15)."""
 _NO_LINK: Final = {errno.EPERM, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK, errno.EACCES}
 _REMEDY: Final = "The export in place is as it was. Free some space or choose another export folder, then export again."
 
@@ -51,16 +51,16 @@ class _Place:
 
 
 def placed(out: Path) -> Path:
-    """The folder that ``out`` leads to: of a link its target, which is what gets replaced."""
+    """Return the folder that ``out`` refers to: the target of a symbolic link, which is what gets replaced."""
     return Path(os.path.realpath(out))
 
 
 def check_place(out: Path) -> None:
-    """Make the parent of an export's folder, and look whether the folder can be replaced.
+    """Create the parent of an export's folder, and check that the folder can be replaced.
 
     Raises
     ------
-    StoreError : the parent can't be written, or the folder is a file, a mount point, or holds one
+    StoreError : the parent can't be written, or the folder is a file or a mount point, or contains a mount point
     """
     here = placed(out)
     try:
@@ -91,13 +91,14 @@ def check_place(out: Path) -> None:
 
 @contextmanager
 def staged(out: Path) -> Iterator[Path]:
-    """A folder beside ``out`` that replaces it when the block ends well; else ``out`` stays as it is.
+    """Return a context manager of a folder beside ``out`` that replaces ``out`` if the block succeeds.
 
-    One at a time for each ``out``: the caller sees to it. Everything is on disk before the exchange.
+    If the block fails, ``out`` is unchanged. The caller ensures that only one process at a time writes an ``out``.
+        Everything is flushed to disk before the exchange.
 
     Raises
     ------
-    StoreError : the disk refused, or the folder can't be replaced (see :func:`check_place`)
+    StoreError : a file can't be written, or the folder can't be replaced (see :func:`check_place`)
     """
     check_place(out)
     recover(out)
@@ -118,11 +119,11 @@ def staged(out: Path) -> Iterator[Path]:
 
 
 def recover(out: Path) -> None:
-    """Remove what a killed export left beside ``out``; where it was killed between two renames, ``out`` is put back.
+    """Remove what a killed export left beside ``out``; if it was killed between two renames, restore ``out``.
 
     Raises
     ------
-    StoreError : the disk refused
+    StoreError : a folder can't be renamed or removed
     """
     place = _Place.of(out)
     with _refusals(place.here):
@@ -137,25 +138,26 @@ def _take_place(place: _Place) -> None:
     elif not _exchange(place.ready, place.here):
         os.rename(place.here, place.old)
         os.rename(place.ready, place.here)
-    with suppress(OSError):  # it is in place now, whatever the disk says of the folder above
+    with suppress(OSError):  # the new export is in place, even if the parent folder can't be synced
         sync(place.here.parent)
 
 
 def _clear(place: _Place) -> None:
-    """Remove the temporary siblings. What the user put into the former export while it was exchanged is kept."""
+    """Remove the temporary siblings; files that the user added to the former export during the exchange are kept."""
     _remove(place.new)
     for former in (place.ready, place.old):
         if former.exists():
             with suppress(OSError):  # the export is in place; the next one removes what is left
                 if place.here.exists():
                     _move_foreign(former, place.here)
-                os.rename(former, place.new)  # so that one that is half removed is never taken for an export
+                # renamed first, so that a half-removed export is never taken for a complete one
+                os.rename(former, place.new)
                 _remove(place.new)
 
 
 def _remove(folder: Path) -> None:
     shutil.rmtree(folder, ignore_errors=True)
-    if folder.exists():  # folders that nobody may write
+    if folder.exists():  # folders without write permission
         for path in (folder, *_folders(folder)):
             with suppress(OSError):
                 path.chmod(0o700)
@@ -163,8 +165,9 @@ def _remove(folder: Path) -> None:
 
 
 def _foreign(folder: Path, new: Path) -> Iterator[str]:
-    """Paths of what outlives the export in ``folder`` when ``new`` takes its place: files and links of the user, proofs
-    that hold for both, and folders that are empty."""
+    """Yield the paths in ``folder`` to keep when ``new`` replaces it: the user's files and links, proofs that hold for
+    both, and empty folders.
+    """
     owned = owned_files(folder) | stale_proofs(folder, file_hashes(new))
     for parent, folders, files in os.walk(folder):
         base = Path(parent).relative_to(folder)
@@ -178,7 +181,7 @@ def _foreign(folder: Path, new: Path) -> Iterator[str]:
 
 
 def _keep_foreign(former: Path, new: Path) -> None:
-    """Link the user's files into the new export; where it has a file of that name, its own is kept."""
+    """Link the user's files into the new export, except where it has a file of that name."""
     for path in _foreign(former, new):
         source, target = former / path, new / path
         if os.path.lexists(target) or not _parent_made(new, target):
@@ -202,7 +205,7 @@ def _move_foreign(former: Path, here: Path) -> None:
 
 
 def _parent_made(root: Path, target: Path) -> bool:
-    """Make the folders above ``target``; False where the new export has a file in their place."""
+    """Create the folders above ``target``; return False if the new export has a file in their place."""
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError):
@@ -211,7 +214,7 @@ def _parent_made(root: Path, target: Path) -> bool:
 
 
 def _copy_attributes(former: Path, new: Path) -> None:
-    """Mode, group and access lists of the folder, so that those who could read the former export can read this one."""
+    """Copy the folder's mode, group and access lists, so that readers of the former export can read the new one."""
     with suppress(OSError):
         os.chown(new, -1, former.stat().st_gid)
     with suppress(OSError):
@@ -224,14 +227,14 @@ def _folders(folder: Path) -> Iterator[Path]:
 
 
 def _sync_folders(folder: Path) -> None:
-    """Names are on disk only when their folder is; files were synced when they were closed."""
+    """Sync all folders, since new names are on disk only then; files were synced when they were closed."""
     for parent in [*_folders(folder), folder]:
         if not parent.is_symlink():
             sync(parent)
 
 
 def _exchange(one: Path, other: Path) -> bool:
-    """Exchange two names at once (Linux's ``renameat2``); False where the system knows no such thing."""
+    """Exchange two names atomically (Linux's ``renameat2``); return False if the system does not support it."""
     renameat2 = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
     if renameat2 is None:
         return False

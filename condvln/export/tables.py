@@ -1,4 +1,4 @@
-"""Where an export reads its rows: a published snapshot's folder, or tables in memory."""
+"""The tables that an export reads: from a published snapshot's folder, or in memory."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ __all__ = ["FolderTables", "MemoryTables", "SnapshotTables", "joined_by_scene", 
 _REMEDY: Final = "Run condvln rebuild CONFIG --verify, which rebuilds damaged files"
 
 BATCH_ROWS: Final = 1024
-"""Rows decoded at a time: enough to spread the cost of Arrow's calls, few enough to keep memory flat."""
+"""Rows decoded at a time: enough to amortise Arrow's calls, few enough to keep memory low."""
 
 
 class SnapshotTables(Protocol):
-    """The tables of one snapshot, source by source."""
+    """The tables of one snapshot, read source by source."""
 
     @property
     def id(self) -> str:
@@ -35,7 +35,9 @@ class SnapshotTables(Protocol):
         """Families with rows, sorted."""
 
     def batches(self, table: str, source: str, columns: Sequence[str] | None = None) -> Iterator[pa.RecordBatch]:
-        """Rows of one table of one source in ascending order of ``scene_id``; all columns unless some are named."""
+        """Yield the rows of one table of one source in ascending order of ``scene_id``; all columns unless `columns`
+        is given.
+        """
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,7 @@ class MemoryTables:
 
 @dataclass(frozen=True)
 class FolderTables:
-    """The folder ``snapshots/<id>`` of a store: ``<table>/source=<family>/part-*.parquet``."""
+    """The tables in the folder ``snapshots/<id>`` of a store: ``<table>/source=<family>/part-*.parquet``."""
 
     folder: Path
 
@@ -80,15 +82,15 @@ class FolderTables:
         Raises
         ------
         MissingFileError : the table has no file for this source
-        FormatError : a part that is not Parquet
+        FormatError : a part is not a Parquet file
         """
         folder = self.folder / table / f"source={source}"
         parts = [_opened(path) for path in sorted(folder.glob("part-*.parquet"))]
         if not parts:
-            raise MissingFileError("no part of this table is there", where=folder, remedy=_REMEDY)
+            raise MissingFileError("no file of this table exists", where=folder, remedy=_REMEDY)
         for file in sorted(parts, key=_first_scene):
             wanted = _stored(columns, file.schema_arrow.names)
-            # On one thread: Arrow's pool, left with work as the process ends, has aborted processes on busy machines.
+            # Single-threaded: Arrow's thread pool has aborted processes on busy machines when work was left at exit.
             try:
                 for batch in file.iter_batches(BATCH_ROWS, columns=wanted, use_threads=False):
                     yield with_numbers(batch, columns)
@@ -97,7 +99,7 @@ class FolderTables:
 
 
 def _stored(columns: Sequence[str] | None, there: Sequence[str]) -> list[str]:
-    """The columns to read: snapshots of former releases have no ``episode_hash``, since their ids are hashes."""
+    """Return the columns to read: snapshots of former releases have no ``episode_hash``, since their ids are hashes."""
     wanted = there if columns is None else columns
     return list(dict.fromkeys(ID if name == HASH and HASH not in there else name for name in wanted))
 
@@ -116,11 +118,11 @@ def _first_scene(file: pq.ParquetFile) -> str:
 
 
 def rows_by_scene(batches: Iterator[pa.RecordBatch], where: str) -> Iterator[tuple[str, list[Row]]]:
-    """The rows of each scene together.
+    """Yield the rows of each scene together.
 
     Raises
     ------
-    StoreError : scenes that are not in ascending order, as the tables promise
+    StoreError : the scenes are not in ascending order
     """
     last = ""
     for scene, rows in groupby((row for batch in batches for row in rows_of(batch)), key=lambda row: row["scene_id"]):
@@ -133,11 +135,11 @@ def rows_by_scene(batches: Iterator[pa.RecordBatch], where: str) -> Iterator[tup
 def joined_by_scene(
     tables: SnapshotTables, source: str, columns: Sequence[str] | None = None
 ) -> Iterator[tuple[str, list[Row], dict[str, Row]]]:
-    """Scene id, its episodes, and its instructions by id; one scene at a time in memory.
+    """Yield scene id, its episodes, and its instructions by id; one scene at a time is in memory.
 
     Raises
     ------
-    StoreError : an episode whose instruction is not in the snapshot
+    StoreError : an episode's instruction is not in the snapshot
     """
     told = rows_by_scene(tables.batches("instructions", source), f"instructions of {source}")
     scene_told, instructions = "", {}

@@ -1,8 +1,8 @@
 """The instruction vocabulary and the tokens that VLN-CE's text encoders read.
 
-Words are cut as habitat-lab's vocabulary does it (``habitat/datasets/utils.py``): lower case, ``'s`` a word of its
-own, commas and question marks dropped, runs of letters, digits, underscores and hyphens are words, what stands
-between them is one token. The file of R2R_VLNCE v1-3 re-tokenises to its own numbers by this rule.
+Texts are tokenised as in habitat-lab's vocabulary (``habitat/datasets/utils.py``): lower case, ``'s`` is a word, commas
+and question marks are dropped, runs of letters, digits, underscores and hyphens are words, and whatever is between two
+words is one token. With this rule, R2R_VLNCE v1-3 gets its own stored tokens.
 """
 
 from __future__ import annotations
@@ -25,26 +25,27 @@ PAD_INDEX: Final = 0
 UNK_INDEX: Final = 1
 
 TOKEN_LENGTH: Final = 200
-"""Tokens an instruction is padded to, as in the preprocessed R2R_VLNCE v1-3: its users stack instructions into one
-array."""
+"""Number of tokens to which an instruction is padded, as in the preprocessed R2R_VLNCE v1-3, whose users stack
+instructions into one array.
+"""
 
 _DROPPED: Final = str.maketrans("", "", ",?")
 _WORD: Final = re.compile(r"([^\w-]+)")
 _MARK: Final = "[^0-9A-Za-z_ -]"
-"""Letters beyond ASCII among them: they may be words to one regular expression and marks to the other."""
+"""Non-ASCII letters: the two regular expressions may treat them differently."""
 
 
 def tokenize(text: str) -> list[str]:
-    """Words and punctuation of ``text`` in order, lower case."""
+    """Return the words and punctuation of ``text`` in order, in lower case."""
     parts = _WORD.split(text.lower().replace("'s", " 's").translate(_DROPPED))
     return [word for part in parts if (word := part.strip())]
 
 
 def longer_than(texts: pa.Array, limit: int) -> npt.NDArray[np.bool_]:
-    """Which of ``texts`` have more than ``limit`` tokens.
+    """Return which of ``texts`` have more than ``limit`` tokens.
 
-    Spaces and marks bound the tokens from above (a mark is a token and may part two words), and are counted in half
-    the time; only what may be too long is cut into tokens.
+    A fast upper bound comes from counting spaces and punctuation (each mark is a token and may separate two words);
+    only texts above the limit by this bound are tokenised.
     """
     spaces, marks = pc.count_substring(texts, " "), pc.count_substring_regex(texts, _MARK)
     bounds = pc.add(pc.add(spaces, pc.multiply(marks, 2)), 1).to_numpy(zero_copy_only=False)
@@ -56,7 +57,7 @@ def longer_than(texts: pa.Array, limit: int) -> npt.NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class Vocabulary:
-    """Words in the order of their indices; the first two are PAD and UNK."""
+    """A list of words, in the order of their indices; the first two are PAD and UNK."""
 
     words: tuple[str, ...]
 
@@ -67,7 +68,9 @@ class Vocabulary:
 
     @classmethod
     def of(cls, texts: Iterable[str]) -> Vocabulary:
-        """All words of ``texts``, sorted by code point, so that the order of the texts does not matter."""
+        """Build a vocabulary from all words of ``texts``, sorted by code point, independent of the order of the
+        texts.
+        """
         found: set[str] = set()
         for text in texts:
             found.update(tokenize(text))
@@ -75,25 +78,25 @@ class Vocabulary:
 
     @classmethod
     def from_document(cls, document: dict[str, Any]) -> Vocabulary:
-        """The vocabulary of a VLN-CE file, such as the stock one that a trained agent's embeddings belong to."""
+        """Read the vocabulary of a VLN-CE file, such as the stock one that a trained agent's embeddings belong to."""
         return cls(tuple(document["word_list"]))
 
     def encode(self, text: str) -> list[int]:
-        """Indices of the tokens of ``text``; unknown words become UNK."""
+        """Return the indices of the tokens of ``text``; unknown words become UNK."""
         index: dict[str, int] = self._index  # type: ignore[attr-defined]
         return [index.get(word, UNK_INDEX) for word in tokenize(text)]
 
     def padded(self, text: str, length: int = TOKEN_LENGTH) -> list[int]:
-        """As :meth:`encode`, padded with PAD to ``length``.
+        """Return :meth:`encode`'s result, padded with PAD to ``length``.
 
-        A longer text keeps its first ``length`` tokens: encoders take rows of one length, and ``instruction_text``
-        stays whole.
+        A longer text is cut to its first ``length`` tokens, because encoders take rows of one length;
+        ``instruction_text`` stays complete.
         """
         tokens = self.encode(text)[:length]
         return tokens + [PAD_INDEX] * (length - len(tokens))
 
     def document(self) -> dict[str, Any]:
-        """``instruction_vocab`` of a VLN-CE file, keys in the stock order."""
+        """Return ``instruction_vocab`` of a VLN-CE file, keys in the stock order."""
         words: Sequence[str] = list(self.words)
         return {
             "word_list": words,

@@ -1,4 +1,4 @@
-"""The oracle-linear twin of a split that is already written: ours, or a stranger's file whose manifest we have."""
+"""Write the oracle-linear twin of an existing split, ours or another file whose manifest we have."""
 
 from __future__ import annotations
 
@@ -19,13 +19,14 @@ from schemas.evaluation import ManifestEpisode
 __all__ = ["TwinReport", "rewrite_split"]
 
 LinearText = Callable[[ManifestEpisode], str]
-"""The gold branch told as a plain instruction."""
+"""Returns the gold branch of a manifest row as a plain instruction."""
 
 
 @dataclass(frozen=True)
 class TwinReport:
-    """What a rewriting did: episodes, words of their texts before and after, and words that the split's own vocabulary
-    does not know."""
+    """The result of writing a twin: number of episodes, words of their texts before and after, and words that are not
+    in the split's own vocabulary.
+    """
 
     episodes: int
     words_before: int
@@ -39,18 +40,18 @@ class TwinReport:
 def rewrite_split(
     document: Path, manifest: Mapping[str, ManifestEpisode], out: Path, text_of: LinearText
 ) -> TwinReport:
-    """Write the twin of ``document`` as ``out``: the same vocabulary, ids, places and paths, only the instructions
+    """Write the twin of ``document`` as ``out``: the same vocabulary, ids, starts and paths, with other instructions.
     differ.
 
     Parameters
     ----------
     document : a stock VLN-CE, ANSR-v1 or RxR file
-    manifest : rows by episode id
+    manifest : manifest rows by episode id
 
     Raises
     ------
     MissingFileError, FormatError : one of the files is missing or damaged, or an episode is not in the manifest
-    StoreError : the disk refused
+    StoreError : the file can't be written
     """
     content = _document(document)
     found = content.get("instruction_vocab")
@@ -84,13 +85,13 @@ def _twin(episode: dict[str, Any], text: str, vocabulary: Vocabulary | None) -> 
     told = twin["instruction"]
     if "instruction_tokens" not in former:
         del told["instruction_tokens"]
-    if former.get("timed_instruction"):  # RxR's timing of the words that were there before
+    if former.get("timed_instruction"):  # RxR's timing of the former words
         told["timed_instruction"] = []
     return twin
 
 
 def _tokens(vocabulary: Vocabulary | None, text: str, former: Any) -> list[int]:
-    """Tokens, padded if the split's own instructions are padded; none without a vocabulary."""
+    """Return the tokens, padded if the split's own instructions are padded; none without a vocabulary."""
     if vocabulary is None:
         return []
     if isinstance(former, list) and former and former[-1] == PAD_INDEX:

@@ -1,9 +1,9 @@
 """Variants of the stock episode: ANSR-v1, RxR-VLN-CE's guide files, and the oracle-linear twin.
 
-ANSR-v1 adds top-level ``subgoals``, as the public evaluators of conditional episodes read it; source of the keys:
-dataset type ``ANSR-v1`` of the VLN-Zero and Open-Nav forks. The key is always there, ``[]`` where the gold branch has
-one move. RxR's trainers write predictions by ``instruction_id``, a number; ours is the episode's id. The twin
-is the same episode with the gold branch as a plain instruction.
+ANSR-v1 adds top-level ``subgoals``, as the public evaluators of conditional episodes read them (source of the keys:
+dataset type ``ANSR-v1`` of the VLN-Zero and Open-Nav forks). The key is always present, ``[]`` if the gold branch has
+one move. RxR's trainers write predictions by ``instruction_id``, a number; ours is the episode's id. The twin is the
+same episode with the gold branch as a plain instruction.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ __all__ = [
 
 
 def subgoals(row: Row) -> list[dict[str, Any]]:
-    """The gold leaf's subgoals in order, with the success distance as their radius."""
+    """Return the gold leaf's subgoals in order, with the success distance as their radius."""
     return [{"position": s["position"], "radius": row["success_distance"]} for s in gold(row)["subgoals"]]
 
 
 def ansr_bytes(stock: bytes, row: Row) -> bytes:
-    """The encoded ANSR-v1 episode of an encoded stock one."""
+    """Return the encoded ANSR-v1 episode of an encoded stock one."""
     return stock[:-1] + b',"subgoals":' + encode(subgoals(row)) + b"}"
 
 
@@ -41,7 +41,9 @@ RXR_LANGUAGES: Final = {"en": "en-US", "es": "es-ES"}
 
 
 def rxr_episode(stock: dict[str, Any], row: Row, split: str, language: str = "en") -> dict[str, Any]:
-    """The guide's episode of a stock one: the text under RxR's keys, no tokens (agents bring their own encoder)."""
+    """Return the RxR guide episode of a stock one: the text under RxR's keys, without tokens (agents use their own
+    encoder).
+    """
     return {
         **stock,
         "instruction": {
@@ -58,8 +60,9 @@ def rxr_episode(stock: dict[str, Any], row: Row, split: str, language: str = "en
 
 
 OracleText = Mapping[int, str] | Callable[[Row, Row], str]
-"""Linear text by episode id, or made from the columns :data:`ORACLE_COLUMNS` of a row of the episodes table and its
-whole row of the instructions table."""
+"""Linear text by episode id; or a function that makes it from the columns :data:`ORACLE_COLUMNS` of an episodes row and
+the whole instructions row.
+"""
 
 ORACLE_COLUMNS: Final = (
     "scene_id",
@@ -73,15 +76,15 @@ ORACLE_COLUMNS: Final = (
 
 
 def oracle_text_of(texts: OracleText, episode: Row, instruction: Row) -> str:
-    """Linear text of one episode.
+    """Return the linear text of one episode.
 
     Raises
     ------
-    KeyError : a mapping without this episode
+    KeyError : the mapping lacks this episode
     """
     return texts(episode, instruction) if callable(texts) else texts[episode["episode_id"]]
 
 
 def oracle_episode(stock: dict[str, Any], text: str, tokens: list[int]) -> dict[str, Any]:
-    """The twin of a stock episode."""
+    """Return the oracle-linear twin of a stock episode."""
     return {**stock, "instruction": {**stock["instruction"], "instruction_text": text, "instruction_tokens": tokens}}

@@ -1,6 +1,6 @@
-"""The part of an export that lives on viewpoints alone: ``viewpoints/R2R_<split>.json`` and their own manifests.
+"""The part of an export without continuous episodes: ``viewpoints/R2R_<split>.json`` and its own manifests.
 
-The folder is read like an export of its own: ``condvln evaluate EXPORT/viewpoints val_unseen …``.
+The folder can be read like an export: ``condvln evaluate EXPORT/viewpoints val_unseen …``.
 """
 
 from __future__ import annotations
@@ -27,34 +27,34 @@ _SOURCE: Final = "mp3d"
 
 @dataclass
 class ViewpointReport:
-    """Episodes by split, their scans, and the number that could not be placed by reason."""
+    """Number of episodes by split, their scans, and the number that could not be placed by reason."""
 
     episodes: dict[str, int] = field(default_factory=dict)
     scans: dict[str, list[str]] = field(default_factory=dict)
     left_out: dict[str, int] = field(default_factory=dict)
     files: dict[str, WrittenFile] = field(default_factory=dict)
-    """By path below the export's folder."""
+    """Files by path below the export's folder."""
 
     def document(self) -> dict[str, Any]:
-        """As plain values."""
+        """Return the report as plain JSON values."""
         return {"episodes": self.episodes, "scans": self.scans, "left_out": self.left_out}
 
 
 def write_viewpoints(
     out: Path, episodes: Iterable[GraphEpisode], snapshot: str, left_out: Counter[str] | None = None
 ) -> ViewpointReport:
-    """Write the episodes below ``out/viewpoints``, each file complete or not at all; splits without episodes have none.
+    """Write the episodes below ``out/viewpoints``, each file atomically; a split without episodes gets no file.
 
     Parameters
     ----------
     out : the export's folder
-    episodes : scan by scan; one scan's are of one split
-    snapshot : id of the snapshot that they come from
-    left_out : filled by whoever makes the episodes, read when they have ended
+    episodes : episodes ordered by scan; all episodes of a scan are in one split
+    snapshot : id of the episodes' snapshot
+    left_out : counts by reason, filled by the iterator `episodes` and read at its end
 
     Raises
     ------
-    StoreError : the disk refused
+    StoreError : a file can't be written
     """
     report = ViewpointReport()
     folder = out / FOLDER

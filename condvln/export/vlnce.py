@@ -1,4 +1,4 @@
-"""Stock R2R_VLNCE v1-3 episodes, as VLN-CE's strict loader takes them: our own fields are under ``info``.
+"""Stock R2R_VLNCE v1-3 episodes for VLN-CE's strict loader; our own fields are under ``info``.
 
 A split is two files: ``<split>.json.gz`` (episodes, then the vocabulary) and ``<split>_gt.json.gz`` (dense locations
 and actions by episode id, for nDTW and imitation learning).
@@ -42,27 +42,27 @@ FORWARD: Final = 1
 SCENE_PATTERNS: Final[Mapping[str, str]] = {"": "{family}/{scene}/{name}.glb"} | {
     name: family.scene_file for name, family in FAMILIES.items()
 }
-"""``scene_id`` by family, below the folder ``scene_datasets``; the entry without a name is for families not listed."""
+"""Pattern of ``scene_id`` by family, below the folder ``scene_datasets``; the entry ``""`` is the default."""
 
 
 def scene_file(family: str, scene: str, patterns: Mapping[str, str] = SCENE_PATTERNS) -> str:
-    """``scene_id`` of a VLN-CE episode: the path of the scene's mesh below the folder of scene datasets."""
+    """Return ``scene_id`` of a VLN-CE episode: the path of the scene's mesh below the folder of scene datasets."""
     pattern = patterns.get(family) or patterns.get("") or SCENE_PATTERNS[""]
     return pattern.format(family=family, scene=scene, name=posixpath.basename(scene))
 
 
 def gold(row: Row) -> Row:
-    """The leaf that the truths of the conditions lead to."""
+    """Return the gold leaf of a row."""
     index = row["gold_leaf"]
     leaf: Row = next(leaf for leaf in row["leaves"] if leaf["leaf"] == index)
     return leaf
 
 
 def vlnce_episode(row: Row, scene_id: str, tokens: list[int]) -> dict[str, Any]:
-    """One stock episode of a row of the episodes table.
+    """Return the stock episode of a row of the episodes table.
 
-    The goals are all goal points of the gold leaf, the one nearest to the start first: evaluators take the minimum over
-    them, sensors the first, so that progress begins at 0.
+    The goals are all goal points of the gold leaf, the nearest to the start first: evaluators take the minimum over
+    them, sensors the first one, and with this order both agree at the start.
     """
     leaf = gold(row)
     radius = row["success_distance"]
@@ -80,7 +80,7 @@ def vlnce_episode(row: Row, scene_id: str, tokens: list[int]) -> dict[str, Any]:
 
 
 def _info(row: Row, leaf: Row) -> dict[str, Any]:
-    """Extra fields that stock loaders ignore. The gold leaf is only in the manifest."""
+    """Return the extra fields under ``info``, which stock loaders ignore. The gold leaf is only in the manifest."""
     shape = SHAPES[row["category"]]
     return {
         "geodesic_distance": row["geodesic_distance"],
@@ -106,11 +106,10 @@ def _info(row: Row, leaf: Row) -> dict[str, Any]:
 
 
 def ground_truth(row: Row) -> dict[str, Any]:
-    """Dense locations of the gold leaf, and the actions with them where the row has both.
+    """Return the dense locations of the gold path, and the actions if the row has them.
 
-    ``locations`` of the row (what the follower went through, one more than its forward steps) come first; without
-    them the reference path, cut to `PATH_SPACING` and rounded to 1 mm, stands in, and the actions are still
-    those of the row.
+    The row's ``locations`` (positions of the follower, one more than its forward steps) are preferred. Without them,
+    the reference path is densified to `PATH_SPACING` and rounded to 1 mm; the actions are still the row's.
     """
     walked = row.get("locations")
     locations = walked if walked else densify(gold(row)["reference_path"], PATH_SPACING).round(3).tolist()
@@ -125,13 +124,13 @@ def ground_truth(row: Row) -> dict[str, Any]:
 
 
 def encode(document: object) -> bytes:
-    """JSON bytes; numbers in their shortest form, keys in the order given."""
+    """Return JSON bytes; numbers in their shortest form, keys in the given order."""
     return orjson.dumps(document)
 
 
 @dataclass
 class DocumentWriter:
-    """``{"episodes": […], "instruction_vocab": {…}}`` growing episode by episode."""
+    """Writes ``{"episodes": […], "instruction_vocab": {…}}`` episode by episode."""
 
     entries: JsonArrayStream
 
@@ -142,7 +141,9 @@ class DocumentWriter:
 
 @contextmanager
 def document_writer(path: Path, vocabulary: Vocabulary | None) -> Iterator[DocumentWriter]:
-    """A VLN-CE document under ``path``, whole or not there at all; RxR's has no vocabulary."""
+    """Return a context manager that writes a VLN-CE document atomically to ``path``; RxR's documents have no
+    vocabulary.
+    """
     tail = b"" if vocabulary is None else b',"instruction_vocab":' + encode(vocabulary.document())
     with atomic_stream(path, closing=b"]" + tail + b"}") as stream:
         stream.write(b'{"episodes":[')
@@ -151,7 +152,7 @@ def document_writer(path: Path, vocabulary: Vocabulary | None) -> Iterator[Docum
 
 @contextmanager
 def truth_writer(path: Path) -> Iterator[DocumentWriter]:
-    """A ground-truth document under ``path``; entries are ``"<episode id>":{…}``."""
+    """Return a context manager that writes a ground-truth document to ``path``; entries are ``"<episode id>":{…}``."""
     with atomic_stream(path, closing=b"}") as stream:
         stream.write(b"{")
         yield DocumentWriter(JsonArrayStream(stream))

@@ -1,4 +1,4 @@
-"""All files of an export, written side by side in one pass over the rows."""
+"""Write all files of an export simultaneously, in one pass over the rows."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _MP3D: Final = "mp3d"
 
 @dataclass(frozen=True)
 class Layout:
-    """How episodes are written."""
+    """How episodes are written: formats, patterns, shards."""
 
     scene_patterns: dict[str, str]
     token_length: int
@@ -49,21 +49,21 @@ class Layout:
 
 @dataclass
 class _SplitFiles:
-    """Open files of one split."""
+    """The open files of one split."""
 
     name: str
     truth: DocumentWriter
     manifest: ByteStream
     documents: dict[str, DocumentWriter] = field(default_factory=dict)
-    """By variant; with shards, those of the scene at hand."""
+    """Files by variant; with shards, those of the current scene."""
     r2r: JsonArrayStream | None = None
 
 
 class ExportWriter:
-    """Writes rows as they come, scene by scene.
+    """Writes rows scene by scene as they arrive.
 
-    Every file has its final name only after :meth:`open`'s block ended well; ground truth, the same for all variants,
-    is then copied.
+    Files get their final names only when the block of :meth:`open` ends without error. The ground truth is the same for
+    all variants and is copied then.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class ExportWriter:
 
     @contextmanager
     def open(self) -> Iterator[None]:
-        """All files of all splits, for as long as rows come."""
+        """Return a context manager that holds all files of all splits open."""
         with self._open:
             self._splits = [self._opened(split) for split in SPLITS]
             yield
@@ -124,7 +124,7 @@ class ExportWriter:
         return JsonArrayStream(stream)
 
     def _vocabulary_of(self, variant: str) -> Vocabulary | None:
-        """RxR's loader knows no vocabulary."""
+        """Return the vocabulary of a variant; None for RxR, whose loader has none."""
         return None if variant == "rxr" else self._vocabulary
 
     @staticmethod
@@ -135,7 +135,7 @@ class ExportWriter:
         return f"{variant}/{split}/{self._stem(variant, split)}_gt.json.gz"
 
     def add_scene(self, source: str, scene: str, rows: list[tuple[int, Row, Row]]) -> None:
-        """Write the chosen episodes of one scene: (split code, row of episodes, row of instructions)."""
+        """Write the selected episodes of one scene, given as (split code, row of episodes, row of instructions)."""
         for code in sorted({code for code, _, _ in rows}):
             files = self._splits[code]
             self._report.scenes[files.name].append(f"{source}/{scene}")
@@ -155,8 +155,9 @@ class ExportWriter:
 
     @contextmanager
     def _documents(self, files: _SplitFiles, source: str, scene: str) -> Iterator[dict[str, DocumentWriter]]:
-        """Where the scene's episodes go: the split's own files, or shards as Habitat's ``content`` folders hold
-        them."""
+        """Yield the documents to which the scene's episodes are written: the split's own files, or shards as in
+        Habitat's ``content`` folders.
+        """
         if not self._layout.sharded:
             yield files.documents
             return
@@ -209,7 +210,8 @@ class ExportWriter:
         if isinstance(found, str):
             self._r2r_left_out[found] += 1
             return
-        if files.r2r is None:  # with the first path of any split, so that exports without one hold no such files
+        # opened with the first path of any split, so that exports without paths have no such files
+        if files.r2r is None:
             for each in self._splits:
                 each.r2r = self._opened_r2r(each.name)
         assert files.r2r is not None
@@ -251,6 +253,6 @@ class ExportWriter:
 
 
 def _says_bearings(instruction: Row) -> bool:
-    """Whether the words of an instruction are true at its own start only."""
+    """Return whether an instruction has egocentric directions, which are true at its own start only."""
     named = [*instruction["conditions"], *(move for leaf in instruction["leaves"] for move in leaf["moves"])]
     return any(one["qualifier"] is not None and one["qualifier"]["predicate"] in BEARINGS for one in named)

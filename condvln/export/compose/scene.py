@@ -1,9 +1,9 @@
-"""A whole scene as one GLB file, and the navmesh that Habitat would build of it.
+"""Compose a whole scene into one GLB file, with the navmesh that Habitat would build from it.
 
-Stock loaders (VLN-CE's among them) open a scene by one file and refuse dataset configurations. They take a bare
-``.glb`` to be z-up, whatever glTF says (habitat-sim, ``StageAttributesManager::setDefaultAssetNameBasedAttributes``),
-and look for the navmesh of the same name beside it. So the file is z-up, as Matterport3D's are, and the navmesh, in
-Habitat's frame, is built of the very file that was written.
+Stock loaders (VLN-CE's among them) open a scene as a single file and don't support scene dataset configurations. They
+treat a bare ``.glb`` as z-up, against the glTF standard (habitat-sim,
+``StageAttributesManager::setDefaultAssetNameBasedAttributes``), and look for the navmesh of the same name beside it. So
+the file is z-up, as Matterport3D's are, and the navmesh, in Habitat's frame, is built from exactly this file.
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ STAGE: Final = "stage"
 
 @dataclass(frozen=True, eq=False)
 class ComposedScene:
-    """A scene as files.
+    """A composed scene as files.
 
-    glb : z-up
-    navmesh : in Habitat's frame, built of `glb`
-    triangles : of all that stands there
-    bodies : objects that stand there; what is drawn as structure (floors, walls, windows, doors) is none
-    left_out : objects whose surfaces are not known
-    textures_left_out : textures whose images stand in no file of the scene
-    approximate : drawn walls and boxes in place of surfaces
+    glb : bytes, z-up
+    navmesh : bytes, in Habitat's frame, built from `glb`
+    triangles : number of triangles
+    bodies : number of objects, without structure (floors, walls, windows, doors)
+    left_out : number of objects whose surfaces are unknown
+    textures_left_out : number of textures whose images are in no file of the scene
+    approximate : walls and boxes were drawn in place of surfaces
     """
 
     glb: bytes
@@ -60,16 +60,16 @@ class ComposedScene:
 
 
 def compose_scene(scene: Scene, geometry: SceneGeometry | None, agent: AgentConfig) -> ComposedScene:
-    """One file of a scene's stage and bodies where it has meshes, of its drawn surfaces where it has none.
+    """Compose a scene from its stage and object meshes, or, without meshes, from its drawn surfaces.
 
     Parameters
     ----------
-    geometry : the scene's surfaces, as its source gives them
-    agent : whom the navmesh is for
+    geometry : the scene's triangles, from its source
+    agent : the agent that the navmesh is for
 
     Raises
     ------
-    InputError : the scene has no surfaces, a part can't be read, or nobody can stand on what is composed
+    InputError : the scene has no surfaces, a part can't be read, or the composed scene has no walkable floor
     """
     if geometry is None:
         raise InputError(
@@ -84,7 +84,7 @@ def compose_scene(scene: Scene, geometry: SceneGeometry | None, agent: AgentConf
         known = drawn | {n for n, o in enumerate(scene.objects) if o.obb is not None or o.box is not None}
     else:
         lost = _assemble(writer, scene)
-        # A scan is one body: its objects are in it, though nothing tells where.
+        # A scan is a single mesh that contains its objects; which triangles are whose is unknown.
         known = drawn if any(item.mesh for item in scene.objects) else set(range(len(scene.objects)))
     glb = writer.to_bytes()
     return ComposedScene(
@@ -99,7 +99,7 @@ def compose_scene(scene: Scene, geometry: SceneGeometry | None, agent: AgentConf
 
 
 def _assemble(writer: GlbWriter, scene: Scene) -> int:
-    """Stage and bodies, each file taken in once; gives the number of textures that can't come along."""
+    """Add stage and objects, each file once; return the number of textures that can't be copied."""
     files = DatasetRoot(scene.root)
     known: dict[str, GlbPart] = {}
     lost = 0
@@ -120,7 +120,7 @@ def _assemble(writer: GlbWriter, scene: Scene) -> int:
 
 
 def _draw(writer: GlbWriter, scene: Scene, geometry: SceneGeometry) -> None:
-    """Floor and walls, then each object, in the order of the geometry: builders of navmeshes mind it."""
+    """Add floor and walls, then each object, in the order of the geometry: navmesh builders depend on the order."""
     structure = np.flatnonzero(geometry.owner == STRUCTURE)
     heights = geometry.vertices[geometry.faces[structure]][:, :, 1]
     level = np.ptp(heights, axis=1) == 0
@@ -143,7 +143,7 @@ def _draw(writer: GlbWriter, scene: Scene, geometry: SceneGeometry) -> None:
 
 
 def _own(geometry: SceneGeometry, rows: NDArray[np.int64]) -> tuple[F64, NDArray[np.int64]]:
-    """Vertices and faces of some faces alone, in their order."""
+    """Return the vertices and faces of the selected faces `rows`, in their order."""
     used, corners = np.unique(geometry.faces[rows], return_inverse=True)
     return geometry.vertices[used], corners.reshape(-1, 3).astype(np.int64)
 

@@ -1,6 +1,6 @@
-"""One GLB file of many parts: each file's meshes once, and a tree of nodes for each placement.
+"""Write one GLB file from many parts: each file's meshes once, and a tree of nodes for each placement.
 
-The bytes follow from the calls alone: nothing in them tells a clock, a machine or a path.
+The bytes depend on the calls only, not on time, machine or path.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ F64 = NDArray[np.float64]
 
 
 def is_composed(start: bytes) -> bool:
-    """Was the file that begins with these bytes, a few hundred or all, written here?"""
+    """Return whether a file was written by this module, from its first bytes (a few hundred or all)."""
     text = start[_HEADER.size + _CHUNK.size :]
     return start[:4] == b"glTF" and text.startswith(json.dumps({"asset": _ASSET}, separators=(",", ":"))[:-1].encode())
 
 
 class GlbWriter:
-    """Collects a scene below one root node.
+    """Builds a scene below one root node.
 
     Parameters
     ----------
-    frame : (4, 4) transform of the root node, from the frame of what is placed to the file's
+    frame : (4, 4) transform of the root node, from the scene's frame to the file's
     """
 
     def __init__(self, frame: F64) -> None:
@@ -58,11 +58,11 @@ class GlbWriter:
 
     @property
     def triangles(self) -> int:
-        """Triangles placed so far."""
+        """Number of triangles placed so far."""
         return self._triangles
 
     def add(self, part: GlbPart) -> GlbPart:
-        """Take in the meshes of a file; gives the part to `place`, its meshes numbered within this scene."""
+        """Add the meshes of a file; return the part for `place`, with its meshes numbered within this scene."""
         look = part.look
         first = {key: len(self._lists[key]) for key in ("materials", "textures", "samplers", "images")}
         if look is not None:
@@ -83,7 +83,7 @@ class GlbWriter:
         return GlbPart(nodes, part.roots, part.meshes, part.accessors, look)
 
     def place(self, name: str, instances: list[tuple[GlbPart, F64]]) -> None:
-        """A node of this name with the trees of some parts below it, each under its own (4, 4) transform."""
+        """Add a node of this name with the node trees of some parts below it, each with its own (4, 4) transform."""
         body = self._node({"name": name, "children": []}, 0)
         for part, matrix in instances:
             stand = self._node({"matrix": _columns(matrix), "children": []}, body)
@@ -99,7 +99,7 @@ class GlbWriter:
                 number[own] = self._node(tree, number[parent[own]] if own in parent else stand)
 
     def surface(self, name: str, pieces: list[tuple[F64, NDArray[np.int64], tuple[float, float, float]]]) -> None:
-        """A node of this name with a mesh of its own: vertices (n, 3), faces (m, 3), and a colour for each piece."""
+        """Add a node of this name with its own mesh: for each piece vertices (n, 3), faces (m, 3) and a colour."""
         primitives = []
         for vertices, faces, colour in pieces:
             points = np.ascontiguousarray(vertices, "<f4")
@@ -117,11 +117,11 @@ class GlbWriter:
         self._triangles += self._triangles_of(mesh)
 
     def to_bytes(self) -> bytes:
-        """The file.
+        """Return the bytes of the file.
 
         Raises
         ------
-        InputError : it is larger than any that we read
+        InputError : the file exceeds the size that `read_glb` accepts
         """
         tree: Tree = {
             "asset": _ASSET,
@@ -227,5 +227,5 @@ def _ends(points: NDArray[np.float32]) -> tuple[tuple[float, ...], tuple[float, 
 
 
 def _columns(matrix: F64) -> list[float]:
-    """A (4, 4) matrix as glTF writes it, column after column."""
+    """Return a (4, 4) matrix in glTF's column-major order."""
     return [float(v) + 0.0 for v in np.asarray(matrix, dtype=np.float64).T.reshape(-1)]

@@ -1,5 +1,6 @@
-"""A linter for VLN-CE, ANSR-v1, RxR and R2R files, ours or a stranger's: what would crash a strict loader or skew a
-score."""
+"""A linter for VLN-CE, ANSR-v1, RxR and R2R files from any source: finds what crashes a strict loader or skews a
+score.
+"""
 
 from condvln.export.validation.findings import CODES, Finding, Severity
 from condvln.export.validation.folder import Options, validate

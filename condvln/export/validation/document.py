@@ -1,4 +1,4 @@
-"""What the linter keeps of a document once its episodes are checked, and the checks of single values."""
+"""The state that the linter keeps of a document after checking its episodes, and checks of single values."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["Document", "Kind", "PathfinderOf", "check_keys", "is_number", "is_po
 Kind = Literal["vlnce", "ansr", "rxr", "r2r"]
 
 PathfinderOf = Callable[[dict[str, Any]], PathfinderProtocol | None]
-"""Navmesh of an episode's scene; None where none is known."""
+"""Returns the navmesh of an episode's scene; None if unknown."""
 
 
 @dataclass
@@ -29,10 +29,10 @@ class Document:
     starts: dict[str, list[float]] = field(default_factory=dict)
     goals: dict[str, list[tuple[list[float], float]]] = field(default_factory=dict)
     told: dict[tuple[str, str, tuple[float, ...]], str] = field(default_factory=dict)
-    """Episode id by scene, text and start."""
+    """Episode id by (scene, text, start)."""
 
     def merge(self, other: Document) -> None:
-        """Take in another document of the same split: a shard."""
+        """Merge another document of the same split, such as a shard."""
         self.vocabulary = self.vocabulary or other.vocabulary
         self.scenes |= other.scenes
         self.starts |= other.starts
@@ -41,17 +41,17 @@ class Document:
 
 
 def is_number(value: Any) -> bool:
-    """A JSON number; true and false are none."""
+    """Return whether a value is a JSON number; booleans are not."""
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def is_point(value: Any, size: int = 3) -> bool:
-    """A list of ``size`` numbers."""
+    """Return whether a value is a list of ``size`` numbers."""
     return isinstance(value, list) and len(value) == size and all(is_number(part) for part in value)
 
 
 def points(report: LintReport, place: str, value: Any, size: int = 3) -> bool:
-    """Is ``value`` a list of points? If not, a finding is added."""
+    """Return whether ``value`` is a list of points; if not, add a finding."""
     if not isinstance(value, list):
         report.add(place, "wrong-type", f"not a list of points but {type(value).__name__}")
         return False
@@ -66,12 +66,14 @@ def points(report: LintReport, place: str, value: Any, size: int = 3) -> bool:
 
 
 def straight(a: Iterable[float], b: Iterable[float]) -> float:
-    """Euclidean distance."""
+    """Return the Euclidean distance of two points."""
     return math.dist(tuple(a), tuple(b))
 
 
 def check_keys(report: LintReport, place: str, record: Any, required: frozenset[str], allowed: frozenset[str]) -> bool:
-    """Is ``record`` an object with all ``required`` keys? Unknown and missing keys are added as findings."""
+    """Return whether ``record`` is an object with all ``required`` keys; unknown and missing keys are added as
+    findings.
+    """
     if not isinstance(record, dict):
         report.add(place, "wrong-type", f"not an object but {type(record).__name__}")
         return False

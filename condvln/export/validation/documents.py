@@ -15,7 +15,7 @@ _TOP: Final = frozenset({"episodes", "instruction_vocab"})
 
 
 def check_document(report: LintReport, content: dict[str, Any], pathfinder_of: PathfinderOf | None = None) -> Document:
-    """Check one document; ``pathfinder_of`` adds the checks against navmeshes."""
+    """Check one document; with ``pathfinder_of`` also against navmeshes."""
     episodes = content.get("episodes")
     if not isinstance(episodes, list):
         report.add("episodes", "wrong-type", "not a list")
@@ -39,12 +39,12 @@ def check_document(report: LintReport, content: dict[str, Any], pathfinder_of: P
 
 def _kind(file: str, episodes: list[Any]) -> Kind:
     records = [episode for episode in episodes if isinstance(episode, dict)]
-    if not records:  # an empty split: only its name can tell
+    if not records:  # an empty split: only the file's name tells the format
         return "rxr" if "_guide." in file or "_follower." in file else "vlnce"
     if 2 * sum("subgoals" in record for record in records) > len(records):
         return "ansr"
     told = [record["instruction"] for record in records if isinstance(record.get("instruction"), dict)]
-    # One key astray makes no other format of a file.
+    # A single wrong key does not change the file's format.
     if 2 * sum("language" in instruction for instruction in told) > len(told):
         return "rxr"
     return "vlnce"

@@ -1,7 +1,7 @@
-"""Checks of single episodes, as the strict loaders and their measures take them.
+"""Checks of single episodes against what strict loaders and their measures expect.
 
 Allowed and required keys are those of ``VLNExtendedEpisode``, ``InstructionData``, ``RxRInstructionData`` and
-habitat-lab's ``VLNEpisode``, which are built from each record by keyword.
+habitat-lab's ``VLNEpisode``, which are constructed from each record by keyword.
 """
 
 from __future__ import annotations
@@ -22,7 +22,9 @@ _REQUIRED: Final = frozenset(
     {"episode_id", "trajectory_id", "scene_id", "start_position", "start_rotation", "instruction"}
 )
 WITHHELD: Final = frozenset({"goals", "reference_path"})
-"""habitat-lab's own loader fails without these, VLN-CE's only when it scores. A test split may lack both throughout."""
+"""Keys without which habitat-lab's loader fails, and VLN-CE's only when it scores. All episodes of a test split may
+lack both.
+"""
 _ALLOWED: Final = (
     _REQUIRED
     | WITHHELD
@@ -44,30 +46,32 @@ _RXR_INSTRUCTION: Final = frozenset(
 _GOAL: Final = frozenset({"position", "radius"})
 
 _JOINT: Final = 0.1
-"""Metres by which the ends of a reference path may miss start and goal."""
+"""Tolerance in metres between the ends of a reference path and start and goal."""
 _NORM: Final = 1e-3
 _UPRIGHT: Final = 1e-3
 _STRAIGHT: Final = 0.01
-"""Metres by which a geodesic may fall short of the straight line: ends are snapped."""
+"""Tolerance in metres by which a geodesic may be shorter than the straight line, because its ends are snapped."""
 _ON_MESH: Final = 0.5
-"""Metres of height between a point and the floor below it: Habitat's is_navigable."""
+"""Largest height in metres of a point above the floor below it, from Habitat's is_navigable."""
 _GEODESIC: Final = 0.02
-"""Metres by which a stored geodesic may differ from the navmesh's, and this share of it."""
+"""Tolerance in metres, and as a share, between a stored geodesic and the navmesh's."""
 
 
 _BERT_START, _BERT_END, _BERT_WORDS = 101, 102, 30_522
-"""``[CLS]``, ``[SEP]`` and the size of BERT's uncased vocabulary, by which ``<split>_bertidx`` files are indexed."""
+"""The token indices of ``[CLS]`` and ``[SEP]``, and the size of BERT's uncased vocabulary, used in
+``<split>_bertidx`` files.
+"""
 
 
 def _is_bert(tokens: list[int]) -> bool:
-    """Are these BERT's tokens? They begin with [CLS], and nothing but padding follows [SEP]."""
+    """Return whether these are BERT's tokens: they begin with [CLS], and only padding follows [SEP]."""
     said = [token for token in tokens if token != PAD_INDEX]
     ends = said[:1] == [_BERT_START] and (said[-1] == _BERT_END or len(said) == len(tokens))
     return ends and all(0 < token < _BERT_WORDS for token in said)
 
 
 class EpisodeChecks:
-    """Checks of one document's episodes, one after the other; what they hold goes into ``document``."""
+    """Checks the episodes of a document one after the other; what later checks need goes into ``document``."""
 
     def __init__(
         self,
@@ -89,7 +93,7 @@ class EpisodeChecks:
         self._instruction_keys = _RXR_INSTRUCTION if document.kind == "rxr" else _INSTRUCTION
 
     def check(self, place: str, episode: Any) -> None:
-        """All checks of one episode; each goes on from what the ones before left standing."""
+        """Run all checks of one episode; each check assumes that the ones before it passed."""
         if not isinstance(episode, dict):
             self._report.add(place, "wrong-type", f"not an object but {type(episode).__name__}")
             return
@@ -118,7 +122,7 @@ class EpisodeChecks:
         name = str(episode.get("episode_id"))
         if "episode_id" in episode:
             if not self._id_named and not name.isdecimal():
-                self._id_named = True  # where one is text, all are
+                self._id_named = True  # where one id is text, all are
                 self._report.add(f"{place}.episode_id", "id-not-integer", f"{name!r} is not a whole number")
             if name in self._document.starts:
                 self._report.add(place, "duplicate-id", f"id {name} occurs twice")
@@ -257,7 +261,7 @@ class EpisodeChecks:
             self._report.add(place, "wrong-type", "not a list of whole numbers")
             return
         self._length = len(tokens) if self._length is None else self._length
-        # Unpadded files are sound too; what loaders can't stack is padding to different lengths.
+        # Unpadded files are valid too; padding to different lengths is not, since loaders can't stack it.
         if len(tokens) != self._length and PAD_INDEX in tokens:
             self._report.add(place, "token-length", f"{len(tokens)} tokens, {self._length} before")
         vocabulary = self._document.vocabulary

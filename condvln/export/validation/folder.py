@@ -1,4 +1,4 @@
-"""The linter over files and folders: which file is what, which belong together, what must not stand in two splits."""
+"""Lint files and folders: detect each file's format, pair files that belong together, find leaks between splits."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ __all__ = ["Options", "validate"]
 _SUFFIXES: Final = (".json", ".json.gz")
 _TRUTH: Final = "_gt"
 _SHARDS: Final = "content"
-# Files of an export, and of the tools around one, that hold no episodes.
+# Files in an export's folder, or made by related tools, that hold no episodes.
 _OTHERS: Final = (INDEX, ORIGIN, "croissant.json", "embeddings.json.gz")
 
 _GROUPS: Final = {"train": "train", "val_seen": "train", "joint_train_envdrop": "train", "envdrop": "train"}
@@ -42,20 +42,20 @@ class Options:
 
 
 def validate(path: Path, options: Options | None = None) -> list[Finding]:
-    """All findings of a file, or of the files of these formats below a folder; sorted by file.
+    """Return all findings in a file, or in the files of these formats below a folder, sorted by file.
 
     Files that belong together are checked together: ``x.json.gz`` with ``x_gt.json.gz`` beside it, and the splits of
     one folder for leakage, with their shards below ``content/``.
 
     Raises
     ------
-    UsageError : there is no such file
+    UsageError : the path does not exist, or holds no such file
     """
     options = options or Options()
     files = [path] if path.is_file() else _files_below(path)
     if not files:
         raise UsageError(
-            "no VLN-CE, ANSR-v1, RxR or R2R file is there",
+            "no VLN-CE, ANSR-v1, RxR or R2R file found",
             where=path,
             remedy="Name a .json or .json.gz file, or a folder",
         )
@@ -96,13 +96,13 @@ def _check_file(report: LintReport, file: Path, options: Options) -> Document | 
 
 
 def _without_shards(report: LintReport, file: Path) -> Iterator[Finding]:
-    """The findings, without that of an empty split whose episodes are in shards."""
+    """Yield the findings, except that a split is empty if its episodes are in shards."""
     has_shards = any((file.parent / _SHARDS).glob("*.json.gz"))
     return (finding for finding in report if not (has_shards and finding.code == "no-episodes"))
 
 
 def _joined(split: Document, shard: Document, file: str) -> Iterator[Finding]:
-    """Add a shard to its split; yields findings about what they must or must not share."""
+    """Merge a shard into its split; yield findings about what they must or must not share."""
     for name in sorted(split.starts.keys() & shard.starts.keys()):
         yield Finding(file, f"episode {name}", "duplicate-id", f"id {name} is in another shard too", name)
     if None not in (split.vocabulary, shard.vocabulary) and split.vocabulary != shard.vocabulary:
@@ -129,8 +129,9 @@ def _shown(file: Path, root: Path) -> str:
 
 
 def _place(file: Path) -> tuple[Path, str]:
-    """Folder of the variant, and split: of ``<variant>/<split>/<split>.json.gz`` or
-    ``…/<split>/content/<scene>.json.gz``."""
+    """Return the variant's folder and the split of ``<variant>/<split>/<split>.json.gz`` or
+    ``…/<split>/content/<scene>.json.gz``.
+    """
     folder = file.parent
     if folder.name == _SHARDS:
         return folder.parent.parent, folder.parent.name
@@ -170,7 +171,7 @@ def _check_truth_file(file: Path, root: Path, documents: Mapping[Path, Document]
 
 
 def _of_shards(truth: Path, documents: Mapping[Path, Document]) -> Document | None:
-    """The episodes of all shards together."""
+    """Return the episodes of all shards as one document."""
     together = Document("vlnce")
     for file, document in documents.items():
         if file.parent == truth.parent / _SHARDS:
@@ -179,7 +180,7 @@ def _of_shards(truth: Path, documents: Mapping[Path, Document]) -> Document | No
 
 
 def _check_leaks(splits: Mapping[str, tuple[str, Document]]) -> Iterator[Finding]:
-    """What two splits of one folder must not share."""
+    """Yield findings about what two splits of one folder must not share."""
     names = sorted(splits)
     for number, split in enumerate(names):
         file, document = splits[split]

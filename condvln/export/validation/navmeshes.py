@@ -1,7 +1,7 @@
-"""The navmesh that an episode is checked against, where one can be found.
+"""Find the navmesh that an episode is checked against.
 
-An export of ours names it in its manifest, by path and hash. A stranger's file names a scene only: its navmesh stands
-beside the mesh, as Habitat's own datasets have it.
+Our exports name it in the manifest, by path and hash. Other files name only a scene, whose navmesh is beside the mesh,
+as in Habitat's own datasets.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ __all__ = ["EpisodeNavmeshes"]
 
 _SCENES: Final = ("data", "scene_datasets")
 _LEVELS: Final = 3
-"""Folders from a split's file up to its export: variant, split, content."""
+"""Number of folders from a split's file up to its export: variant, split, content."""
 
 
 class EpisodeNavmeshes:
-    """Finds navmeshes below some folders.
+    """Finds the navmeshes of episodes below some folders.
 
     Parameters
     ----------
-    path : what is checked; where it is of an export, the export is looked in first
+    path : the checked file; if it belongs to an export, the export is searched first
     roots : folders of datasets, or the folder of scene datasets
 
     Attributes
     ----------
     checked : scenes whose navmesh was found
-    lacking : why a scene has none, by scene_id
+    lacking : why no navmesh was found, by scene_id
     """
 
     def __init__(self, path: Path, roots: Sequence[Path]) -> None:
@@ -47,7 +47,7 @@ class EpisodeNavmeshes:
         self.lacking: dict[str, str] = {}
 
     def __call__(self, episode: Mapping[str, Any]) -> Pathfinder | None:
-        """The pathfinder of an episode's scene; None where there is none."""
+        """Return the pathfinder of an episode's scene; None if there is none."""
         info, scene = episode.get("info"), str(episode.get("scene_id"))
         digest = str(info.get("navmesh_sha256")) if isinstance(info, dict) else ""
         key = scene, digest
@@ -75,7 +75,7 @@ class EpisodeNavmeshes:
             raise MissingFileError(f"no navmesh of {scene!r}")
         name = PurePosixPath(*parts).with_suffix(".navmesh")
         for root in self._roots:
-            # A root is the folder of all scene datasets, or that of one.
+            # A root is either the folder of all scene datasets, or of one of them.
             for relative in (name, PurePosixPath(*name.parts[1:])):
                 if relative.name and (root / relative).is_file():
                     return root / relative
@@ -83,7 +83,7 @@ class EpisodeNavmeshes:
 
 
 def _recorded(export: Path) -> dict[str, str]:
-    """Path of the navmesh by its hash, as the manifests have it; damaged lines are passed over."""
+    """Return the path of each navmesh by its hash, from the manifests; damaged lines are skipped."""
     found: dict[str, str] = {}
     for path in manifest_paths(export):
         for line in manifest_lines(path):

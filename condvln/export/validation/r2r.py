@@ -1,4 +1,4 @@
-"""Checks of discrete R2R files, against the scans' graphs where they are given."""
+"""Checks of discrete R2R files, also against the scans' graphs if given."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ __all__ = ["check_r2r"]
 _REQUIRED: Final = frozenset({"scan", "path_id", "path", "heading", "instructions"})
 _ALLOWED: Final = _REQUIRED | {"distance"}
 _DISTANCE: Final = 0.02
-"""Metres: R2R rounds distances to 1 cm."""
+"""Tolerance in metres: R2R rounds distances to 1 cm."""
 
 
 def check_r2r(report: LintReport, items: list[Any], graphs: Mapping[str, GraphPathfinder] | None = None) -> set[str]:
-    """Check one file; its scans."""
+    """Check one file and return the ids of its scans."""
     if not items:
         report.add("", "no-episodes", "there is none")
     seen: set[str] = set()
@@ -29,7 +29,7 @@ def check_r2r(report: LintReport, items: list[Any], graphs: Mapping[str, GraphPa
     for number, item in enumerate(items):
         place = f"[{number}]"
         report.episode = ""
-        # R2R's readers take plain dictionaries: a key more does no harm.
+        # R2R's readers take plain dictionaries, so additional keys are harmless.
         keys = _ALLOWED | set(item) if isinstance(item, dict) else _ALLOWED
         if not check_keys(report, place, item, _REQUIRED, frozenset(keys)):
             continue
@@ -55,7 +55,7 @@ def _check(report: LintReport, place: str, item: dict[str, Any], graph: GraphPat
         report.add(f"{place}.path", "wrong-type", "not a list of two viewpoints or more")
         return
     if any(a == b for a, b in pairwise(path)):
-        report.add(f"{place}.path", "duplicate-viewpoint", "a viewpoint follows itself")
+        report.add(f"{place}.path", "duplicate-viewpoint", "a viewpoint is repeated in succession")
     if graph is not None:
         _check_graph(report, place, item, graph)
 

@@ -1,4 +1,4 @@
-"""Checks of ground-truth documents ``{episode id: {locations, forward_steps, actions}}`` beside their episodes."""
+"""Checks of ground-truth documents ``{episode id: {locations, forward_steps, actions}}``."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ _ALLOWED: Final = frozenset({"locations", "forward_steps", "actions"})
 _STOP, _FORWARD, _ACTIONS = 0, 1, range(4)
 
 _START: Final = 0.25
-"""Metres by which locations may begin beside the start: one forward step."""
+"""Tolerance in metres between the first location and the start: one forward step."""
 _DENSE: Final = 1.0
-"""Metres between locations beyond which nDTW suffers: a step of the coarsest agents."""
+"""Distance in metres between locations above which nDTW becomes too low: the step of the coarsest agents."""
 
 
 def check_truths(report: LintReport, content: dict[str, Any], document: Document | None) -> None:
-    """Check one ground-truth document, against its episodes where they are given."""
+    """Check one ground-truth document, also against its episodes if given."""
     for name, truth in content.items():
         place = f"episode {name}"
         report.episode = name

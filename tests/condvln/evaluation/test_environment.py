@@ -221,7 +221,7 @@ def test_scenes_are_kept_open_while_there_is_room(made: tuple[Export, Path]) -> 
     assert views(names[0]) is first
     views(names[1])
     assert views(names[0]) is not first
-    with pytest.raises(UsageError, match="no dataset of the family 'gibson'"):
+    with pytest.raises(UsageError, match="no dataset was given for the family 'gibson'"):
         views("gibson/x")
 
 
@@ -238,5 +238,5 @@ def test_what_is_asked_must_be_there(made: tuple[Export, Path]) -> None:
         env.step(np.int64(4))
     with pytest.raises(UsageError, match="no camera preset"):
         environment(made, cameras="eagle")
-    with pytest.raises(UsageError, match="no dataset of the family"):
+    with pytest.raises(UsageError, match="no dataset was given for the family"):
         environment(made, sources={}).reset()
