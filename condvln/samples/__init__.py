@@ -1,4 +1,4 @@
-"""Makes whole scenes in each source's native format, so that everything runs with no download."""
+"""Generate whole scenes in each source's native format, so that everything runs without a download."""
 
 from condvln.samples.apartment import make_layout
 from condvln.samples.layout import Door, Furniture, Layout, Room, Yaw

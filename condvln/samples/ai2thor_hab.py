@@ -1,8 +1,9 @@
-"""Layouts as Habitat has ProcTHOR's houses (``ai2thor-hab``): scene instances without rooms, and the houses apart.
+"""Write layouts in the form of Habitat's ProcTHOR dataset (``ai2thor-hab``): scene instances without rooms, plus
+houses.
 
-``hab/`` is a Habitat scene dataset in whose names and folders the released one's are followed
+``hab/`` is a Habitat scene dataset with the names and folders of the released one
 (``configs/scenes/ProcTHOR/<n>/ProcTHOR-Train-<k>.scene_instance.json``); ``houses/train.jsonl.gz`` has house k in line
-k. Both are in the house's own frame, z mirrored. Rooms stand in the houses alone.
+k. Both are in the house's own frame, with z mirrored. Only the houses contain rooms.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ __all__ = ["HOUSES", "SCENES", "ai2thor_hab_files"]
 
 SCENES: Final = "hab"
 HOUSES: Final = "houses"
-"""The two folders."""
+"""The two folders of the dataset."""
 
 SCENES_A_FOLDER: Final = 100
 DECIMALS: Final = 6
@@ -33,7 +34,9 @@ _LEFT_OUT: Final = ("navmeshes", "configs/semantics/")
 
 
 def ai2thor_hab_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, bytes]]:
-    """All files: path relative to the folder that holds both, and bytes. Layout k is ``ProcTHOR-Train-<k>``."""
+    """Yield all files as (path relative to the folder that holds both parts, bytes). Layout k is
+    ``ProcTHOR-Train-<k>``.
+    """
     for path, content in procthor_files(layouts):
         yield f"{HOUSES}/{path.replace('houses.', 'train.')}", content
     named = {f"ProcTHOR-Train-{k}": in_house_frame(layout) for k, layout in enumerate(layouts.values())}
@@ -54,7 +57,7 @@ def ai2thor_hab_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, byte
 
 
 def in_house_frame(layout: Layout) -> Layout:
-    """The same apartment in the frame of its house: Unity's lowest corner at the origin, then z mirrored."""
+    """Return the same apartment in its house's frame: Unity's lowest corner at the origin, then z mirrored."""
     (x0, _), (_, z1) = layout.bounds
 
     def point(x: float, z: float) -> tuple[float, float]:
@@ -88,13 +91,13 @@ def _dataset(content: bytes) -> bytes:
 
 
 def _lexicon(content: bytes) -> bytes:
-    """AI2-THOR's object types for the catalogue's words."""
+    """Return the semantic lexicon with AI2-THOR's object types in place of the catalogue's words."""
     classes = [{**c, "name": native_labels()[c["name"]].ai2thor} for c in orjson.loads(content)["classes"]]
     return orjson.dumps({"classes": classes})
 
 
 def _articulated(name: str) -> bytes:
-    """A body by its own type, since Habitat's ProcTHOR has no names for types."""
+    """Return an articulated body under its own type, since Habitat's ProcTHOR has no names for types."""
     (label,) = {kind.label for kind in catalogue().values() if kind.urdf == name}
     number = sorted({kind.label for kind in catalogue().values()}).index(label) + 1
     return orjson.dumps({"urdf_filepath": f"{name}.urdf", "semantic_id": number})

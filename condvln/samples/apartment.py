@@ -1,4 +1,4 @@
-"""``make_layout``: a seeded apartment, from floor plan to the last vase."""
+"""``make_layout``: generate a seeded apartment, from floor plan to the smallest object."""
 
 from __future__ import annotations
 
@@ -18,26 +18,27 @@ from schemas.errors import UsageError
 __all__ = ["make_layout"]
 
 CEILINGS: Final = (2500, 2600, 2700, 2800)
-"""Heights of a ceiling, millimetres."""
+"""Possible ceiling heights in millimetres."""
 
 DOOR_HEIGHT: Final = 2050
-"""Height of an opening, millimetres."""
+"""Height of an opening in millimetres."""
 
 ROOM_TRIES: Final = 8
-"""Draws of one room's furniture before the whole plan is drawn again."""
+"""Largest number of attempts to furnish one room before the whole plan is drawn again."""
 
 
 def make_layout(seed: int, n_rooms: int | None = None) -> Layout:
-    """A whole apartment, the same for the same arguments on every machine.
+    """Generate a whole apartment; equal arguments give the same one on every machine.
 
     Parameters
     ----------
     seed : any integer
-    n_rooms : 2 to 8; drawn from the seed where None
+    n_rooms : 2 to 8; drawn from the seed if None
 
     Returns
     -------
-    Layout whose free floor is one part for an agent of radius 0.1 m; 5 to 12 objects a room, none overlapping.
+    A layout whose free floor is connected for an agent of radius 0.1 m, with 5 to 12 objects per room, none
+    overlapping.
 
     Raises
     ------
@@ -49,7 +50,8 @@ def make_layout(seed: int, n_rooms: int | None = None) -> Layout:
         )
     attempt = 0
     while True:
-        # Seeding with text goes through SHA-512: no hash randomisation, and draws of one part leave the others alone.
+        # Seeding with text uses SHA-512, so there is no hash randomisation, and the draws of one part do not affect
+        # others.
         rng = random.Random(f"apartment/{seed}/{n_rooms}/{attempt}")
         plan = draw_floor_plan(rng, n_rooms or rng.randint(MIN_ROOMS, MAX_ROOMS))
         spaces = _furnished(f"{seed}/{attempt}", plan)
@@ -75,7 +77,7 @@ def _furnished(seed: str, plan: FloorPlan) -> list[RoomSpace] | None:
 
 
 def _door_zone(door: PlanDoor, plan: FloorPlan, room: int) -> DoorZone:
-    """The part of this room's floor that lies before the door."""
+    """Return the part of this room's floor in front of the door."""
     half = door.width // 2
     sides = []
     for sign in (-1, 1):

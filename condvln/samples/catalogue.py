@@ -1,6 +1,6 @@
-"""The kinds of objects in made apartments, read from ``catalogue.csv``: label, sizes, shape, habits.
+"""The kinds of objects in generated apartments, read from ``catalogue.csv``: label, sizes, shape, placement.
 
-Every kind comes in a few sizes (variants), so that scenes share models the way real datasets do.
+Every kind comes in a few sizes (variants), so that scenes share models as real datasets do.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from typing import Final
 __all__ = ["VARIANTS", "Kind", "catalogue"]
 
 VARIANTS: Final = 4
-"""Sizes that each kind comes in."""
+"""Number of sizes of each kind."""
 
 ARTICULATED_SCALES: Final = (0.9, 0.96, 1.0, 1.1)
-"""Articulated kinds are one body, scaled as a whole; these keep its half sizes in whole millimetres."""
+"""Scales of articulated kinds, which are one body scaled as a whole; they keep its half sizes in whole millimetres."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,10 +26,10 @@ class Kind:
 
     Attributes
     ----------
-    kind, label : its name here, and the everyday word that is its class in every dataset
-    sizes : (width, height, depth) of each variant, all even, so that half sizes are whole
+    kind, label : its name in the catalogue, and the everyday word used as its class in every dataset
+    sizes : (width, height, depth) of each variant, all even, so that half sizes are integers
     shape : name of its geometry in ``condvln.samples.shapes``
-    hang : height of its lower edge where it hangs on a wall, else None
+    hang : height of its lower edge if it hangs on a wall, else None
     front : depth kept free in front of it
     turns : may be placed at an angle that is not a multiple of 90°
     urdf : name of its articulated body, if it is one, with `scales` by variant
@@ -65,7 +65,7 @@ def _sizes(row: dict[str, str]) -> tuple[tuple[int, int, int], ...]:
     if row["urdf"]:
         base = [_millimetres(row[axis].split("-")[0]) for axis in ("width", "height", "depth")]
         return tuple((round(base[0] * s), round(base[1] * s), round(base[2] * s)) for s in ARTICULATED_SCALES)
-    # Turned boxes stay on the millimetre grid where half sizes are multiples of 25 mm (see layout.Yaw).
+    # Boxes at free angles stay on the millimetre grid if half sizes are multiples of 25 mm (see layout.Yaw).
     plan_step = 50 if row["turns"] else 20
     sizes = []
     for variant in range(VARIANTS):
@@ -83,7 +83,7 @@ def _sizes(row: dict[str, str]) -> tuple[tuple[int, int, int], ...]:
 
 @cache
 def catalogue() -> dict[str, Kind]:
-    """All kinds by name, in the order of the file."""
+    """Return all kinds by name, in the order of the file."""
     text = resources.files("condvln.samples").joinpath("catalogue.csv").read_text(encoding="utf-8")
     return {
         row["kind"]: Kind(

@@ -1,4 +1,4 @@
-"""Free floor polygons as a conforming mesh of convex polygons, and that mesh as a ``.navmesh`` file."""
+"""Convert free floor polygons to a conforming mesh of convex polygons, and to a ``.navmesh`` file."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ __all__ = ["NAVMESH_HEIGHT", "NavmeshEngine", "convex_polygons", "navmesh_of"]
 NavmeshEngine = Literal["polygons", "recast"]
 
 NAVMESH_HEIGHT: Final = 0.1
-"""Metres of the navmesh above the floor: where Habitat's voxels put it over a floor slab 0.1 m thick."""
+"""Height in metres of the navmesh above the floor: where Habitat's voxels put it above a floor slab 0.1 m thick."""
 
 MAX_CORNERS: Final = 6
-"""Corners that a Detour polygon may have."""
+"""Largest number of corners of a Detour polygon."""
 
 KEY_DECIMALS: Final = 6
-"""Decimals of a metre that distinguish corners; they lie on the millimetre grid."""
+"""Decimals in metres that distinguish corners; corners lie on the millimetre grid."""
 
 
 def navmesh_of(layout: Layout, settings: NavMeshSettings, engine: NavmeshEngine = "polygons") -> NavMeshFile:
-    """The navmesh of a layout for an agent of ``settings.agent_radius``.
+    """Return the navmesh of a layout for an agent of ``settings.agent_radius``.
 
     Parameters
     ----------
-    engine : ``polygons`` takes the free floor as it is known, one island and exact; ``recast`` voxelises the layout's
-        triangles as Habitat does, tops of furniture included
+    engine : ``polygons`` uses the exact free floor, which is one island; ``recast`` voxelises the layout's triangles as
+        Habitat does, including tops of furniture
     """
     if engine == "recast":
         return build_navmesh(*layout_triangles(layout), settings)
@@ -47,10 +47,10 @@ def navmesh_of(layout: Layout, settings: NavMeshSettings, engine: NavmeshEngine 
 
 
 def convex_polygons(floor: shapely.Geometry) -> tuple[NDArray[np.float64], list[list[int]]]:
-    """Constrained Delaunay triangles of `floor`, merged to convex polygons of up to six corners.
+    """Return convex polygons of up to six corners, merged from the constrained Delaunay triangles of `floor`.
 
-    Polygons meet along whole edges only, so that neighbours are those that share two vertices. Merging takes the pair
-    with the longest common edge first, as Recast's ``rcBuildPolyMesh`` does.
+    Polygons meet along whole edges only, so two polygons are neighbours if they share two vertices. The pair with the
+    longest common edge is merged first, as in Recast's ``rcBuildPolyMesh``.
 
     Returns
     -------
@@ -59,20 +59,20 @@ def convex_polygons(floor: shapely.Geometry) -> tuple[NDArray[np.float64], list[
     triangles = np.round(_triangles(floor), KEY_DECIMALS)
     vertices, index = np.unique(triangles.reshape(-1, 2), axis=0, return_inverse=True)
     corners = [[int(i) for i in row] for row in index.reshape(-1, 3)]
-    # Delaunay triangles may come in either winding.
+    # Delaunay triangles may have either winding.
     wound = [row if _turn(vertices, *row) > 0 else row[::-1] for row in corners]
     return vertices, _merged(vertices, wound)
 
 
 def _triangles(floor: shapely.Geometry) -> NDArray[np.float64]:
-    """(n, 3, 2) corners, in an order that depends on the geometry alone."""
+    """Return triangle corners (n, 3, 2), in an order that depends only on the geometry."""
     parts = shapely.get_parts(shapely.constrained_delaunay_triangles(shapely.normalize(floor)))
     rings = np.array([shapely.get_coordinates(part)[:3] for part in parts])
     return rings[np.lexsort(rings.reshape(len(rings), -1).T[::-1])]
 
 
 def _turn(vertices: NDArray[np.float64], a: int, b: int, c: int) -> float:
-    """Twice the area of the triangle a, b, c; positive where it turns left."""
+    """Return twice the signed area of the triangle a, b, c; positive if it turns left."""
     (ax, az), (bx, bz), (cx, cz) = vertices[[a, b, c]]
     return float((bx - ax) * (cz - az) - (bz - az) * (cx - ax))
 
@@ -87,7 +87,7 @@ def _merged(vertices: NDArray[np.float64], polygons: list[list[int]]) -> list[li
         _, edge = heapq.heappop(waiting)
         left, right = owner.get(edge), owner.get(edge[::-1])
         if left is None or right is None:
-            continue  # merged away since it was queued
+            continue  # already merged since it was queued
         joined = _joined(vertices, alive[left], alive[right], edge)
         if joined is None:
             continue
@@ -95,7 +95,7 @@ def _merged(vertices: NDArray[np.float64], polygons: list[list[int]]) -> list[li
         alive[number] = joined
         for side in _edges(joined):
             owner[side] = number
-            # Its neighbours' common edges get another chance with the new shape.
+            # The common edges of its neighbours are queued again for the merged polygon.
             if side[::-1] in owner:
                 key = min(side, side[::-1])
                 heapq.heappush(waiting, (-_length(vertices, key), key))
@@ -114,7 +114,9 @@ def _length(vertices: NDArray[np.float64], edge: tuple[int, int]) -> float:
 def _joined(
     vertices: NDArray[np.float64], left: list[int], right: list[int], edge: tuple[int, int]
 ) -> list[int] | None:
-    """Both polygons as one, or None where that has too many corners, is not convex, or shares more than this edge."""
+    """Return both polygons merged; None if the result has too many corners, is not convex, or they share more than
+    this edge.
+    """
     if len(left) + len(right) - 2 > MAX_CORNERS or len(set(left) & set(right)) > 2:
         return None
     a, b = edge

@@ -1,8 +1,8 @@
 """Seeded floor plans of two to eight rooms: cells, their room types, and the doors between them.
 
-Small apartments are cut recursively by area; larger ones are two rows of rooms along a hallway, whose end may belong
-to a neighbouring room (which is then L-shaped). A draw that gives a room too narrow, or makes people walk through a
-bathroom, is thrown away and the next one tried.
+Small apartments are divided recursively by area; larger ones have two rows of rooms along a hallway, part of which may
+belong to an adjacent room (which is then L-shaped). Plans with a room that is too narrow, or that can only be reached
+through a bathroom, are rejected and drawn again.
 """
 
 from __future__ import annotations
@@ -22,20 +22,22 @@ MIN_ROOMS: Final = 2
 MAX_ROOMS: Final = 8
 
 GRID: Final = 50
-"""Millimetres that walls are placed on."""
+"""Grid in millimetres on which walls are placed."""
 
 DOOR_WIDTHS: Final = (900, 950, 1000)
-"""Millimetres of an ordinary doorway."""
+"""Width in millimetres of an ordinary doorway."""
 
 OPENING_WIDTHS: Final = (1200, 1400, 1600)
-"""Millimetres of a wide opening between two rooms that one lives in."""
+"""Width in millimetres of a wide opening between two living areas."""
 
 DOOR_CORNER_MARGIN: Final = 250
-"""Millimetres kept between an opening and the ends of its wall."""
+"""Least distance in millimetres between an opening and the ends of its wall."""
 
 
 class RoomKind(NamedTuple):
-    """What a room of one type measures: area in square metres (from, to) and its shortest side in millimetres."""
+    """The dimensions of a room type: range of area in square metres and least length of its shorter side in
+    millimetres.
+    """
 
     area: tuple[float, float]
     side: int
@@ -53,7 +55,7 @@ ROOM_KINDS: Final = {
 }
 
 MAX_ASPECT: Final = 2.3
-"""Longest side over shortest side of any cell but a hallway."""
+"""Largest ratio of longest to shortest side of any cell but a hallway."""
 
 PROGRAMMES: Final[dict[int, tuple[tuple[str, ...], ...]]] = {
     2: (("living room", "bathroom"), ("bedroom", "bathroom"), ("living room", "kitchen"), ("living room", "bedroom")),
@@ -90,31 +92,33 @@ PROGRAMMES: Final[dict[int, tuple[tuple[str, ...], ...]]] = {
         ("hallway", "living room", "kitchen", "dining room", "bedroom", "bedroom", "bathroom", "office"),
     ),
 }
-"""Room types of an apartment, by number of rooms."""
+"""Possible room types of an apartment, by number of rooms."""
 
 SHARED: Final = frozenset({"hallway", "living room", "dining room", "kitchen"})
-"""Rooms that one may walk through; all others are ends, save a bedroom with its own bathroom."""
+"""Room types that may be passed through; all others are dead ends, except a bedroom with its own bathroom."""
 
 WIDE: Final = frozenset({"living room", "dining room", "kitchen"})
-"""Rooms between which the opening may be wide."""
+"""Room types between which the opening may be wide."""
 
 EXTRA_DOOR_CHANCE: Final = 0.45
-"""Chance of one more door between two shared rooms that are joined already: a second way round."""
+"""Probability of one more door between two shared rooms that are already connected, which creates a loop."""
 
 CUT_TRIES: Final = 400
-"""Draws of one programme before it is given up as not fitting."""
+"""Largest number of attempts for one list of rooms before it counts as impossible."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlanRoom:
-    """A cell: its type, one or two rectangles (to the middle of the walls), and their union's corners (x, z), mm."""
+    """A cell: its type, one or two rectangles (to the middle of the walls), and the corners (x, z) of their union,
+    mm.
+    """
 
     label: str
     rects: tuple[Rect, ...]
 
     @property
     def corners(self) -> tuple[tuple[int, int], ...]:
-        """Corners of the union, shoelace positive, beginning with the lowest (x, z)."""
+        """Corners of the union with positive shoelace sum, beginning with the lowest (x, z)."""
         union = shapely.union_all([rect.polygon for rect in self.rects]).simplify(0)
         ring = shapely.geometry.polygon.orient(union, 1.0).exterior.coords[:-1]
         corners = [(round(x), round(z)) for x, z in ring]
@@ -123,7 +127,9 @@ class PlanRoom:
 
 
 class PlanDoor(NamedTuple):
-    """An opening of `width` between cells `a` and `b`: on x = `at` (or z = `at` if `along_x`), centred at `middle`."""
+    """An opening between cells `a` and `b`: on x = `at` (or z = `at` if `along_x`), centred at `middle`, `width`
+    wide, mm.
+    """
 
     a: int
     b: int
@@ -135,7 +141,7 @@ class PlanDoor(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class FloorPlan:
-    """Cells and doors of an apartment, millimetres."""
+    """The cells and doors of an apartment, in millimetres."""
 
     rooms: tuple[PlanRoom, ...]
     doors: tuple[PlanDoor, ...]
@@ -151,7 +157,7 @@ class _Wall(NamedTuple):
 
 
 def draw_floor_plan(rng: random.Random, n_rooms: int) -> FloorPlan:
-    """Floor plan of `n_rooms` rooms (2 to 8), turned and mirrored at random, near the origin."""
+    """Draw a floor plan of `n_rooms` rooms (2 to 8), rotated and mirrored at random, near the origin."""
     while True:
         programme = rng.choice(PROGRAMMES[n_rooms])
         cells = _corridor_cells(rng, programme) if "hallway" in programme else _cut_cells(rng, programme)
@@ -179,7 +185,7 @@ def _fits(room: PlanRoom) -> bool:
 
 
 def _cut_cells(rng: random.Random, programme: Sequence[str]) -> list[PlanRoom] | None:
-    """Cut one rectangle recursively, by area and across its longer side."""
+    """Divide one rectangle recursively by area, across its longer side; None if a room does not fit."""
     for _ in range(CUT_TRIES):
         labels = rng.sample(programme, len(programme))
         areas = [_area(rng, label) for label in labels]
@@ -209,7 +215,7 @@ def _cut_cells(rng: random.Random, programme: Sequence[str]) -> list[PlanRoom] |
 
 
 def _corridor_cells(rng: random.Random, programme: Sequence[str]) -> list[PlanRoom] | None:
-    """Two rows of rooms with a hallway between them."""
+    """Return two rows of rooms with a hallway between them; None if a room does not fit."""
     others = [label for label in programme if label != "hallway"]
     for _ in range(CUT_TRIES):
         hall = _snapped(rng.uniform(1500, 1900))
@@ -254,7 +260,7 @@ def _shorten_hallway(rng: random.Random, cells: list[PlanRoom], strip: Rect) -> 
 
 
 def _placed(rng: random.Random, cells: Sequence[PlanRoom]) -> tuple[PlanRoom, ...]:
-    """Turn and mirror the plan at random and put its middle within 3 m of the origin."""
+    """Rotate and mirror the plan at random and put its centre within 3 m of the origin."""
     transpose, mirror = rng.random() < 0.5, rng.random() < 0.5
     turned = []
     for cell in cells:
@@ -272,7 +278,7 @@ def _placed(rng: random.Random, cells: Sequence[PlanRoom]) -> tuple[PlanRoom, ..
 
 
 def _walls(rooms: Sequence[PlanRoom]) -> list[_Wall]:
-    """The longest wall that each pair of neighbouring cells shares."""
+    """Return the longest wall that each pair of adjacent cells shares."""
     walls = []
     for b in range(len(rooms)):
         for a in range(b):
@@ -295,7 +301,7 @@ def _shared_side(a: int, b: int, p: Rect, q: Rect) -> _Wall | None:
 
 
 def _reluctance(one: str, other: str) -> float:
-    """How little one wants a door between two types; the doors of a plan are the cheapest tree."""
+    """Return the cost of a door between two room types; the doors of a plan are the cheapest spanning tree."""
     pair = {one, other}
     if "hallway" in pair:
         return 1.0
@@ -309,7 +315,7 @@ def _reluctance(one: str, other: str) -> float:
 
 
 def _doors(rng: random.Random, rooms: Sequence[PlanRoom]) -> tuple[PlanDoor, ...] | None:
-    """Doors that join all cells without a way through a private room; None if the plan has no such doors."""
+    """Return doors that connect all cells without a path through a private room; None if that is impossible."""
     room_for_door = max(DOOR_WIDTHS) + 2 * DOOR_CORNER_MARGIN
     walls = [wall for wall in _walls(rooms) if wall.high - wall.low >= room_for_door]
     ranked = sorted(
@@ -351,6 +357,6 @@ def _door(rng: random.Random, wall: _Wall, rooms: Sequence[PlanRoom]) -> PlanDoo
     width = rng.choice(widths)
     low = wall.low + DOOR_CORNER_MARGIN + width // 2
     high = wall.high - DOOR_CORNER_MARGIN - width // 2
-    # Doors mostly stand near a corner, which leaves the rest of the wall to furniture.
+    # Doors are usually near a corner, which leaves the rest of the wall to furniture.
     middle = rng.choice((low, high)) if rng.random() < 0.6 else low + _snapped(rng.uniform(0, high - low))
     return PlanDoor(wall.a, wall.b, wall.along_x, wall.at, min(middle, high), width)

@@ -1,4 +1,4 @@
-"""The floor that is left for an agent: the open plan less walls and furniture, shrunk by the agent's radius."""
+"""The free floor of an agent: the open plan minus walls and furniture, shrunk by the agent's radius."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ __all__ = ["free_floor", "open_plan"]
 MILLIMETRE: Final = 0.001
 
 SLIT: Final = 0.05
-"""Strips of free floor narrower than this (metres) are left out, as a voxel builder would."""
+"""Strips of free floor narrower than this (metres) are removed, as a voxel-based builder would."""
 
 
 def free_floor(layout: Layout, radius: float = 0.1) -> shapely.Geometry:
-    """Where the centre of an agent of this radius (metres) may be: a polygon over (x, z), corners on the mm grid.
+    """Return where the centre of an agent of this radius (metres) may be: polygons over (x, z), corners on the mm grid.
 
-    Walls and the footprints of everything between ankle and head height are kept clear of; rugs and mats are walked
-    over. More than one polygon where the floor falls apart for that radius.
+    Obstacles are walls and the footprints of everything between ankle and head height; rugs and mats are walkable. The
+    result has several polygons if the floor is not connected for that radius.
     """
     blocked = [
         piece.footprint.buffer(radius, join_style="mitre")
@@ -33,7 +33,7 @@ def free_floor(layout: Layout, radius: float = 0.1) -> shapely.Geometry:
 
 
 def open_plan(layout: Layout) -> shapely.Geometry:
-    """The floor between the walls, doorways included, furniture not looked at."""
+    """Return the floor between the walls, doorways included, furniture ignored."""
     rooms = [room.shape.buffer(-WALL_THICKNESS / 2, join_style="mitre") for room in layout.rooms]
     doors = []
     for door in layout.doors:

@@ -1,4 +1,4 @@
-"""Furnish one room by the recipe of its type (``recipes.yaml``)."""
+"""Furnish a room by the recipe of its type (``recipes.yaml``)."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ __all__ = ["MAX_OBJECTS", "MIN_OBJECTS", "ROW", "Recipe", "Step", "furnish", "re
 
 MIN_OBJECTS: Final = 5
 MAX_OBJECTS: Final = 12
-"""Objects of a room; each room draws its number between a little above the least and the most."""
+"""Bounds of the number of objects in a room; each room draws its number, slightly above the lower bound."""
 
 FILLER: Final = "filler"
-"""The recipe that tops up rooms with too few objects."""
+"""The recipe that fills up rooms with too few objects."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,18 +39,18 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """What a room type holds: `first` in order, `then` in random order."""
+    """The objects of a room type: `first` in order, `then` in random order."""
 
     first: tuple[Step, ...]
     then: tuple[Step, ...]
 
 
 ROW: Final = "row"
-"""`at` of a step whose kinds stand in one line along a wall."""
+"""Value of `at` for a step whose kinds form one line along a wall."""
 
 
 def furnish(rng: random.Random, room: RoomSpace) -> bool:
-    """Fill `room` in place with 5 to 12 pieces; False where what makes it such a room does not fit."""
+    """Fill `room` in place with 5 to 12 pieces; return False if the pieces required for its type do not fit."""
     recipe = recipes()[room.label]
     wanted = rng.randint(MIN_OBJECTS + 2, MAX_OBJECTS)
     for step in recipe.first:
@@ -65,8 +65,10 @@ def furnish(rng: random.Random, room: RoomSpace) -> bool:
 
 
 def _follow(rng: random.Random, room: RoomSpace, step: Step, most: int) -> bool:
-    """Carry out one step while the room holds fewer than `most`; True if it placed something or was not called for."""
-    # All draws are made before anything ends the step: it depends on those before it as little as can be.
+    """Carry out one step while the room holds fewer than `most` pieces; return True if it placed one or was skipped
+    by chance.
+    """
+    # All random draws are made first, so that a step depends as little as possible on earlier steps.
     used, count = rng.random() < step.chance, rng.randint(*step.count)
     if step.unless and room.of_kind(step.unless):
         return True
@@ -113,7 +115,7 @@ def _place_row(rng: random.Random, room: RoomSpace, step: Step) -> bool:
 
 @cache
 def recipes() -> dict[str, Recipe]:
-    """Recipes by room type, and the filler."""
+    """Return the recipes by room type, and the filler recipe."""
     text = resources.files("condvln.samples").joinpath("recipes.yaml").read_text(encoding="utf-8")
     return {
         label: Recipe(*(tuple(_step(line) for line in recipe.get(part, ())) for part in ("first", "then")))

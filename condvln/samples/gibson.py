@@ -1,9 +1,10 @@
-"""Layouts as Gibson buildings with their 3D scene graphs, in both forms that they come in.
+"""Write layouts as Gibson buildings with 3D scene graphs, in both of their formats.
 
-Even scenes are ``verified/<name>.scn``, the JSON that habitat-sim's ``npz2scn.py`` makes; odd ones the original
-``verified/3DSceneGraph_<name>.npz``, whose one array is a pickled dictionary. Both are z-up, (x, y, z) is (x, −z, y)
-there, and know axis-aligned boxes only: no room outlines, no angles. As in the originals, ``floor_area`` is a perimeter
-and ``floor_number`` a letter. ``<name>.glb``, z-up too, and ``<name>.navmesh``, in Habitat's frame, stand beside them.
+Even scenes are ``verified/<name>.scn``, the JSON written by habitat-sim's ``npz2scn.py``; odd scenes are the original
+``verified/3DSceneGraph_<name>.npz``, whose one array is a pickled dictionary. Both formats are z-up with (x, −z, y) for
+(x, y, z), and have only axis-aligned boxes: no room outlines, no angles. As in the originals, ``floor_area`` is a
+perimeter and ``floor_number`` a letter. ``<name>.glb``, also z-up, and ``<name>.navmesh``, in Habitat's frame, are in
+the same folder.
 """
 
 from __future__ import annotations
@@ -30,18 +31,18 @@ __all__ = ["gibson_files", "version_1"]
 Form = Literal["scn", "npz"]
 
 CATEGORIES: Final = {"hallway": "corridor", "office": "home_office"}
-"""Gibson's names of room types; others are ours with underscores."""
+"""Gibson's names of room types; other types use our names with underscores."""
 
 Json = dict[str, Any]
 F64 = NDArray[np.float64]
 
 
 def gibson_files(layouts: Mapping[str, Layout], form: Form | None = None) -> Iterator[tuple[str, bytes]]:
-    """All files of the dataset: path relative to its root, and bytes.
+    """Yield all files of the dataset as (path relative to its root, bytes).
 
     Parameters
     ----------
-    form : the form of every scene graph; they take turns where None
+    form : the format of every scene graph; None alternates between both
     """
     for number, (name, layout) in enumerate(layouts.items()):
         chosen = form or ("scn" if number % 2 == 0 else "npz")
@@ -56,12 +57,12 @@ def gibson_files(layouts: Mapping[str, Layout], form: Form | None = None) -> Ite
 
 
 def version_1(navmesh: NavMeshFile) -> NavMeshFile:
-    """The same navmesh in the form without settings that shipped scans have."""
+    """Return the same navmesh in the format without settings that released scans have."""
     return dataclasses.replace(navmesh, version=1, settings=None)
 
 
 def _records(layout: Layout, building: int) -> tuple[list[Json], list[Json]]:
-    """Rooms and objects with ids from 1."""
+    """Return rooms and objects with ids from 1."""
     rooms = [_room(room, layout.ceiling, i, building) for i, room in enumerate(layout.rooms, start=1)]
     number = {room.room_id: i for i, room in enumerate(layout.rooms, start=1)}
     return rooms, [_object(piece, i, number[piece.room_id]) for i, piece in enumerate(layout.furniture, start=1)]
@@ -113,7 +114,9 @@ def _object(piece: Furniture, number: int, room: int) -> Json:
 
 
 def _npz(name: str, number: int, layout: Layout, rooms: list[Json], objects: list[Json]) -> bytes:
-    """The original form: vectors are arrays, entries are by id, and the building's own arrays come along."""
+    """Return the original format: vectors are arrays, entries are keyed by id, and the building's own arrays are
+    included.
+    """
     (x0, z0), (x1, z1) = layout.bounds
     low, high = np.array([x0, 0.0, z0]), np.array([x1, layout.ceiling, z1])
     building = {

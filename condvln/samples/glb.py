@@ -1,6 +1,6 @@
-"""GLB files of boxes: one unit cube a mesh, placed by node transforms below a root that is turned and moved.
+"""Write GLB files of boxes: one unit cube per mesh, placed by node transforms below a rotated and translated root.
 
-Made to exercise readers: no node transform is the identity, vertices alone tell nothing of the extent.
+The files test readers: no node transform is the identity, so the vertices alone do not give the extent.
 """
 
 from __future__ import annotations
@@ -18,20 +18,22 @@ __all__ = ["Z_UP", "box_placements", "glb_of_boxes", "glb_of_cubes"]
 F64 = NDArray[np.float64]
 
 ROOT: Final = np.array([[1.0, 0.0, 0.0, 0.25], [0.0, 0.0, 1.0, -0.5], [0.0, -1.0, 0.0, 0.125], [0.0, 0.0, 0.0, 1.0]])
-"""Transform of the root node: content is z-up, as artists' tools export it, and its origin lies elsewhere."""
+"""Transform of the root node: z-up, as modelling tools export, with the origin elsewhere."""
 
 Z_UP: Final = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-"""From Habitat's frame to that of scans: (x, y, z) is (x, −z, y) there."""
+"""From Habitat's frame to that of scans: (x, y, z) becomes (x, −z, y)."""
 
 PALE: Final = 0.35
 """Least brightness of a colour; the rest follows from the name."""
 
 DECIMALS: Final = 9
-"""Decimals of a metre kept of a node's transform."""
+"""Decimals in metres kept of a node's transform."""
 
 
 def box_placements(boxes: F64) -> F64:
-    """(n, 4, 4) transforms of the unit cube about the origin to boxes (n, 2, 3) of lower and upper corners."""
+    """Return (n, 4, 4) transforms of the unit cube about the origin to boxes (n, 2, 3), given by lower and upper
+    corners.
+    """
     placements = np.zeros((len(boxes), 4, 4))
     placements[:, [0, 1, 2], [0, 1, 2]] = boxes[:, 1] - boxes[:, 0]
     placements[:, :3, 3] = (boxes[:, 0] + boxes[:, 1]) / 2
@@ -40,17 +42,17 @@ def box_placements(boxes: F64) -> F64:
 
 
 def glb_of_boxes(parts: Mapping[str, F64]) -> bytes:
-    """A binary glTF of axis-aligned boxes (n, 2, 3), metres, by name; see `glb_of_cubes`."""
+    """Return a binary glTF of axis-aligned boxes (n, 2, 3), metres, by name; see `glb_of_cubes`."""
     return glb_of_cubes({name: box_placements(boxes) for name, boxes in parts.items()})
 
 
 def glb_of_cubes(parts: Mapping[str, F64], frame: F64 | None = None) -> bytes:
-    """A binary glTF of placed unit cubes.
+    """Return a binary glTF of placed unit cubes.
 
     Parameters
     ----------
-    parts : name to (n, 4, 4) transforms of the unit cube, metres; each name is a mesh of its own colour
-    frame : (4, 4) from the frame of `parts` to the file's; they are the same where None
+    parts : name to (n, 4, 4) transforms of the unit cube, metres; each name becomes a mesh with its own colour
+    frame : (4, 4) from the frame of `parts` to the file's; identity if None
     """
     scene = trimesh.Scene()
     scene.graph.update(frame_from="world", frame_to="root", matrix=ROOT)

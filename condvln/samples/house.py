@@ -1,8 +1,8 @@
-"""The text of a Matterport3D ``.house`` file (ASCII 1.1) for a layout, with all kinds of records.
+"""Write a Matterport3D ``.house`` file (ASCII 1.1) for a layout, with all kinds of records.
 
-Record layouts after the data organisation page of Matterport3D (Chang et al. 2017), checked against a real file: two
-kinds begin with P; boxes of objects are half lengths along axes of which the longest comes first; ``region_index`` is
-what tells an object's room. Frame: (x, y, z) of the layout is (x, −z, y).
+Record formats follow the data organisation page of Matterport3D (Chang et al. 2017), checked against a real file: two
+kinds of records begin with P; object boxes are half lengths along axes, the longest first; ``region_index`` gives an
+object's room. Frame: (x, y, z) of the layout becomes (x, −z, y).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ REGION_LABELS: Final = {
     "laundry room": "j",
     "hallway": "h",
 }
-"""Matterport's letters of our room types."""
+"""Matterport3D's letters of our room types."""
 
 STRUCTURE: Final = (("wall", 1), ("floor", 2), ("ceiling", 17))
 """Structure that is annotated as objects in every region, with its mpcat40 index."""
@@ -43,47 +43,47 @@ MPCAT40: Final = (
     "blinds", "gym_equipment", "seating", "board_panel", "furniture", "appliances", "clothes", "objects",
     "misc", "unlabeled",
 )  # fmt: skip
-"""Matterport's coarse categories, by index."""
+"""Matterport3D's coarse categories, by index."""
 
 CAMERA_HEIGHT: Final = 1.5
-"""Metres of a panorama above the floor."""
+"""Height in metres of a panorama above the floor."""
 
 SURFACE: Final = 0.02
-"""Thickness of structure's boxes, metres."""
+"""Thickness in metres of the boxes of structure."""
 
 INTRINSICS: Final = (1073.5, 0.0, 640.0, 0.0, 1073.5, 512.0, 0.0, 0.0, 1.0)
 IMAGE_SIZE: Final = (1280, 1024)
-"""Camera matrix by rows and image size, pixels."""
+"""Camera matrix by rows, and image size in pixels."""
 
 UNLABELLED_HALF: Final = np.array([0.4, 0.5, 0.4])
-"""Half extents of the one thing that has no category, metres; real houses have such things."""
+"""Half extents in metres of the one object without a category; real houses have such objects."""
 
 F64 = NDArray[np.float64]
 Record = Sequence[object]
 
 
 def categories() -> list[tuple[str, int]]:
-    """(raw category, mpcat40 index) of all that may be annotated; the list is the same in every house."""
+    """Return (raw category, mpcat40 index) of everything that may be annotated; the list is the same in every house."""
     return [*STRUCTURE, *sorted({(native.mp3d, native.mpcat40) for native in native_labels().values()})]
 
 
 def scan_point(x: float, y: float, z: float) -> list[float]:
-    """A point of the layout in the scan's frame."""
+    """Return a point of the layout in the scan's frame."""
     return [x, -z, y]
 
 
 def _box(low: F64, high: F64) -> list[float]:
-    """Six numbers of a box in the scan's frame."""
+    """Return the six numbers of a box in the scan's frame."""
     return [*scan_point(low[0], low[1], high[2]), *scan_point(high[0], high[1], low[2])]
 
 
 def _text(value: object) -> str:
-    # As the originals: six significant digits.
+    # Six significant digits, as in the originals.
     return f"{value + 0.0:.6g}" if isinstance(value, float) else str(value)
 
 
 def house_text(name: str, layout: Layout, views: Viewpoints, ids: list[str]) -> bytes:
-    """The file's bytes; `ids` names the viewpoints' panoramas. Records come in the order of the originals."""
+    """Return the file's bytes; `ids` : panorama ids of the viewpoints. Records are in the order of the originals."""
     number = {room.room_id: i for i, room in enumerate(layout.rooms)}
     regions, surfaces, vertices = _regions(layout)
     panoramas, images = _panoramas(views, ids, number)
@@ -107,7 +107,7 @@ def house_text(name: str, layout: Layout, views: Viewpoints, ids: list[str]) -> 
 
 
 def _regions(layout: Layout) -> tuple[list[Record], list[Record], list[Record]]:
-    """R records, and the floor of each as S with its corners as V."""
+    """Return R records, the S record of each region's floor, and the V records of its corners."""
     regions: list[Record] = []
     surfaces: list[Record] = []
     vertices: list[Record] = []
@@ -122,7 +122,7 @@ def _regions(layout: Layout) -> tuple[list[Record], list[Record], list[Record]]:
 
 
 def _panoramas(views: Viewpoints, ids: list[str], number: Mapping[str, int]) -> tuple[list[Record], list[Record]]:
-    """P records of panoramas, with one image (I) each."""
+    """Return the P records of panoramas, with one image record (I) each."""
     panoramas: list[Record] = []
     images: list[Record] = []
     for i, (pano, place) in enumerate(zip(ids, views.places.tolist(), strict=True)):
@@ -133,17 +133,19 @@ def _panoramas(views: Viewpoints, ids: list[str], number: Mapping[str, int]) -> 
 
 
 def pose(spot: list[float]) -> list[float]:
-    """4 × 4 camera-to-world matrix, row by row. The camera's axes: x right, y down, z forward; it looks along +y."""
+    """Return the 4 × 4 camera-to-world matrix, row by row. Camera axes: x right, y down, z forward; it looks along
+    +y.
+    """
     return [1.0, 0.0, 0.0, spot[0], 0.0, 0.0, 1.0, spot[1], 0.0, -1.0, 0.0, spot[2], 0.0, 0.0, 0.0, 1.0]
 
 
 def _outline(room: Room) -> list[list[float]]:
-    """Floor corners, counter-clockwise in the scan's frame."""
+    """Return the floor corners, counter-clockwise in the scan's frame."""
     return [scan_point(x, 0.0, z) for x, z in reversed(room.polygon)]
 
 
 def _region_box(room: Room, ceiling: float) -> tuple[list[float], list[float]]:
-    """Boxes of the floor and of the whole prism."""
+    """Return the boxes of the floor and of the whole prism."""
     x0, z0, x1, z1 = room.shape.bounds
     low, high = np.array([x0, 0.0, z0]), np.array([x1, ceiling, z1])
     return _box(low, high * [1, 0, 1]), _box(low, high)
@@ -156,13 +158,15 @@ def _portal(index: int, door: Door, number: Mapping[str, int]) -> Record:
 
 
 def _objects(layout: Layout, number: Mapping[str, int]) -> tuple[list[Record], list[Record]]:
-    """O and E records: furniture with its parts as segments, then each region's structure, and one unlabelled thing."""
+    """Return O and E records: furniture with its parts as segments, each region's structure, and one unlabelled
+    object.
+    """
     index_of = {raw: i for i, (raw, _) in enumerate(categories())}
     objects: list[Record] = []
     segments: list[Record] = []
 
     def add(region: int, category: int, center: F64, axes: F64, half: F64, parts: list[F64]) -> None:
-        # The longest axis comes first, whichever it is; the third follows from the others.
+        # The longest axis comes first, whichever it is; the third follows from the first two.
         order = np.argsort(-half, kind="stable")
         middle = scan_point(*center.tolist())
         directions = [c for axis in order[:2] for c in scan_point(*axes[:, axis].tolist())]
@@ -195,7 +199,7 @@ def _objects(layout: Layout, number: Mapping[str, int]) -> tuple[list[Record], l
 
 
 def _structure(room: Room, ceiling: float) -> list[tuple[F64, F64]]:
-    """Boxes of one wall, the floor and the ceiling of a room."""
+    """Return the boxes of one wall, the floor and the ceiling of a room."""
     x0, z0, x1, z1 = room.shape.bounds
     spans = ((z0, 0.0, z0 + SURFACE, ceiling), (z0, -SURFACE, z1, 0.0), (z0, ceiling, z1, ceiling + SURFACE))
     return [(np.array([x0, y0, za]), np.array([x1, y1, zb])) for za, y0, zb, y1 in spans]

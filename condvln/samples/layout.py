@@ -1,8 +1,8 @@
-"""A made apartment before any file format: rooms, doors and furniture, as plain values.
+"""A generated apartment before conversion to a file format: rooms, doors and furniture as plain values.
 
-Frame: Habitat's (metres, +Y up, −Z north), floor at y = 0. All plan coordinates are whole millimetres and all half
-sizes too, so every centre and every box corner lies on the millimetre grid that scenes are rounded to: a layout reads
-back the same from any format, translated or mirrored.
+Frame: Habitat's (metres, +Y up, −Z north), floor at y = 0. All plan coordinates and half sizes are whole millimetres,
+so every centre and box corner is on the millimetre grid that scenes are rounded to. A layout is therefore read back
+unchanged from any format, also translated or mirrored.
 """
 
 from __future__ import annotations
@@ -21,16 +21,18 @@ __all__ = ["WALL_THICKNESS", "Door", "Furniture", "Layout", "Room", "Yaw"]
 F64 = NDArray[np.float64]
 
 WALL_THICKNESS: Final = 0.10
-"""Metres. Room polygons meet at the middle of their walls; the free side of a wall is half of this from it."""
+"""Wall thickness in metres. Room polygons meet at the middle of their walls; a wall's surface is half of this away."""
 
 YAW_DENOMINATOR: Final = 25
-"""Yaws have cosine and sine in 25ths (multiples of 90°, and the 3-4-5 and 7-24-25 triangles): rational, so that the
-axis-aligned box of a turned piece stays on the millimetre grid where its half sizes are multiples of 25 mm."""
+"""Yaws have cosine and sine in 25ths: multiples of 90°, and the angles of the 3-4-5 and 7-24-25 triangles. They are
+rational, so the axis-aligned box of a rotated piece stays on the millimetre grid if its half sizes are multiples of
+25 mm.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Yaw:
-    """Rotation about +Y as (cosine, sine) in 25ths. At zero a piece faces +Z (south), at 90° +X (east)."""
+    """Rotation about +Y as (cosine, sine) in 25ths. At yaw 0 a piece faces +Z (south), at 90° +X (east)."""
 
     cosine25: int = YAW_DENOMINATOR
     sine25: int = 0
@@ -51,47 +53,49 @@ class Yaw:
 
     @property
     def radians(self) -> float:
-        """The angle in (−π, π], counter-clockwise seen from above."""
+        """The angle in radians in (−π, π], counter-clockwise seen from above."""
         return math.atan2(self.sine25, self.cosine25)
 
     @property
     def square(self) -> bool:
-        """Is this a multiple of 90°?"""
+        """Whether this is a multiple of 90°."""
         return 0 in (self.cosine25, self.sine25)
 
     def turned(self, by: Yaw) -> Yaw:
-        """This rotation followed by `by`, where one of the two is a multiple of 90° (else it leaves the 25ths)."""
+        """Return this rotation followed by `by`; one of them must be a multiple of 90° (else the result is not in
+        25ths).
+        """
         cosine = self.cosine25 * by.cosine25 - self.sine25 * by.sine25
         sine = self.sine25 * by.cosine25 + self.cosine25 * by.sine25
         return Yaw(cosine // YAW_DENOMINATOR, sine // YAW_DENOMINATOR)
 
     def apply(self, x: float, z: float) -> tuple[float, float]:
-        """(x, z) of a piece's own frame in the scene's."""
+        """Return a point (x, z) of a piece's own frame in the scene's frame."""
         return self.cosine * x + self.sine * z, -self.sine * x + self.cosine * z
 
     @property
     def matrix(self) -> F64:
-        """(3, 3) rotation."""
+        """The (3, 3) rotation matrix."""
         c, s = self.cosine, self.sine
         return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
 
     @property
     def quaternion(self) -> tuple[float, float, float, float]:
-        """[x, y, z, w]."""
+        """The quaternion [x, y, z, w]."""
         half = self.radians / 2
         return 0.0, math.sin(half), 0.0, math.cos(half)
 
 
 def _clean(metres: F64) -> F64:
-    """Coordinates without the noise of their last bits."""
+    """Return coordinates without floating-point noise in the last bits."""
     return np.asarray(np.round(metres, 6), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)
 class Room:
-    """A room: `label` in everyday words, `polygon` the (x, z) corners at the middle of its walls.
+    """A room: `label` in everyday words, `polygon` with the (x, z) corners at the middle of its walls, in metres.
 
-    Corners run so that the shoelace sum over (x, z) is positive; rectilinear, convex or L-shaped.
+    The shoelace sum of the corners over (x, z) is positive; the outline is rectilinear, convex or L-shaped.
     """
 
     room_id: str
@@ -100,7 +104,7 @@ class Room:
 
     @property
     def area(self) -> float:
-        """Square metres, to the middle of the walls."""
+        """Area in square metres, to the middle of the walls."""
         return float(self.shape.area)
 
     @property
@@ -111,9 +115,9 @@ class Room:
 
 @dataclass(frozen=True, slots=True)
 class Door:
-    """An opening without a leaf in the wall between two rooms: from `start` to `end` on the wall's middle line.
+    """An opening without a door leaf in the wall between two rooms, from `start` to `end` on the wall's centre line.
 
-    The segment runs along x or along z in ascending order; `height` is that of the opening.
+    The segment runs along x or z in ascending order; `height` is that of the opening. Metres.
     """
 
     door_id: str
@@ -124,7 +128,7 @@ class Door:
 
     @property
     def width(self) -> float:
-        """Metres."""
+        """Width of the opening in metres."""
         return round(math.dist(self.start, self.end), 6)
 
     @property
@@ -134,15 +138,16 @@ class Door:
 
     @property
     def along_x(self) -> bool:
-        """Does its wall run along x?"""
+        """Whether its wall runs along x."""
         return self.start[1] == self.end[1]
 
 
 @dataclass(frozen=True, slots=True)
 class Furniture:
-    """One object: a box of `size` (width x, height y, depth z) in its own frame, turned by `yaw` about its `center`.
+    """One object: a box of `size` (width x, height y, depth z) in its own frame, rotated by `yaw` about its `center`;
+    metres.
 
-    `kind` names the row of the catalogue, `variant` the size within it; `parent` is the object it stands on.
+    `kind` is its row in the catalogue, `variant` the size within it; `parent` is the object it stands on.
     """
 
     object_id: str
@@ -175,7 +180,7 @@ class Furniture:
 
     @property
     def footprint(self) -> shapely.Polygon:
-        """The turned rectangle over (x, z)."""
+        """The rotated rectangle over (x, z)."""
         half_x, half_z = self.size[0] / 2, self.size[2] / 2
         corners = [
             self.yaw.apply(x, z)
@@ -186,7 +191,7 @@ class Furniture:
 
 @dataclass(frozen=True)
 class Layout:
-    """A whole apartment. `ceiling` is the height of the walls; `seed` the number it was made from."""
+    """A whole apartment. `ceiling` : height of the walls in metres; `seed` : the seed it was generated from."""
 
     seed: int
     ceiling: float
@@ -212,5 +217,5 @@ class Layout:
         return {piece.object_id: piece for piece in self.furniture}
 
     def in_room(self, room_id: str) -> tuple[Furniture, ...]:
-        """The furniture of one room, in order of making."""
+        """Return the furniture of one room, in order of creation."""
         return tuple(piece for piece in self.furniture if piece.room_id == room_id)

@@ -1,4 +1,4 @@
-"""``make_samples``: whole datasets of made apartments, so that everything runs with no download."""
+"""``make_samples``: write whole datasets of generated apartments, so that everything runs without a download."""
 
 from __future__ import annotations
 
@@ -42,11 +42,13 @@ FAMILIES: Final[dict[str, Writer]] = {
     "replicacad": replicacad_files,
     "robothor": robothor_files,
 }
-"""Writers by source family: layouts by scene name to files by path."""
+"""Writers by source family: from layouts by scene name to files by path."""
 
 HABITAT_PROCTHOR: Final = "ai2thor-hab"
 FORMS: Final[dict[str, Writer]] = {**FAMILIES, HABITAT_PROCTHOR: ai2thor_hab_files}
-"""Writers of all that can be made: the families, and ProcTHOR in Habitat's form, which is of family procthor."""
+"""Writers of everything that can be generated: the families, and Habitat's form of ProcTHOR, which is of family
+procthor.
+"""
 
 SEED_BITS: Final = 63
 
@@ -55,8 +57,8 @@ SEED_BITS: Final = 63
 class SampleReport:
     """What was written: scene names with their numbers of rooms and objects, files and bytes.
 
-    family : of the source that reads it
-    parts : the folders that a configuration's source names, by key
+    family : the source family that reads it
+    parts : the folders for a configuration's source, by key
     """
 
     folder: Path
@@ -70,7 +72,9 @@ class SampleReport:
 
 
 def make_layouts(scenes: int, seed: int) -> dict[str, Layout]:
-    """``made_000`` …: layouts by scene name. Scene k of a seed is the same however many are made, in every family."""
+    """Return layouts by scene name ``made_000`` …. Scene k of a seed is the same for any number of scenes and any
+    family.
+    """
     return {
         f"made_{k:03d}": make_layout(stable_hash("sample", seed, k) >> (256 - SEED_BITS), _n_rooms(seed, k))
         for k in range(scenes)
@@ -80,13 +84,13 @@ def make_layouts(scenes: int, seed: int) -> dict[str, Layout]:
 def make_samples(
     folder: str | os.PathLike[str], family: str = "replicacad", scenes: int = 12, seed: int = 0
 ) -> SampleReport:
-    """Write `scenes` made apartments to `folder` in the native format of `family`, or in one of the other forms.
+    """Write `scenes` generated apartments to `folder` in the native format of `family`, or in another supported form.
 
-    The bytes depend on (family, scenes, seed) alone. A folder that holds the same files already is left as it is.
+    The bytes depend only on (family, scenes, seed). A folder that already holds the same files is unchanged.
 
     Raises
     ------
-    UsageError : no such form, no scenes asked for, or the folder holds something else
+    UsageError : the family is unknown, `scenes` is below 1, or the folder holds other files
     """
     if family not in FORMS:
         known = ", ".join(sorted(FORMS))
@@ -98,18 +102,21 @@ def make_samples(
 
 
 def write_replicacad(folder: Path, layouts: Mapping[str, Layout], navmesh: NavmeshEngine = "polygons") -> SampleReport:
-    """Write `layouts`, by scene name, as a ReplicaCAD dataset; errors as in `make_samples`."""
+    """Write `layouts`, by scene name, as a ReplicaCAD dataset; raises the errors of `make_samples`."""
     return _write(folder, "replicacad", layouts, replicacad_files(layouts, navmesh))
 
 
 def write_ai2thor_hab(folder: Path, layouts: Mapping[str, Layout]) -> SampleReport:
-    """Write `layouts` as ProcTHOR in Habitat's form, ``hab/``, with their houses, ``houses/``; errors as in
-    `make_samples`."""
+    """Write `layouts` as Habitat's form of ProcTHOR, ``hab/``, with their houses, ``houses/``; raises the errors of
+    `make_samples`.
+    """
     return _write(folder, HABITAT_PROCTHOR, layouts, ai2thor_hab_files(layouts))
 
 
 def _n_rooms(seed: int, k: int) -> int:
-    """Number of rooms of scene k: every seven scenes in a row have all sizes from two to eight, shuffled."""
+    """Return the number of rooms of scene k: every seven consecutive scenes have all sizes from two to eight,
+    shuffled.
+    """
     sizes = list(range(MIN_ROOMS, MAX_ROOMS + 1))
     random.Random(f"sizes/{seed}/{k // len(sizes)}").shuffle(sizes)
     return sizes[k % len(sizes)]
@@ -119,7 +126,7 @@ def _write(
     folder: Path, form: str, layouts: Mapping[str, Layout], content_of: Iterator[tuple[str, bytes]]
 ) -> SampleReport:
     files = {folder / path: content for path, content in content_of}
-    # Nothing is written before all that is there has been found to belong.
+    # Nothing is written before all existing files were checked.
     there = {file for file in files if file.exists()}
     for file in sorted(there):
         if not file.is_file() or file.read_bytes() != files[file]:

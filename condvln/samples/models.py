@@ -1,4 +1,4 @@
-"""Models of the catalogue as assets: where a model's origin and centre of mass lie, its GLB, its URDF."""
+"""Models of the catalogue as assets: origin, centre of mass, GLB and URDF of each."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["Model", "articulated_files", "body_size", "model_of"]
 F64 = NDArray[np.float64]
 
 COM_EVERY: Final = 4
-"""One kind in this many has its centre of mass away from its asset's origin."""
+"""One kind in this many has a centre of mass that differs from its asset's origin."""
 
 DOOR_SHARE: Final = 0.06
 """Share of an articulated body's depth that is its door leaf (as in the shape ``cabinet``)."""
@@ -26,7 +26,7 @@ DOOR_SHARE: Final = 0.06
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Model:
-    """A rigid model's asset: centre (3,) of its box and centre of mass (3,), metres in the asset's own frame."""
+    """A rigid model's asset: centre (3,) of its box and centre of mass (3,), in metres in the asset's own frame."""
 
     center: F64
     com: F64
@@ -34,9 +34,9 @@ class Model:
 
 
 def model_of(kind: Kind, variant: int) -> Model:
-    """The asset of one size of a kind; its origin lies off the middle of its box, as artists' pivots do."""
+    """Return the asset of one size of a kind; its origin is not the centre of its box, as with artists' pivots."""
     width, height, depth = (v / 1000 for v in kind.sizes[variant])
-    # Pivots stand at floor level or a little above it, at some corner, edge or side of the plan, by kind.
+    # Pivots are at floor level or slightly above, at a corner, edge or side of the plan, depending on the kind.
     side, front, up = kind.number % 3 - 1, kind.number // 3 % 3 - 1, kind.number % 2
     pivot = np.array([side * width / 4, -height / 2 + up * height / 8, front * depth / 4])
     center = -np.round(pivot, 4)
@@ -46,16 +46,16 @@ def model_of(kind: Kind, variant: int) -> Model:
 
 
 def body_size(kind: Kind) -> tuple[float, float, float]:
-    """Width, height and depth of an articulated body before its instance's uniform scale."""
+    """Return width, height and depth in metres of an articulated body before its instance's uniform scale."""
     width, height, depth = kind.sizes[kind.scales.index(1.0)]
     return width / 1000, height / 1000, depth / 1000
 
 
 def articulated_files(kind: Kind) -> dict[str, bytes]:
-    """URDF and GLBs of an articulated kind, by file name: a body and two door leaves on hinges, all closed.
+    """Return the URDF and GLBs of an articulated kind, by file name: a body and two door leaves on hinges, all closed.
 
-    The links' frames are z-up with z pointing down (as ReplicaCAD's fridge), turned upright by the joint to the root,
-    whose origin is the middle of the body's box.
+    The links' frames have z pointing down (as ReplicaCAD's fridge) and are turned upright by the joint to the root,
+    whose origin is the centre of the body's box.
     """
     assert kind.urdf is not None
     size = body_size(kind)
@@ -73,7 +73,7 @@ def articulated_files(kind: Kind) -> dict[str, bytes]:
 
 
 def _to_link(boxes: F64) -> F64:
-    """Boxes from the y-up frame to a link's: (x, y, z) is (x, z, −y) there."""
+    """Convert boxes from the y-up frame to a link's: (x, y, z) becomes (x, z, −y)."""
     turned = boxes[..., [0, 2, 1]] * np.array([1.0, 1.0, -1.0])
     return np.sort(turned, axis=-2)
 
@@ -110,7 +110,7 @@ def _urdf(name: str, origins: dict[str, F64]) -> str:
             "    <visual>",
             '      <origin rpy="0 0 0" xyz="0 0 0"/>',
             "      <geometry>",
-            # ReplicaCAD separates the scale's numbers by commas; so do these.
+            # ReplicaCAD separates the numbers of a scale by commas, and so do we.
             f'        <mesh filename="{link}.glb" scale="1, 1, 1"/>',
             "      </geometry>",
             "    </visual>",

@@ -1,8 +1,8 @@
-"""Layouts as Matterport3D scans: ``.house`` files, panoramas and connectivity, whole-scene GLBs and navmeshes.
+"""Write layouts as Matterport3D scans: ``.house`` files, panoramas, connectivity, whole-scene GLBs and navmeshes.
 
-Folders are those of the dataset's download (``<scan>/house_segmentations/<scan>.house``, ``panorama_to_region.txt``
-beside it, ``connectivity/<scan>_connectivity.json``, the two category tables), with Habitat's ``<scan>/<scan>.glb``
-(z-up) and ``<scan>/<scan>.navmesh``.
+The folders are those of the dataset's download (``<scan>/house_segmentations/<scan>.house`` with
+``panorama_to_region.txt``, ``connectivity/<scan>_connectivity.json``, the two category tables), plus Habitat's
+``<scan>/<scan>.glb`` (z-up) and ``<scan>/<scan>.navmesh``.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ MAPPING_HEADER: Final = (
 
 
 def mp3d_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, bytes]]:
-    """All files of the dataset: path relative to its root, and bytes."""
+    """Yield all files of the dataset as (path relative to its root, bytes)."""
     rows = [_mapping_row(i, name, index) for i, (name, index) in enumerate(categories(), start=1)]
     yield "category_mapping.tsv", _table([MAPPING_HEADER, *rows])
     yield "mpcat40.tsv", _table([["mpcat40index", "mpcat40"], *([str(i), name] for i, name in enumerate(MPCAT40))])
@@ -58,7 +58,7 @@ def _table(rows: Sequence[Sequence[str]]) -> bytes:
 
 
 def _panorama_id(name: str, number: int) -> str:
-    """32 hexadecimal digits, as Matterport's."""
+    """Return a panorama id of 32 hexadecimal digits, as Matterport3D's."""
     return hashlib.sha256(f"{name}/{number}".encode()).hexdigest()[:32]
 
 

@@ -1,7 +1,7 @@
-"""What each source family calls the catalogue's labels, from ``native_labels.csv``.
+"""The catalogue's labels in the words of each source family, from ``native_labels.csv``.
 
-A family's own class is used where it has one for exactly that thing (AI2-THOR's ``Fridge``, COCO's ``potted plant`` in
-Gibson, Matterport's raw categories); else the everyday word in the family's spelling.
+If a family has its own class for exactly that object, it is used (AI2-THOR's ``Fridge``, COCO's ``potted plant`` in
+Gibson, Matterport3D's raw categories); otherwise the everyday word in the family's spelling.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class NativeLabel:
 
 @cache
 def native_labels() -> dict[str, NativeLabel]:
-    """Native words by label of the catalogue."""
+    """Return the native labels by label of the catalogue."""
     text = resources.files("condvln.samples").joinpath("native_labels.csv").read_text(encoding="utf-8")
     return {
         row["label"]: NativeLabel(row["ai2thor"], row["gibson"], row["mp3d"], int(row["mpcat40"]))

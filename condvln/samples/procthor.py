@@ -1,7 +1,8 @@
-"""Layouts as ProcTHOR houses: ``houses.jsonl.gz``, one house a line, and ``asset-database.json``.
+"""Write layouts as ProcTHOR houses: ``houses.jsonl.gz``, one house per line, and ``asset-database.json``.
 
-Forms follow real houses of schema 1.0.0 (on request, of the older 0.0.1): rooms run clockwise in (x, z), positions are
-middles of boxes, objects on others are their children. Room types beyond ProcTHOR's four are written in its spelling.
+The format follows real houses of schema 1.0.0 (or, on request, of the older 0.0.1): room outlines are clockwise in
+(x, z), positions are centres of boxes, and objects on others are their children. Room types beyond ProcTHOR's four are
+written in its spelling.
 """
 
 from __future__ import annotations
@@ -32,17 +33,19 @@ from condvln.samples.unity import UnityFrame
 __all__ = ["primary_property", "procthor_files"]
 
 AGENT_HEIGHT: Final = 0.95
-"""Height of the agent's start, the same in all houses."""
+"""Height in metres of the agent's start, the same in all houses."""
 
 DOOR_DEPTH: Final = 0.17
-"""Depth of a door's asset, metres."""
+"""Depth in metres of a door's asset."""
 
 Json = dict[str, Any]
 Schema = Literal["1.0.0", "0.0.1"]
 
 
 def procthor_files(layouts: Mapping[str, Layout], schema: Schema = "1.0.0") -> Iterator[tuple[str, bytes]]:
-    """All files of the dataset: path relative to its root, and bytes. House k is line k of ``houses.jsonl.gz``."""
+    """Yield all files of the dataset as (path relative to its root, bytes). House k is line k of
+    ``houses.jsonl.gz``.
+    """
     houses = (_house(layout) for layout in layouts.values())
     written = houses if schema == "1.0.0" else map(_older, houses)
     lines = b"".join(orjson.dumps(house) + b"\n" for house in written)
@@ -93,7 +96,9 @@ def _house(layout: Layout) -> Json:
 
 
 def _older(house: Json) -> Json:
-    """The same house in schema 0.0.1: no schema named, openings as boxes with an offset, materials by name only."""
+    """Return the same house in schema 0.0.1: no schema version, openings as boxes with an offset, materials by name
+    only.
+    """
     doors = []
     for door in house["doors"]:
         low, high = door["holePolygon"]
@@ -111,7 +116,7 @@ def _camel(label: str) -> str:
 
 
 def _objects(layout: Layout, number: Mapping[str, int], frame: UnityFrame) -> list[Json]:
-    """Objects with those that stand on them as children, at any depth."""
+    """Return the objects, with those that stand on them as children, at any depth."""
     records: dict[str, Json] = {}
     tops = []
     for count, piece in enumerate(layout.furniture):
@@ -134,7 +139,7 @@ def _objects(layout: Layout, number: Mapping[str, int], frame: UnityFrame) -> li
 
 
 def _agent(layout: Layout, frame: UnityFrame) -> Json:
-    """A start in the widest part of the floor."""
+    """Return a start pose in the widest part of the floor."""
     floor = free_floor(layout)
     spot = shapely.maximum_inscribed_circle(floor, tolerance=0.05).coords[0]
     x, z = (round(c, 2) for c in frame.ground(*spot))
@@ -147,12 +152,14 @@ def _agent(layout: Layout, frame: UnityFrame) -> Json:
 
 
 def _asset(kind: str, variant: int) -> str:
-    # Assets are named as AI2-THOR's are, by type and number; the kind keeps types with several kinds apart.
+    # Assets are named like AI2-THOR's, by type and number; the kind distinguishes types with several kinds.
     return f"{native_labels()[catalogue()[kind].label].ai2thor}_{kind}_{variant + 1}"
 
 
 def _asset_database() -> dict[str, list[Json]]:
-    """Type to assets, with every kind and size of the catalogue, so that it is the same for all datasets."""
+    """Return assets by type, with every kind and size of the catalogue, so that the database is the same for all
+    datasets.
+    """
     database: dict[str, list[Json]] = {}
     for kind in catalogue().values():
         for variant, size in enumerate(kind.sizes):
@@ -181,7 +188,7 @@ def _asset_record(name: str, kind: str, size: tuple[int, int, int], movable: str
 
 
 def primary_property(kind: Kind) -> str:
-    """AI2-THOR's primary property: what an agent can do with it."""
+    """Return AI2-THOR's primary property: what an agent can do with the object."""
     if kind.turns:
         return "Moveable"
     if kind.front or kind.hang is not None:

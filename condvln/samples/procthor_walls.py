@@ -1,8 +1,8 @@
-"""Walls and doors of a layout as ProcTHOR's houses write them, in Unity's frame.
+"""Walls and doors of a layout in the format of ProcTHOR's houses, in Unity's frame.
 
-A wall between two rooms is written once for each, in opposite directions, and cut where the neighbour changes; interior
-walls list their lower corners first, exterior ones their upper. Doors are given along ``wall0`` from its first lower
-corner.
+A wall between two rooms is written once for each room, in opposite directions, and split where the adjacent room
+changes. Interior walls list their lower corners first, exterior ones their upper corners. Doors are given along
+``wall0`` from its first lower corner.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ FIRST_ROOM: Final = 2
 """Number of the first room; 1 is the outdoors."""
 
 WIDE_DOORWAY: Final = 1.1
-"""Metres of width from which an opening gets a double frame, which has no leaf; narrower ones have an open door."""
+"""Width in metres from which an opening gets a double frame without a leaf; narrower ones have an open door."""
 
 FRONT_DOOR: Final = 1.0
 DOOR_HEIGHT: Final = 2.05
-"""Width and height of the door to the outdoors, metres."""
+"""Width and height in metres of the door to the outdoors."""
 
 Json = dict[str, Any]
 Point = tuple[float, float]
 
 
 class HouseWall(NamedTuple):
-    """A wall of one room, from one corner to the next, and the room behind it (None: outdoors). Unity's (x, z)."""
+    """A wall of one room, from one corner to the next as Unity's (x, z), and the room behind it (None: outdoors)."""
 
     room: int
     start: Point
@@ -67,7 +67,7 @@ class HouseWall(NamedTuple):
 
 
 def house_walls(room: int, outline: list[Point], outlines: list[list[Point]]) -> list[HouseWall]:
-    """The room's walls, cut at the corners of other rooms that lie on them."""
+    """Return the room's walls, split at the corners of other rooms that lie on them."""
     walls = []
     for start, end in zip(outline, [*outline[1:], outline[0]], strict=True):
         side = shapely.LineString([start, end])
@@ -93,7 +93,7 @@ def wall_records(walls: list[HouseWall], ceiling: float) -> list[Json]:
 
 
 def door_record(door: Door, number: Mapping[str, int], walls: list[HouseWall], frame: UnityFrame) -> Json:
-    """A door on the wall of its first room; the hole is measured along that wall."""
+    """Return the record of a door on the wall of its first room; the hole's position is measured along that wall."""
     first, second = (number[room] for room in door.rooms)
     ends = [frame.ground(*door.start), frame.ground(*door.end)]
     opening = shapely.LineString(ends)
@@ -123,7 +123,7 @@ def door_record(door: Door, number: Mapping[str, int], walls: list[HouseWall], f
 
 
 def front_door(layout: Layout, number: Mapping[str, int], walls: list[HouseWall], frame: UnityFrame) -> list[Json]:
-    """A closed door to the outdoors where no furniture stands before it, if there is such a place."""
+    """Return a closed door to the outdoors at a place without furniture; empty if there is no such place."""
     taken = shapely.union_all(
         [shapely.Polygon([frame.ground(x, z) for x, z in p.footprint.exterior.coords]) for p in layout.furniture]
     )

@@ -1,9 +1,9 @@
-"""Layouts as a ReplicaCAD dataset: stages, objects, articulated bodies, scene instances, regions, navmeshes.
+"""Write layouts as a ReplicaCAD dataset: stages, objects, articulated bodies, scene instances, regions, navmeshes.
 
-Forms follow the files of ReplicaCAD (Szot et al. 2021) and the attribute documentation of habitat-sim: object rotations
-are [w, x, y, z]; region annotations stand in one semantic configuration a scene, found through the search path of
-``semantic_scene_descriptor_instances``; ``navmeshes/`` is for a robot of radius 0.3 m and named by the dataset
-configuration, ``navmeshes_default/`` for Habitat's default agent of 0.1 m.
+The format follows the files of ReplicaCAD (Szot et al. 2021) and habitat-sim's documentation of attributes: object
+rotations are [w, x, y, z]; region annotations are in one semantic configuration per scene, found through the search
+path of ``semantic_scene_descriptor_instances``; ``navmeshes/`` is for a robot of radius 0.3 m and named by the dataset
+configuration, ``navmeshes_default/`` is for Habitat's default agent of 0.1 m.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ DATASET: Final = "made"
 """Name of the dataset and prefix of its models."""
 
 RADII: Final = {"navmeshes": 0.3, "navmeshes_default": 0.1}
-"""Agent radius (metres) of each navmesh folder."""
+"""Agent radius in metres of each navmesh folder."""
 
 LEXICON: Final = "made_semantic_lexicon"
 
@@ -38,11 +38,11 @@ Json = dict[str, Any]
 
 
 def replicacad_files(layouts: Mapping[str, Layout], navmesh: NavmeshEngine = "polygons") -> Iterator[tuple[str, bytes]]:
-    """All files of the dataset: path relative to its root, and bytes; the dataset configuration comes first.
+    """Yield all files of the dataset as (path relative to its root, bytes), the dataset configuration first.
 
     Parameters
     ----------
-    layouts : scene name to layout; the files of a scene depend on its own layout and name alone
+    layouts : scene name to layout; a scene's files depend only on its own layout and name
     navmesh : how the navmeshes are made, see ``navmesh_of``
     """
     yield f"{DATASET}.scene_dataset_config.json", _json(_dataset_config(list(layouts)))
@@ -86,7 +86,7 @@ def _json(document: Json) -> bytes:
 
 
 def _class_ids() -> dict[str, int]:
-    """Class name to semantic id, the same for every dataset of this kind."""
+    """Return semantic ids by class name, the same for every dataset of this kind."""
     return {name: number for number, name in enumerate(sorted({k.label for k in catalogue().values()}), start=1)}
 
 
@@ -155,12 +155,14 @@ def _scene_instance(name: str, layout: Layout, models: Mapping[str, Model]) -> J
 
 
 def _placed(piece: Furniture, model: Model, number: int) -> Json:
-    """An object instance; the ways to say where it is take turns: by centre of mass, by asset origin, by default."""
+    """Return an object instance; instances alternate between placement by centre of mass, by asset origin, and by
+    default.
+    """
     center = np.array(piece.center)
     asset_origin = center - piece.yaw.matrix @ model.center
     at_com = number % 3 == 0
     instance: Json = {
-        # Both forms are found in ReplicaCAD.
+        # ReplicaCAD has both forms.
         "template_name": f"objects/{DATASET}_{piece.model}" if number % 5 == 0 else f"{DATASET}_{piece.model}",
         "translation": _numbers(asset_origin + piece.yaw.matrix @ model.com if at_com else asset_origin),
         "rotation": _wxyz(piece),
@@ -204,5 +206,5 @@ def _region(room: Room, ceiling: float) -> Json:
 
 
 def _numbers(vector: F64) -> list[float]:
-    """Coordinates without the noise of the last bits; −0 is 0."""
+    """Return coordinates without floating-point noise in the last bits; −0 becomes 0."""
     return [float(v) for v in np.round(vector, 6) + 0.0]

@@ -1,7 +1,7 @@
-"""One room while it is furnished: the pieces placed so far, and whether one more piece fits at a place.
+"""A room while it is being furnished: the pieces placed so far, and whether another piece fits at a position.
 
-Millimetres throughout. A piece fits if its box overlaps no other, stands clear of doorways and of the space that others
-need in front of them, and leaves the floor in one part for the agent, with people's passages between all doors.
+All lengths are millimetres. A piece fits if its box overlaps no other, is clear of doorways and of the space that
+others need in front of them, and leaves the floor connected for the agent, with passages for people between all doors.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ WALL_GAP: Final = 20
 """Distance of a piece's back from the wall it stands against."""
 
 HANG_GAP: Final = 10
-"""Distance of a hung piece's back from its wall."""
+"""Distance of a wall-mounted piece's back from its wall."""
 
 HALF_WALL: Final = 50
 """Half the thickness of a wall."""
@@ -36,32 +36,32 @@ DOOR_DEPTH: Final = 800
 """Depth of the floor kept free on either side of a doorway."""
 
 AGENT_RADIUS: Final = 100
-"""The floor must stay in one part for an agent of this radius."""
+"""Radius of the agent for which the floor must stay connected."""
 
 PASSAGE_RADIUS: Final = 240
-"""All doorways of a room stay joined for a person of this radius."""
+"""Radius of a person for whom all doorways of a room must stay connected."""
 
 BLOCKING_HEIGHT: Final = 50
-"""What is flatter (rugs, mats) is walked over."""
+"""Height up to which objects (rugs, mats) can be walked over."""
 
 AGENT_HEIGHT: Final = 1500
-"""What hangs higher is walked under."""
+"""Height from which objects can be walked under."""
 
 SLIT: Final = 50
 """Strips of free floor narrower than this don't count as floor."""
 
 
 def opened(floor: shapely.Geometry, slit: float = SLIT, grid: float = 1.0) -> shapely.Geometry:
-    """`floor` without its parts narrower than `slit` (morphological opening with square corners), on a grid."""
-    # GEOS meets parallel edges when it looks for the mitre, copes with them, and leaves numpy's warning flags raised.
+    """Return `floor` without parts narrower than `slit` (morphological opening with square corners), on a grid."""
+    # GEOS handles parallel edges when computing the mitre, but leaves numpy's warning flags raised.
     with np.errstate(divide="ignore", invalid="ignore"):
         wide = floor.buffer(-slit / 2, join_style="mitre").buffer(slit / 2, join_style="mitre")
-    # Where the shrinking swallows a short edge, its neighbours' mitre would reach beyond the floor.
+    # If shrinking removes a short edge, the mitre of its neighbours would extend beyond the floor.
     return shapely.intersection(wide, floor, grid_size=grid)
 
 
 class Edge(NamedTuple):
-    """The free side of a wall: from (x, z), `length` along (dx, dz), the room on the side of the normal (nx, nz)."""
+    """The free side of a wall: from (x, z), `length` along (dx, dz); the normal (nx, nz) points into the room."""
 
     x: int
     z: int
@@ -76,18 +76,18 @@ class Edge(NamedTuple):
 
     @property
     def yaw(self) -> Yaw:
-        """Yaw of a piece against this wall that faces the room."""
+        """Yaw of a piece that stands against this wall and faces the room."""
         nx, nz = self.normal
         return Yaw(25 * nz, 25 * nx)
 
     def point(self, along: int, away: int) -> tuple[int, int]:
-        """(x, z) at a distance along the wall and away from it."""
+        """Return the point (x, z) at a distance along the wall and away from it."""
         nx, nz = self.normal
         return self.x + self.dx * along + nx * away, self.z + self.dz * along + nz * away
 
 
 class DoorZone(NamedTuple):
-    """The floor before a doorway, and the point in it that must stay reachable."""
+    """The floor in front of a doorway, and a point in it that must stay reachable."""
 
     rect: Rect
     point: tuple[int, int]
@@ -95,7 +95,7 @@ class DoorZone(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """A piece of furniture, placed: centre (x, z) and lower edge, millimetres."""
+    """A placed piece of furniture: centre (x, z) and lower edge, in millimetres."""
 
     kind: Kind
     variant: int
@@ -109,7 +109,7 @@ class Piece:
 
     @property
     def size(self) -> tuple[int, int, int]:
-        """Width, height, depth in its own frame."""
+        """Width, height and depth in its own frame."""
         return self.kind.sizes[self.variant]
 
     @property
@@ -119,11 +119,11 @@ class Piece:
 
     @property
     def rect(self) -> Rect:
-        """Its axis-aligned box from above."""
+        """Its axis-aligned box seen from above."""
         return self.rect_of(0, 0)
 
     def rect_of(self, back: int, front: int) -> Rect:
-        """The same with so much added behind and before it (the yaw must be square then)."""
+        """Return its box extended by `back` behind and `front` in front of it (the yaw must be a multiple of 90°)."""
         width, _, depth = self.size
         c, s = abs(self.yaw.cosine25), abs(self.yaw.sine25)
         half_x, half_z = (c * width + s * depth) // 50, (s * width + c * depth) // 50
@@ -136,12 +136,12 @@ class Piece:
 
     @property
     def facing(self) -> tuple[int, int]:
-        """Unit vector (x, z) that the front faces; its yaw is a multiple of a quarter turn."""
+        """Unit vector (x, z) in the direction of its front; its yaw is a multiple of 90°."""
         return self.yaw.sine25 // 25, self.yaw.cosine25 // 25
 
     @property
     def front_zone(self) -> Rect | None:
-        """The floor it needs free in front of it."""
+        """The floor that must stay free in front of it; None if it needs none."""
         if not self.kind.front or not self.yaw.square or self.soft:
             return None
         whole, own = self.rect_of(0, self.kind.front), self.rect
@@ -152,7 +152,7 @@ class Piece:
 
     @property
     def footprint(self) -> shapely.Polygon:
-        """The turned rectangle over (x, z)."""
+        """The rotated rectangle over (x, z)."""
         if self.yaw.square:
             return self.rect.polygon
         half_x, half_z = self.size[0] / 2, self.size[2] / 2
@@ -164,13 +164,13 @@ class Piece:
 
     @property
     def blocks(self) -> bool:
-        """Does it stand in the agent's way?"""
+        """Whether it is an obstacle for the agent."""
         return self.top > BLOCKING_HEIGHT and self.bottom < AGENT_HEIGHT
 
 
 @dataclass
 class RoomSpace:
-    """The room's free sides of walls, its door zones and its pieces."""
+    """The room's free wall sides, door zones and pieces."""
 
     label: str
     polygon: shapely.Polygon
@@ -200,17 +200,17 @@ class RoomSpace:
 
     @property
     def corners(self) -> Iterator[tuple[Edge, Edge]]:
-        """Pairs of walls that meet in a corner of the room pointing outwards."""
+        """Yield pairs of walls that meet in a convex corner of the room."""
         for one, other in zip(self.edges, (*self.edges[1:], self.edges[0]), strict=True):
             if one.dx * other.dz - one.dz * other.dx > 0:
                 yield one, other
 
     def of_kind(self, kinds: Sequence[str]) -> list[int]:
-        """Indices of the pieces of these kinds."""
+        """Return the indices of the pieces of these kinds."""
         return [index for index, piece in enumerate(self.pieces) if piece.kind.kind in kinds]
 
     def add(self, piece: Piece) -> bool:
-        """Put `piece` where it says, if it fits there."""
+        """Add `piece` at its position if it fits; return whether it did."""
         if not self._box_fits(piece) or not self._zones_fit(piece):
             return False
         if piece.blocks:
@@ -222,7 +222,7 @@ class RoomSpace:
         return True
 
     def restore(self, pieces: list[Piece]) -> None:
-        """Go back to an earlier list of pieces."""
+        """Restore an earlier list of pieces."""
         self.pieces = pieces
         self._measure_floor()
 

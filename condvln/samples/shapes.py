@@ -1,8 +1,8 @@
-"""What a piece of furniture is made of: boxes in the unit cube, one list for each shape of the catalogue.
+"""The parts of a piece of furniture: boxes in the unit cube, one list for each shape of the catalogue.
 
-Simple, but not bare boxes: tables stand on legs, sofas have arms, shelves have boards. A part is
+Shapes are simple, but more than single boxes: tables have legs, sofas arms, shelves boards. A part is
 (x0, x1, y0, y1, z0, z1) as shares of width, height (up) and depth (the front is z = 1). Every shape touches all six
-faces of the cube and has one part that spans the whole plan, so that a turned piece measures what its box does.
+faces of the cube and has one part that spans the whole plan, so that a rotated piece has the extent of its box.
 """
 
 from __future__ import annotations
@@ -181,11 +181,13 @@ SHAPES: Final[dict[str, tuple[Part, ...]]] = {
         Part(0.45, 0.55, 0.8, 0.84, 0.1, 0.9),
     ),
 }
-"""Parts by name of the shape."""
+"""The parts of each shape, by name."""
 
 
 def part_boxes(shape: str, size: tuple[float, float, float]) -> NDArray[np.float64]:
-    """(n, 2, 3) lower and upper corners of the parts of a piece of `size`, in metres about the centre of its box."""
+    """Return the parts of a piece of `size` as boxes (n, 2, 3), lower and upper corners in metres about the box's
+    centre.
+    """
     shares = np.array(SHAPES[shape])
     corners = np.stack([shares[:, 0::2], shares[:, 1::2]], axis=1)
     boxes: NDArray[np.float64] = (corners - 0.5) * np.array(size)

@@ -1,4 +1,4 @@
-"""A whole layout as one body: slabs, walls, and the parts of every piece where it stands; as triangles or as GLB."""
+"""A whole layout as one mesh: slabs, walls, and the parts of every piece in place; as triangles or as GLB."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["layout_glb", "layout_triangles", "piece_corners"]
 F64 = NDArray[np.float64]
 
 CORNERS: Final = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
-"""Which corner of a box takes its x, y, z from the upper end."""
+"""For each corner of a box, whether x, y and z are those of the upper corner."""
 
 FACES: Final = np.array(
     [
@@ -32,14 +32,14 @@ FACES: Final = np.array(
 
 
 def piece_corners(piece: Furniture) -> F64:
-    """(n, 8, 3) corners of the parts of one placed piece."""
+    """Return the corners (n, 8, 3) of the parts of a placed piece."""
     boxes = part_boxes(catalogue()[piece.kind].shape, piece.size)
     placed: F64 = _corners(boxes) @ piece.yaw.matrix.T + np.array(piece.center)
     return placed
 
 
 def layout_triangles(layout: Layout) -> tuple[F64, NDArray[np.int32]]:
-    """Vertices (n, 3) in metres and faces (m, 3): floors, walls, then furniture in order."""
+    """Return vertices (n, 3) in metres and faces (m, 3): floors, walls, then furniture in order."""
     shell = _corners(np.concatenate([floor_boxes(layout), wall_boxes(layout)]))
     boxes = np.concatenate([shell, *(piece_corners(piece) for piece in layout.furniture)])
     faces = FACES[None] + 8 * np.arange(len(boxes), dtype=np.int32)[:, None, None]
@@ -47,7 +47,7 @@ def layout_triangles(layout: Layout) -> tuple[F64, NDArray[np.int32]]:
 
 
 def layout_glb(layout: Layout, frame: F64 | None = None) -> bytes:
-    """The whole scene in one GLB, as scans come; `frame` (4, 4) takes Habitat's frame to the file's."""
+    """Return the whole scene as one GLB, as scans are; `frame` (4, 4) converts Habitat's frame to the file's."""
     parts = {"floor": box_placements(floor_boxes(layout)), "walls": box_placements(wall_boxes(layout))}
     for piece in layout.furniture:
         stand = np.eye(4)
@@ -57,6 +57,6 @@ def layout_glb(layout: Layout, frame: F64 | None = None) -> bytes:
 
 
 def _corners(boxes: F64) -> F64:
-    """(n, 8, 3) corners of boxes (n, 2, 3)."""
+    """Return the corners (n, 8, 3) of boxes (n, 2, 3)."""
     corners: F64 = np.take_along_axis(boxes[:, :, None, :], CORNERS[None, None], axis=1)[:, 0]
     return corners

@@ -1,6 +1,6 @@
-"""Where a piece of furniture may be tried: against walls, in corners, around tables, on top of others.
+"""Candidate positions of a piece of furniture: against walls, in corners, around tables, on top of others.
 
-Each kind of place is a generator of candidates in random order; the room decides which of them fits. Millimetres.
+Each kind of position is a generator of candidates in random order; the room decides which of them fit. Millimetres.
 """
 
 from __future__ import annotations
@@ -17,41 +17,41 @@ from condvln.samples.room_space import HANG_GAP, WALL_GAP, Edge, Piece, RoomSpac
 __all__ = ["SPOTS", "Spot", "row_of"]
 
 STEP: Final = 10
-"""Positions lie on this grid."""
+"""Grid of positions."""
 
 TRIES: Final = 24
-"""Candidates of one piece before it is given up."""
+"""Largest number of candidates tried for one piece."""
 
 TURNED: Final = (Yaw(24, 7), Yaw(24, -7), Yaw(20, 15), Yaw(20, -15))
 """Free angles: ±16.26° and ±36.87°."""
 
 TURN_CHANCE: Final = 0.3
-"""Chance that a piece which may stand at a free angle does."""
+"""Probability that a piece that may have a free angle gets one."""
 
 TOP_MARGIN: Final = 20
-"""Distance of a small object from the rim of what it stands on."""
+"""Distance of a small object from the edge of its support."""
 
 HIGHEST_TOP: Final = 1300
-"""Nothing is put on what is higher."""
+"""Largest height of a supporting surface."""
 
 DESK_GAPS: Final = (40, 60, 100)
 TALK_GAPS: Final = (900, 1200, 1500, 1800)
-"""Distances of a seat from the desk it belongs to, and from the sofa that it faces."""
+"""Distances of a seat from its desk, and from the sofa that it faces."""
 
 SEAT_WIDTH: Final = 620
-"""Side of a table that one chair takes."""
+"""Length of a table's side that one chair takes."""
 
 Spot = Callable[[random.Random, RoomSpace, Kind, int, "Piece | None"], Iterator[Piece]]
-"""(rng, room, kind, variant, anchor) to candidates."""
+"""A generator of candidates from (rng, room, kind, variant, anchor)."""
 
 
 def _pick(rng: random.Random, low: int, high: int) -> int:
-    """A multiple of STEP above `low`, up to `high`."""
+    """Draw a multiple of STEP above `low`, up to `high`."""
     return low + STEP * rng.randint(0, max(0, (high - low) // STEP))
 
 
 def _walls(rng: random.Random, room: RoomSpace, width: int) -> list[Edge]:
-    """Walls long enough, in random order, longer ones earlier as a rule."""
+    """Return walls that are long enough, in random order, with longer ones usually first."""
     usable = [edge for edge in room.edges if edge.length >= width + 2 * WALL_GAP]
     return sorted(usable, key=lambda edge: -edge.length * rng.uniform(0.2, 1.0))
 
@@ -62,7 +62,7 @@ def _against(edge: Edge, kind: Kind, variant: int, along: int, gap: int = WALL_G
 
 
 def along_wall(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anchor: Piece | None) -> Iterator[Piece]:
-    """Back to a wall: in its corner, in its middle, or anywhere."""
+    """Yield positions with the back to a wall: in its corner, in its middle, or anywhere."""
     width = kind.sizes[variant][0]
     for edge in _walls(rng, room, width):
         low, high = WALL_GAP + width // 2, edge.length - WALL_GAP - width // 2
@@ -72,7 +72,7 @@ def along_wall(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, an
 
 
 def wall_middle(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anchor: Piece | None) -> Iterator[Piece]:
-    """Back to a wall, about its middle: beds, sofas."""
+    """Yield positions with the back to a wall, near its middle: beds, sofas."""
     width = kind.sizes[variant][0]
     walls = _walls(rng, room, width)
     for spread in (0, 200, 500, 900):
@@ -83,7 +83,7 @@ def wall_middle(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, a
 
 
 def opposite(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anchor: Piece | None) -> Iterator[Piece]:
-    """Against a wall that the anchor faces, as nearly before it as possible."""
+    """Yield positions against a wall that the anchor faces, as directly in front of it as possible."""
     if anchor is None or not anchor.yaw.square:
         return
     fx, fz = anchor.facing
@@ -98,7 +98,7 @@ def opposite(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anch
 
 
 def corner(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anchor: Piece | None) -> Iterator[Piece]:
-    """In a corner of the room."""
+    """Yield positions in a corner of the room."""
     corners = list(room.corners)
     for one, other in rng.sample(corners, len(corners)):
         for _ in range(3):
@@ -112,7 +112,7 @@ def corner(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anchor
 
 
 def centre(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anchor: Piece | None) -> Iterator[Piece]:
-    """About the middle of the room."""
+    """Yield positions near the middle of the room."""
     x0, z0, x1, z1 = (round(v) for v in room.inner.bounds)
     along_x = x1 - x0 > z1 - z0
     for spread in (0, 0, 300, 300, 600, 600, 900, 900, 900, 1200, 1200, 1200):
@@ -122,7 +122,7 @@ def centre(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anchor
 
 
 def anywhere(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anchor: Piece | None) -> Iterator[Piece]:
-    """Somewhere on the floor, mostly near a wall."""
+    """Yield positions anywhere on the floor, mostly near a wall."""
     walls = _walls(rng, room, kind.sizes[variant][0])
     for _ in range(TRIES):
         if not walls:
@@ -135,7 +135,7 @@ def anywhere(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anch
 
 
 def beside(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anchor: Piece | None) -> Iterator[Piece]:
-    """Next to the anchor along the wall it stands against, backs in line."""
+    """Yield positions next to the anchor along the wall it stands against, backs aligned."""
     if anchor is None or not anchor.yaw.square:
         return
     width, _, depth = kind.sizes[variant]
@@ -146,12 +146,14 @@ def beside(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anchor
 
 
 def before(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anchor: Piece | None) -> Iterator[Piece]:
-    """In front of the anchor, turned the same way: coffee table before a sofa, bench before a bed."""
+    """Yield positions in front of the anchor with the same orientation: coffee table before a sofa, bench before a
+    bed.
+    """
     yield from _before(rng, kind, variant, anchor, Yaw(), gaps=(300, 340, 400, 460, 520))
 
 
 def facing(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anchor: Piece | None) -> Iterator[Piece]:
-    """In front of the anchor and turned to it: a chair at a desk, a stool before the sofa."""
+    """Yield positions in front of the anchor, facing it: a chair at a desk, a stool before the sofa."""
     at_desk = anchor is not None and anchor.kind.kind == "desk"
     yield from _before(rng, kind, variant, anchor, Yaw(-25, 0), gaps=DESK_GAPS if at_desk else TALK_GAPS)
 
@@ -172,7 +174,7 @@ def _before(
 
 
 def around(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anchor: Piece | None) -> Iterator[Piece]:
-    """A seat at a table, turned to it; opposite seats first, then the ends."""
+    """Yield seats at a table, facing it; opposite sides first, then the ends."""
     if anchor is None or not anchor.yaw.square:
         return
     width, _, depth = anchor.size
@@ -192,7 +194,7 @@ def around(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anchor
 
 
 def hung(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anchor: Piece | None) -> Iterator[Piece]:
-    """On a wall, at the height of its kind."""
+    """Yield positions on a wall, at the height of the kind."""
     assert kind.hang is not None
     width = kind.sizes[variant][0]
     for edge in _walls(rng, room, width):
@@ -203,7 +205,7 @@ def hung(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anchor: 
 
 
 def above(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anchor: Piece | None) -> Iterator[Piece]:
-    """On the wall over the anchor."""
+    """Yield positions on the wall above the anchor."""
     if anchor is None or anchor.against is None or kind.hang is None:
         return
     edge = anchor.against
@@ -214,18 +216,18 @@ def above(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anchor:
 
 
 def on_top(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anchor: Piece | None) -> Iterator[Piece]:
-    """On the anchor, somewhere."""
+    """Yield random positions on top of the anchor."""
     for _ in range(TRIES):
         yield from _on(rng, kind, variant, anchor, share=(rng.uniform(-1, 1), rng.uniform(-1, 1)))
 
 
 def on_middle(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anchor: Piece | None) -> Iterator[Piece]:
-    """In the middle of the anchor's top."""
+    """Yield the position in the middle of the anchor's top."""
     yield from _on(rng, kind, variant, anchor, share=(0.0, 0.0))
 
 
 def on_back(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anchor: Piece | None) -> Iterator[Piece]:
-    """Places at the back of the anchor's top: pillows, screens."""
+    """Yield positions at the back of the anchor's top: pillows, screens."""
     for across in (0.0, -0.95, 0.95, -0.5, 0.5):
         yield from _on(rng, kind, variant, anchor, share=(across, -1.0))
 
@@ -249,7 +251,7 @@ def _maybe_turned(rng: random.Random, kind: Kind, yaw: Yaw, chance: float = TURN
 
 
 def row_of(rng: random.Random, room: RoomSpace, kinds: list[tuple[Kind, int]]) -> Iterator[list[Piece]]:
-    """The whole line of `kinds` (with variants) along one wall, side by side: a kitchen."""
+    """Yield whole rows of `kinds` (with variants) side by side along one wall: a kitchen."""
     total = sum(kind.sizes[variant][0] + WALL_GAP for kind, variant in kinds)
     for edge in _walls(rng, room, total):
         low, high = WALL_GAP, edge.length - WALL_GAP - total
@@ -279,4 +281,4 @@ SPOTS: Final[dict[str, Spot]] = {
     "on middle": on_middle,
     "on back": on_back,
 }
-"""Places that a recipe may name."""
+"""The kinds of positions that a recipe may name."""

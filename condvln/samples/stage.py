@@ -1,4 +1,4 @@
-"""The shell of an apartment as boxes: floor slabs, walls with their door openings, lintels over the openings."""
+"""The shell of an apartment as boxes: floor slabs, walls with door openings, lintels above the openings."""
 
 from __future__ import annotations
 
@@ -15,17 +15,19 @@ from condvln.samples.layout import WALL_THICKNESS, Layout
 __all__ = ["FLOOR_THICKNESS", "floor_boxes", "wall_boxes"]
 
 FLOOR_THICKNESS: Final = 0.1
-"""Metres; the upper side is at y = 0. Half a voxel of Habitat's, so that its navmesh comes to lie 0.1 m up."""
+"""Thickness of the floor slab in metres; its upper side is at y = 0. It is half a voxel of Habitat's, which puts the
+navmesh 0.1 m up.
+"""
 
 F64 = NDArray[np.float64]
 Span = tuple[float, float]
 
 
 def floor_boxes(layout: Layout) -> F64:
-    """(n, 2, 3) lower and upper corners of slabs that cover all rooms, to the middle of the walls."""
+    """Return slabs (n, 2, 3), lower and upper corners in metres, that cover all rooms to the middle of the walls."""
     boxes = []
     for room in layout.rooms:
-        # An L-shaped room is cut at every corner's x: two slabs, edge to edge.
+        # An L-shaped room is split at every corner's x: two slabs, edge to edge.
         cuts = sorted({x for x, _ in room.polygon})
         low, high = (f(z for _, z in room.polygon) for f in (min, max))
         for x0, x1 in pairwise(cuts):
@@ -35,9 +37,9 @@ def floor_boxes(layout: Layout) -> F64:
 
 
 def wall_boxes(layout: Layout) -> F64:
-    """(n, 2, 3) corners of wall pieces between openings, floor to ceiling, and of the lintels over openings.
+    """Return boxes (n, 2, 3) of wall pieces between openings, floor to ceiling, and of the lintels above openings.
 
-    Pieces overlap by half a wall in the corners, so that no slit is left open there.
+    Pieces overlap by half a wall in the corners, so that there are no gaps.
     """
     half = WALL_THICKNESS / 2
     doors = defaultdict(list)
@@ -57,7 +59,9 @@ def wall_boxes(layout: Layout) -> F64:
 
 
 def _lines(layout: Layout) -> dict[tuple[int, float], list[Span]]:
-    """Middle lines of all walls: (0 along x or 1 along z, the other coordinate) to spans that don't touch."""
+    """Return the centre lines of all walls: (0 along x or 1 along z, the other coordinate) to spans that don't
+    touch.
+    """
     pieces: dict[tuple[int, float], list[Span]] = defaultdict(list)
     for room in layout.rooms:
         for (x0, z0), (x1, z1) in zip(room.polygon, (*room.polygon[1:], room.polygon[0]), strict=True):

@@ -1,8 +1,8 @@
-"""Layouts as AI2-THOR controller metadata: iTHOR's one-room floor plans, RoboTHOR's apartments without rooms.
+"""Write layouts as AI2-THOR controller metadata: iTHOR's one-room floor plans, RoboTHOR's apartments without rooms.
 
-One JSON a scene: ``{"sceneName", "objects"}``. Every object has its axis-aligned box, and an oriented box if an agent
-can pick it up or move it; ``position`` is the prefab's pivot and not the middle of its box; structure has no asset.
-Angles and axes are Unity's (``condvln.samples.unity``).
+There is one JSON file per scene: ``{"sceneName", "objects"}``. Every object has its axis-aligned box, and an oriented
+box if an agent can pick it up or move it; ``position`` is the prefab's pivot, not the centre of its box; structure has
+no asset. Angles and axes are Unity's (``condvln.samples.unity``).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from schemas.errors import UsageError
 __all__ = ["ithor_files", "robothor_files"]
 
 FLOOR_PLANS: Final = {"kitchen": 0, "living room": 200, "bedroom": 300, "bathroom": 400}
-"""What iTHOR adds to a room's number by its type; it has thirty of each and no other types."""
+"""Offset of iTHOR's floor plan numbers by room type; it has thirty plans of each, and no other types."""
 
 PLANS_OF_A_TYPE: Final = 30
 
@@ -41,21 +41,21 @@ ROBOTHOR_SCENES: Final = tuple(
 """The scene names of RoboTHOR."""
 
 FLOOR_SLAB: Final = 0.2
-"""Metres of thickness of the floor's box; its upper side is at y = 0."""
+"""Thickness in metres of the floor's box; its upper side is at y = 0."""
 
 REACHABLE_STEP: Final = 0.25
 REACHABLE_RADIUS: Final = 0.2
-"""Grid of reachable positions, and the radius of AI2-THOR's agent, metres."""
+"""Grid spacing of reachable positions, and the radius of AI2-THOR's agent, in metres."""
 
 Json = dict[str, Any]
 F64 = NDArray[np.float64]
 
 
 def ithor_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, bytes]]:
-    """Each kitchen, living room, bedroom and bathroom as a floor plan of its own, numbered in order of scenes.
+    """Yield each kitchen, living room, bedroom and bathroom as a separate floor plan, numbered in order of scenes.
 
-    ``FloorPlan<N>.json`` and ``FloorPlan<N>-reachable.npy``, (n, 2) of (x, z) on a 0.25 m grid. Doorways are open, and
-    what lies behind them is left out, as are rooms of other types.
+    Files: ``FloorPlan<N>.json`` and ``FloorPlan<N>-reachable.npy``, (n, 2) of (x, z) on a 0.25 m grid. Doorways are
+    open; what is behind them, and rooms of other types, are left out.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def ithor_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, bytes]]:
             made[room.label] += 1
             if made[room.label] > PLANS_OF_A_TYPE:
                 raise UsageError(
-                    f"iTHOR has numbers for {PLANS_OF_A_TYPE} rooms of a type and there are more {room.label}s",
+                    f"iTHOR has {PLANS_OF_A_TYPE} rooms of a type, but the scenes have more {room.label}s",
                     place="scenes",
                     remedy="Ask for fewer scenes.",
                 )
@@ -81,7 +81,7 @@ def ithor_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, bytes]]:
 
 
 def robothor_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, bytes]]:
-    """Each layout as one scene without rooms, its walls as panels; see ``ROBOTHOR_SCENES`` for the names.
+    """Yield each layout as one scene without rooms, its walls as panels; see ``ROBOTHOR_SCENES`` for the names.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def _inside(room: Room) -> shapely.Polygon:
 
 
 def _reachable(floor: shapely.Geometry) -> F64:
-    """Grid points of Unity's frame on the largest part of `floor`."""
+    """Return grid points in Unity's frame on the largest connected part of `floor`."""
     part = max(shapely.get_parts(floor), key=lambda p: p.area)
     x0, z0, x1, z1 = (v / REACHABLE_STEP for v in part.bounds)
     xs = np.arange(np.ceil(x0), np.floor(x1) + 1) * REACHABLE_STEP
@@ -150,7 +150,7 @@ def _object(piece: Furniture, layout: Layout) -> Json:
 
 
 def _pivot(piece: Furniture) -> dict[str, float]:
-    """Pivots of prefabs are anywhere; these stand at the lower edge."""
+    """Return the pivot of a piece: real prefabs have it anywhere, here it is at the lower edge."""
     return UnityFrame().point(piece.center[0], float(piece.aabb[0, 1]), piece.center[2])
 
 
@@ -163,7 +163,7 @@ def _id(kind: str, place: Mapping[str, float]) -> str:
 
 
 def _record(kind: str, pivot: Mapping[str, float], rotation: Json, box: F64) -> Json:
-    """The keys that all objects have; `box` in the layout's frame."""
+    """Return the keys that all objects have; `box` is in the layout's frame."""
     frame = UnityFrame()
     low, high = box.tolist()
     corners = [[x, y, -z + 0.0] for x in (high[0], low[0]) for y in (high[1], low[1]) for z in (low[2], high[2])]
@@ -194,7 +194,7 @@ def _record(kind: str, pivot: Mapping[str, float], rotation: Json, box: F64) -> 
 
 
 def _oriented(piece: Furniture) -> list[list[float]]:
-    """Eight corners of the turned box, the lower four first."""
+    """Return the eight corners of the rotated box, the lower four first."""
     half = np.array(piece.size) / 2
     signs = np.array([[x, y, z] for y in (-1, 1) for x, z in ((1, -1), (-1, -1), (-1, 1), (1, 1))])
     corners = (signs * half) @ piece.yaw.matrix.T + np.array(piece.center)

@@ -1,4 +1,6 @@
-"""From the layout's frame to Unity's: left-handed, +y up, +z north. (x, y, z) is (x, y, −z), and angles turn round."""
+"""Convert the layout's frame to Unity's (left-handed, +y up, +z north): (x, y, z) becomes (x, y, −z), angles are
+negated.
+"""
 
 from __future__ import annotations
 
@@ -21,23 +23,23 @@ class UnityFrame:
 
     @classmethod
     def with_corner_at_origin(cls, layout: Layout) -> UnityFrame:
-        """The frame in which the plan's lowest corner is (0, 0, 0), as in ProcTHOR's houses."""
+        """Return the frame in which the plan's lowest corner is (0, 0, 0), as in ProcTHOR's houses."""
         (x0, _), (_, z1) = layout.bounds
         return cls(-x0, z1)
 
     def ground(self, x: float, z: float) -> tuple[float, float]:
-        """(x, z) on the floor."""
+        """Return a floor point (x, z) in Unity's frame."""
         return round(x + self.x, DECIMALS) + 0.0, round(self.z - z, DECIMALS) + 0.0
 
     def point(self, x: float, y: float, z: float) -> dict[str, float]:
-        """A point as Unity writes it."""
+        """Return a point in Unity's JSON form."""
         unity_x, unity_z = self.ground(x, z)
         return {"x": unity_x, "y": round(y, DECIMALS) + 0.0, "z": unity_z}
 
     def center(self, piece: Furniture) -> dict[str, float]:
-        """Middle of a piece's box."""
+        """Return the centre of a piece's box."""
         return self.point(*piece.center)
 
     def rotation(self, piece: Furniture) -> dict[str, float]:
-        """Euler angles in degrees; yaw turns clockwise seen from above."""
+        """Return Euler angles in degrees; yaw is clockwise seen from above."""
         return {"x": 0.0, "y": -math.degrees(piece.yaw.radians) % 360, "z": 0.0}

@@ -1,4 +1,4 @@
-"""Places to stand in an apartment and which of them see and reach each other: Matterport's panoramas."""
+"""Viewpoints in an apartment, and which of them see and reach each other, like Matterport3D's panoramas."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from condvln.samples.layout import Layout
 __all__ = ["Viewpoints", "viewpoints_of"]
 
 SPACING: Final = 1.8
-"""Metres between viewpoints on open floor."""
+"""Distance in metres between viewpoints on open floor."""
 
 DOOR_STEP: Final = 0.45
-"""Metres before and behind a doorway at which there is a viewpoint."""
+"""Distance in metres of the viewpoints on both sides of a doorway."""
 
 REACH: Final = 4.0
-"""Longest step from one viewpoint to the next, metres."""
+"""Largest distance in metres between two connected viewpoints."""
 
 MARGIN: Final = 0.1
-"""Metres that viewpoints keep from the edge of the free floor."""
+"""Least distance in metres of viewpoints from the edge of the free floor."""
 
 F64 = NDArray[np.float64]
 Place = tuple[float, float]
@@ -35,7 +35,9 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Viewpoints:
-    """(n, 2) places (x, z); the room of each; (n, n) whether one sees the other past walls, and may walk there."""
+    """Positions (n, 2) as (x, z), the room of each, and (n, n) whether two see each other and have a free straight
+    path.
+    """
 
     places: F64
     rooms: tuple[str, ...]
@@ -44,7 +46,9 @@ class Viewpoints:
 
 
 def viewpoints_of(layout: Layout) -> Viewpoints:
-    """Viewpoints on both sides of every doorway and over the floor, all of them joined by straight free walks."""
+    """Return viewpoints on both sides of every doorway and across the floor, all connected by straight free
+    segments.
+    """
     floor = free_floor(layout)
     shapely.prepare(floor)
     doors = _thinned(_before_doors(layout), DOOR_STEP / 2)
@@ -60,7 +64,9 @@ def _walks(places: F64, floor: shapely.Geometry) -> Flags:
 
 
 def _bridged(places: F64, floor: shapely.Geometry) -> F64:
-    """More places where the given ones fall apart: along the shortest way over the floor's convex polygons."""
+    """Add viewpoints where the given ones are not connected: along the shortest path over the floor's convex
+    polygons.
+    """
     ways: nx.Graph[Place] = nx.Graph()
     vertices, polygons = convex_polygons(floor)
     shapes = [shapely.Polygon(vertices[polygon]) for polygon in polygons]
@@ -109,7 +115,7 @@ def _grid(layout: Layout, floor: shapely.Geometry) -> F64:
 
 
 def _thinned(places: F64, distance: float, kept: int = 0) -> F64:
-    """The places, in order, without those too near an earlier one; the first `kept` stay in any case."""
+    """Return the positions in order, without those too near an earlier one; the first `kept` are always included."""
     chosen: list[F64] = list(places[:kept])
     for place in places[kept:]:
         if all(np.linalg.norm(place - other) >= distance for other in chosen):
@@ -118,7 +124,7 @@ def _thinned(places: F64, distance: float, kept: int = 0) -> F64:
 
 
 def _joined(places: F64, area: shapely.Geometry) -> Flags:
-    """Which pairs are joined by a straight line inside `area`; none with itself."""
+    """Return (n, n): which pairs are connected by a straight line inside `area`; none with itself."""
     n = len(places)
     pairs = np.stack(np.broadcast_arrays(places[:, None], places[None]), axis=2)
     joined: Flags = shapely.covers(area, shapely.linestrings(pairs.reshape(-1, 2, 2))).reshape(n, n)

@@ -1,4 +1,4 @@
-"""ProcTHOR's asset database: the type of each asset, and the size of its box at rotation zero."""
+"""ProcTHOR's asset database: each asset's type, and the size of its box at rotation zero."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MAX_DATABASE_BYTES: Final = 256 << 20
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Asset:
-    """An asset: its object type, and the full size (3,) of its box in metres, None where the database has none."""
+    """An asset: its object type, and the full size (3,) of its box in metres; None if the database has none."""
 
     asset_id: str
     object_type: str
@@ -29,11 +29,11 @@ class Asset:
 
 
 class AssetDatabase:
-    """Assets by id.
+    """The assets by id.
 
     Raises
     ------
-    MissingFileError : the database is not there
+    MissingFileError : the database does not exist
     FormatError : it is malformed
     """
 
@@ -60,7 +60,7 @@ class AssetDatabase:
                 self._assets[own] = Asset(own, kind if own_kind is None else own_kind.text(), size)
 
     def asset(self, asset_id: str, ledger: InputLedger) -> Asset | None:
-        """An asset; None where the database does not know it (assets from Objaverse)."""
+        """Return an asset; None if it is not in the database (assets from Objaverse)."""
         found = self._assets.get(asset_id)
         said = None if found is None else [found.object_type, None if found.size is None else found.size.tolist()]
         ledger.entry(self.path, asset_id, said)

@@ -1,4 +1,4 @@
-"""From a placed template to a body: its label, its mesh files, and where each of them stands in the scene."""
+"""Resolve placed templates to bodies: label, mesh files, and the pose of each mesh in the scene."""
 
 from __future__ import annotations
 
@@ -32,8 +32,9 @@ F64 = NDArray[np.float64]
 class Body:
     """One body of a scene before its geometry is read.
 
-    parts : mesh files, each with its (4, 4) transform into the body's frame, scale included; empty: extent unknown
-    com : (3,) the body's origin in that frame, which stands at the placement; None: the centre of its box
+    parts : mesh files, each with its (4, 4) transform into the body's frame, scale included; empty if the extent is
+        unknown
+    com : (3,) the point of the body that is at the placement's position; None for the centre of its box
     """
 
     placed: Placed
@@ -43,14 +44,14 @@ class Body:
     com: F64 | None = field(default_factory=lambda: np.zeros(3))
 
     def to_scene(self, com: F64) -> F64:
-        """(4, 4) transform from the body's frame to the scene's, given its origin."""
+        """Return the (4, 4) transform from the body's frame to the scene's, given its origin."""
         back = placement(translation=-com if self.placed.origin == "com" else None)
         matrix: F64 = placement(self.placed.rotation, self.placed.translation) @ back
         return matrix
 
 
 class BodyReader:
-    """Resolves the templates of one scene, notes what it reads, and collects warnings."""
+    """Resolves the templates of one scene, records the files it reads, and collects warnings."""
 
     def __init__(self, dataset: SceneDataset, lexicon: Lexicon, family: str, ledger: InputLedger) -> None:
         self.dataset = dataset
@@ -61,7 +62,7 @@ class BodyReader:
         self.warnings: list[SceneWarning] = []
 
     def stage(self, placed: Placed) -> tuple[MeshPart, ...]:
-        """Mesh files of the stage, in the scene's frame; none with a warning where they are not there."""
+        """Return the mesh files of the stage in the scene's frame; empty, with a warning, if they are missing."""
         template = self._template("stages", placed)
         render = None if template is None else template.get("render_asset")
         if template is None or render is None:
@@ -74,7 +75,7 @@ class BodyReader:
         return (MeshPart(path, placement(placed.rotation, placed.translation) @ own),)
 
     def rigid(self, placed: Placed) -> Body:
-        """An object of ``object_instances``."""
+        """Return the body of an entry of ``object_instances``."""
         template = self._template("objects", placed)
         if template is None:
             return Body(placed, UNKNOWN_LABEL, vocabulary.canonical(UNKNOWN_LABEL, self.family), ())
@@ -91,7 +92,7 @@ class BodyReader:
         )
 
     def articulated(self, placed: Placed) -> Body:
-        """A body of ``articulated_object_instances``, all joints at rest."""
+        """Return the body of an entry of ``articulated_object_instances``, with all joints at zero."""
         template = self._template("articulated_objects", placed)
         if template is None:
             return Body(placed, UNKNOWN_LABEL, vocabulary.canonical(UNKNOWN_LABEL, self.family), ())
@@ -123,7 +124,7 @@ class BodyReader:
         return tuple(parts)
 
     def _rigid_mesh(self, template: Template, placed: Placed) -> str | None:
-        """The render mesh; where it is missing the dataset's own collision mesh of the same body; else None."""
+        """Return the render mesh; if it is missing, the dataset's own collision mesh of the same body; else None."""
         render, collision = template.get("render_asset"), template.get("collision_asset")
         if render is None and template.path.endswith(_MESH_SUFFIX):
             self.ledger.file(template.path)
@@ -140,7 +141,9 @@ class BodyReader:
         return path
 
     def _labels(self, template: Template, placed: Placed) -> tuple[str, str]:
-        """Raw and canonical label. A template that the vocabulary lists by its own name goes by that name."""
+        """Return raw and canonical label. A template that the vocabulary lists by its own name is labelled by that
+        name.
+        """
         semantic = template.get("semantic_id")
         raw = None if semantic is None else self.lexicon.name(semantic.node.integer(), self.ledger)
         if raw is None and template.handle in self._listed:
@@ -161,7 +164,7 @@ class BodyReader:
         return template
 
     def _mesh_path(self, asset: Attribute) -> str | None:
-        """Path of a GLB that an attribute names; None where it is not there or is not a GLB."""
+        """Return the path of a GLB named by an attribute; None if it does not exist or is not a GLB."""
         path = self._path(asset)
         if not path.endswith(_MESH_SUFFIX) or not self.dataset.has(path):
             return None
@@ -173,7 +176,7 @@ class BodyReader:
         return self.dataset.root.join(attribute.folder, node.text(), where=node.where, place=node.place)
 
     def _frame(self, template: Template) -> F64:
-        """(3, 3) rotation of the asset's own axes to Habitat's."""
+        """Return the (3, 3) rotation from the asset's own axes to Habitat's."""
         up, front = template.get("up"), template.get("front")
         own_up = _UP if up is None else up.node.vector(3)
         own_front = _FRONT if front is None else front.node.vector(3)

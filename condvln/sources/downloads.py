@@ -1,4 +1,4 @@
-"""What each family's dataset consists of, under the names of its download pages, and which of it is on disk."""
+"""The parts of each family's dataset, under the names of its download pages, and which of them are on disk."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ __all__ = ["Download", "Found", "downloads", "look_for"]
 
 _TABLE: Final = "downloads.csv"
 HABITAT_PROCTHOR: Final = "ai2thor-hab"
-"""What the table calls ProcTHOR in Habitat's form; not a family of its own."""
+"""The name of Habitat's form of ProcTHOR in the table; it is not a family of its own."""
 
 MAX_COUNTED: Final = 1_000_000
-"""Files counted of one kind: a survey of a disk that is not a dataset must end."""
+"""Largest number of files counted of one kind, so that a search in a wrong folder ends."""
 
 
 @dataclass(frozen=True, slots=True)
 class Download:
     """One kind of files of a dataset.
 
-    patterns : globs relative to the dataset's folder, any one is enough
-    need : without what is ``required`` nothing can be read; what is ``optional`` adds something
-    holds : what the files hold, and what happens without them
-    source : the name that its download page gives it
-    licence : what is to be accepted before it is downloaded
+    patterns : globs relative to the dataset's folder; one match is enough
+    need : without ``required`` files nothing can be read; ``optional`` files add information
+    holds : content of the files, and the effect if they are missing
+    source : its name on the download page
+    licence : the terms to accept before downloading
     """
 
     family: str
@@ -41,7 +41,7 @@ class Download:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """How many files of a kind are in a folder."""
+    """The number of files of a kind in a folder."""
 
     download: Download
     files: int
@@ -49,7 +49,7 @@ class Found:
 
 @cache
 def downloads(family: str) -> tuple[Download, ...]:
-    """Kinds of files of a family, the required ones first."""
+    """Return the kinds of files of a family, the required ones first."""
     rows = csv.DictReader((files("condvln.sources") / _TABLE).read_text(encoding="utf-8").splitlines())
     found = [
         Download(
@@ -67,9 +67,9 @@ def downloads(family: str) -> tuple[Download, ...]:
 
 
 def look_for(family: str, root: Path, houses: Path | None = None) -> list[Found]:
-    """The parts of a family's dataset that are in a folder; no file is opened.
+    """Return which parts of a family's dataset are in a folder; no file is opened.
 
-    houses : the folder of the house JSON, where `root` holds Habitat's scenes of ProcTHOR
+    houses : the folder of the house JSON, if `root` holds Habitat's ProcTHOR scenes
     """
     if houses is not None:
         return [*look_for(HABITAT_PROCTHOR, root), *_look(downloads("procthor")[:1], houses)]

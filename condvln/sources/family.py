@@ -1,7 +1,7 @@
-"""Facts about each family of datasets, without its reader: names, terms, official splits, paths of scenes.
+"""Facts about each family of datasets, independent of its reader: names, terms, official splits, scene paths.
 
 A new family is an entry here, a reader in ``registry``, its downloads in ``downloads.csv``, its raw labels in
-``condvln.labels``, and its name in ``schemas.config.Family``; ``CONTRIBUTING.md`` goes through them.
+``condvln.labels``, and its name in ``schemas.config.Family``; ``CONTRIBUTING.md`` has the steps.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import orjson
 __all__ = ["FAMILIES", "Family", "SplitGroup", "composed_datasets"]
 
 SplitGroup = Literal["train", "val_unseen", "test"]
-"""A set of scenes; the group train holds the splits train and val_seen."""
+"""A group of scenes; the group train holds the splits train and val_seen."""
 
 _GROUPS: Final[tuple[SplitGroup, ...]] = ("train", "val_unseen", "test")
 
@@ -32,15 +32,15 @@ def _unlisted(scene_id: str) -> SplitGroup | None:
 class Family:
     """A family of datasets.
 
-    name : of the dataset, as its makers write it
-    terms, credit : what it allows, and whom to name
-    composed : its scenes come in parts, which the terms let a user put together on a disk of his own; a scan is one
-        file already, and its users agree to terms with its owner
-    official_split : group of a scene by its makers' own lists; None where they have none
+    name : the dataset's name as its authors write it
+    terms, credit : licence terms, and the citation
+    composed : its scenes consist of several files, which the terms allow a user to combine on their own disk; a scan is
+        a single file, and its users accept terms with its owner
+    official_split : returns a scene's group from the authors' lists; None if there are none
     scene_file : ``scene_id`` of a VLN-CE episode below the folder of scene datasets; ``{scene}`` is the scene's id,
         ``{name}`` the id without its folder
     always_placed : every scene gets a navmesh, built from its walls or its reachable positions
-    costs_like : the family whose measured costs estimates begin with
+    costs_like : the family whose measured costs are used for first estimates
     """
 
     name: str
@@ -60,7 +60,7 @@ def _list_of(family: str) -> dict[str, SplitGroup]:
 
 
 def _listed(family: str, scene_id: str) -> SplitGroup | None:
-    # Gibson's buildings are in folders by the kind of their annotation; the list has buildings.
+    # Gibson's buildings are in folders by kind of annotation; the official list names buildings only.
     return _list_of(family).get(posixpath.basename(scene_id))
 
 
@@ -68,7 +68,7 @@ _ITHOR: Final = re.compile(r"FloorPlan(\d{1,3})(?:_physics)?$")
 
 
 def _ithor_split(scene_id: str) -> SplitGroup | None:
-    # Floor plans 1-30 of kitchens, 201-230, 301-330 and 401-430 of the other room types: within each, 1-20 train,
+    # Floor plans 1-30 are kitchens; 201-230, 301-330 and 401-430 the other room types. In each range, 1-20 are train,
     # 21-25 val, 26-30 test.
     found = _ITHOR.match(scene_id)
     if found is None:
@@ -91,8 +91,9 @@ _FIRST_TEST_STAGING: Final = 11
 
 
 def _replicacad_split(scene_id: str) -> SplitGroup | None:
-    # A base layout sc0, sc1 … comes in 21 stagings. Many copies have sc0, sc1 and the apartments alone, and these would
-    # leave three scenes for test; so the later stagings of sc1 are for test too. No layout of train is elsewhere.
+    # A base layout sc0, sc1 … has 21 stagings. Many copies of the dataset contain only sc0, sc1 and the apartments,
+    # which would leave three scenes for test; so the later stagings of sc1 are for test too. No train layout is in
+    # another split.
     found = _REPLICACAD.match(scene_id)
     if found is None:
         return None
@@ -108,7 +109,7 @@ FAMILIES: Final[dict[str, Family]] = {
         "Gibson database licence (non-commercial research) and 3DSceneGraph's terms",
         "Xia et al., Gibson Env, CVPR 2018; Armeni et al., 3D Scene Graph, ICCV 2019",
         official_split=partial(_listed, "gibson"),
-        # The verified and the automated annotation of a building are of one mesh.
+        # The verified and the automated annotation of a building refer to the same mesh.
         scene_file="{family}/{name}/{name}.glb",
     ),
     "ithor": Family(
@@ -150,11 +151,12 @@ FAMILIES: Final[dict[str, Family]] = {
         costs_like="ithor",
     ),
 }
-"""By the name that configurations and tables use."""
+"""All families by the name used in configurations and tables."""
 
 
 def composed_datasets(scenes: Iterable[str]) -> list[str]:
-    """Names of the datasets that some scenes (``<family>/<scene>``) are of and that ``condvln compose`` puts together,
-    sorted by family."""
+    """Return the names of the datasets of some scenes (``<family>/<scene>``) that ``condvln compose`` combines, sorted
+    by family.
+    """
     families = sorted({scene.partition("/")[0] for scene in scenes})
     return [FAMILIES[family].name for family in families if family in FAMILIES and FAMILIES[family].composed]

@@ -1,4 +1,4 @@
-"""Which files of a dataset's folder fit some patterns: each real file once, however symbolic links lead to it."""
+"""List the files of a dataset's folder that match patterns, each real file once, whatever symbolic links lead to it."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ __all__ = ["FileListing", "list_files"]
 
 @dataclass
 class FileListing:
-    """Files of a dataset, and what was found on the way to them.
+    """The files of a dataset, and problems found while listing them.
 
     paths : relative to the root, '/'-separated, sorted
-    passed_over : why a file or link was left out, by its path; nothing is lost by it
-    faults : what could not be followed or opened, by its path; what is behind it is lost until that is changed
+    passed_over : why a file or link was skipped, by its path; no data is lost
+    faults : what could not be followed or opened, by its path; the data behind it is missing until this is fixed
     """
 
     paths: list[str] = field(default_factory=list)
@@ -27,10 +27,10 @@ class FileListing:
     faults: dict[str, InputError] = field(default_factory=dict)
 
     def take(self, root: DatasetRoot, paths: Iterable[str]) -> None:
-        """Add paths: of several that lead to one real file, the one without a link, else the first.
+        """Add paths: of several paths to one real file, the one without a link, else the first.
 
-        A link to a file outside of the root stays: reading it is that file's own error. Behind a link to a folder
-        outside of the root nothing is taken; the link is one fault.
+        A link to a file outside the root is kept; reading it raises an error for that file only. Nothing is listed
+        behind a link to a folder outside the root; the link is reported as one fault.
         """
         real_folder = os.path.realpath(root.folder)
         folders: dict[str, str] = {}
@@ -67,7 +67,7 @@ class FileListing:
 
 
 def list_files(root: DatasetRoot, patterns: Sequence[str]) -> FileListing:
-    """Files whose path fits one of some patterns; ``*`` and ``?`` stay within a name, hidden names are left out.
+    """List the files whose path matches a pattern; ``*`` and ``?`` do not match '/', hidden files are skipped.
 
     Raises
     ------
@@ -116,7 +116,7 @@ def _entries(root: DatasetRoot, folder: str, listing: FileListing) -> list[os.Di
 def _is_folder(entry: os.DirEntry[str]) -> bool:
     try:
         return entry.is_dir()
-    except OSError:  # a link that leads to itself
+    except OSError:  # a link that points to itself
         return False
 
 
@@ -125,7 +125,7 @@ def _is_inside(path: str, folder: str) -> bool:
 
 
 def _outermost_link(root: DatasetRoot, path: str) -> str:
-    """The first part of a path that is a symbolic link; the path itself where none is."""
+    """Return the first part of a path that is a symbolic link; the path itself if none is."""
     parts = path.split("/")
     heads = ("/".join(parts[: n + 1]) for n in range(len(parts)))
     return next((head for head in heads if os.path.islink(root.folder / head)), path)

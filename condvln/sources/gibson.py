@@ -1,6 +1,6 @@
-"""Gibson: buildings annotated by 3DSceneGraph, with Habitat's mesh and navmesh beside them where they are there.
+"""Gibson: buildings annotated by 3DSceneGraph, with Habitat's mesh and navmesh if they exist.
 
-Boxes are axis-aligned in the mesh's z-up frame; ``floor_area`` in the files is a perimeter and is not read.
+Boxes are axis-aligned in the mesh's z-up frame; ``floor_area`` in the files is a perimeter and is ignored.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ _FILE: Final = re.compile(r"^(?:(?P<folder>[^/]+)/)?(?:(?P<name>[^/]+)\.scn|3DSc
 class GibsonSource(SceneSource):
     """Buildings in a folder and its direct subfolders.
 
-    Ids: ``verified/<name>`` and ``automated/<name>`` by the name of the subfolder, ``<name>`` elsewhere. Where a
-    building is there as ``.scn`` and as ``.npz``, the ``.scn`` is read. The annotation of automated graphs was checked
-    by nobody: their rooms are not complete, and asked only where the source's ``absence`` is ``never``.
+    Ids are ``verified/<name>`` and ``automated/<name>`` in subfolders of these names, otherwise ``<name>``. If a
+    building exists as ``.scn`` and as ``.npz``, the ``.scn`` is read. Automated annotation was not checked by people:
+    its rooms are not complete, and text asks about them only if the source's ``absence`` is ``never``.
     """
 
     family: ClassVar[str] = "gibson"
@@ -66,7 +66,7 @@ class GibsonSource(SceneSource):
             yield scene_id, partial(self._note, scene_id, path)
 
     def scene(self, scene_id: str) -> Scene:
-        """One building; see `Source.read`."""
+        """Return one building; see `Source.read`."""
         path = self._buildings().get(scene_id)
         if path is None:
             raise self.not_there(scene_id)
@@ -97,7 +97,7 @@ class GibsonSource(SceneSource):
         )
 
     def geometry(self, scene: Scene) -> SceneGeometry | None:
-        """The building's mesh; see `Source.geometry`. None where it is not there: no walls are invented."""
+        """Return the building's mesh; see `Source.geometry`. None if the file is missing: no walls are generated."""
         return scan_geometry(self.files, scene)
 
     def _note(self, scene_id: str, path: str, ledger: InputLedger) -> None:
@@ -107,7 +107,7 @@ class GibsonSource(SceneSource):
         self._beside(scene_id, path, ledger)
 
     def _beside(self, scene_id: str, path: str, ledger: InputLedger) -> tuple[tuple[MeshPart, ...], tuple[str, ...]]:
-        """The building's mesh and possible navmeshes, beside its annotation or in the root folder."""
+        """Return the building's mesh and possible navmeshes, beside its annotation or in the root folder."""
         name, folder = posixpath.basename(scene_id), posixpath.dirname(path)
         folders = list(dict.fromkeys([folder, ""]))
         mesh = next((m for m in (posixpath.join(f, f"{name}.glb") for f in folders) if self.files.has(m)), None)
@@ -119,9 +119,9 @@ class GibsonSource(SceneSource):
         return stage, self.shipped_navmeshes(name, ledger, own)
 
     def _buildings(self) -> dict[str, str]:
-        """Scene id → path of its annotation, sorted."""
+        """Return the path of each building's annotation by scene id, sorted."""
         found: dict[str, str] = {}
-        # Of one building's files the last one counts: .scn before .npz, subfolders before the root.
+        # Of several files of a building the last one counts: .scn before .npz, subfolders before the root.
         paths = self.matching("*.npz", "*/*.npz", "*.scn", "*/*.scn")
         for path in sorted(paths, key=lambda path: (path.endswith(".scn"), "/" in path, path)):
             named = _FILE.match(path)
@@ -133,13 +133,15 @@ class GibsonSource(SceneSource):
 
 
 def verified_twin(scene_id: str) -> str | None:
-    """The id that the same building has by its verified annotation; None where this is that one."""
+    """Return the scene id of the same building's verified annotation; None if `scene_id` is that one, or there is
+    none.
+    """
     kind, _, name = scene_id.rpartition("/")
     return None if kind == VERIFIED else f"{VERIFIED}/{name}"
 
 
 def _box(node: JsonNode) -> F64 | None:
-    """(2, 3) box in Habitat's frame, not rounded; None where the entry has no place or no size."""
+    """Return the (2, 3) box in Habitat's frame, not rounded; None if the entry has no position or size."""
     location, size = node.get("location"), node.get("size")
     if location is None or size is None:
         return None
@@ -152,7 +154,7 @@ def _box(node: JsonNode) -> F64 | None:
 
 
 def _rooms(document: JsonNode, family: str, complete: bool) -> dict[int, Room]:
-    """Rooms by the file's number."""
+    """Return the rooms by the file's number."""
     nodes = document.array("rooms")
     floors = [floor.text() for node in nodes if (floor := node.get("floor_number")) is not None]
     level_of = {letter: level for level, letter in enumerate(sorted(set(floors)))}
@@ -183,7 +185,7 @@ def _rooms(document: JsonNode, family: str, complete: bool) -> dict[int, Room]:
 def _objects(
     document: JsonNode, family: str, room_of: Mapping[int, Room]
 ) -> tuple[list[SceneObject], list[SceneWarning]]:
-    """Objects, in their room where the file says it, else in none yet."""
+    """Return the objects, in the room named by the file, else without a room so far."""
     items: list[SceneObject] = []
     warnings: list[SceneWarning] = []
     seen: Counter[int] = Counter()
@@ -224,7 +226,7 @@ def _objects(
 
 
 def _whole(items: list[SceneObject], family: str, complete: bool) -> Room:
-    """The one room of a building without annotated rooms."""
+    """Return the one room of a building without annotated rooms."""
     ends = [y for o in items for y in (o.center[1:2] if o.aabb is None else o.aabb[:, 1])]
     return Room(
         room_id="building",

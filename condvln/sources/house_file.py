@@ -1,6 +1,7 @@
-"""Matterport3D's ``.house`` files: a building's levels, regions, surfaces, panoramas and objects, one record a line.
+"""Read Matterport3D's ``.house`` files: a building's levels, regions, surfaces, panoramas and objects, one record per
+line.
 
-The layout is that of ``data_organization.md`` of the dataset. Coordinates stay in the file's frame here (metres, z up).
+The format is that of the dataset's ``data_organization.md``. Coordinates stay in the file's frame (metres, z up).
 """
 
 from __future__ import annotations
@@ -26,17 +27,18 @@ VERSION: Final = "ASCII 1.1"
 _REMEDY = "Take the file from its dataset again"
 _PANORAMA_NAME: Final = 32
 
-# Words of each kind of record, the letter included. P is a panorama or a portal, distinguished by its first word.
+# Number of words of each kind of record, including the letter. P is a panorama or a portal, distinguished by its
+# length.
 _WORDS: Final = {"H": 29, "L": 18, "R": 20, "S": 22, "V": 13, "P": 13, "I": 41, "C": 11, "O": 24, "E": 19, "portal": 15}
 _COUNTED: Final = {
     "I": 3, "P": 4, "V": 5, "S": 6, "E": 7, "O": 8, "C": 9, "R": 10, "portal": 11, "L": 12,
 }  # fmt: skip
-"""Kinds, and the word of the H record that says how many there are."""
+"""Kinds of records, and the position in the H record of their number."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class HouseRegion:
-    """A region: its letter, level, the corners (n, 2) of its floor as (x, y), the floor's z and its height, metres."""
+    """A region: its letter, level, floor corners (n, 2) as (x, y), floor height z and room height, in metres."""
 
     index: int
     level: int
@@ -48,8 +50,9 @@ class HouseRegion:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class HouseObject:
-    """An object: region and category by index (−1: none), and its oriented box: centre (3,), axes (3, 3) as columns,
-    half lengths (3,), in the order of the file."""
+    """An object: indices of region and category (−1 for none), and its oriented box in the file's order: centre (3,),
+    axes (3, 3) as columns, half lengths (3,).
+    """
 
     index: int
     region: int
@@ -61,7 +64,7 @@ class HouseObject:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Panorama:
-    """A camera position: its name, region by index, and position (3,)."""
+    """A camera position: its name, index of its region, and position (3,) in metres."""
 
     name: str
     region: int
@@ -70,7 +73,7 @@ class Panorama:
 
 @dataclass(frozen=True, slots=True)
 class Portal:
-    """An opening between two regions, by index."""
+    """An opening between two regions, given by their indices."""
 
     regions: tuple[int, int]
     label: str
@@ -78,7 +81,7 @@ class Portal:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class HouseFile:
-    """All that a scene needs of a ``.house`` file; categories by index, `#` standing for a blank in their names."""
+    """The parts of a ``.house`` file that a scene needs; categories by index, with `#` for a blank in their names."""
 
     levels: int
     regions: tuple[HouseRegion, ...]
@@ -89,12 +92,12 @@ class HouseFile:
 
 
 def read_house_file(data: bytes, where: str) -> HouseFile:
-    """The content of a ``.house`` file of version 1.1.
+    """Read a ``.house`` file of version 1.1.
 
     Raises
     ------
-    FormatError : another version; a record of the wrong length; a number that is none; counts that differ from the
-        header's; an index that leads nowhere; a region without a floor
+    FormatError : the version differs; a record has a wrong length or an invalid number; counts differ from the
+        header's; an index is out of range; a region has no floor
     """
     return _Reader(data, where).house()
 
@@ -142,7 +145,7 @@ class _Reader:
         return self._checked(header)
 
     def _lines(self) -> Iterator[str]:
-        """Lines of the file, without a list of them all."""
+        """Yield the lines of the file without building a list of them."""
         start = 0
         while start < len(self.data):
             end = self.data.find(b"\n", start)
@@ -244,6 +247,6 @@ class _Reader:
 
 
 def _area(loop: F64) -> float:
-    """Area of a polygon's shadow on the ground."""
+    """Return the area of a polygon's projection on the ground."""
     x, y = loop[:, 0], loop[:, 1]
     return abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2

@@ -1,4 +1,4 @@
-"""What a scene was read from, noted while it is read."""
+"""Record the inputs of a scene while it is read."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ __all__ = ["InputLedger"]
 
 
 class InputLedger:
-    """Files, and entries of shared files, that one scene depends on.
+    """The files, and entries of shared files, that one scene depends on.
 
-    objects, rooms : how many the scene has, where whoever noted its inputs has read as much; None otherwise
+    objects, rooms : numbers of the scene's objects and rooms, if the listing has counted them; otherwise None
     """
 
     def __init__(self) -> None:
@@ -26,23 +26,23 @@ class InputLedger:
         self.rooms: int | None = None
 
     def file(self, path: str) -> None:
-        """Note a whole file, by its path relative to the root."""
+        """Record a whole file, by its path relative to the root."""
         self._files.add(path)
 
     def entry(self, path: str, name: str, value: Any) -> None:
-        """Note one entry of a shared file, so that a change of another entry changes nothing for this scene."""
+        """Record one entry of a shared file, so that changes of other entries do not affect this scene."""
         self._entries[f"{path}#{name}"] = canonical_json(value)
 
     def record(self, name: str, data: bytes) -> None:
-        """Note one record of a shared file (``file#record``), or a whole file, by its bytes."""
+        """Record one record of a shared file (``file#record``), or a whole file, by its bytes."""
         self._entries[name] = data
 
     def inputs(self, root: DatasetRoot, hash_file: HashFile) -> tuple[SceneInput, ...]:
-        """All noted inputs, sorted by path; files that no longer exist are left out.
+        """Return all recorded inputs, sorted by path; files that no longer exist are left out.
 
         Raises
         ------
-        MissingFileError : a file is there and can't be read
+        MissingFileError : a file exists but can't be read
         """
         found = [SceneInput(p, len(v), hashlib.sha256(v).hexdigest()) for p, v in self._entries.items()]
         for path in self._files:

@@ -22,7 +22,7 @@ ROOM_TYPES: Final = (
 
 
 def room_type(name: str) -> str:
-    """The type of a floor plan's room by its name (``FloorPlan207``); unknown outside of the 120."""
+    """Return the room type of a floor plan by its name (``FloorPlan207``); unknown outside the 120 plans."""
     named = _PLAN.match(name)
     number = int(named[1]) if named is not None else -1
     return next((label for numbers, label in ROOM_TYPES if number in numbers), UNKNOWN_LABEL)

@@ -1,4 +1,4 @@
-"""The semantic classes of a Habitat dataset: id → name, and the region annotations that may stand beside them."""
+"""Read the semantic classes (id → name) of a Habitat dataset, and the region annotations in the same files."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Lexicon:
             self._classes[number] = (name, node)
 
     def name(self, number: int, ledger: InputLedger) -> str | None:
-        """The name of a class; None if no class has this id."""
+        """Return the name of a class; None if no class has this id."""
         name, node = self._classes.get(number, (None, None))
         ledger.entry(self._path, f"classes.{number}", None if node is None else node.value)
         return name
@@ -36,14 +36,14 @@ class Lexicon:
 def read_descriptors(
     dataset: SceneDataset, scene_name: str, own: JsonNode | None, ledger: InputLedger
 ) -> tuple[Lexicon, tuple[str, JsonNode] | None]:
-    """A scene's lexicon, and its region annotations with the path of their file where it has any.
+    """Return a scene's lexicon, and its region annotations with their file's path if there are any.
 
-    The scene's own semantic descriptor is looked at first, then the dataset's default one; each gives what the one
-    before it lacks.
+    The scene's own semantic descriptor is read first, then the dataset's default one, which fills in what the first
+    lacks.
 
     Raises
     ------
-    MissingFileError : a descriptor is named and not there, or none holds classes
+    MissingFileError : a named descriptor does not exist, or none holds classes
     FormatError : a descriptor is malformed
     """
     lexicon: Lexicon | None = None
@@ -74,7 +74,7 @@ def read_descriptors(
 
 
 def _descriptor_path(dataset: SceneDataset, scene_name: str, named: JsonNode, ledger: InputLedger) -> str:
-    """Path of the descriptor file that a name stands for, relative to the root."""
+    """Return the path of the named descriptor file, relative to the root."""
     kind = "semantic_scene_descriptor_instances"
     handle = named.text().replace(_TAG, scene_name)
     entry = dataset.entry(kind, handle)

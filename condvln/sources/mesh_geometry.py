@@ -1,4 +1,4 @@
-"""Surfaces of scenes that come with meshes: a scan that is one, or a stage with every body in its place."""
+"""Surfaces of scenes with meshes: a scan that is a single mesh, or a stage and all bodies in place."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ __all__ = ["assembled_geometry", "scan_geometry"]
 
 
 def scan_geometry(files: DatasetRoot, scene: Scene) -> SceneGeometry | None:
-    """The triangles of a scene that is one scan, in the order and the float32 that Habitat builds navmeshes from.
+    """Return the triangles of a scene that is one scan, in the order and float32 precision of Habitat's navmesh
+    builder.
 
-    No triangle is assigned to an object. None where the scan's mesh is not there.
+    No triangle is assigned to an object. None if the scan's mesh is missing.
 
     Raises
     ------
@@ -35,9 +36,9 @@ def scan_geometry(files: DatasetRoot, scene: Scene) -> SceneGeometry | None:
 
 
 def assembled_geometry(meshes: MeshLibrary, scene: Scene) -> SceneGeometry | None:
-    """The triangles of the stage, then those of each object that has a mesh.
+    """Return the triangles of the stage, then those of each object that has a mesh.
 
-    None where the stage is not there: floor and walls are unknown then.
+    None if the stage is missing, since floor and walls are then unknown.
 
     Raises
     ------

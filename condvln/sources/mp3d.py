@@ -1,4 +1,6 @@
-"""Matterport3D: scans of buildings with regions and oriented object boxes, in Habitat's or the original layout."""
+"""Matterport3D: scans of buildings with regions and oriented object boxes, in Habitat's or the original folder
+structure.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,7 @@ MAX_HOUSE_BYTES: Final = 512 << 20
 LAYOUTS: Final = tuple(
     f"{scans}*/{inside}*.house" for scans in ("", "scans/", "v1/scans/") for inside in ("", "house_segmentations/")
 )
-"""Where ``<scan>.house`` stands: Habitat's ``<scan>/``, the original ``[v1/scans/]<scan>/house_segmentations/``."""
+"""Path of ``<scan>.house``: Habitat's ``<scan>/``, or the original ``[v1/scans/]<scan>/house_segmentations/``."""
 GRAPHS: Final = "connectivity"
 """Folder of the dataset with ``<scan>_connectivity.json``."""
 MAX_GRAPH_BYTES: Final = 64 << 20
@@ -41,11 +43,11 @@ AXIS_TOLERANCE: Final = 1e-3
 
 
 class Mp3dSource(SceneSource):
-    """Scans, by their ids.
+    """Matterport3D scans, by their ids.
 
-    An object's room is its region, as the file says, never the one around it: a fifth of the centres lie in none or in
-    another. Slices of one object, cut at a border of regions, are one object again (see `slices`). ``<scan>.glb`` and
-    ``<scan>.navmesh`` are taken from the scan's folder where they are there.
+    An object's room is the region stated in the file, not the one that contains its centre: a fifth of the centres lie
+    in no region or in another one. Slices of one object, cut at a region's border, are merged (see `slices`).
+    ``<scan>.glb`` and ``<scan>.navmesh`` are used if they are in the scan's folder.
     """
 
     family: ClassVar[str] = "mp3d"
@@ -67,13 +69,13 @@ class Mp3dSource(SceneSource):
             yield scene_id, partial(self._note, scene_id, path)
 
     def scene(self, scene_id: str) -> Scene:
-        """One scan; see `Source.read`."""
+        """Return one scan; see `Source.read`."""
         house, path = self._house(scene_id)
         ledger = InputLedger()
         room_of = {region.index: _room(region, self.family, str(self.root / path)) for region in house.regions}
         rooms = tuple(room_of.values())
         items, warnings = _objects(house, room_of, self.family)
-        # Slices are looked for pair by pair: not in a scene that is too large anyway.
+        # Slices are searched pair by pair, so limits are checked first.
         check_limits(Scene(self.family, scene_id, self.root, rooms, tuple(items)), self.options.limits)
         items, cut = joined_slices(items, {room.room_id: room for room in rooms}, vocabulary.nameless)
         warnings += cut
@@ -95,11 +97,11 @@ class Mp3dSource(SceneSource):
         )
 
     def geometry(self, scene: Scene) -> SceneGeometry | None:
-        """The scan's mesh; see `Source.geometry`. None where it is not there: no walls are invented."""
+        """Return the scan's mesh; see `Source.geometry`. None if the file is missing: no walls are generated."""
         return scan_geometry(self.files, scene)
 
     def house(self, scene_id: str) -> HouseFile:
-        """The raw record of a scan: panoramas, portals and categories too, in the file's frame.
+        """Return the raw record of a scan, including panoramas, portals and categories, in the file's frame.
 
         Raises
         ------
@@ -123,7 +125,7 @@ class Mp3dSource(SceneSource):
             ledger.record(f"{GRAPHS}/{graph.name}", DatasetRoot(graph.parent).read(graph.name, MAX_GRAPH_BYTES))
 
     def connectivity(self, scene_id: str) -> Path | None:
-        """See `SceneSource.connectivity`. None too where the scan has a mesh or a navmesh."""
+        """See `SceneSource.connectivity`. Also None if the scan has a mesh or a navmesh."""
         path = self._scans().get(scene_id)
         if path is None:
             return None
@@ -134,7 +136,7 @@ class Mp3dSource(SceneSource):
         return graph if graph.is_file() else None
 
     def _beside(self, scene_id: str, path: str, ledger: InputLedger) -> tuple[tuple[MeshPart, ...], tuple[str, ...]]:
-        """The scan's mesh and possible navmeshes, in its folder or beside its ``.house``."""
+        """Return the scan's mesh and possible navmeshes, in its folder or beside its ``.house``."""
         folder = posixpath.dirname(path)
         folders = list(dict.fromkeys([folder.removesuffix("/house_segmentations"), folder]))
         mesh = next((m for m in (f"{f}/{scene_id}.glb" for f in folders) if self.files.has(m)), None)
@@ -146,7 +148,9 @@ class Mp3dSource(SceneSource):
         return stage, self.shipped_navmeshes(scene_id, ledger, own)
 
     def _scans(self) -> dict[str, str]:
-        """Scan → path of its ``.house``, sorted; the first layout that has it counts."""
+        """Return the path of each scan's ``.house``, sorted; of several folder structures the first one that has it
+        counts.
+        """
         found: dict[str, str] = {}
         paths = [PurePosixPath(path) for path in self.matching(*LAYOUTS)]
         for layout in LAYOUTS:
@@ -161,7 +165,7 @@ def _room(region: HouseRegion, family: str, where: str) -> Room:
     corners = round_mm(np.column_stack([region.corners[:, 0], -region.corners[:, 1]]))
     polygon = shapely.Polygon(corners)
     if not polygon.is_valid or not polygon.area > 0:
-        # Traced outlines cross themselves by a hair here and there.
+        # Traced outlines sometimes intersect themselves slightly.
         corrected = shapely.make_valid(polygon)
         parts = [p for p in shapely.get_parts(corrected) if p.geom_type == "Polygon"]
         if not parts:
@@ -218,7 +222,7 @@ def _objects(house: HouseFile, room_of: dict[int, Room], family: str) -> tuple[l
 
 
 def _box(entry: HouseObject) -> OrientedBox | None:
-    """The oriented box in Habitat's frame; None where its axes are not a frame."""
+    """Return the oriented box in Habitat's frame; None if its axes are not orthogonal."""
     if not np.allclose(entry.axes.T @ entry.axes, np.eye(3), atol=AXIS_TOLERANCE):
         return None
     return OrientedBox(Z_UP_TO_HABITAT @ entry.centre, entry.half_lengths, Z_UP_TO_HABITAT @ entry.axes)

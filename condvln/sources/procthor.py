@@ -1,4 +1,4 @@
-"""ProcTHOR: procedurally made houses, one JSON document each, in files of one house or of one a line."""
+"""ProcTHOR: procedurally generated houses, one JSON document each, in files of one house or of one house per line."""
 
 from __future__ import annotations
 
@@ -35,17 +35,17 @@ __all__ = ["ProcthorSource"]
 _FILE: Final = re.compile(r"^(?P<stem>.+?)(?P<suffix>\.jsonl|\.jsonl\.gz|\.json)$")
 _LINE: Final = re.compile(r"^(?P<stem>.+)-(?P<number>0|[1-9][0-9]{0,8})$")
 _HOUSE_KEYS: Final = (b'"rooms"', b'"walls"')
-"""What tells a house from other JSON that lies beside it."""
+"""Keys that distinguish a house from other JSON in the same folder."""
 
 _LINE_KEYS: Final = (*_HOUSE_KEYS, b'"doors"', b'"windows"', b'"proceduralParameters"')
-"""Any of them makes a line a house, so that one damaged byte does not make it something else."""
+"""Keys of which any one makes a line a house, so that a damaged line still counts as a house."""
 
 
 class ProcthorSource(SceneSource):
     """Houses in the files of a folder and of its direct subfolders.
 
-    Ids: ``<file>-<line, from 0>`` for files of one house a line, ``<file>`` for files of one house, with the subfolder
-    before it where there is one. The asset database stands in the root folder.
+    Ids are ``<file>-<line, from 0>`` for files with one house per line, ``<file>`` for files of one house, with the
+    subfolder in front if there is one. The asset database is in the root folder.
     """
 
     family: ClassVar[str] = "procthor"
@@ -62,7 +62,7 @@ class ProcthorSource(SceneSource):
             )
 
     def listing(self) -> Iterator[tuple[str, Note]]:
-        """See `SceneSource.listing`. A break in a file of lines is a fault under the file's own name.
+        """See `SceneSource.listing`. If a file of lines can't be read to its end, the fault has the file's name as id.
 
         Raises
         ------
@@ -79,7 +79,7 @@ class ProcthorSource(SceneSource):
                     if all(key in data for key in _HOUSE_KEYS):
                         yield stem, partial(self._note, stem, path, data)
                     else:
-                        # A file that is cut short may have been a house.
+                        # A truncated file may have been a house.
                         parse_json(data, str(self.root / path))
                         self.pass_over(path, "JSON that is not a house")
                     continue
@@ -88,7 +88,7 @@ class ProcthorSource(SceneSource):
                 yield stem, partial(_fail, error)
 
     def _houses_of_lines(self, stem: str, path: str) -> Iterator[tuple[str, Note]]:
-        """A house a line. A file without any house is passed over as a whole; its first line decides if it is JSON.
+        """Yield one house per line. A file without any house is skipped; its first line decides whether it is JSON.
 
         Raises
         ------
@@ -101,7 +101,7 @@ class ProcthorSource(SceneSource):
                 earlier.append(number)
                 first = first or line
                 continue
-            if not houses:  # there is a house: the lines before it are broken ones
+            if not houses:  # there is a house, so the earlier lines are damaged houses
                 for broken in earlier:
                     yield f"{stem}-{broken}", partial(self._note_line, f"{stem}-{broken}", path, broken)
             houses = True
@@ -112,7 +112,7 @@ class ProcthorSource(SceneSource):
             self.pass_over(path, f"none of its {len(earlier)} lines is a house" if earlier else "the file has no lines")
 
     def scene(self, scene_id: str) -> Scene:
-        """One house; see `Source.read`."""
+        """Return one house; see `Source.read`."""
         house, ledger = self.house(scene_id), InputLedger()
         database = self._assets()
         rooms = self.rooms(house)
@@ -128,7 +128,7 @@ class ProcthorSource(SceneSource):
             family=self.family,
             scene_id=scene_id,
             root=self.root,
-            # Where a thing has no name, nothing can be said not to be there.
+            # If some object has no label, no absence can be claimed.
             rooms=tuple(replace(r, complete=r.room_id not in unnamed) for r in sorted(rooms, key=lambda r: r.room_id)),
             objects=tuple(sorted(placed, key=lambda o: o.object_id)),
             shipped_navmeshes=self.shipped_navmeshes(scene_id, ledger),
@@ -136,15 +136,15 @@ class ProcthorSource(SceneSource):
         )
 
     def geometry(self, scene: Scene) -> SceneGeometry:
-        """Floors, walls cut where doors stand open and windows are, and objects as boxes; see `Source.geometry`.
+        """Return floors, walls with holes for open doors and windows, and objects as boxes; see `Source.geometry`.
 
-        No ceilings: a navmesh would be built on them too.
+        There are no ceilings, since a navmesh would be built on them too.
         """
         structure = house_structure(self.house(scene.scene_id), f"{self.root}: {scene.scene_id}")
         return joined([*structure, object_boxes(enumerate(scene.objects))], approximate=True)
 
     def house(self, scene_id: str) -> House:
-        """The raw record of a house in Habitat's frame: its walls, doors and windows too.
+        """Return the raw record of a house in Habitat's frame, including walls, doors and windows.
 
         Raises
         ------
@@ -154,11 +154,11 @@ class ProcthorSource(SceneSource):
         return read_house(parse_json(data, str(self.root / name)))
 
     def record(self, scene_id: str) -> tuple[str, bytes]:
-        """Where a house stands (path relative to the root, with ``#line`` in a file of lines), and its JSON.
+        """Return where a house is stored (path relative to the root, with ``#line`` in a file of lines), and its JSON.
 
         Raises
         ------
-        InputError : there is no such house, or its file can't be read
+        InputError : the house does not exist, or its file can't be read
         """
         files = self._files()
         if (scene_id, ".json") in files:
@@ -172,7 +172,7 @@ class ProcthorSource(SceneSource):
         raise self.not_there(scene_id)
 
     def _files(self) -> dict[tuple[str, str], str]:
-        """(id without line, suffix) → path of every file that may hold houses, sorted."""
+        """Return (id without line, suffix) → path of every file that may hold houses, sorted."""
         found: dict[tuple[str, str], str] = {}
         for path in self.matching("*.json*", "*/*.json*"):
             named = _FILE.match(path)
@@ -186,7 +186,7 @@ class ProcthorSource(SceneSource):
         return self._open[path]
 
     def _assets(self) -> AssetDatabase:
-        """The asset database, read again where its file has changed."""
+        """Return the asset database, read again if its file has changed."""
         signature = next((s for s in map(self.files.signature, FILE_NAMES) if s != (0, 0)), (0, 0))
         if self._database is None or self._database[0] != signature:
             try:
@@ -201,7 +201,7 @@ class ProcthorSource(SceneSource):
         self._note(scene_id, f"{path}#{number}", JsonLines(self.files, path).line(number), ledger)
 
     def _note(self, scene_id: str, name: str, data: bytes, ledger: InputLedger) -> None:
-        """Note what reading a house would open, without building it."""
+        """Record the inputs of reading a house, without building it."""
         ledger.record(name, data)
         database = self._assets()
         rooms, asset_ids = _rooms_and_assets(data, str(self.root / name))
@@ -213,7 +213,12 @@ class ProcthorSource(SceneSource):
         self.shipped_navmeshes(scene_id, ledger)
 
     def rooms(self, house: House) -> tuple[Room, ...]:
-        """A house's rooms; FormatError where a floor's outline crosses itself."""
+        """Return a house's rooms.
+
+        Raises
+        ------
+        FormatError : the outline of a floor intersects itself
+        """
         tops = {wall.room_id: 0.0 for wall in house.walls}
         for wall in house.walls:
             tops[wall.room_id] = max(tops[wall.room_id], wall.top)
@@ -234,7 +239,7 @@ class ProcthorSource(SceneSource):
         )
 
     def _object(self, item: HouseObject, asset: Asset | None) -> SceneObject:
-        """An object, in no room yet: the asset's box, turned, about the position."""
+        """Return an object without a room: the asset's box, rotated, centred at the position."""
         raw = item.object_type or (None if asset is None else asset.object_type)
         if raw is None:
             prefix = item.object_id.split("|")[0]
@@ -275,7 +280,7 @@ class ProcthorSource(SceneSource):
 def _with_parents_rooms(
     objects: list[SceneObject], house: House, rooms: tuple[Room, ...]
 ) -> tuple[list[SceneObject], list[SceneWarning]]:
-    """Objects in rooms; what stands on or in another object is in that one's room."""
+    """Assign rooms to objects; an object on or in another one gets that one's room."""
     parent_of = {o.object_id: o.parent_id for o in house.objects}
     placed, lost = in_rooms((o for o in objects if parent_of[o.object_id] is None), rooms)
     room_of = {o.object_id: o.room_id for o in placed}
@@ -298,7 +303,7 @@ def _unknown_assets(house: House, kinds: dict[str, Asset | None]) -> Iterator[Sc
 
 
 def _rooms_and_assets(data: bytes, where: str) -> tuple[int, list[str]]:
-    """(number of rooms, asset id of every object) of a house; the full reader is asked only where something is amiss.
+    """Return the number of rooms and the asset id of every object of a house; invalid documents go to the full reader.
 
     Raises
     ------

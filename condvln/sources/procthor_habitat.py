@@ -1,8 +1,8 @@
-"""ProcTHOR as Habitat has it (``ai2thor-hab``): scene instances, whose rooms are in the houses' own JSON only.
+"""Habitat's form of ProcTHOR (``ai2thor-hab``): scene instances, whose rooms are only in the houses' own JSON.
 
-A scene and its house are joined by name: ``ProcTHOR-Train-293`` is line 293 of ``train.jsonl``. Whether they are one is
-then seen from their objects, which stand in the same places: in Unity's coordinates with z mirrored, or, as exporters
-of glTF have it, with x mirrored, which is a half turn away.
+A scene and its house are matched by name: ``ProcTHOR-Train-293`` is line 293 of ``train.jsonl``. The match is verified
+by their objects, which must have the same positions: either in Unity's coordinates with z mirrored, or, as glTF
+exporters write it, with x mirrored, which is rotated by 180°.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ __all__ = ["ProcthorHabitatSource"]
 _NAME: Final = re.compile(r"^(?:.*/)?ProcTHOR-(?P<split>[A-Za-z]+)-(?P<number>0|[1-9][0-9]{0,8})$")
 
 SAME_PLACE: Final = 0.25
-"""Metres between the middles of an object's box in the house and of its mesh in the scene, at most."""
+"""Largest distance in metres between the centres of an object's box in the house and of its mesh in the scene."""
 
 LEAST_SHARE: Final = 0.5
-"""Share of a house's objects that must be found in the scene; some of Habitat's have no mesh or another pivot."""
+"""Least share of a house's objects that must be found in the scene; some of Habitat's have no mesh or another pivot."""
 
 
 class ProcthorHabitatSource(ReplicaCadSource):
@@ -58,7 +58,7 @@ class ProcthorHabitatSource(ReplicaCadSource):
         ledger.record(f"houses/{name}", data)
 
     def _rooms(self, scene_id: str, assembly: Assembly, objects: Sequence[SceneObject]) -> tuple[Room, ...]:
-        """The user's zones where there are some, else the house's rooms."""
+        """Return the user's zones if there are any, else the house's rooms."""
         if any(room.annotation == "user" for room in assembly.regions):
             return assembly.regions
         house_id = _house_id(scene_id)
@@ -84,7 +84,7 @@ def _house_id(scene_id: str) -> str:
 
 
 def _turn(house: House, objects: Sequence[SceneObject]) -> int | None:
-    """1 if house and scene have the same orientation, −1 if they are half a turn apart; None if neither fits."""
+    """Return 1 if house and scene have the same orientation, −1 if they differ by 180°, None if neither matches."""
     if not house.objects or not objects:
         return 1
     tree = cKDTree(np.array([item.center for item in objects]))

@@ -1,8 +1,8 @@
-"""A ProcTHOR house as its JSON says it: rooms, walls, doors, windows, objects; schema 1.0.0 and 0.0.1.
+"""Read a ProcTHOR house from its JSON: rooms, walls, doors, windows, objects; schema 1.0.0 and 0.0.1.
 
-All coordinates are turned into Habitat's frame here (Unity's z is mirrored); the file's are left-handed with +Z
-forward. Sources of the conventions: ``ProceduralTools.cs`` of AI2-THOR (walls' first two points, wall-local openings,
-positions as box centres) and ``upgrade_house_version.py`` of ProcTHOR (the older schema).
+All coordinates are converted to Habitat's frame (Unity's z is mirrored); the file's are left-handed with +Z forward.
+Sources of the conventions: ``ProceduralTools.cs`` of AI2-THOR (walls' first two points, wall-local openings, positions
+as box centres) and ``upgrade_house_version.py`` of ProcTHOR (the older schema).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ SCHEMAS: Final = ("0.0.1", "1.0.0")
 
 @dataclass(frozen=True, eq=False, slots=True)
 class HouseRoom:
-    """A room: its id, the generator's type, and its floor's corners (n, 2) as (x, z)."""
+    """A room: its id, the generator's room type, and its floor corners (n, 2) as (x, z) in metres."""
 
     room_id: str
     room_type: str
@@ -39,10 +39,10 @@ class HouseRoom:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class HouseWall:
-    """One face of a wall, seen from its room: from `start` to `end`, (2,) each as (x, z), between two heights.
+    """One face of a wall, seen from its room: from `start` to `end`, (2,) each as (x, z), between two heights; metres.
 
     exterior : it is the outer face (its room is then the one behind it)
-    empty : it was taken away and the rooms on both sides are one space
+    empty : it was removed, and the rooms on both sides form one space
     """
 
     wall_id: str
@@ -57,9 +57,9 @@ class HouseWall:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Opening:
-    """A door or window in a wall: its sill from `start` to `end`, (2,) each as (x, z), between two heights.
+    """A door or window in a wall: its sill from `start` to `end`, (2,) each as (x, z), between two heights; metres.
 
-    passable : a door frame, or a door that stands open
+    passable : a door frame without a leaf, or an open door
     """
 
     opening_id: str
@@ -74,15 +74,15 @@ class Opening:
 
     @property
     def exterior(self) -> bool:
-        """Does it lead out of the house?"""
+        """Whether it leads out of the house."""
         return self.rooms[0] == self.rooms[1]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class HouseObject:
-    """An object: centre of its box (3,), rotation (3, 3), and the object it stands on or in, if any.
+    """An object: centre of its box (3,) in metres, rotation (3, 3), and the object it stands on or in, if any.
 
-    openness : share that it is open, 0 to 1; None where the house does not say
+    openness : how far it is open, 0 to 1; None if the house does not say
     """
 
     object_id: str
@@ -97,7 +97,7 @@ class HouseObject:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class House:
-    """A whole house, in file order; `warnings` are the generator's own, by name."""
+    """A whole house, in file order; `warnings` : the generator's own warnings, by name."""
 
     rooms: tuple[HouseRoom, ...]
     walls: tuple[HouseWall, ...]
@@ -106,7 +106,7 @@ class House:
     warnings: tuple[tuple[str, str], ...]
 
     def passages(self) -> set[tuple[str, str]]:
-        """Pairs of rooms with a way between them: passable doors, and walls taken away (they come in pairs)."""
+        """Return pairs of connected rooms: by passable doors, and by removed walls (which come in pairs)."""
         pairs = [o.rooms for o in self.openings if o.kind == "door" and o.passable and not o.exterior]
         sides: dict[str, list[str]] = {}
         for wall in self.walls:
@@ -117,11 +117,11 @@ class House:
 
 
 def read_house(node: JsonNode) -> House:
-    """A house from its JSON.
+    """Read a house from its JSON.
 
     Raises
     ------
-    FormatError : a wrong type, a key missing, two things with one id, a door in a wall that is not there
+    FormatError : a type is wrong, a key is missing, an id is repeated, or a door is in an unknown wall
     """
     metadata = node.get("metadata")
     schema = None if metadata is None else metadata.get("schema")
@@ -158,7 +158,7 @@ def _identifier(node: JsonNode) -> str:
 
 
 def _point(node: JsonNode) -> F64:
-    """A {x, y, z} in Habitat's frame."""
+    """Return a {x, y, z} in Habitat's frame."""
     point: F64 = UNITY_TO_HABITAT @ np.array([node[c].number() for c in "xyz"])
     return point
 
@@ -175,7 +175,7 @@ def _wall(node: JsonNode) -> HouseWall:
     corners = [_point(c) for c in node["polygon"].elements()]
     if len(corners) < 2:
         node["polygon"].fail("a wall has at least two corners")
-    # The lower two, in file order: interior walls list them first, exterior ones last.
+    # The lower two corners, in file order: interior walls list them first, exterior ones last.
     low = sorted(corners, key=lambda c: float(c[1]))[:2]
     empty = node.get("empty")
     own = _identifier(node)
@@ -208,7 +208,7 @@ def _opening(node: JsonNode, kind: Literal["door", "window"], wall_of: dict[str,
         node["wall0"].fail("the wall has no length")
     along = along / length
     openness, asset = node.get("openness"), node["assetId"].text()
-    # The older schema has no openness; its doors between rooms stand open.
+    # The older schema has no openness; its doors between rooms are open.
     is_open = openness is None if openness is None else openness.number() > 0
     return Opening(
         opening_id=_identifier(node),
@@ -224,7 +224,7 @@ def _opening(node: JsonNode, kind: Literal["door", "window"], wall_of: dict[str,
 
 
 def _collect(node: JsonNode, parent: str | None, into: list[HouseObject]) -> None:
-    """An object and all that stands on or in it."""
+    """Collect an object and everything on or in it."""
     own, rotation, kinematic = _identifier(node), node.get("rotation"), node.get("kinematic")
     kind, openness = node.get("objectType"), node.get("openness")
     degrees = [0.0, 0.0, 0.0] if rotation is None else [rotation[c].number(MAX_ANGLE) for c in "xyz"]

@@ -1,4 +1,4 @@
-"""The walls of a ProcTHOR house as slabs, cut where doors stand open and where windows let a look through."""
+"""The walls of a ProcTHOR house as slabs, with holes for open doors and for windows."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ __all__ = ["WALL_THICKNESS", "house_structure"]
 F64 = NDArray[np.float64]
 
 WALL_THICKNESS: Final = 0.02
-"""Metres. A house's walls are surfaces without thickness, and furniture stands right against them."""
+"""Wall thickness in metres. A house's walls are surfaces without thickness, with furniture directly against them."""
 
 PARAPET: Final = 0.5
-"""Metres of wall that stay below a window however low it begins: it may be looked through, never stepped through."""
+"""Least height in metres of the wall below a window: agents may look through it, but never step through."""
 
 SAME_LINE: Final = 0.02
-"""Metres by which an opening may miss the line of a wall that it is cut into."""
+"""Tolerance in metres between an opening and the line of the wall that it is cut into."""
 
 MAX_OPENINGS: Final = 2000
-"""Openings of one house. Real ones have some dozens; each is looked for in each wall."""
+"""Largest number of openings of one house. Real houses have dozens; each is matched against each wall."""
 
 
 def house_structure(house: House, where: str) -> list[Piece]:
-    """Floors of all rooms, then all walls that stand.
+    """Return the floors of all rooms, then all existing walls.
 
-    A wall between two rooms is in the file once for each, and is drawn once. A closed door is as good as its wall.
+    A wall between two rooms is twice in the file, and is added once. A closed door counts as wall.
 
     Raises
     ------
-    FormatError : the house (`where`) has more openings than a house can have
+    FormatError : the house (`where`) has more openings than are allowed
     """
     if len(house.openings) > MAX_OPENINGS:
         raise FormatError(
@@ -51,7 +51,7 @@ def house_structure(house: House, where: str) -> list[Piece]:
 
 
 def _standing(walls: Sequence[HouseWall]) -> Iterator[HouseWall]:
-    """Walls that were not taken away, each segment once, in file order."""
+    """Yield the walls that were not removed, each segment once, in file order."""
     drawn: set[tuple[object, ...]] = set()
     for wall in walls:
         if wall.empty or float(np.linalg.norm(wall.end - wall.start)) < SMALLEST:
@@ -64,14 +64,14 @@ def _standing(walls: Sequence[HouseWall]) -> Iterator[HouseWall]:
 
 
 def _slabs(wall: HouseWall, openings: Sequence[Opening]) -> Piece:
-    """What is left of a wall around its holes, as upright boxes."""
+    """Return the wall around its holes, as upright boxes."""
     length = float(np.linalg.norm(wall.end - wall.start))
     holes = list(_holes(wall, (wall.end - wall.start) / length, length, openings))
     return pierced_wall(wall.start, wall.end, wall.bottom, wall.top, WALL_THICKNESS, holes)
 
 
 def _holes(wall: HouseWall, along: F64, length: float, openings: Sequence[Opening]) -> Iterator[Hole]:
-    """The holes that openings, of whichever wall on the same line, make in this wall."""
+    """Yield the holes in this wall from all openings on its line, whichever wall they belong to."""
     if not openings:
         return
     ends = np.array([[o.start, o.end] for o in openings]) - wall.start

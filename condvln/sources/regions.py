@@ -1,4 +1,4 @@
-"""Rooms from region annotations: vertical prisms over polygons, as Habitat's semantic configurations hold them."""
+"""Rooms from region annotations: vertical prisms over polygons, as in Habitat's semantic configurations."""
 
 from __future__ import annotations
 
@@ -21,28 +21,29 @@ from condvln.sources.input_ledger import InputLedger
 __all__ = ["NEAREST_REGION", "RegionIndex", "check_polygon", "in_rooms", "read_regions", "side_regions"]
 
 NEAREST_REGION: Final = 0.25
-"""Metres. An object whose centre lies so little outside all regions (in a wall, on a sill) is the nearest one's, if the
-next one is farther by ``CLEAR``; else nobody can tell which of them it is in."""
+"""Metres. An object whose centre is outside all regions by at most this (in a wall, on a sill) gets the nearest region,
+if the second nearest is farther by ``CLEAR``; otherwise its room is ambiguous.
+"""
 
 CLEAR: Final = 0.05
 """Metres by which the second nearest region must be farther away than the nearest."""
 
 DEFAULT_FLOOR: Final = 0.0
 DEFAULT_EXTRUSION: Final = 2.5
-"""Metres; habitat-sim's defaults of ``floor_height`` and ``extrusion_height``."""
+"""Default floor height and room height in metres: habitat-sim's ``floor_height`` and ``extrusion_height``."""
 
 MAX_REGION_BYTES: Final = 64 << 20
 
 LEVEL_STEP: Final = 1.0
-"""Metres. Floors less far apart belong to one level."""
+"""Least height difference in metres between the floors of two levels."""
 
 
 def read_regions(annotations: JsonNode, annotation: Literal["dataset", "user"], family: str) -> tuple[Room, ...]:
-    """Rooms of a ``region_annotations`` array, sorted by id (the region's name).
+    """Return the rooms of a ``region_annotations`` array, sorted by id (the region's name).
 
     Raises
     ------
-    FormatError : a wrong type, a name given twice, a polygon that is none
+    FormatError : a type is wrong, a name is repeated, or a polygon is invalid
     """
     rooms: dict[str, Room] = {}
     for node in annotations.elements():
@@ -73,7 +74,7 @@ def read_regions(annotations: JsonNode, annotation: Literal["dataset", "user"], 
 
 @dataclass(frozen=True)
 class RegionIndex:
-    """Tells which room a point is in."""
+    """Finds the room that contains a point."""
 
     rooms: tuple[Room, ...]
 
@@ -82,25 +83,25 @@ class RegionIndex:
         return [(shapely.Polygon(r.polygon), r) for r in self.rooms]
 
     def room_of(self, point: NDArray[np.float64]) -> Room | None:
-        """The room that a point is in, else the only one within `NEAREST_REGION` of it."""
+        """Return the room that contains a point, else the only one within `NEAREST_REGION` of it."""
         near = self.near(point)
         clear = len(near) == 1 or (len(near) > 1 and near[1][0] - near[0][0] >= CLEAR)
         return self.holding(point) or (near[0][1] if clear and near[0][0] <= NEAREST_REGION else None)
 
     def holding(self, point: NDArray[np.float64]) -> Room | None:
-        """The room that a point (3,) is in, of several the smallest."""
+        """Return the room that contains a point (3,); of several, the smallest."""
         spot = shapely.Point(point[0], point[2])
         holding = [(polygon.area, r.room_id, r) for polygon, r in self._around(point) if polygon.covers(spot)]
         return min(holding, key=lambda h: h[:2])[2] if holding else None
 
     def near(self, point: NDArray[np.float64]) -> list[tuple[float, Room]]:
-        """Rooms no more than twice `NEAREST_REGION` away from a point, nearest first, with the metres to each."""
+        """Return the rooms within twice `NEAREST_REGION` of a point as (metres, room), nearest first."""
         spot = shapely.Point(point[0], point[2])
         near = [(float(polygon.distance(spot)), r.room_id, r) for polygon, r in self._around(point)]
         return [(metres, room) for metres, _, room in sorted(near, key=lambda n: n[:2]) if metres <= 2 * NEAREST_REGION]
 
     def _around(self, point: NDArray[np.float64]) -> list[tuple[shapely.Polygon, Room]]:
-        """Rooms at the height of a point."""
+        """Return the rooms at the height of a point."""
         return [
             (polygon, r)
             for polygon, r in self._polygons
@@ -109,10 +110,10 @@ class RegionIndex:
 
 
 def in_rooms(objects: Iterable[SceneObject], rooms: Sequence[Room]) -> tuple[list[SceneObject], list[SceneWarning]]:
-    """Objects with the room that holds their centre, else with the only one that is near it.
+    """Assign each object the room that contains its centre, else the only one that is near it.
 
-    A warning ``nearest_room`` names each object that goes to a room that its centre is not in, and
-    ``object_outside_rooms`` each that is left out. A room without a polygon holds everything.
+    A warning ``nearest_room`` names each object whose centre is outside its assigned room, and
+    ``object_outside_rooms`` each that is left out. A room without a polygon contains everything.
     """
     whole = next((room for room in rooms if room.polygon is None), None)
     index = RegionIndex(tuple(rooms))
@@ -138,11 +139,12 @@ def in_rooms(objects: Iterable[SceneObject], rooms: Sequence[Room]) -> tuple[lis
 
 
 def side_regions(side: Path, names: Sequence[str], family: str, ledger: InputLedger) -> tuple[Room, ...]:
-    """Zones that the user drew: one file for all scenes, or a folder with a ``<name>.semantic_config.json`` for some.
+    """Return zones drawn by the user: one file for all scenes, or a folder with ``<name>.semantic_config.json`` for
+    some.
 
     Parameters
     ----------
-    names : what the scene's file may be called: its own name, its stage's
+    names : possible names of the scene's file: the scene's own name, its stage's
 
     Raises
     ------
@@ -158,11 +160,11 @@ def side_regions(side: Path, names: Sequence[str], family: str, ledger: InputLed
 
 
 def check_polygon(corners: NDArray[np.float64], node: JsonNode) -> NDArray[np.float64]:
-    """(n, 2) corners rounded to 1 mm, checked to enclose an area without crossing themselves.
+    """Return the (n, 2) corners rounded to 1 mm, checked to enclose an area without self-intersection.
 
     Raises
     ------
-    FormatError : about `node`
+    FormatError : the polygon at `node` is invalid
     """
     corners = round_mm(corners)
     if len(corners) < 3:
@@ -174,7 +176,9 @@ def check_polygon(corners: NDArray[np.float64], node: JsonNode) -> NDArray[np.fl
 
 
 def _levelled(rooms: tuple[Room, ...]) -> tuple[Room, ...]:
-    """Rooms with their level: floors in ascending order, a new level where the next is `LEVEL_STEP` higher."""
+    """Assign levels to rooms: by ascending floor height, with a new level where the next floor is `LEVEL_STEP`
+    higher.
+    """
     floors = sorted({r.floor_y for r in rooms})
     level_of: dict[float, int] = {}
     level = 0

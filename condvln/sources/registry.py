@@ -1,4 +1,4 @@
-"""The families that can be read, by name."""
+"""The readers of all dataset families, by name."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ READERS: Final[dict[str, type[SceneSource]]] = {
     "replicacad": ReplicaCadSource,
     "robothor": RobothorSource,
 }
-"""Reader of each family."""
+"""The reader of each family."""
 
 
 def open_source(
@@ -47,25 +47,26 @@ def open_source(
     absence: Absence = "complete",
     connectivity: str | os.PathLike[str] | None = None,
 ) -> Source:
-    """The dataset of a family under `root`.
+    """Open the dataset of a family under `root`.
 
     Parameters
     ----------
     scenes, exclude : scene ids or patterns with ``*`` and ``?``, to read and to leave out
-    navmesh : folder of navmeshes, relative to `root`, to look in before any other
+    navmesh : folder of navmeshes, relative to `root`, that is searched first
     regions : side file or folder of user-drawn room zones
-    houses : folder of ProcTHOR's house JSON, where `root` is Habitat's scene dataset of them (ai2thor-hab)
-    hash_file : size and SHA-256 of a file
-    limits : the largest scene that is read; the configuration's defaults where None
-    absence : ``never`` asks incompletely annotated rooms too, and lets no room be said to lack anything
-    connectivity : folder of Matterport3D's viewpoint graphs; ``connectivity`` of the dataset where it is None
+    houses : folder of ProcTHOR's house JSON, if `root` is Habitat's scene dataset of ProcTHOR (ai2thor-hab)
+    hash_file : returns size and SHA-256 of a file
+    limits : the largest scene that is read; the configuration's defaults if None
+    absence : with ``never``, conditions may also be about incompletely annotated rooms, and absence is never claimed
+    connectivity : folder of Matterport3D's viewpoint graphs; the dataset's own ``connectivity`` if None
 
     Raises
     ------
-    ConfigError : an unknown family, a folder that is not there or is not such a dataset, a pattern that fits no scene
+    ConfigError : the family is unknown, the folder does not exist or holds another dataset, or a pattern matches no
+        scene
     """
     if family not in READERS:
-        raise ConfigError(f"unknown source family {family!r}", remedy=f"Known are {', '.join(sorted(READERS))}")
+        raise ConfigError(f"unknown source family {family!r}", remedy=f"Known families: {', '.join(sorted(READERS))}")
     root = Path(root)
     if not root.is_dir():
         raise ConfigError(

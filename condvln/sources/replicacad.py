@@ -1,8 +1,8 @@
-"""ReplicaCAD, and any dataset in the form of a Habitat scene dataset.
+"""ReplicaCAD, and any other dataset in the form of a Habitat scene dataset.
 
 A scene instance places rigid and articulated templates by name. Labels come from the semantic lexicon, extents from the
-GLB files (articulated bodies: through the links of their URDF), rooms from region annotations; where there are none the
-apartment is one room.
+GLB files (for articulated bodies, through the links of their URDF), rooms from region annotations. Without region
+annotations the apartment is one room.
 """
 
 from __future__ import annotations
@@ -37,15 +37,17 @@ __all__ = ["Assembly", "ReplicaCadSource"]
 F64 = NDArray[np.float64]
 
 WHOLE_SCENE: Final = "apartment"
-"""Id and label of the one room of a scene without region annotations."""
+"""Id and label of the single room of a scene without region annotations."""
 
 FLOOR_BAND: Final = 0.15
-"""Metres. Things whose bottoms lie so close to the lowest one stand on the floor; some (a door leaf) reach below it."""
+"""Metres. Objects whose bottom is within this of the lowest one stand on the floor; some (a door leaf) extend below
+it.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
-    """The parts of a scene as its files list them, before any of its triangles is placed."""
+    """The parts of a scene as listed in its files, before any mesh is placed."""
 
     bodies: list[Body]
     stage: tuple[MeshPart, ...]
@@ -55,7 +57,7 @@ class Assembly:
 
 
 class ReplicaCadSource(SceneSource):
-    """The scenes of a Habitat scene dataset; any other folder is a ConfigError."""
+    """The scenes of a Habitat scene dataset; raises ConfigError for any other folder."""
 
     family: ClassVar[str] = "replicacad"
 
@@ -72,7 +74,7 @@ class ReplicaCadSource(SceneSource):
             yield scene_id, partial(self._assemble, dataset, scene_id, path)
 
     def scene(self, scene_id: str) -> Scene:
-        """One scene; see `Source.read`. Shared files are read again, so that a corrected one is seen."""
+        """Return one scene; see `Source.read`. Shared files are read again, so that corrections take effect."""
         dataset = SceneDataset(self.files)
         path = dataset.scenes().get(scene_id)
         if path is None:
@@ -86,7 +88,7 @@ class ReplicaCadSource(SceneSource):
             family=self.family,
             scene_id=scene_id,
             root=self.root,
-            # Where a thing has no name, nothing can be said not to be there.
+            # If some object has no label, no absence can be claimed.
             rooms=tuple(replace(r, complete=r.room_id not in unnamed) for r in rooms),
             objects=tuple(sorted(objects, key=lambda o: o.object_id)),
             shipped_navmeshes=assembly.navmeshes,
@@ -95,7 +97,9 @@ class ReplicaCadSource(SceneSource):
         )
 
     def geometry(self, scene: Scene) -> SceneGeometry | None:
-        """The meshes of the stage and of all objects; see `Source.geometry`. None where the stage's is not there."""
+        """Return the meshes of the stage and of all objects; see `Source.geometry`. None if the stage's mesh is
+        missing.
+        """
         return assembled_geometry(self._meshes, scene)
 
     def _assemble(self, dataset: SceneDataset, scene_id: str, path: str, ledger: InputLedger) -> Assembly:
@@ -117,13 +121,15 @@ class ReplicaCadSource(SceneSource):
         return Assembly(bodies, stage, regions, navmeshes, [*reader.warnings, *said])
 
     def _rooms(self, scene_id: str, assembly: Assembly, objects: Sequence[SceneObject]) -> tuple[Room, ...]:
-        """Rooms of a scene before its objects are assigned: its regions, else one room for the whole scene."""
+        """Return the rooms of a scene before objects are assigned: its regions, else one room for the whole scene."""
         return assembly.regions or (_whole_scene(objects, self.family),)
 
     def _navmeshes(
         self, dataset: SceneDataset, scene_name: str, instance: SceneInstance, ledger: InputLedger
     ) -> tuple[tuple[str, ...], list[SceneWarning]]:
-        """Where the navmesh may be (see `shipped_navmeshes`), and a warning where the scene names an unknown one."""
+        """Return possible paths of the navmesh (see `shipped_navmeshes`), and a warning if the scene names an
+        unknown one.
+        """
         named = instance.navmesh or dataset.default("scene_instances", "navmesh_instance")
         handles = [scene_name] if named is None else [named.text(), scene_name]
         configured: list[str] = []
@@ -139,7 +145,7 @@ class ReplicaCadSource(SceneSource):
         return self.shipped_navmeshes(scene_name, ledger, configured), warnings
 
     def _object(self, body: Body) -> SceneObject:
-        """A body with its geometry; in no room yet."""
+        """Return a body as an object with its geometry, without a room so far."""
         meshes = [self._meshes.geometry(part.path).vertices for part in body.parts]
         own = [transform_points(part.transform, v) for part, v in zip(body.parts, meshes, strict=True) if len(v)]
         if not own:
@@ -170,7 +176,7 @@ class ReplicaCadSource(SceneSource):
 
 
 def _box_in_first(parts: tuple[MeshPart, ...], meshes: list[F64]) -> F64:
-    """(2, 3) box of all parts in the own frame of the first."""
+    """Return the (2, 3) box of all parts in the frame of the first."""
     back = np.linalg.inv(parts[0].transform)
     return aabb_of(
         np.concatenate(
@@ -180,7 +186,7 @@ def _box_in_first(parts: tuple[MeshPart, ...], meshes: list[F64]) -> F64:
 
 
 def _whole_scene(objects: Sequence[SceneObject], family: str) -> Room:
-    """The one room of a scene whose source knows none."""
+    """Return the single room of a scene whose source has no rooms."""
     boxes = np.array([o.aabb for o in objects if o.aabb is not None]).reshape(-1, 2, 3)
     bottoms, tops = boxes[:, 0, 1], boxes[:, 1, 1]
     standing = bottoms[bottoms <= bottoms.min(initial=np.inf) + FLOOR_BAND]

@@ -1,4 +1,4 @@
-"""Which scenes of a dataset are asked for: ids and patterns."""
+"""Select the scenes of a dataset by ids and patterns."""
 
 from __future__ import annotations
 
@@ -11,33 +11,33 @@ __all__ = ["SceneChoice"]
 
 @dataclass(frozen=True, slots=True)
 class SceneChoice:
-    """Scene ids or patterns with ``*`` and ``?`` that are wanted, and those that are not."""
+    """Scene ids or patterns with ``*`` and ``?`` to include, and to exclude."""
 
     scenes: Sequence[str] = ("*",)
     exclude: Sequence[str] = ()
 
     def wanted(self, scene_id: str) -> bool:
-        """Is this scene asked for?"""
+        """Return whether a scene is included."""
         return _fits(scene_id, self.scenes) and not self.excluded(scene_id)
 
     def excluded(self, scene_id: str) -> bool:
-        """Is this scene, or this place that can't be listed, left out?"""
+        """Return whether a scene, or a path that can't be listed, is excluded."""
         return _fits(scene_id, self.exclude)
 
     def only_names(self) -> bool:
-        """Are all scenes asked for by their ids, and none by a pattern?"""
+        """Return whether all scenes are selected by id and none by a pattern."""
         return not any(_is_pattern(scene) for scene in self.scenes)
 
     def idle(self, known: Sequence[str]) -> list[str]:
-        """Patterns asked for that no scene fits; what is excluded fits too."""
+        """Return the inclusion patterns that match no scene, excluded scenes counted as matches."""
         return sorted({p for p in self.scenes if _is_pattern(p) and not any(fnmatchcase(s, p) for s in known)})
 
     def idle_exclusions(self, known: Sequence[str]) -> list[str]:
-        """Ids and patterns left out that no scene fits."""
+        """Return the ids and patterns of exclusions that match no scene."""
         return sorted({p for p in self.exclude if not any(fnmatchcase(s, p) for s in known)})
 
     def missing(self, known: Iterable[str]) -> list[str]:
-        """Ids asked for by name that the dataset does not have, sorted."""
+        """Return the selected ids that the dataset does not have, sorted."""
         there = set(known)
         named = {s for s in self.scenes if not _is_pattern(s)}
         return sorted(s for s in named - there if not _fits(s, self.exclude))

@@ -1,7 +1,7 @@
-"""A Habitat scene dataset: its configuration, its templates by name, its scenes.
+"""Read a Habitat scene dataset: its configuration, its templates by name, its scenes.
 
-The form is that of habitat-sim's ``<name>.scene_dataset_config.json``: per kind of template a list of search paths,
-default attributes, and entries that make or modify a template in place.
+The format is that of habitat-sim's ``<name>.scene_dataset_config.json``: for each kind of template a list of search
+paths, default attributes, and entries that define or modify a template.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ __all__ = ["CONFIG_SUFFIX", "Attribute", "SceneDataset", "Template"]
 
 CONFIG_SUFFIX: Final = ".scene_dataset_config.json"
 MAX_JSON_BYTES: Final = 64 << 20
-"""ReplicaCAD's largest document has 50 kB, the largest scene dataset config known 20 MB."""
+"""Size limit in bytes of a document: ReplicaCAD's largest has 50 kB, the largest scene dataset config known 20 MB."""
 
 KEPT_URDF_BYTES: Final = 1 << 18
-"""Largest URDF file whose meaning is remembered; ReplicaCAD's have 10 kB."""
+"""Largest URDF file in bytes whose parsed content is cached; ReplicaCAD's have 10 kB."""
 
 _KINDS: Final[dict[str, tuple[str, ...]]] = {
     "stages": (".stage_config.json",),
@@ -41,7 +41,7 @@ _ASSETS: Final = (".glb",)
 
 @dataclass(frozen=True, slots=True)
 class Attribute:
-    """A value of a template, and the folder that a path in it is relative to."""
+    """The value of an attribute, and the folder to which a path in it is relative."""
 
     node: JsonNode
     folder: str
@@ -53,7 +53,7 @@ class Template:
 
     handle : its name without folder and suffix
     path : its file, relative to the root
-    layers : where its attributes stand, the strongest first
+    layers : the documents with its attributes, highest priority first
     """
 
     handle: str
@@ -61,7 +61,7 @@ class Template:
     layers: tuple[Attribute, ...] = ()
 
     def get(self, key: str) -> Attribute | None:
-        """An attribute; None where no layer sets it."""
+        """Return an attribute; None if no layer sets it."""
         for layer in self.layers:
             node = layer.node.get(key)
             if node is not None:
@@ -71,7 +71,7 @@ class Template:
 
 @dataclass(frozen=True, slots=True)
 class _Entry:
-    """A template known by name, not read yet."""
+    """A template that is known by name, but not read yet."""
 
     handle: str
     path: str
@@ -90,15 +90,15 @@ class _Index:
 
 
 _known_urdf = lru_cache(maxsize=64)(read_urdf)
-"""Scenes of one dataset share a handful of bodies; known by their bytes, so that a changed file is read again."""
+"""Cached meshes of bodies shared by scenes, keyed by the file's bytes, so that a changed file is read again."""
 
 
 class SceneDataset:
-    """The dataset under `root`, as it is on disk when this is made.
+    """The dataset under `root`, as it is on disk at construction.
 
     Raises
     ------
-    ConfigError : no, or more than one, dataset configuration stands in the root folder
+    ConfigError : the root folder has no dataset configuration, or more than one
     """
 
     def __init__(self, root: DatasetRoot) -> None:
@@ -111,7 +111,7 @@ class SceneDataset:
         self._bodies: dict[str, tuple[LinkMesh, ...]] = {}
 
     def document(self, path: str) -> JsonNode:
-        """A JSON document of the dataset.
+        """Return a JSON document of the dataset.
 
         Raises
         ------
@@ -120,13 +120,13 @@ class SceneDataset:
         return parse_json(self.root.read(path, MAX_JSON_BYTES), str(self.root.folder / path))
 
     def has(self, path: str) -> bool:
-        """Is there such a file? Asked of the disk once."""
+        """Return whether a file exists; cached."""
         if path not in self._present:
             self._present[path] = self.root.has(path)
         return self._present[path]
 
     def links(self, path: str) -> tuple[LinkMesh, ...]:
-        """The visual meshes of a URDF file.
+        """Return the visual meshes of a URDF file.
 
         Raises
         ------
@@ -138,20 +138,20 @@ class SceneDataset:
         return self._bodies[path]
 
     def scenes(self) -> dict[str, str]:
-        """Scene id → path of its scene instance; the id is the file's name, with its folder where names repeat."""
+        """Return the path of each scene instance by scene id: the file's name, with its folder where names repeat."""
         entries = [e for e in self._indices["scene_instances"].entries if e.made is None]
         times = Counter(e.handle for e in entries)
         return {e.handle if times[e.handle] == 1 else _stem(e.path, ".scene_instance.json"): e.path for e in entries}
 
     def default(self, kind: str, key: str) -> JsonNode | None:
-        """A default attribute of a kind."""
+        """Return a default attribute of a kind."""
         defaults = self._indices[kind].defaults
         return None if defaults is None else defaults.get(key)
 
     def template(self, kind: str, name: str, ledger: InputLedger) -> tuple[Template | None, int]:
-        """The template a scene means by `name`, and how many could be meant.
+        """Return the template that a scene refers to by `name`, and the number of possible matches.
 
-        As in habitat-sim: the exact name, else the names that contain it; of several the first by path.
+        As in habitat-sim, an exact match is preferred, then names that contain `name`; of several, the first by path.
 
         Raises
         ------
@@ -169,12 +169,12 @@ class SceneDataset:
         return self._load(index, meant[0], ledger), len(meant)
 
     def entry(self, kind: str, name: str) -> JsonNode | None:
-        """A plain name → path entry of ``navmesh_instances`` or ``semantic_scene_descriptor_instances``."""
+        """Return a name → path entry of ``navmesh_instances`` or ``semantic_scene_descriptor_instances``."""
         section = self.config.get(kind)
         return None if section is None or name in ("paths", "configs", "default_attributes") else section.get(name)
 
     def described(self, kind: str, name: str) -> str | None:
-        """Path of the file of this name that the search paths of a kind lead to."""
+        """Return the path of the file of this name on the search paths of a kind."""
         wanted = posixpath.basename(_stem(name, *_KINDS[kind]))
         return next((e.path for e in self._indices[kind].entries if e.handle == wanted), None)
 
@@ -214,7 +214,7 @@ class SceneDataset:
         return index
 
     def _search(self, kind: str, extension: str, pattern: JsonNode) -> set[str]:
-        """Files that a search path leads to. A path that leaves the dataset is not followed (robots live beside it)."""
+        """Return the files on a search path. A path out of the dataset is ignored (robots may be beside it)."""
         try:
             relative = self.root.join("", pattern.text(), where=pattern.where, place=pattern.place)
         except PathEscapeError:

@@ -1,4 +1,4 @@
-"""A building of 3DSceneGraph: its rooms and objects, from Habitat's ``.scn`` JSON or from the original ``.npz``."""
+"""Read a building of 3DSceneGraph from Habitat's ``.scn`` JSON or from the original ``.npz``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ from schemas.errors import FormatError
 __all__ = ["MAX_GRAPH_BYTES", "read_npz", "read_scn"]
 
 MAX_GRAPH_BYTES: Final = 256 << 20
-"""Of the file, and of what it unpacks to; segmentations and voxels included, the largest building takes a tenth."""
+"""Size limit in bytes of the file, also after decompression; the largest building, with segmentations, takes a
+tenth.
+"""
 
 MEMBER: Final = "output.npy"
 OBJECT_KEYS: Final = ("id", "class_", "location", "size", "parent_room")
@@ -27,28 +29,29 @@ _REMEDY = "Take the file from its dataset again"
 
 
 def read_scn(data: bytes, where: str) -> JsonNode:
-    """The document ``{"objects": [...], "rooms": [...]}``.
+    """Read the document ``{"objects": [...], "rooms": [...]}``.
 
     Raises
     ------
-    FormatError : malformed
+    FormatError : the file is malformed
     """
     return parse_json(data, where).object()
 
 
 def read_npz(data: bytes, where: str) -> JsonNode:
-    """The same document from the original file, a zip of one array that holds one pickled dictionary.
+    """Read the same document from the original file, a zip of one array that holds one pickled dictionary.
 
-    Only what a scene needs is taken from it. The pickle is read by the restricted reader: plain data and arrays.
+    Only the parts that a scene needs are read. The pickle is read by the restricted reader, which allows plain data and
+    arrays.
 
     Raises
     ------
-    FormatError : malformed, unpacking without end, or a pickle that asks for anything but plain data
+    FormatError : the file is malformed, too large when decompressed, or its pickle contains anything but plain data
     """
     try:
         graph = load_plain(_pickle_of(_member(data, where), where))
         if not isinstance(graph, dict):
-            # np.load's .item(): the one object of an array without dimensions
+            # equivalent to np.load's .item(): the one object of a zero-dimensional array
             graph = plain(graph, 1)
         document = {"objects": _entries(graph, "object", OBJECT_KEYS), "rooms": _entries(graph, "room", ROOM_KEYS)}
     except UnsafePickleError as error:
@@ -64,7 +67,7 @@ def _entries(graph: Any, kind: str, keys: tuple[str, ...]) -> list[dict[str, Any
 
 
 def _value(value: Any) -> Any:
-    """A field as JSON would have it."""
+    """Return a field as a JSON value."""
     opened = plain(value, MAX_FIELD)
     if opened is None or isinstance(opened, (bool, int, float, str)):
         return opened
@@ -92,7 +95,7 @@ def _member(data: bytes, where: str) -> bytes:
 
 
 def _pickle_of(array: bytes, where: str) -> bytes:
-    """The pickle inside a ``.npy`` file of one object."""
+    """Return the pickle inside a ``.npy`` file of one object."""
 
     def fail(what: str) -> FormatError:
         return FormatError(what, where=where, place=MEMBER, remedy=_REMEDY)

@@ -1,4 +1,4 @@
-"""A Habitat scene instance: what is placed where, as its file says it."""
+"""Read a Habitat scene instance: which templates are placed, and where."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ MAX_SCALE: Final = 1e3
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Placed:
-    """An object, articulated object or stage, placed.
+    """A placed object, articulated object or stage.
 
-    template : its template's name as the file has it
+    template : its template's name as in the file
     translation (3,) metres; rotation (3, 3); scale (3,), applied first
-    origin : the point of the body that stands at `translation`
+    origin : the point of the body that is at `translation`
     static : it never moves: motion type STATIC, or an articulated body with a fixed base
     """
 
@@ -43,7 +43,7 @@ class Placed:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SceneInstance:
-    """The scene's stage, objects and articulated objects in file order, and the names of what belongs to it."""
+    """The scene's stage, objects and articulated objects in file order, and the names of related files."""
 
     stage: Placed | None
     objects: tuple[Placed, ...]
@@ -53,14 +53,14 @@ class SceneInstance:
 
 
 def read_scene_instance(document: JsonNode) -> SceneInstance:
-    """The scene of a ``.scene_instance.json`` document.
+    """Read the scene of a ``.scene_instance.json`` document.
 
     Ids are the template's name and a running number in file order (``frl_apartment_chair_01:0``), unless an entry gives
     its own under ``id``.
 
     Raises
     ------
-    FormatError : a wrong type, a number that is not finite, a rotation of no length, an id given twice
+    FormatError : a type is wrong, a number is not finite, a rotation is zero, or an id is repeated
     """
     document.object()
     default = _origin(document, "com")

@@ -1,4 +1,4 @@
-"""What the readers of all families share: choosing scenes, noting inputs, faults that stay with their scene."""
+"""Shared base of all readers: choosing scenes, recording inputs, and limiting faults to their own scene."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from schemas.errors import ConfigError, InputError, MissingFileError
 __all__ = ["Absence", "Note", "SceneSource", "SourceOptions"]
 
 Absence = Literal["complete", "never"]
-"""Where instructions may say that something is not there: see `schemas.config.SourceConfig`."""
+"""Where absence may be claimed: see `schemas.config.SourceConfig`."""
 
 Note = Callable[[InputLedger], object]
-"""Notes all inputs of one scene; raises InputError where that already fails."""
+"""Records all inputs of one scene; raises InputError if this fails."""
 
 MESHES: Final = (".glb", ".gltf", ".obj", ".ply", ".stl")
 NAVMESHES: Final = (".navmesh",)
@@ -36,7 +36,7 @@ NAVMESHES: Final = (".navmesh",)
 
 @dataclass(frozen=True, slots=True)
 class SourceOptions:
-    """How a dataset is to be read; see `open_source`."""
+    """Options for reading a dataset; see `open_source`."""
 
     choice: SceneChoice
     navmesh: str | None
@@ -48,13 +48,13 @@ class SourceOptions:
 
 
 class SceneSource(ABC):
-    """A dataset on disk, of one family."""
+    """A dataset of one family on disk."""
 
     family: ClassVar[str]
     bytes_per_object: ClassVar[float] = 1000.0
-    """Bytes of annotation for one object, about, where the listing counts no objects. Measured on real scenes."""
+    """Approximate bytes of annotation per object, used if the listing counts no objects. Measured on real scenes."""
     objects_per_room: ClassVar[float] = math.inf
-    """Objects of one room, about, where the listing counts no rooms; infinite where scenes are one room."""
+    """Approximate number of objects per room, used if the listing counts no rooms; infinite if scenes are one room."""
 
     def __init__(self, root: Path, options: SourceOptions) -> None:
         self.root = root
@@ -73,21 +73,23 @@ class SceneSource(ABC):
         return f"{type(self).__name__}({str(self.root)!r})"
 
     def scene_ids(self) -> list[str]:
-        """Ids of the scenes that can be listed, sorted."""
+        """Return the ids of the scenes that can be listed, sorted."""
         return [handle.scene_id for handle in self.handles() if handle.fault is None]
 
     @abstractmethod
     def listing(self) -> Iterator[tuple[str, Note]]:
-        """Every scene of the dataset by id, with a function that notes its inputs; called before the next is asked."""
+        """Yield each scene's id with a function that records its inputs; call it before requesting the next one."""
 
     @abstractmethod
     def scene(self, scene_id: str) -> Scene:
-        """One scene as its files have it: before its limits are looked at, and what follows from its boxes."""
+        """Return one scene as in its files, before limits are checked and containment is derived from boxes."""
 
     def read(self, scene_id: str) -> Scene:
-        """One scene; see `Source.read`. With ``absence: never`` every room is asked, and none is complete."""
+        """Return one scene; see `Source.read`. With ``absence: never`` conditions may be about every room, and none
+        is complete.
+        """
         scene = self.scene(scene_id)
-        # What follows costs more than the objects' number: a scene that is too large ends here.
+        # The following steps cost more than linear time, so the limits are checked first.
         check_limits(scene, self.options.limits)
         scene = replace(scene, objects=with_containment(scene.objects, self.family))
         if self.options.absence == "complete":
@@ -95,15 +97,15 @@ class SceneSource(ABC):
         return replace(scene, rooms=tuple(replace(room, complete=False, asked=True) for room in scene.rooms))
 
     def geometry(self, scene: Scene) -> SceneGeometry | None:
-        """Surfaces of a scene; see `Source.geometry`. A family whose files hold none keeps this answer."""
+        """Return the surfaces of a scene; see `Source.geometry`. This default is for families whose files have none."""
         return None
 
     def connectivity(self, scene_id: str) -> Path | None:
-        """The file of the viewpoint graph that a scene is walked on for want of a mesh; None where there is none."""
+        """Return the viewpoint graph's file of a scene without a mesh; None if there is none."""
         return None
 
     def handles(self) -> list[SceneHandle]:
-        """The scenes asked for; see `Source.handles`."""
+        """Return the selected scenes; see `Source.handles`."""
         choice = self.options.choice
         self._passed_over = {}
         known: list[str] = []
@@ -115,7 +117,7 @@ class SceneSource(ABC):
         missing = choice.missing(known)
         lost = {place: fault for place, fault in self._lost.items() if not choice.excluded(place)}
         if choice.only_names() and not missing:
-            lost = {}  # every scene asked for is there
+            lost = {}  # every selected scene exists
         if not found and not missing and not lost:
             others = next((f"; {path} was passed over: {why}" for path, why in self.passed_over()), "")
             patterns = ", ".join(choice.scenes) or "an empty list of patterns"
@@ -133,34 +135,35 @@ class SceneSource(ABC):
         return sorted(found, key=lambda h: h.scene_id)
 
     def passed_over(self) -> list[tuple[str, str]]:
-        """What the last listing left out; see `Source.passed_over`."""
+        """Return the paths skipped by the last listing; see `Source.passed_over`."""
         return sorted(self._passed_over.items())
 
     def matching(self, *patterns: str) -> list[str]:
-        """Files of the dataset that fit one of some patterns, each real file once; see `list_files`."""
+        """Return the dataset's files that match patterns, each real file once; see `list_files`."""
         return self.noted(list_files(self.files, patterns))
 
     def noted(self, listing: FileListing) -> list[str]:
-        """The paths of a listing, whose findings are kept for `handles`."""
+        """Return the paths of a listing and keep its findings for `handles`."""
         self._lost = listing.faults
         self._passed_over |= listing.passed_over
         return listing.paths
 
     def pass_over(self, path: str, why: str) -> None:
-        """Note a file that holds no scene."""
+        """Record a file that holds no scene."""
         self._passed_over[path] = why
 
     def shipped_navmeshes(
         self, scene_name: str, ledger: InputLedger, configured: Sequence[str] = ()
     ) -> tuple[str, ...]:
-        """Files that may hold a scene's navmesh, the preferred ones first; those that exist are noted as inputs.
+        """Return the possible files of a scene's navmesh in order of preference; those that exist are recorded as
+        inputs.
 
-        In the folder that was asked for, where the dataset's configuration says, in every ``navmesh*`` folder of the
-        root; under the names that the configuration uses, then under the scene's own.
+        Searched are the requested folder, the folder named by the dataset's configuration, and every ``navmesh*``
+        folder of the root; first for the names in the configuration, then for the scene's own name.
 
         Raises
         ------
-        PathEscapeError : the folder asked for is outside of the root
+        PathEscapeError : the requested folder is outside the root
         """
         asked = self.options.navmesh
         folders = [] if asked is None else [self.files.join("", asked)]
@@ -182,7 +185,7 @@ class SceneSource(ABC):
         )
 
     def not_there(self, scene_id: str) -> MissingFileError:
-        """The error of a scene that the dataset does not have."""
+        """Return the error for a scene that the dataset does not have."""
         return MissingFileError(
             f"the dataset has no scene {scene_id!r}",
             where=self.root,

@@ -1,15 +1,15 @@
-"""Objects that an annotation cut in pieces where they cross from one region into another, put together again.
+"""Merge objects that an annotation cut into pieces at the border of two regions.
 
-Matterport's annotators labelled the scan region by region, so that a refrigerator on a border is one object in each
-region that it reaches into. Two objects are slices of one where all of this holds:
+Matterport's annotators labelled the scan region by region, so a refrigerator on a border is one object in each region
+that it extends into. Two objects are slices of one if all of the following hold:
 
 * they have the same category, and stand in different regions of one level;
 * their boxes touch or overlap: no more than ``GAP`` apart;
 * seen along the way from one to the other, the smaller is covered by the other to at least ``COVER``: a cut leaves the
-  same cross-section on both sides, while things that merely stand beside each other seldom have it;
+  same cross-section on both sides, while separate objects side by side rarely do;
 * both reach the border: each box comes within ``GAP`` of the other's region.
 
-Slices of slices belong together too. The whole is in the region that holds most of its volume.
+Chains of slices are merged too. The merged object is in the region that contains most of its volume.
 """
 
 from __future__ import annotations
@@ -31,21 +31,22 @@ __all__ = ["COVER", "GAP", "joined_slices"]
 F64 = NDArray[np.float64]
 
 GAP: Final = 0.05
-"""Metres between the boxes of two slices, and from a slice to the region that it was cut from, at most."""
+"""Largest distance in metres between the boxes of two slices, and from a slice to the other one's region."""
 
 COVER: Final = 0.6
-"""Share of the smaller cross-section that the other one covers, at least."""
+"""Least share of the smaller cross-section that the other one covers."""
 
 
 def joined_slices(
     objects: Sequence[SceneObject], rooms: Mapping[str, Room], kept_apart: frozenset[str] = frozenset()
 ) -> tuple[list[SceneObject], list[SceneWarning]]:
-    """Objects with all slices of one put together, in the given order, and a warning for each that was.
+    """Return the objects with all slices of one merged, in the given order, and a warning for each merged object.
 
     Parameters
     ----------
-    objects : with their rooms and boxes; those without a box are left as they are
-    kept_apart : labels whose objects go on in the next region by their nature, or name no one thing: walls, "unknown"
+    objects : with their rooms and boxes; objects without a box are unchanged
+    kept_apart : labels that are never merged, because they continue across regions or name no single object: walls,
+        "unknown"
     """
     of_label: defaultdict[str, list[int]] = defaultdict(list)
     for k, item in enumerate(objects):
@@ -78,9 +79,11 @@ def joined_slices(
 
 
 def _fit(box: F64, others: F64) -> NDArray[np.bool_]:
-    """(n,) whether a box (2, 3) and each of others (n, 2, 3) touch with cross-sections that cover each other."""
+    """Return (n,): whether a box (2, 3) and each of others (n, 2, 3) touch, with cross-sections that cover each
+    other.
+    """
     shared = np.minimum(box[1], others[:, 1]) - np.maximum(box[0], others[:, 0])  # below zero where they are apart
-    # They lie beside each other on the ground, along the axis on which they share least.
+    # They are side by side on the ground, along the horizontal axis on which they overlap least.
     along_x = shared[:, 0] <= shared[:, 2]
     smaller = np.minimum(np.maximum(box[1] - box[0], 1e-3), np.maximum(others[:, 1] - others[:, 0], 1e-3))
     covered = np.maximum(shared, 0.0) / smaller
@@ -89,7 +92,7 @@ def _fit(box: F64, others: F64) -> NDArray[np.bool_]:
 
 
 def _at_the_border(one: SceneObject, other: SceneObject, floors: Mapping[str, shapely.Polygon]) -> bool:
-    """Whether each comes near the other's region."""
+    """Return whether each of the two boxes comes near the other's region."""
     return all(_shadow(item).distance(floors[region.room_id]) <= GAP for item, region in ((one, other), (other, one)))
 
 
@@ -100,7 +103,7 @@ def _shadow(item: SceneObject) -> shapely.Polygon:
 
 
 def _joined(slices: Sequence[SceneObject]) -> SceneObject:
-    """One object of several; it keeps the id and the axes of the largest, and the region of most of its volume."""
+    """Merge several objects into one with the id and axes of the largest, in the region with most of its volume."""
     volume: defaultdict[str, float] = defaultdict(float)
     for item in slices:
         volume[item.room_id] += _volume(item)
@@ -147,6 +150,6 @@ def _root(whole: list[int], k: int) -> int:
 
 
 def _unite(whole: list[int], i: int, j: int) -> None:
-    """Union-find over indices; the least index is the root, so that the order of the pairs changes nothing."""
+    """Union-find over indices; the least index is the root, so that the order of pairs does not matter."""
     low, high = sorted((_root(whole, i), _root(whole, j)))
     whole[high] = low

@@ -1,4 +1,4 @@
-"""Drawn surfaces of scenes that come without a mesh: floors, walls with their openings, and objects as boxes."""
+"""Generated surfaces of scenes without a mesh: floors, walls with openings, and objects as boxes."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ BOX_FACES: Final = np.array(
 
 
 SMALLEST: Final = 1e-3
-"""Metres; pieces of wall narrower or lower than this are none."""
+"""Least width and height in metres of a piece of wall; smaller pieces are dropped."""
 
 
 class Hole(NamedTuple):
-    """A hole in a wall: from and to along it, and between two heights, metres."""
+    """A hole in a wall: its range along the wall, and its range of heights, in metres."""
 
     near: float
     far: float
@@ -64,7 +64,7 @@ class Piece:
 
 
 def joined(pieces: Iterable[Piece], approximate: bool) -> SceneGeometry:
-    """All pieces as one, in their order."""
+    """Return all pieces concatenated in order."""
     parts = [Piece(np.zeros((0, 3)), np.zeros((0, 3), np.int64), np.zeros(0, np.int64)), *pieces]
     starts = np.cumsum([0, *(len(p.vertices) for p in parts[:-1])])
     return SceneGeometry(
@@ -76,16 +76,19 @@ def joined(pieces: Iterable[Piece], approximate: bool) -> SceneGeometry:
 
 
 def boxes(eights: ArrayLike, owners: Sequence[int] | I64) -> Piece:
-    """Boxes of 12 triangles each, by their corners (n, 8, 3) in the order of `corners`, and their owners (n,)."""
+    """Return boxes of 12 triangles each, given by corners (n, 8, 3) in the order of `corners`, and their owners
+    (n,).
+    """
     points = np.asarray(eights, dtype=np.float64).reshape(-1, 8, 3)
     faces = BOX_FACES[None] + 8 * np.arange(len(points))[:, None, None]
     return Piece(points.reshape(-1, 3), faces.reshape(-1, 3), np.repeat(np.asarray(owners, dtype=np.int64), 12))
 
 
 def object_boxes(objects: Iterable[tuple[int, SceneObject]]) -> Piece:
-    """The boxes of each numbered object: its parts, else its oriented box, else the axis-aligned one.
+    """Return the boxes of each numbered object: its parts, else its oriented box, else its axis-aligned box.
 
-    An object of unknown extent that stands on nothing is a cube of `UNKNOWN_EXTENT`, so that no path leads through it.
+    An object of unknown extent that has no support becomes a cube of `UNKNOWN_EXTENT`, so that no path leads through
+    it.
     """
     eights: list[F64] = []
     owners: list[int] = []
@@ -107,10 +110,10 @@ def object_boxes(objects: Iterable[tuple[int, SceneObject]]) -> Piece:
 
 
 def floor(polygon: F64, y: float) -> Piece:
-    """A level floor inside a simple polygon (n, 2) of (x, z), at height `y`, seen from above."""
+    """Return a level floor inside a simple polygon (n, 2) of (x, z) at height `y`, facing up."""
     cut = shapely.constrained_delaunay_triangles(shapely.normalize(shapely.Polygon(polygon)))
     rings = np.array([shapely.get_coordinates(part)[:3] for part in shapely.get_parts(cut)]).reshape(-1, 3, 2)
-    # The order of the triangles, too, must follow from the polygon alone.
+    # The order of the triangles must also depend on the polygon only.
     rings = rings[np.lexsort(rings.reshape(len(rings), -1).T[::-1])]
     first, second = rings[:, 1] - rings[:, 0], rings[:, 2] - rings[:, 0]
     downwards = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0] > 0
@@ -121,7 +124,7 @@ def floor(polygon: F64, y: float) -> Piece:
 
 
 def upright_slabs(starts: ArrayLike, ends: ArrayLike, bottoms: ArrayLike, tops: ArrayLike, thickness: float) -> Piece:
-    """Upright boxes about the lines from `starts` to `ends`, (n, 2) each as (x, z), between heights (n,)."""
+    """Return upright boxes about the lines from `starts` to `ends`, (n, 2) each as (x, z), between heights (n,)."""
     start, end = (np.asarray(p, dtype=np.float64).reshape(-1, 2) for p in (starts, ends))
     low, high = (np.asarray(y, dtype=np.float64).reshape(-1) for y in (bottoms, tops))
     along = end - start
@@ -137,7 +140,7 @@ def upright_slabs(starts: ArrayLike, ends: ArrayLike, bottoms: ArrayLike, tops: 
 
 
 def pierced_wall(start: F64, end: F64, bottom: float, top: float, thickness: float, holes: Sequence[Hole]) -> Piece:
-    """What is left of a wall about the line from `start` to `end`, (2,) each as (x, z), around its holes."""
+    """Return the wall about the line from `start` to `end`, (2,) each as (x, z), without its holes."""
     length = float(np.linalg.norm(end - start))
     rest = np.array(without_holes(Hole(0.0, length, bottom, top), holes)).reshape(-1, 4)
     along = (end - start) / length
@@ -146,13 +149,15 @@ def pierced_wall(start: F64, end: F64, bottom: float, top: float, thickness: flo
 
 
 def without_holes(wall: Hole, holes: Sequence[Hole]) -> list[Hole]:
-    """The rectangles of a wall that no hole takes: full strips between the holes, and what is above and below them."""
+    """Return the rectangles of a wall outside its holes: full strips between holes, and the parts above and below
+    them.
+    """
     ends = sorted({wall.near, wall.far, *(min(max(x, wall.near), wall.far) for hole in holes for x in hole[:2])})
     rest: list[Hole] = []
     begun = wall.near
     for far in ends[1:]:
         if far - begun < SMALLEST:
-            continue  # two ends that ought to be one
+            continue  # two ends that should coincide
         middle = (begun + far) / 2
         solid_y = wall.low
         for hole in sorted((h for h in holes if h.near < middle < h.far), key=lambda h: h.low):

@@ -1,4 +1,4 @@
-"""What every source family offers: a cheap listing of its scenes with all that each reads, and the reading of one."""
+"""The interface of all source families: a cheap listing of scenes with the inputs of each, and the reading of one."""
 
 from __future__ import annotations
 
@@ -24,24 +24,26 @@ __all__ = [
 ]
 
 HashFile: TypeAlias = Callable[[Path], tuple[int, str]]
-"""Size in bytes and SHA-256 (hex) of a file; the caller may cache it."""
+"""Returns size in bytes and SHA-256 (hex) of a file; may be cached by the caller."""
 
 UNKNOWN_LABEL: Final = "unknown"
-"""Raw label of what its dataset does not name; catch-all, so never in text."""
+"""Raw label of objects that their dataset does not name; a catch-all label, so never used in text."""
 
 MAX_OBJECTS: Final = 100_000
-"""Objects of one scene. The largest real buildings have three thousand; relations grow with the square."""
+"""Largest number of objects of a scene. The largest real buildings have three thousand; relations grow
+quadratically.
+"""
 
 _READ_BYTES = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
 class SceneInput:
-    """One thing a scene is read from.
+    """One input of a scene.
 
     path : relative to the dataset root, '/'-separated; an entry of a shared file as ``file#entry``
     size : bytes of the file, or of the entry's canonical JSON
-    sha256 : of the same bytes, hex
+    sha256 : SHA-256 of the same bytes, hex
     """
 
     path: str
@@ -51,11 +53,11 @@ class SceneInput:
 
 @dataclass(frozen=True, slots=True)
 class SceneCounts:
-    """How big a scene is, as far as its listing knows: what the cost of a run is estimated from.
+    """The size of a scene as known from the listing; used to estimate the cost of a run.
 
-    objects, rooms : counted where the listing reads them, else estimated from the bytes of the annotation
-    navmesh_bytes : of the biggest navmesh that is shipped for it; 0 where there is none
-    mesh_bytes : of the meshes that it is put together from
+    objects, rooms : counted if the listing reads them, else estimated from the bytes of the annotation
+    navmesh_bytes : size of its largest shipped navmesh; 0 if there is none
+    mesh_bytes : total size of its meshes
     """
 
     objects: float = 0.0
@@ -66,11 +68,11 @@ class SceneCounts:
 
 @dataclass(frozen=True, slots=True)
 class SceneHandle:
-    """A scene that can be asked for.
+    """A scene that can be read.
 
-    inputs : all that reading it would open, sorted by path
-    counts : how big it is; rough, for estimates of the cost only
-    fault : why it can't be read, where listing it already showed that; such a scene is quarantined, never lost
+    inputs : everything that reading it would open, sorted by path
+    counts : approximate size, for cost estimates only
+    fault : why it can't be read, if the listing already found out; such a scene is quarantined, not dropped
     """
 
     family: str
@@ -85,52 +87,52 @@ class Source(Protocol):
 
     @property
     def family(self) -> str:
-        """Name of the format, the ``source=`` partition of its tables."""
+        """Name of the dataset family; the ``source=`` partition of its tables."""
         ...
 
     @property
     def root(self) -> Path:
-        """Folder that all relative paths of its scenes count from."""
+        """Folder to which all paths of its scenes are relative."""
         ...
 
     def handles(self) -> list[SceneHandle]:
-        """The scenes asked for, sorted by id. Reads no geometry; a scene that can't be listed has a fault."""
+        """Return the selected scenes, sorted by id. Reads no geometry; a scene that can't be listed has a fault."""
         ...
 
     def scene_ids(self) -> list[str]:
-        """Ids of the scenes that can be listed, sorted."""
+        """Return the ids of the scenes that can be listed, sorted."""
         ...
 
     def passed_over(self) -> list[tuple[str, str]]:
-        """Paths that the last `handles` left out without losing a scene, and why; sorted."""
+        """Return the paths that the last `handles` skipped without losing a scene, with the reason; sorted."""
         ...
 
     def read(self, scene_id: str) -> Scene:
-        """One scene in Habitat's frame. A sound scene without objects is returned as it is.
+        """Return one scene in Habitat's frame. A valid scene without objects is returned, too.
 
         Raises
         ------
-        InputError : the scene can't be read; says which file, where in it, and what to do
-        LimitError : the scene is larger than the limits that the source was opened with
+        InputError : the scene can't be read; the message says which file, where in it, and what to do
+        LimitError : the scene exceeds the limits with which the source was opened
         """
         ...
 
     def geometry(self, scene: Scene) -> SceneGeometry | None:
-        """The surfaces of a scene that `read` gave; None if the dataset on disk has neither meshes nor walls.
+        """Return the surfaces of a scene from `read`; None if the dataset on disk has neither meshes nor walls.
 
         Raises
         ------
-        InputError : as `read`
+        InputError : as for `read`
         """
         ...
 
     def connectivity(self, scene_id: str) -> Path | None:
-        """The file of the viewpoint graph that a scene is walked on for want of a mesh; None where there is none."""
+        """Return the viewpoint graph's file of a scene without a mesh; None if there is none."""
         ...
 
 
 def hash_file(path: Path) -> tuple[int, str]:
-    """Size and SHA-256 of a file, read in pieces."""
+    """Return size and SHA-256 of a file, read in blocks."""
     digest = hashlib.sha256()
     size = 0
     with path.open("rb") as stream:

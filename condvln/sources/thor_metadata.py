@@ -1,4 +1,4 @@
-"""AI2-THOR's controller metadata: the objects of a scene as the simulator reports them, in Habitat's frame."""
+"""Read AI2-THOR's controller metadata: the objects of a scene as reported by the simulator, in Habitat's frame."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ F64 = NDArray[np.float64]
 
 MAX_METADATA_BYTES: Final = 256 << 20
 
-# Corners of an oriented box in the simulator's order: the first, its neighbours along each axis, and the one opposite.
+# Corners of an oriented box in the simulator's order: the first, its neighbours along each axis, and the opposite one.
 _FIRST, _NEIGHBOURS, _OPPOSITE = 0, (1, 3, 4), 6
 BOX_TOLERANCE: Final = 0.01
-"""Metres by which eight corners may miss a box; the simulator's are float32 and a millimetre off at most."""
+"""Tolerance in metres of eight corners as a box; the simulator's are float32 and at most a millimetre off."""
 
 
 def scene_name(document: JsonNode) -> str:
-    """The scene that the metadata is of (``FloorPlan207``); the simulator adds ``_physics`` to some."""
+    """Return the scene's name (``FloorPlan207``); the simulator adds ``_physics`` to some."""
     return document["sceneName"].text().removesuffix("_physics")
 
 
 def read_objects(document: JsonNode, family: str) -> list[SceneObject]:
-    """All objects, in no room yet.
+    """Return all objects, without rooms.
 
-    Places are those of the axis-aligned boxes: ``position`` is a pivot and lies elsewhere for most. Oriented boxes are
-    there for what can be moved.
+    Positions are the centres of the axis-aligned boxes, since ``position`` is a pivot and usually elsewhere. Only
+    movable objects have oriented boxes.
 
     Raises
     ------
-    FormatError : a wrong type, a key missing, two objects with one id
+    FormatError : a type is wrong, a key is missing, or an id is repeated
     """
     found: dict[str, SceneObject] = {}
     for node in document["objects"].entries():
@@ -71,7 +71,7 @@ def read_objects(document: JsonNode, family: str) -> list[SceneObject]:
 
 
 def _receptacles(node: JsonNode) -> tuple[str, ...] | None:
-    """What an object is in or on; None where the metadata have no such key."""
+    """Return the ids of what an object is in or on; None if the metadata has no such key."""
     if "parentReceptacles" not in node:
         return None
     said = node.get("parentReceptacles")
@@ -79,9 +79,9 @@ def _receptacles(node: JsonNode) -> tuple[str, ...] | None:
 
 
 def _openness(node: JsonNode) -> float | None:
-    """Share that an object is open: 1 for a receptacle that can't be shut, 0 where `isOpen` is false; None if unsaid.
+    """Return how far an object is open: 1 for a receptacle that can't be shut, 0 if `isOpen` is false; None if unknown.
 
-    ``visible`` depends on the camera and says nothing here.
+    ``visible`` depends on the camera and is not used.
     """
     openable, is_open, share = (node.get(key) for key in ("openable", "isOpen", "openness"))
     if openable is None:
@@ -97,7 +97,7 @@ def _openness(node: JsonNode) -> float | None:
 
 
 def floor_outline(document: JsonNode) -> F64 | None:
-    """(4, 2) corners (x, z) of the box around all objects of type Floor; None where there is none."""
+    """Return the (4, 2) corners (x, z) of the box around all objects of type Floor; None if there are none."""
     boxes = [_box(node) for node in document["objects"].entries() if node["objectType"].text() == "Floor"]
     if not boxes:
         return None
@@ -107,7 +107,7 @@ def floor_outline(document: JsonNode) -> F64 | None:
 
 
 def _box(node: JsonNode) -> F64:
-    """(2, 3) axis-aligned box in Habitat's frame, not rounded."""
+    """Return the (2, 3) axis-aligned box in Habitat's frame, not rounded."""
     bounds = node["axisAlignedBoundingBox"]
     centre, size = (np.array([bounds[key][c].number() for c in "xyz"]) for key in ("center", "size"))
     if not (size >= 0).all():
@@ -117,7 +117,7 @@ def _box(node: JsonNode) -> F64:
 
 
 def _oriented(node: JsonNode) -> OrientedBox | None:
-    """The oriented box of eight corners; None where the simulator gives none, or no box."""
+    """Return the oriented box of eight corners; None if the simulator gives none, or the corners form no box."""
     bounds = node.get("objectOrientedBoundingBox")
     if bounds is None:
         return None
@@ -136,10 +136,12 @@ def _oriented(node: JsonNode) -> OrientedBox | None:
 
 
 def _axes(edges: F64, lengths: F64) -> F64 | None:
-    """(3, 3) right-handed rotation with the edges' directions as columns; None where they are not at right angles."""
+    """Return the (3, 3) right-handed rotation with the edges' directions as columns; None if they are not
+    orthogonal.
+    """
     order = np.argsort(-lengths)
     first = edges[order[0]] / lengths[order[0]]
-    # A flat box has an edge without direction: any that is at right angles to the others.
+    # A flat box has an edge without direction: any direction orthogonal to the others will do.
     flat = lengths[order[1]] < BOX_TOLERANCE / 10
     second = np.cross(first, np.eye(3)[np.argmin(abs(first))]) if flat else edges[order[1]]
     if abs(float(second @ first)) > BOX_TOLERANCE * max(1.0, float(np.linalg.norm(second))):

@@ -1,4 +1,4 @@
-"""Scenes of AI2-THOR that are one room each, from files of controller metadata: what iTHOR and RoboTHOR share."""
+"""Base of iTHOR and RoboTHOR: AI2-THOR scenes of one room each, from files of controller metadata."""
 
 from __future__ import annotations
 
@@ -26,20 +26,23 @@ __all__ = ["ThorSceneSource"]
 
 WHOLE_SCENE: Final = "room"
 _KEYS: Final = (b'"sceneName"', b'"axisAlignedBoundingBox"')
-"""What tells controller metadata from other JSON that lies beside it."""
+"""Keys that distinguish controller metadata from other JSON in the same folder."""
 _NAME: Final = re.compile(r"FloorPlan(\d+|_[A-Za-z]+\d+_\d+)(_physics)?\.json")
-"""AI2-THOR's own scenes: such a file is one whatever is in it, so that one cut short or emptied is not passed over."""
+"""Names of AI2-THOR's own scenes: such a file always counts as a scene, so that a truncated or empty one is
+reported.
+"""
 
 
 class ThorSceneSource(SceneSource):
-    """Files ``<scene>.json`` of a folder and its direct subfolders, each a controller's metadata of one scene.
+    """Files ``<scene>.json`` of a folder and its direct subfolders, each with the controller metadata of one scene.
 
-    The floor is at height 0 (the simulator's agent stands there). A side file may draw rooms; else the scene is one.
+    The floor is at height 0 (the simulator's agent stands there). Rooms come from a side file if given; otherwise the
+    scene is one room.
     """
 
     bytes_per_object: ClassVar[float] = 2000.0
     annotation: ClassVar[Literal["dataset", "scene"]]
-    """Whether the one room is a room to the dataset, or only the whole scene."""
+    """Whether the dataset treats the scene as a room, or only as a whole scene."""
 
     def __init__(self, root: Path, options: SourceOptions) -> None:
         super().__init__(root, options)
@@ -53,7 +56,7 @@ class ThorSceneSource(SceneSource):
 
     @abstractmethod
     def room_label(self, document: JsonNode) -> str:
-        """The raw label of the scene's one room, by the scene's name."""
+        """Return the raw label of the scene's one room, from the scene's name."""
 
     def listing(self) -> Iterator[tuple[str, Note]]:
         """See `SceneSource.listing`."""
@@ -61,7 +64,7 @@ class ThorSceneSource(SceneSource):
             yield scene_id, partial(self._note, scene_id, path)
 
     def scene(self, scene_id: str) -> Scene:
-        """One scene; see `Source.read`."""
+        """Return one scene; see `Source.read`."""
         ledger = InputLedger()
         document = self._document(scene_id)
         label = self.room_label(document)
@@ -92,7 +95,7 @@ class ThorSceneSource(SceneSource):
         )
 
     def geometry(self, scene: Scene) -> SceneGeometry | None:
-        """Floor, walls and objects as boxes; see `Source.geometry`. None where the metadata has no floor."""
+        """Return floor, walls and objects as boxes; see `Source.geometry`. None if the metadata has no floor."""
         document = self._document(scene.scene_id)
         number = {item.object_id: n for n, item in enumerate(scene.objects)}
         return thor_geometry(document, read_objects(document, self.family), number, self.annotation == "dataset")
@@ -109,12 +112,12 @@ class ThorSceneSource(SceneSource):
         self.shipped_navmeshes(posixpath.basename(scene_id), ledger)
 
     def _drawn(self, scene_id: str, ledger: InputLedger) -> tuple[Room, ...]:
-        """Rooms of the user's side file, if any."""
+        """Return the rooms of the user's side file, if any."""
         side = self.options.regions
         return () if side is None else side_regions(side, [posixpath.basename(scene_id)], self.family, ledger)
 
     def _scenes(self) -> dict[str, str]:
-        """Scene id → path of its metadata, sorted; the folder is part of the id where there is one."""
+        """Return the path of each scene's metadata by scene id, sorted; the subfolder is part of the id."""
         found: dict[str, str] = {}
         for path in self.matching("*.json", "*/*.json"):
             if _NAME.fullmatch(posixpath.basename(path)) or self._is_metadata(path):
@@ -124,9 +127,9 @@ class ThorSceneSource(SceneSource):
         return dict(sorted(found.items()))
 
     def _is_metadata(self, path: str) -> bool:
-        """Does this file hold controller metadata? Looked into once, and again where it has changed.
+        """Return whether a file holds controller metadata; cached until the file changes.
 
-        One that can't be looked into counts as a scene, which is told what is wrong with it.
+        A file that can't be read counts as a scene, so that the error is reported for it.
         """
         try:
             signature = self.files.signature(path)

@@ -1,4 +1,4 @@
-"""Rooms of AI2-THOR as triangles: the floor, walls where the metadata lets one know of them, and objects as boxes."""
+"""Surfaces of AI2-THOR rooms: the floor, walls as far as the metadata determines them, and objects as boxes."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ __all__ = ["thor_geometry", "wall_outline"]
 F64 = NDArray[np.float64]
 
 WALL_THICKNESS: Final = 0.02
-"""Metres of the walls along the border."""
+"""Thickness in metres of the walls along the border."""
 
 WALL_HEIGHT: Final = 2.5
-"""Metres of the walls along the border, where no object reaches higher; rooms of AI2-THOR are 2.5 m high or so."""
+"""Height in metres of the walls along the border, unless an object is higher; AI2-THOR's rooms are about 2.5 m high."""
 
 BELOW_WALLS: Final = 0.5
-"""Metres that a floor may run on below a wall; 0.03 to 0.49 at 27 of the 28 walls of seven floor plans of iTHOR."""
+"""Largest width in metres of floor below a wall; 0.03 to 0.49 at 27 of the 28 walls of seven floor plans of iTHOR."""
 
 AT_WALL: Final = 0.1
-"""Metres within which a fitting that is built into a wall ends where the farthest object does."""
+"""Tolerance in metres between the ends of a built-in fitting and of the outermost object."""
 
 SURFACES: Final = frozenset({"Floor", "Ceiling", "Room", "Wall"})
-"""Object types that are not objects in the room: their boxes hold the room, or are its walls."""
+"""Object types that are not objects in the room: their boxes contain the room, or are its walls."""
 
 WINDOWS: Final = frozenset({"Window"})
-"""Never a box: one window's may span two walls and the whole room between them."""
+"""Object types that never become a box: one window's box may span two walls and the whole room between them."""
 
 DOORS: Final = frozenset({"Door", "Doorway", "Doorframe"})
 ALWAYS_OPEN: Final = frozenset({"Doorframe"})
@@ -43,16 +43,16 @@ ALWAYS_OPEN: Final = frozenset({"Doorframe"})
 def thor_geometry(
     document: JsonNode, items: Sequence[SceneObject], number: Mapping[str, int], fitted: bool
 ) -> SceneGeometry | None:
-    """The surfaces of a scene of controller metadata; None where it has no floor.
+    """Return the surfaces of a scene from controller metadata; None if it has no floor.
 
     Parameters
     ----------
     items : all objects of the document
-    number : owners by object id; walls, doors, and what is not in it are structure
-    fitted : a single hand-built room, whose fittings tell where its walls stand; see `wall_outline`
+    number : owner index by object id; walls, doors, and objects not in it are structure
+    fitted : whether it is a single hand-built room, whose fittings show where its walls are; see `wall_outline`
 
-    A door that stands open is cut out of the walls that it stands in; a closed one is a box. No ceiling is drawn, as a
-    navmesh would be built on it.
+    An open door is cut out of its walls; a closed one is a box. There is no ceiling, since a navmesh would be built on
+    it.
     """
     outline = floor_outline(document)
     if outline is None or not (np.ptp(outline, axis=0) >= SMALLEST).all():
@@ -74,12 +74,12 @@ def thor_geometry(
 
 
 def wall_outline(outline: F64, standing: Sequence[SceneObject], fittings: Sequence[SceneObject]) -> F64:
-    """(4, 2) corners (x, z) of the walls around a room whose floor has these corners.
+    """Return the (4, 2) corners (x, z) of the walls around a room whose floor has the corners `outline`.
 
-    A floor runs on below the walls of the hand-built rooms, and what is built in there (fittings have no asset) reaches
-    up to them. So where there are fittings, each wall stands where the objects end, if that is within `BELOW_WALLS` of
-    the floor's end or a fitting ends there too: floor that is really there may be lost so, but nobody walks into a
-    wall. Where there are no fittings the floor is taken at its word.
+    In hand-built rooms the floor continues below the walls, and built-in fittings (objects without an asset) end at the
+    walls. So if there are fittings, each wall is placed where the objects end, provided that this is within
+    `BELOW_WALLS` of the floor's end or a fitting ends there too. This may cut off some real floor, but no agent can
+    walk into a wall. Without fittings the walls are at the ends of the floor.
     """
     low, high = outline.min(axis=0), outline.max(axis=0)
     if fittings:
@@ -90,17 +90,17 @@ def wall_outline(outline: F64, standing: Sequence[SceneObject], fittings: Sequen
             if 0 < high[axis] - ends[1, axis] <= BELOW_WALLS or _both(-fitted[1, axis], -ends[1, axis], -high[axis]):
                 high[axis] = ends[1, axis]
     if not (high - low >= SMALLEST).all():
-        return outline  # nothing stands on this floor
+        return outline  # there is no object on this floor
     return np.array([[low[0], low[1]], [low[0], high[1]], [high[0], high[1]], [high[0], low[1]]])
 
 
 def _both(fitted: float, end: float, border: float) -> bool:
-    """Do the objects end inside of the border, and a fitting with them?"""
+    """Return whether the objects end inside the border, and a fitting ends with them."""
     return border < end and fitted - end <= AT_WALL
 
 
 def _ends(items: Sequence[SceneObject]) -> F64:
-    """(2, 2) least and greatest (x, z) of some objects' boxes."""
+    """Return the (2, 2) least and greatest (x, z) of some objects' boxes."""
     boxes = np.array([o.box for o in items if o.box is not None])[:, :, [0, 2]]
     return np.array([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
 
@@ -116,7 +116,7 @@ def _built_in(kind: str, node: JsonNode) -> bool:
 
 
 def _wall(item: SceneObject, passages: F64) -> Piece | None:
-    """A wall that the metadata has as an object: its box along its longer side, with the open doors in it cut out."""
+    """Return a wall that is an object in the metadata: its box along its longer side, with holes for open doors."""
     box = item.box
     if box is None:
         return None
@@ -133,7 +133,7 @@ def _wall(item: SceneObject, passages: F64) -> Piece | None:
 
 
 def _holes(box: F64, axis: int, passages: F64) -> Iterator[Hole]:
-    """The holes that open doors (n, 2, 3) make in the box of a wall along x (`axis` 0) or z (1)."""
+    """Yield the holes that open doors (n, 2, 3) make in the box of a wall along x (`axis` 0) or z (1)."""
     meets = ((passages[:, 0] <= box[1]) & (passages[:, 1] >= box[0])).all(axis=1)
     for door in passages[meets]:
         near, far = door[:, 2 * axis] - box[0, 2 * axis]

@@ -1,4 +1,4 @@
-"""Articulated bodies: the visual meshes of a URDF's links, placed in the body's root frame with all joints at zero."""
+"""Read articulated bodies: the visual meshes of a URDF's links, in the body's root frame with all joints at zero."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _SEPARATORS = re.compile(r"[,\s]+")
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LinkMesh:
-    """A visual mesh: file name as the URDF has it, its link, and the (4, 4) transform to the body's root frame."""
+    """A visual mesh: file name as in the URDF, its link, and the (4, 4) transform to the body's root frame."""
 
     link: str
     filename: str
@@ -35,13 +35,13 @@ class LinkMesh:
 
 
 def read_urdf(data: bytes, where: str) -> tuple[LinkMesh, ...]:
-    """Visual meshes of all links, in file order.
+    """Return the visual meshes of all links, in file order.
 
     Numbers may be separated by blanks or commas (ReplicaCAD has ``scale="1, 1, 1"``).
 
     Raises
     ------
-    FormatError : not XML, or with entities; a joint to a link that is not there; links that do not form a tree
+    FormatError : not XML, or XML with entities; a joint refers to an unknown link; the links do not form a tree
     """
     root = _parse(data, where)
     links = {}
@@ -79,7 +79,7 @@ def _parse(data: bytes, where: str) -> Element:
 
 
 def _link_poses(root: Element, links: set[str], where: str) -> dict[str, NDArray[np.float64]]:
-    """(4, 4) transform of each link to the root frame, joints at zero."""
+    """Return the (4, 4) transform of each link to the root frame, with joints at zero."""
     joints: dict[str, tuple[str, NDArray[np.float64]]] = {}
     children: dict[str, list[str]] = {}
     for joint in root.findall("joint"):
@@ -91,7 +91,9 @@ def _link_poses(root: Element, links: set[str], where: str) -> dict[str, NDArray
                     f"the joint names no link {end!r}", where=where, place=f"joint {name}", remedy=_REMEDY
                 )
         if ends[1] in joints:
-            raise FormatError(f"the link {ends[1]!r} hangs from two joints", where=where, place=name, remedy=_REMEDY)
+            raise FormatError(
+                f"the link {ends[1]!r} is the child of two joints", where=where, place=name, remedy=_REMEDY
+            )
         joints[ends[1]] = (ends[0], _origin(joint, where, f"joint {name}"))
         children.setdefault(ends[0], []).append(ends[1])
     poses = {link: np.eye(4) for link in sorted(links) if link not in joints}
@@ -103,7 +105,7 @@ def _link_poses(root: Element, links: set[str], where: str) -> dict[str, NDArray
             waiting.append(child)
     if len(poses) != len(links):
         lost = sorted(links - set(poses))
-        raise FormatError(f"the links {lost} hang in a ring", where=where, place="joint", remedy=_REMEDY)
+        raise FormatError(f"the links {lost} form a cycle", where=where, place="joint", remedy=_REMEDY)
     return poses
 
 
