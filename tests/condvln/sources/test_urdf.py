@@ -67,7 +67,7 @@ def test_collision_shapes_and_primitives_are_passed_over() -> None:
         (b'<!DOCTYPE r [<!ENTITY a "x">]><robot>&a;</robot>', "not allowed"),
         (robot(LINK.format("a"), LINK.format("a")), "two links are named 'a'"),
         (robot(LINK.format("a"), JOINT.format("a", "b", "")), "no link 'b'"),
-        (robot(LINK.format("a"), LINK.format("b"), JOINT.format("a", "b", ""), JOINT.format("b", "a", "")), "a ring"),
+        (robot(LINK.format("a"), LINK.format("b"), JOINT.format("a", "b", ""), JOINT.format("b", "a", "")), "a cycle"),
         (robot(*map(LINK.format, "abc"), JOINT.format("a", "c", ""), JOINT.format("b", "c", "")), "two joints"),
         (
             robot(VISUAL.format("nan 0 0")),
