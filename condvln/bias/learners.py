@@ -10,7 +10,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from itertools import pairwise, product
-from typing import Final
+from typing import Final, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,19 @@ from condvln.instructions.language import LANGUAGES, language
 from condvln.labels import vocabulary
 from schemas.program import SHAPES, Category
 
-__all__ = ["BLOCKS", "LEARNED", "NO_GUESS", "Indices", "Learner", "blocks", "leaf_truths", "progressive"]
+__all__ = [
+    "BLOCKS",
+    "LEARNED",
+    "NO_GUESS",
+    "Indices",
+    "Labelled",
+    "Learner",
+    "blocks",
+    "content_words",
+    "leaf_truths",
+    "progressive",
+    "regressed",
+]
 
 Guesses = NDArray[np.int64]
 Learner = Callable[[Sequence[GuesserView]], Guesses]
@@ -54,6 +66,23 @@ TOLERANCE: Final = 1e-3
 """Gradient at which the optimiser stops; the guesses stop changing much earlier."""
 
 Words = Callable[[GuesserView], Iterable[str]]
+
+
+class Labelled(Protocol):
+    """What a regression learns from: the scene that it belongs to, and what was right."""
+
+    @property
+    def scene(self) -> str:
+        """Name that episodes of one scene share."""
+        ...
+
+    @property
+    def gold(self) -> int:
+        """The class to find."""
+        ...
+
+
+_Labelled = TypeVar("_Labelled", bound=Labelled)
 
 
 @cache
@@ -171,13 +200,14 @@ def _regression(words: Words) -> Learner:
         for category in sorted({view.category for view in views}):
             mine = np.array([k for k, view in enumerate(views) if view.category == category])
             if len(mine) >= LEAST_EPISODES:
-                guesses[mine] = _regressed([views[k] for k in mine], words)
+                guesses[mine] = regressed([views[k] for k in mine], words)
         return guesses
 
     return learner
 
 
-def _regressed(views: Sequence[GuesserView], words: Words) -> Guesses:
+def regressed(views: Sequence[_Labelled], words: Callable[[_Labelled], Iterable[str]]) -> Guesses:
+    """Guesses of a multinomial logistic regression on which words a text has, learned from scenes that come before."""
     # Imported here because the import takes a second, and most exports in tests are too small to need it.
     from sklearn.linear_model import LogisticRegression
 
@@ -195,7 +225,7 @@ def _regressed(views: Sequence[GuesserView], words: Words) -> Guesses:
     return guesses
 
 
-def _features(views: Sequence[GuesserView], words: Words) -> csr_matrix:
+def _features(views: Sequence[_Labelled], words: Callable[[_Labelled], Iterable[str]]) -> csr_matrix:
     """Return the feature matrix (episodes, words): 1 where a text contains the word. Very rare and very common words
     are left out.
     """
@@ -245,7 +275,7 @@ def _form(view: GuesserView) -> Iterator[str]:
     yield f"{len(view.text.split()) // WORDS_A_CLASS} words"
     for k, asked in enumerate(view.asked):
         yield f"{k} {'definite' if asked.definite else 'indefinite'} {'relation' if asked.predicate else 'presence'}"
-    content = _content_words()
+    content = content_words()
     words = [word if word not in content else "_" for word in _words(view)]
     yield from (f"{one} {other}" for one, other in pairwise(words))
 
@@ -294,11 +324,11 @@ def _voice_words() -> frozenset[str]:
         words = language(code)
         for phrases in (*words.slots.values(), *words.connectives.values()):
             found.update(word.strip(",.;:?¿") for phrase in phrases for word in phrase.lower().split())
-    return frozenset(found - _content_words() - {""}) | {"?", ";", ":"}
+    return frozenset(found - content_words() - {""}) | {"?", ";", ":"}
 
 
 @cache
-def _content_words() -> frozenset[str]:
+def content_words() -> frozenset[str]:
     """Return the words in the nouns of objects and rooms."""
     nouns = [vocabulary.entry(x).noun for x in vocabulary.labels if vocabulary.fit_for_text(x)]
     nouns += [vocabulary.room(x).noun for x in vocabulary.room_labels if vocabulary.room(x).fit_for_text]

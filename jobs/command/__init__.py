@@ -45,6 +45,7 @@ app.command(epilog=EXIT_CODES)(evaluation_verbs.verify)
 app.command()(evaluation_verbs.walk)
 app.command()(evaluation_verbs.evaluate)
 app.command()(evaluation_verbs.language)
+app.command(epilog=EXIT_CODES)(evaluation_verbs.bias)
 app.add_typer(navmesh.group, name="navmesh")
 
 CLICK_USAGE: Final = 2

@@ -12,7 +12,7 @@ from jobs.command.answers import answer, console, leave
 from jobs.command.options import AsJson, ConfigPath, ExportPath, Graphs, NavmeshRoots, Overrides, SplitName
 from schemas.errors import UsageError
 
-__all__ = ["evaluate", "language", "verify", "walk"]
+__all__ = ["bias", "evaluate", "language", "verify", "walk"]
 
 
 def verify(
@@ -144,3 +144,18 @@ def language(
     from jobs.language import report_language
 
     answer(report_language(target, overrides or ()), as_json)
+
+
+def bias(
+    targets: Annotated[
+        list[Path],
+        typer.Argument(metavar="EXPORT|FILE...", help="folder of an export, or files of R2R, VLN-CE, RxR or NavSpace"),
+    ],
+    as_json: AsJson = False,
+) -> None:
+    """Ask guessers that see no scene for the branch; exit code 3 if one beats chance."""
+    from jobs.foreign_bias import report_bias
+
+    report = report_bias(targets)
+    answer(report, as_json)
+    leave(report.exit_code)

@@ -1,0 +1,135 @@
+"""Episodes of files that others wrote: their text, their scene, and how far their own path leads.
+
+Read are VLN-CE and RxR-VLN-CE (``episodes``), NavSpace (the same, and the ``balance_variants`` of its training set),
+R2R (a list of paths with ``instructions``) and RxR (one a line). A path is told by its reference path, else by its
+goal, else by its actions, else by its viewpoints. Where a file withholds all of them, as test splits do, an episode has
+no path.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+from typing import Any, Final
+
+from condvln.formats.json_document import JsonNode, parse_json
+from condvln.formats.streams import read_unpacked
+from condvln.language.texts import LARGEST_FILE
+from schemas.errors import FormatError
+
+__all__ = ["ForeignEpisode", "read_foreign"]
+
+_REMEDY: Final = "Name an export, or a file of R2R, VLN-CE, RxR or NavSpace (.json, .jsonl, each also .gz)"
+_STEP: Final = 0.25
+"""Metres of a forward action."""
+_FORWARD: Final = 1
+
+
+@dataclass(frozen=True, slots=True)
+class ForeignEpisode:
+    """One text with its own path.
+
+    displacement : metres from its start to its end in the ground plane; rise : metres that the end lies higher
+    """
+
+    episode_id: str
+    scene: str
+    text: str
+    displacement: float | None = None
+    rise: float | None = None
+
+
+def read_foreign(path: str | os.PathLike[str]) -> Iterator[ForeignEpisode]:
+    """The episodes of a file in their order, one for each text.
+
+    Raises
+    ------
+    InputError : there is nothing to read, or it holds no instructions
+    """
+    path = Path(path)
+    data, where = read_unpacked(path, LARGEST_FILE), str(path)
+    found = False
+    for item in _items(path, data, where):
+        for episode in _episodes(item):
+            found = True
+            yield episode
+    if not found:
+        raise FormatError("holds no instructions", where=path, remedy=_REMEDY)
+
+
+def _items(path: Path, data: bytes, where: str) -> Iterator[JsonNode]:
+    if path.name.removesuffix(".gz").endswith(".jsonl"):
+        for number, line in enumerate(data.splitlines(), start=1):
+            if line.strip():
+                yield parse_json(line, f"{where}, line {number}")
+        return
+    document = parse_json(data, where)
+    yield from (document["episodes"] if isinstance(document.value, dict) else document).entries()
+
+
+def _episodes(item: JsonNode) -> Iterator[ForeignEpisode]:
+    value = item.object().value
+    scene = str(value.get("scene_id") or value.get("scan") or value.get("scene") or "")
+    name = next((str(value[key]) for key in ("episode_id", "instruction_id", "path_id") if key in value), "")
+    displacement, rise = _path(value)
+    base = ForeignEpisode(name, PurePosixPath(scene).name.split(".")[0], "", displacement, rise)
+    if "instructions" in item:
+        for number, node in enumerate(item.array("instructions")):
+            yield replace(base, episode_id=f"{name}_{number}", text=node.text())
+        return
+    said = item["instruction"] if "instruction" in item else item["instruction_text"]
+    yield replace(base, text=(said["instruction_text"] if isinstance(said.value, dict) else said).text())
+    own = value.get("navspace")
+    variants = own.get("balance_variants") if isinstance(own, dict) else None
+    for one in variants if isinstance(variants, list) else ():
+        if isinstance(one, dict) and isinstance(one.get("instruction_text"), str):
+            walked = _walked(one.get("actions"))
+            yield replace(
+                base,
+                episode_id=str(one.get("id", name)),
+                text=one["instruction_text"],
+                displacement=0.0 if walked == 0.0 else displacement,
+                rise=0.0 if walked == 0.0 else rise,
+            )
+
+
+def _path(value: dict[str, Any]) -> tuple[float | None, float | None]:
+    """Displacement and rise of an item's own path, None where it has none."""
+    points = value.get("reference_path")
+    goals = value.get("goals")
+    start = value.get("start_position")
+    end = points[-1] if isinstance(points, list) and points else None
+    if end is None and isinstance(goals, list) and goals and isinstance(goals[0], dict):
+        end = goals[0].get("position")
+    if _is_point(start) and _is_point(end):
+        assert start is not None
+        assert end is not None
+        return math.hypot(end[0] - start[0], end[2] - start[2]), end[1] - start[1]
+    walked = _walked(value.get("actions") or value.get("reference_actions"))
+    if walked is not None:
+        return walked, None
+    viewpoints = value.get("path")
+    if isinstance(viewpoints, list) and viewpoints:
+        if len(viewpoints) == 1 or viewpoints[0] == viewpoints[-1]:
+            return 0.0, 0.0
+        distance = value.get("distance")
+        known = isinstance(distance, int | float) and not isinstance(distance, bool) and math.isfinite(distance)
+        return float(distance) if known and distance is not None else math.inf, None
+    return None, None
+
+
+def _walked(actions: object) -> float | None:
+    if not isinstance(actions, list) or not actions:
+        return None
+    return _STEP * sum(action in (_FORWARD, "forward", "MOVE_FORWARD") for action in actions)
+
+
+def _is_point(value: Any) -> bool:
+    return (
+        isinstance(value, list)
+        and len(value) == 3
+        and all(isinstance(x, int | float) and not isinstance(x, bool) and math.isfinite(x) for x in value)
+    )
