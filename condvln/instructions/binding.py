@@ -121,7 +121,7 @@ def _heard(words: Language, pieces: Sequence[str | Slot]) -> dict[int, list[Cont
                     raise ValueError(f'"{name}" is said of {len(asks)} things')
                 listener.context = tuple((condition, not truth) for _, condition, truth in asks)
                 supposing = False
-            elif name == "but":
+            elif name in ("but", "and"):
                 supposing = True
             elif name == "list":
                 listener.listed = True
@@ -131,11 +131,11 @@ def _heard(words: Language, pieces: Sequence[str | Slot]) -> dict[int, list[Cont
 def _hear_slot(listener: _Listener, slot: Slot, supposing: bool) -> None:
     if slot.form == "leaf":
         listener.leaves.setdefault(slot.index, []).append(listener.context)
-    elif slot.form in ("yes", "no"):
+    elif slot.form in ("yes", "no", "again", "not_again"):
         context, condition, _ = _latest(listener)
         if condition != slot.index:
             raise ValueError(f"the answer about condition {slot.index} comes after condition {condition} was asked")
-        listener.context = (*context, (condition, slot.form == "yes"))
+        listener.context = (*context, (condition, slot.form in ("yes", "again")))
     elif slot.form in ("question", "see"):
         listener.asks.append((listener.context, slot.index, None))
     elif not supposing:
@@ -143,6 +143,9 @@ def _hear_slot(listener: _Listener, slot: Slot, supposing: bool) -> None:
     else:
         truth = slot.form == "asserted"
         before = listener.context
+        asked_in = [context for context, condition, _ in listener.asks if condition == slot.index]
+        if asked_in and not before:
+            before = asked_in[0]  # what was asked before is meant under the same circumstances
         if listener.listed:
             before = (*before, *((condition, not held) for _, condition, held in listener.asks))
         listener.asks.append((before, slot.index, truth))

@@ -30,22 +30,24 @@ CONDITION_LETTERS: Final = "ABC"
 LEAF_LETTERS: Final = "xyzw"
 
 SLOTS: Final = (
-    "exists", "absent", "is_there", "has", "lacks", "does", "have", "is", "is_not", "asks_is",
-    "see", "check", "for", "look", "yes_one", "no_one", "yes_it", "no_it",
-    "go", "then", "last", "second", "in", "of", "there", "there_of", "with", "scope",
+    "exists", "absent", "is_there", "is", "is_not", "asks_is",
+    "see", "check", "for", "yes_one", "no_one", "yes_it", "no_it",
+    "go", "then", "last", "second", "in", "of", "there", "with", "scope",
     "facing",
 )  # fmt: skip
 """Phrase slots of every voice, beside one per predicate."""
 
-Form = Literal["asserted", "denied", "question", "see", "yes", "no", "leaf"]
+Form = Literal["asserted", "denied", "question", "see", "yes", "no", "again", "not_again", "leaf"]
 
 _WORDS_OF: Final[Mapping[Form, int]] = {
-    "asserted": 8, "denied": 8, "question": 8, "see": 9, "yes": 2, "no": 2, "leaf": 0,
+    "asserted": 8, "denied": 8, "question": 8, "see": 9, "yes": 2, "no": 2, "again": 4, "not_again": 4, "leaf": 0,
 }  # fmt: skip
 """Words that a slot makes, about."""
 
 _SLOT: Final = re.compile(r"\{([^}]*)\}")
-_FORMS: Final[Mapping[str, Form]] = {"see ": "see", "yes ": "yes", "no ": "no", "-": "denied", "": "asserted"}
+_FORMS: Final[Mapping[str, Form]] = {
+    "see ": "see", "yes ": "yes", "no ": "no", "again ": "again", "-again ": "not_again", "-": "denied", "": "asserted",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,10 +72,14 @@ Piece = str | Slot
 
 @dataclass(frozen=True, slots=True)
 class Template:
-    """The sentences of a category, and the names of the voices that use them."""
+    """The sentences of a category, and the names of the voices that use them.
+
+    questions : numbers of the conditions that it asks about as questions
+    """
 
     pieces: tuple[Piece, ...]
     voices: frozenset[str]
+    questions: frozenset[int] = frozenset()
 
     @property
     def length(self) -> int:
@@ -105,7 +111,8 @@ class Language:
     slots : all phrases of each slot, over all voices
     elliptic : answers that say again the verb of "there is", and go with a question that had it
     connectives : the words that hold clauses together, by what they do
-    predicates : phrases of those with anchors; both : the word between two anchors
+    predicates : phrases of those with anchors; lying : words between the noun of a stop and its relation, of which a
+        text takes one ("que está"); none in English; both : the word between two anchors
     bearings : phrases of those at the start; a text takes those of one place of each list; bearing_stops : the same
         behind the noun of a stop
     superlatives : "bigger" and "smaller" by class of noun; superlative_first : before the noun, else behind it
@@ -118,6 +125,7 @@ class Language:
     elliptic: frozenset[str]
     connectives: Mapping[str, tuple[str, ...]]
     predicates: Mapping[Predicate, tuple[str, ...]]
+    lying: tuple[str, ...]
     bearings: Mapping[Predicate, tuple[str, ...]]
     bearing_stops: Mapping[Predicate, tuple[str, ...]]
     both: str
@@ -178,6 +186,7 @@ def language(code: str = "en") -> Language:
         elliptic=frozenset(document["elliptic"]),
         connectives={name: tuple(phrases) for name, phrases in document["connectives"].items()},
         predicates={p: _predicate(document, p) for p in PREDICATES if p not in (*SUPERLATIVES, *BEARINGS)},
+        lying=tuple(document.get("lying", ())),
         bearings={p: tuple(document["bearings"][p]) for p in BEARINGS},
         bearing_stops={p: tuple(document["bearing_stops"][p]) for p in BEARINGS},
         both=document["both"],
@@ -256,7 +265,8 @@ def _template(entry: Mapping[str, str], category: Category) -> Template:
     leaves = sorted(slot.index for slot in slots if slot.form == "leaf")
     if asked != set(range(len(shape.branches))) or leaves != list(range(shape.leaves)):
         raise AssertionError(f"template does not ask each condition and name each leaf once: {entry['text']}")
-    return Template(tuple(pieces), frozenset(entry["voices"].split()))
+    questions = frozenset(slot.index for slot in slots if slot.form == "question")
+    return Template(tuple(pieces), frozenset(entry["voices"].split()), questions)
 
 
 def _slot(text: str) -> Slot:

@@ -7,9 +7,10 @@ grammar, on which an Earley parser with explicit ambiguity can be asked the same
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache
+from itertools import product
 from typing import Any, Final
 
 from lark import Lark, Token, Tree
@@ -26,6 +27,9 @@ __all__ = ["grammar_source", "parse", "parser", "reading_from_tree", "template_o
 PUNCTUATION: Final = {",": "COMMA", ";": "SEMICOLON", ":": "COLON", ".": "STOP", "?": "QUESTION"}
 ANSWERS: Final = ("yes_one", "yes_it", "no_one", "no_it")
 """Slots whose phrases answer a question; they tell what kind of question it was."""
+
+_RULES: Final = {"leaf": "moves", "again": "yes", "not_again": "no"}
+"""Rules of the slots whose name is not their own; an answer may be said in full."""
 
 _TOKEN: Final = re.compile(r"\(\d\)|[^\s,;:.?]+|[,;:.?]")
 """Words, numbers in brackets and punctuation of a template."""
@@ -89,11 +93,15 @@ class _GrammarWriter:
     def source(self) -> str:
         w, rules = self.words, []
         for name, phrases in w.slots.items():
-            if name not in ("then", "second", "last", "there", "there_of", *ANSWERS):
+            if name not in ("then", "second", "last", "there", *ANSWERS):
                 rules.append(f"_{name}: {self._any(phrases)}")
         rules.append(f"_joint: {self._any([*w.slots['then'], *w.slots['second'], *w.slots['last']])}")
-        rules.append(f"there: {self._any(w.slots['there'])}")
-        rules.append(f"there_of: {self._any(w.slots['there_of'])}")
+        there = " | there" if w.slots["there"] else ""
+        if there:
+            rules.append(f"there: {self._any(w.slots['there'])}")
+        lying = "_lying " if w.lying else ""
+        if lying:
+            rules.append(f"_lying: {self._any(w.lying)}")
         rules += [f"{name}: {self._any(w.slots[name])}" for name in ANSWERS]
         rules += [f"{_rule(predicate)}: {self._any(phrases)}" for predicate, phrases in w.predicates.items()]
         rules += [f"{_rule(name)}: {self._any(words.values())}" for name, words in w.superlatives.items()]
@@ -106,42 +114,42 @@ class _GrammarWriter:
             "start: [_facing direction] [_scope room COMMA] body",
             "direction: (" + " | ".join(f"direction_{_rule(d)}" for d in w.directions) + ") STOP",
             "moves: _go object (_joint object)*",
-            f"object: _THE _noun [_where_of] | _THE _noun (qualifier [_where] | bearing_stop) | {compared} [_where_of]",
-            "_where: _in room | there",
-            "_where_of: _of room | there_of",
-            "room: _THE (ROOM | BOTH) [_with _THE _noun] | THAT (ROOM | BOTH)",
+            f"object: _THE _noun [_where_of] | _THE _noun ({lying}qualifier [_where] | bearing_stop)",
+            f"    | {compared} [_where_of]",
+            "_where: _in room",
+            f"_where_of: _of room{there}",
+            "room: _THE (ROOM | BOTH) [_with _THE _noun]",
             f"qualifier: ({one_anchor}) _THE _noun | {_rule('between')} _THE _noun {self._terminal(w.both)} _THE _noun",
             "bearing: " + " | ".join(_rule(b) for b in w.bearings),
             "bearing_stop: " + " | ".join(f"{_rule(b)}_stop" for b in w.bearing_stops),
             "superlative: " + " | ".join(_rule(p) for p in w.superlatives),
             "asserted: _exists _noun [qualifier] [_where] -> some",
-            "    | room _has _noun [qualifier] -> some",
             "    | _THE _noun [_where_of] _is (qualifier | bearing) -> the",
             "denied: _absent _noun [qualifier] [_where] -> some",
-            "    | room _lacks _noun [qualifier] -> some",
             "    | _THE _noun [_where_of] _is_not (qualifier | bearing) -> the",
             "question: _is_there _noun [qualifier] [_where] QUESTION -> some",
-            "    | _does room _have _noun [qualifier] QUESTION -> some",
             "    | _asks_is _THE _noun [_where_of] (qualifier | bearing) QUESTION -> the",
             "see: _see asserted",
-            "    | _look _noun [qualifier] [_where] -> some",
             "    | _check room _for _noun [qualifier] -> some",
             "_noun: NOUN | BOTH",
-            "yes: yes_one | yes_it",
-            "no: no_one | no_it",
+            "yes: yes_one | yes_it | asserted",
+            "no: no_one | no_it | denied",
         ]
-        bodies = [
-            (f"{category}_{k}", " ".join(self._part(piece) for piece in template.pieces))
-            for category in CATEGORIES
-            for k, template in enumerate(w.templates[category])
-        ]
-        rules += [f"{name}: {right}" for name, right in bodies]
-        rules.append("body: " + " | ".join(name for name, _ in bodies))
+        bodies: dict[str, str] = {}
+        for category in CATEGORIES:
+            for k, template in enumerate(w.templates[category]):
+                whole = " ".join(self._part(piece) for piece in template.pieces)
+                # Templates that differ only in {yes A} and {again A} are read as one.
+                for right in _split(whole):
+                    bodies.setdefault(right, f"{category}_{k}")
+        for name in dict.fromkeys(bodies.values()):
+            rules.append(f"{name}: " + " | ".join(right for right, its in bodies.items() if its == name))
+        rules.append("body: " + " | ".join(dict.fromkeys(bodies.values())))
         return "\n".join([*rules, *self._terminal_lines()]) + "\n"
 
     def _part(self, piece: str | Slot) -> str:
         if isinstance(piece, Slot):
-            return "moves" if piece.form == "leaf" else piece.form
+            return _RULES.get(piece.form, piece.form)
         return " ".join(PUNCTUATION.get(token) or self._terminal(token) for token in _TOKEN.findall(piece.lower()))
 
     def _any(self, texts: Iterable[str]) -> str:
@@ -162,12 +170,23 @@ class _GrammarWriter:
             "ROOM": _alternatives(rooms - nouns, nouns),
             "BOTH": _alternatives(nouns & rooms) if nouns & rooms else "(?!)x",
             "_THE": _alternatives(w.articles["definite"].values()),
-            "THAT": _alternatives(w.articles["that"].values()),
         }
         lines = [f"{name}: /{pattern}/" for pattern, name in self.terminals.items()]
         lines += [f"{name}: /{pattern}/" for name, pattern in named.items()]
         lines += [f'{name}: "{character}"' for character, name in PUNCTUATION.items()]
         return [*lines, "%ignore /\\s+/"]
+
+
+def _split(right: str) -> Iterator[str]:
+    """A template's sequence as it is, and with its long sentences split at their colons and semicolons."""
+    marks = ("SEMICOLON", "COLON")
+    parts = right.split(" ")
+    places = [k for k, part in enumerate(parts) if part in marks]
+    for taken in product((False, True), repeat=len(places)):
+        said = list(parts)
+        for place, split in zip(places, taken, strict=True):
+            said[place] = "STOP" if split else said[place]
+        yield " ".join(said)
 
 
 def _rule(name: str) -> str:
@@ -202,7 +221,10 @@ def reading_from_tree(tree: Node, words: Language) -> Reading:
 
 
 class _TreeReader:
-    """Reads a tree from left to right, since "there" is the room that was named last."""
+    """Reads a tree from left to right, since "there" is the room that was named last.
+
+    asked_room : of the condition before, where a definite thing is that is asked about without a room
+    """
 
     def __init__(self, words: Language) -> None:
         self.labels = {noun.text.lower(): label for label, noun in words.nouns.items()}
@@ -211,6 +233,7 @@ class _TreeReader:
         self.words = words
         self.scope: Place | None = None
         self.last_room: Place | None = None
+        self.asked_room: Place | None = None
         self.introduced: set[Place] = set()
 
     def reading(self, tree: Node) -> Reading:
@@ -229,18 +252,23 @@ class _TreeReader:
         for slot, subtree in zip(slots, _subtrees(sentences), strict=True):
             if slot.form == "leaf":
                 leaves[slot.index] = self._stops(_subtrees(subtree))
-            elif slot.form in ("yes", "no"):
-                (answer,) = _subtrees(subtree)
-                if str(answer.data).endswith("_it") != conditions[slot.index].definite:
-                    raise FormatError(f"the answer to {conditions[slot.index]} asks for something else")
-            else:
-                phrase = self._asked(subtree)
-                before = conditions.get(slot.index)
-                if before is not None and phrase.room is None and phrase.qualifier is not None:
-                    phrase = replace(phrase, room=before.room)  # asked before, so that its room is known
-                    self.last_room = None
-                if conditions.setdefault(slot.index, phrase) != phrase:
-                    raise FormatError(f"the text names one condition as {conditions[slot.index]} and as {phrase}")
+                continue
+            if subtree.data in ("yes", "no"):
+                (subtree,) = _subtrees(subtree)
+                if subtree.data in ANSWERS:
+                    if str(subtree.data).endswith("_it") != conditions[slot.index].definite:
+                        raise FormatError(f"the answer to {conditions[slot.index]} asks for something else")
+                    continue
+            phrase = self._asked(subtree)
+            before = conditions.get(slot.index)
+            if before is not None and phrase.room is None and phrase.qualifier is not None:
+                phrase = replace(phrase, room=before.room)  # asked before, so that its room is known
+                self.last_room = None
+            elif before is None and phrase.room is None and phrase.definite:
+                phrase = replace(phrase, room=self.asked_room)
+            if conditions.setdefault(slot.index, phrase) != phrase:
+                raise FormatError(f"the text names one condition as {conditions[slot.index]} and as {phrase}")
+            self.asked_room = phrase.room
         shape = SHAPES[category]
         return Reading(
             category=category,
@@ -276,7 +304,7 @@ class _TreeReader:
             elif isinstance(child, Tree):
                 if child.data == "room":
                     room = self._place(child)
-                elif child.data in ("there", "there_of"):
+                elif child.data == "there":
                     if self.last_room is None:
                         raise FormatError("the text says 'there' before it names a room")
                     room = self.last_room
@@ -298,13 +326,10 @@ class _TreeReader:
             self.last_room = Place(label, self.labels[_plain(anchor[0])])
             self.introduced.add(self.last_room)
             return self.last_room
-        if any(isinstance(child, Token) and child.type == "THAT" for child in tree.children):
-            before = [place for place in self.introduced if place.label == label]
-            if len(before) != 1:
-                raise FormatError(f"the text says 'that {_plain(room)}' where {len(before)} could be meant")
-            self.last_room = before[0]
-        else:
-            self.last_room = Place(label)
+        before = [place for place in self.introduced if place.label == label]
+        if len(before) > 1:
+            raise FormatError(f"the text says 'the {_plain(room)}' where {len(before)} could be meant")
+        self.last_room = before[0] if before else Place(label)
         return self.last_room
 
     def _labels(self, tree: Node) -> tuple[str, ...]:

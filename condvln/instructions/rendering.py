@@ -15,7 +15,7 @@ from functools import lru_cache
 from itertools import accumulate
 from typing import Final
 
-from condvln.instructions.language import Language, Slot, Voice, language
+from condvln.instructions.language import Language, Slot, Template, Voice, language
 from condvln.instructions.predicates import COMPASS
 from condvln.seeding import Draws, generator, stable_hash
 from schemas.config import WordingConfig
@@ -38,8 +38,8 @@ __all__ = [
 HEADINGS: Final = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 """Names of the headings 0°, 45°, … clockwise from north."""
 
-ROOM_FIRST_SHARE: Final = 0.4
-"""Share of presences in a named room that open with it ("if the kitchen has a lamp")."""
+LONGEST_SENTENCE: Final = 25
+"""Words; a longer sentence is split at its colon or semicolon."""
 CHECK_SHARE: Final = 0.6
 """Share of requests to look for something that name the place first ("check the kitchen for a lamp")."""
 
@@ -150,9 +150,10 @@ class _Renderer:
         self.last_room: RoomRef | None = None
         self._chosen: dict[str, str] = {}
         self._relations: dict[Qualifier, str] = {}
-        self._said: set[Condition] = set()
+        self._said: list[Condition] = []
+        self._is_beside = False
+        self._one_answered = False
         self._asked_by_exists = False
-        self._answered: set[Condition] = set()
         self._types: Counter[str] = Counter()
         self._introduced: set[RoomRef] = set()
         self._bearing: int | None = None
@@ -161,9 +162,7 @@ class _Renderer:
         self._types = Counter(room.label for room in _rooms(program))
         opening = self._scope(program)
         templates = (self.voice.short_templates if self.short else self.voice.templates)[program.category]
-        template = self.draws.choice(templates)
-        answers = (piece for piece in template.pieces if isinstance(piece, Slot) and piece.form in ("yes", "no"))
-        self._answered = {program.conditions[slot.index] for slot in answers}
+        template = self.draws.choice(_sayable(templates, program) if not self.short else templates)
         texts = [piece if isinstance(piece, str) else self._slot(piece, program) for piece in template.pieces]
         body = "".join(texts)
         return _sentences(self.words, f"{opening}{body[:1].lower()}{body[1:]}" if opening else body)
@@ -202,17 +201,31 @@ class _Renderer:
             self.last_room, self._introduced = None, before
             return said
         condition = program.conditions[slot.index]
-        if slot.form in ("yes", "no"):
-            answer = self._answer(slot.form, condition)
+        form = slot.form
+        if form in ("again", "not_again") and not condition.definite and not self._one_answered:
+            form = "yes" if form == "again" else "no"
+        if form in ("yes", "no"):
+            self._one_answered |= not condition.definite
+            answer = self._answer(form, condition)
             return self.words.answered(answer, self.words.nouns[condition.label])
-        if condition in self._said and condition.qualifier is not None and not self._elided(condition.room):
-            return self._again(condition, asserted=slot.form == "asserted")
-        self._said.add(condition)
-        if slot.form == "question":
+        asserted = form in ("asserted", "again")
+        again = condition in self._said and condition.qualifier is not None
+        self._is_beside = not again and self._is_in_room_asked(condition)
+        self._said.append(condition)
+        if again and not self._elided(condition.room):
+            return self._again(condition, asserted=asserted)
+        if form == "question":
             return self._question(condition)
-        if slot.form == "see":
+        if form == "see":
             return self._see(condition)
-        return self._clause(condition, asserted=slot.form == "asserted")
+        return self._clause(condition, asserted=asserted)
+
+    def _is_in_room_asked(self, condition: Condition) -> bool:
+        """Whether a known thing is in the room that was asked about last, which then need not be named again."""
+        if not condition.definite or not self._said or self._said[-1].room != condition.room:
+            return False
+        same = (condition.label, condition.qualifier and condition.qualifier.predicate)
+        return all((c.label, c.qualifier and c.qualifier.predicate) != same for c in self._said)
 
     def _answer(self, form: str, condition: Condition) -> str:
         """ "There is", "it isn't". Where the question was no "is there", an answer that is none is taken."""
@@ -229,12 +242,8 @@ class _Renderer:
             return (
                 f"{self._subject(condition)} {self._phrase('is' if asserted else 'is_not')}{self._relation(condition)}"
             )
-        noun = self.words.nouns[condition.label]
-        self._asked_by_exists = not self._names_room_first(condition)
-        if not self._asked_by_exists:
-            room = self._room(condition.room)
-            return f"{room} {self._filled('has' if asserted else 'lacks', condition)}{self._relation(condition)}"
-        there = self.words.filled(self._phrase("exists" if asserted else "absent"), noun)
+        self._asked_by_exists = True
+        there = self._filled("exists" if asserted else "absent", condition)
         return f"{there}{self._relation(condition)}{self._where(condition.room, named=True)}"
 
     def _again(self, condition: Condition, *, asserted: bool) -> str:
@@ -248,34 +257,23 @@ class _Renderer:
     def _question(self, condition: Condition) -> str:
         if condition.definite:
             return f"{self._phrase('asks_is')} {self._subject(condition)}{self._relation(condition)}?"
-        self._asked_by_exists = not self._names_room_first(condition)
-        if not self._asked_by_exists:
-            room = self._room(condition.room)
-            return f"{self._phrase('does')} {room} {self._filled('have', condition)}{self._relation(condition)}?"
+        self._asked_by_exists = True
         where = self._where(condition.room, named=True)
         return f"{self._filled('is_there', condition)}{self._relation(condition)}{where}?"
 
     def _see(self, condition: Condition) -> str:
-        if condition.definite or not self._chance(CHECK_SHARE):
+        if condition.definite or self._elided(condition.room) or not self._chance(CHECK_SHARE):
             return f"{self._phrase('see')} {self._clause(condition, asserted=True)}"
         self._asked_by_exists = False
-        if self._elided(condition.room):
-            return f"{self._filled('look', condition)}{self._relation(condition)}"
         room = self._room(condition.room)
         return f"{self._phrase('check')} {room} {self._filled('for', condition)}{self._relation(condition)}"
-
-    def _names_room_first(self, condition: Condition) -> bool:
-        """Whether to say "the kitchen has a lamp", to which "there is" would be no answer."""
-        elided = self._elided(condition.room) or condition.room == self.last_room
-        return not elided and condition not in self._answered and self._chance(ROOM_FIRST_SHARE)
 
     def _filled(self, slot: str, condition: Condition) -> str:
         return self.words.filled(self._phrase(slot), self.words.nouns[condition.label])
 
     def _subject(self, condition: Condition) -> str:
-        return (
-            f"{self.words.definite(self.words.nouns[condition.label])}{self._where(condition.room, '_of', named=True)}"
-        )
+        where = "" if self._is_beside else self._where(condition.room, "_of", named=True)
+        return f"{self.words.definite(self.words.nouns[condition.label])}{where}"
 
     def _relation(self, named: Condition | ObjectRef) -> str:
         qualifier: Qualifier | None = named.qualifier
@@ -292,6 +290,13 @@ class _Renderer:
             self._relations[qualifier] = relation
         anchors = [self.words.definite(self.words.nouns[label]) for label in qualifier.anchor_labels]
         return f" {relation} {f' {self.words.both} '.join(anchors)}"
+
+    def _lying(self) -> str:
+        """The words between the noun of a stop and its relation: the same in all of a text."""
+        found = self._chosen.get("lying")
+        if found is None:
+            found = self._chosen["lying"] = self._choice(self.words.lying)
+        return found
 
     def _at_start(self, bearing: Predicate, of_stop: bool) -> str:
         """ "On your left as you start": all bearings of a text in the same way."""
@@ -326,7 +331,10 @@ class _Renderer:
             # It is in the room of the start, which is not named again; "there" would be said of it next.
             self.last_room = None
             return f"{noun}{self._relation(ref)}"
-        return f"{noun}{self._relation(ref)}{'' if same_room else self._where(ref.room, kind)}"
+        relation = self._relation(ref)
+        if relation and self.words.lying:
+            relation = f" {self._lying()}{relation}"
+        return f"{noun}{relation}{'' if same_room else self._where(ref.room, kind)}"
 
     def _where(self, room: RoomRef, kind: str = "", *, named: bool = False) -> str:
         """The room as a place ("in the bedroom"); with `kind` "_of" as what a thing belongs to ("del dormitorio").
@@ -335,8 +343,8 @@ class _Renderer:
         """
         if self._elided(room):
             return ""
-        if room == self.last_room and not named:
-            return f" {self._phrase(f'there{kind}')}"
+        if kind and not named and self.voice.slots["there"] and room == self.last_room:
+            return f" {self._phrase('there')}"
         return f" {self._phrase('of' if kind else 'in')} {self._room(room)}"
 
     def _room(self, room: RoomRef) -> str:
@@ -346,9 +354,17 @@ class _Renderer:
         if room.anchor_label is None:
             return phrase
         if room in self._introduced and self._types[room.label] == 1:
-            return f"{self.words.articles['that'][noun.kind]} {noun.text}"
+            return phrase
         self._introduced.add(room)
         return f"{phrase} {self._phrase('with')} {self.words.definite(self.words.nouns[room.anchor_label])}"
+
+
+def _sayable(templates: tuple[Template, ...], program: Program) -> tuple[Template, ...]:
+    """Those without a question like "is the lamp in the bedroom with the desk near the bed?", where there are any."""
+    long = {k for k, c in enumerate(program.conditions) if c.definite and c.room.anchor_label is not None}
+    if not long:
+        return templates
+    return tuple(template for template in templates if not template.questions & long) or templates
 
 
 def _rooms(program: Program) -> set[RoomRef]:
@@ -357,8 +373,10 @@ def _rooms(program: Program) -> set[RoomRef]:
 
 
 def _sentences(words: Language, text: str) -> str:
-    """Contractions made, and a capital at the start of each sentence."""
+    """Contractions made, long sentences split, and a capital at the start of each sentence."""
     text = words.contracted(text)
+    if ";" in text or ":" in text:
+        text = ". ".join(_split(sentence) for sentence in text.split(". "))
     for mark in (". ", "? "):
         text = mark.join(_capital(part) for part in text.split(mark))
     return text
@@ -369,6 +387,16 @@ def _shortest(phrases: tuple[str, ...]) -> tuple[str, ...]:
     """The renderings with the fewest words."""
     least = min(phrase.count(" ") for phrase in phrases)
     return tuple(phrase for phrase in phrases if phrase.count(" ") == least)
+
+
+def _split(sentence: str) -> str:
+    """A sentence as several where it is long: at its colon, then at its semicolons. A numbered list is left whole."""
+    if sentence.count(" ") >= LONGEST_SENTENCE and "(" not in sentence:
+        first, _, rest = sentence.partition(": ")
+        sentence = f"{first}. {rest}" if rest else sentence
+        if max(part.count(" ") for part in sentence.split(". ")) >= LONGEST_SENTENCE:
+            sentence = sentence.replace("; ", ". ")
+    return sentence
 
 
 def _capital(sentence: str) -> str:

@@ -41,11 +41,13 @@ class Phrasebook:
 
     tree : words to nodes; under `END` the matches of the phrase that ends there, under `SO_FAR` those before it too
     contractions : words that stand for several, by the word
+    lying : whether stops have words between noun and relation ("que está")
     """
 
     tree: Node
     contractions: Mapping[str, tuple[str, ...]]
     classes: frozenset[str]
+    lying: bool
 
     def tokens(self, text: str) -> list[str]:
         """Words and punctuation of a text, in lower case, contractions taken apart."""
@@ -68,7 +70,7 @@ def phrasebook(code: str = "en") -> Phrasebook:
     document = yaml.safe_load(package_data("instructions", "grammar", f"{code}.yaml").read_text(encoding="utf-8"))
     articles: Mapping[str, Mapping[str, str]] = document["articles"]
     together = {short: tuple(apart.split()) for apart, short in (document.get("contractions") or {}).items()}
-    book = Phrasebook({}, together, frozenset(articles["definite"]))
+    book = Phrasebook({}, together, frozenset(articles["definite"]), bool(document.get("lying")))
     for slot in document["phrases"]:
         for phrase in _phrases(document, slot):
             for text, classes in _with_articles(phrase, articles):
@@ -76,6 +78,8 @@ def phrasebook(code: str = "en") -> Phrasebook:
     for connective, phrases in document["connectives"].items():
         for phrase in phrases:
             book.add(phrase, connective, "", book.classes)
+    for phrase in document.get("lying", ()):
+        book.add(phrase, "lying", "", book.classes)
     for section, kind in (("bearings", "bearing"), ("bearing_stops", "bearing_stop")):
         for bearing, phrases in document[section].items():
             for phrase in phrases:
@@ -92,9 +96,8 @@ def phrasebook(code: str = "en") -> Phrasebook:
             book.add(word, place, predicate, (noun_class,))
     for name, word in document["directions"].items():
         book.add(word, "direction", name, book.classes)
-    for name, kind in (("the", "definite"), ("that", "that")):
-        for text, classes in _with_articles("{the}", {**articles, "{the}": articles[kind]}):
-            book.add(text, name, "", classes)
+    for text, classes in _with_articles("{the}", {**articles, "{the}": articles["definite"]}):
+        book.add(text, "the", "", classes)
     for kind, entries in (("noun", _nouns(code, "nouns")), ("room", _nouns(code, "rooms"))):
         for label, (noun, noun_class) in entries.items():
             book.add(noun, kind, label, (noun_class,))

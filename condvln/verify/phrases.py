@@ -132,14 +132,11 @@ class PhraseReader:
             yield from self._agreeing(end, kind, classes)
 
     def _rooms(self, at: int) -> Iterator[tuple[int, Named]]:
-        """ "The bedroom", "the bedroom with the desk", and "that bedroom" where one was named so before."""
-        for end, _, classes in self._of(at, "that"):
-            for stop, label in self._agreeing(end, "room", classes):
-                before = {room for place, room in self._set_apart() if place < at and room.label == label}
-                if len(before) == 1:
-                    yield stop, before.pop()
+        """ "The bedroom with the desk"; "the bedroom" is that one where it was named so before."""
         for end, label in self._definite(at, "room"):
-            yield end, Named(label, None)
+            before = {room for place, room in self._set_apart() if place < at and room.label == label}
+            if len(before) < 2:
+                yield end, before.pop() if before else Named(label, None)
             for after, _, _ in self._of(end, "with"):
                 for stop, anchor in self._definite(after, "noun"):
                     yield stop, Named(label, anchor)
@@ -178,9 +175,11 @@ class PhraseReader:
                     if own & article & ending:
                         yield end, label, (predicate, ())
 
-    def _qualified(self, at: int) -> Iterator[tuple[int, _Qualifier | None]]:
+    def _qualified(self, at: int, lying: bool = False) -> Iterator[tuple[int, _Qualifier | None]]:
+        """lying : whether words like "que está" come before the relation"""
         yield at, None
-        yield from self._related(at)
+        for start in [end for end, _, _ in self._of(at, "lying")] if lying else [at]:
+            yield from self._related(start)
 
     def _where(
         self, at: int, last: Named | None, belonging: bool = False
@@ -194,13 +193,13 @@ class PhraseReader:
             for stop, room in self._rooms(end):
                 yield stop, room, room
         if last is not None:
-            for end, _, _ in self._of(at, "there_of" if belonging else "there"):
+            for end, _, _ in self._of(at, "there") if belonging else ():
                 yield end, last, last
 
     def _things(self, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:
         """Stops as the moves name them: "the lamp near the bed in the bedroom"."""
         for end, label in self._definite(at, "noun"):
-            for stop, qualifier in self._qualified(end):
+            for stop, qualifier in self._qualified(end, lying=self.book.lying):
                 for after, room, named in self._where(stop, last, belonging=qualifier is None):
                     yield after, Phrase(label, qualifier, room), named
             for stop, bearing, _ in self._of(end, "bearing_stop"):
@@ -220,10 +219,10 @@ class PhraseReader:
                     for place, room, named in self._where(stop, last):
                         yield place, Phrase(label, qualifier, room), named
 
-    def _held(self, slot: str, at: int) -> Iterator[tuple[int, Phrase, Named | None]]:
-        """ "the bedroom has a lamp near the bed", by the phrases of a slot between room and thing."""
+    def _checked(self, at: int) -> Iterator[tuple[int, Phrase, Named | None]]:
+        """The rest of "check the bedroom for a lamp near the bed"."""
         for end, room in self._rooms(at):
-            for after, _, classes in self._of(end, slot):
+            for after, _, classes in self._of(end, "for"):
                 for stop, label in self._agreeing(after, "noun", classes):
                     for place, qualifier in self._qualified(stop):
                         yield place, Phrase(label, qualifier, room), room
@@ -241,24 +240,20 @@ class PhraseReader:
 
     def _said(self, at: int, last: Named | None) -> Iterator[tuple[int, bool, Phrase, Named | None]]:
         """Claims: (end, whether it is said to hold, what, room named last)."""
-        for present, some, held, known in ((True, "exists", "has", "is"), (False, "absent", "lacks", "is_not")):
-            for found in (self._some(some, at, last), self._held(held, at), self._known(known, at, last)):
+        for present, some, known in ((True, "exists", "is"), (False, "absent", "is_not")):
+            for found in (self._some(some, at, last), self._known(known, at, last)):
                 for end, what, named in found:
                     yield end, present, what, named
 
     def _requests(self, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:
         """Requests to look, and questions with their mark."""
-        for end, _, _ in self._of(at, "filler"):
-            yield from self._requests(end, last)
         for end, _, _ in self._of(at, "see"):
             for stop, present, what, named in self._said(end, last):
                 if present:
                     yield stop, what, named
-        yield from self._some("look", at, last)
         for end, _, _ in self._of(at, "check"):
-            yield from self._held("for", end)
+            yield from self._checked(end)
         questions = [*self._some("is_there", at, last)]
-        questions += [found for end, _, _ in self._of(at, "does") for found in self._held("have", end)]
         questions += [found for end, _, _ in self._of(at, "asks_is") for found in self._known(None, end, last)]
         yield from ((end, what, named) for end, what, named in questions if self._is(end, "?"))
 

@@ -129,6 +129,10 @@ class _Reader(PhraseReader):
     def _clause(self, state: _State, context: int, base: int) -> Iterator[tuple[_State, int]]:
         """One clause with all that hangs on it, and the base of the clauses after it."""
         at = state.at
+        for end, _, _ in self._of(at, "filler"):
+            yield from self._clause(state._replace(at=end + self._is(end, ",")), context, base)
+        for end, _, _ in self._of(at, "but"):
+            yield from self._clause(state._replace(at=end), context, base)
         for end, _, _ in self._of(at, "if"):
             yield from self._supposed(state._replace(at=end), context & base, base)
             yield from self._answered(state._replace(at=end), base)
@@ -148,18 +152,21 @@ class _Reader(PhraseReader):
         """A claim behind "if", and what follows from it."""
         if state.listed is not None:
             context &= ~state.listed
-        for end, present, what, room in self._said(state.at, state.room):
+        for claimed, present, what, room in self._said(state.at, state.room):
+            end = next((after for after, _, _ in self._of(claimed, "either")), claimed)
             for k, named in self._condition(state, what):
+                asked = [ask.context for ask in state.asks if ask.condition == k]
+                within = context & asked[0] if asked else context  # asked again, under the same circumstances
                 guard = _HOLDS[k] if present else _ALWAYS & ~_HOLDS[k]
                 opened = state._replace(
                     at=end,
                     room=room,
                     named=named,
-                    asks=(*state.asks, _Ask(context, k, guard)),
+                    asks=(*state.asks, _Ask(within, k, guard)),
                     open=(*state.open, len(state.asks)),
                     listed=None if state.listed is None else state.listed | guard,
                 )
-                yield from self._comma(opened, context & guard, base)
+                yield from self._but(opened, within & guard, base)
 
     def _answered(self, state: _State, base: int) -> Iterator[tuple[_State, int]]:
         """An answer behind "if", and what follows from it: "so", "there is one", "it isn't", "neither is true"."""
@@ -181,18 +188,20 @@ class _Reader(PhraseReader):
                     yield from self._but(state._replace(at=end), cases, base)
 
     def _but(self, state: _State, context: int, base: int) -> Iterator[tuple[_State, int]]:
-        """What follows from an answer, or from it and one claim more: "if not, but there's a chair, …"."""
+        """What follows from an answer or a claim, or from it and one claim more: "if not, but there's a chair, …"."""
         yield from self._comma(state, context, base)
         if self._is(state.at, ","):
-            for end, _, _ in self._of(state.at + 1, "but"):
-                yield from self._supposed(state._replace(at=end), context, base)
+            for joint in ("and", "but"):
+                for end, _, _ in self._of(state.at + 1, joint):
+                    yield from self._supposed(state._replace(at=end), context, base)
 
     def _comma(self, state: _State, context: int, base: int) -> Iterator[tuple[_State, int]]:
         """What to do in the cases `context`: walk, look further, or suppose something more."""
         if not context or not self._is(state.at, ","):
             return
         at = state.at + 1
-        for end, moves, room in self._stops(at, state.room):
+        starts = [at, *(end for end, _, _ in self._of(at, "filler"))]
+        for end, moves, room in (found for start in starts for found in self._stops(start, state.room)):
             yield state._replace(at=end, room=room, rules=(*state.rules, (context, moves))), base
         yield from self._request(state._replace(at=at), context, context)
         for end, _, _ in self._of(at, "if"):
@@ -205,11 +214,16 @@ class _Reader(PhraseReader):
                 yield state._replace(at=end, room=room, named=named, asks=asking), base
 
     def _condition(self, state: _State, what: Phrase) -> Iterator[tuple[int, tuple[Phrase, ...]]]:
-        """Number of a condition, and all that are named with it."""
+        """Number of a condition, and all that are named with it.
+
+        A known thing without a room is in that of the condition before it.
+        """
         known = [k for k, one in enumerate(state.named) if one == what or _is_again(what, one)]
         if known:
             yield from ((k, state.named) for k in known)
         elif len(state.named) < MAX_CONDITIONS:
+            if what.known and what.room is None and state.asks:
+                what = what._replace(room=state.named[state.asks[-1].condition].room)
             yield len(state.named), (*state.named, what)
 
 

@@ -69,7 +69,7 @@ def test_a_stop_without_a_room_is_beside_the_one_before_it() -> None:
 
 def test_a_room_is_named_by_a_thing_once_whatever_begins_the_thing_s_noun() -> None:
     reading = read(
-        "If there's a lamp in the bedroom with the desk lamp, go to the sofa in that bedroom. If not, go to the sink "
+        "If there's a lamp in the bedroom with the desk lamp, go to the sofa in the bedroom. If not, go to the sink "
         "in the kitchen."
     )
     assert {stop.room for stop in reading.moves[1]} == {Named("bedroom", "desk lamp")}
@@ -283,8 +283,8 @@ def test_every_noun_of_the_phrasebook_is_one_label() -> None:
 
 def test_a_room_is_set_apart_by_the_longest_noun() -> None:
     """ "The bedroom with the table lamp" is one room, not also one with a table."""
-    text = "If there is a box in the bedroom with the table lamp, walk to the mirror in that bedroom. If not, walk"
-    text += " to the sofa in that bedroom."
+    text = "If there's a box in the bedroom with the table lamp, walk to the mirror in the bedroom. If not, walk"
+    text += " to the sofa in the bedroom."
     reading = read(text, "en")
     assert {stop.room for moves in reading.moves for stop in moves if stop.label == "mirror"} == {
         Named("bedroom", "table lamp")
