@@ -278,8 +278,8 @@ PROGRAM = Program(
         "the kitchen. If there is one, walk to the alarm clock in the bedroom and then to the desk.",
         "Is there a lamp north-east of the bed in the bedroom with the piano? If so, head to the alarm clock there, "
         "then to the desk there. If not, head to the sink in the kitchen.",
-        "If there's no lamp north-east of the bed in the bedroom with the piano, go to the sink in the kitchen. If there "
-        "is one, go to the alarm clock in the bedroom with the piano and then to the desk there.",
+        "If there's no lamp north-east of the bed in the bedroom with the piano, go to the sink in the kitchen. If "
+        "there is one, go to the alarm clock in the bedroom with the piano and then to the desk there.",
     ],
 )
 def test_texts_written_by_hand(text: str) -> None:
@@ -378,8 +378,8 @@ def test_a_reading_in_full() -> None:
         ("If there's no lamp, go to the sofa. If it is, go to the bed.", "asks for something else"),
         ("If there's a lamp, go to the sofa there. If not, go to the bed.", "before it names a room"),
         (
-            "If there's a lamp, see if there's a bed. If there is, go to the sofa; if not, go to the desk. But if there's "
-            "no chair, see if there's a sink. If there is, go to the table; if not, go to the stool.",
+            "If there's a lamp, see if there's a bed. If there is, go to the sofa; if not, go to the desk. But if "
+            "there's no chair, see if there's a sink. If there is, go to the table; if not, go to the stool.",
             "names one condition as",
         ),
     ],
