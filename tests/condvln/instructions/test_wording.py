@@ -93,11 +93,7 @@ def test_one_condition_has_one_relation_word(sampled, code: str) -> None:
 def test_no_noun_swallows_what_follows_a_shorter_one(code: str) -> None:
     """ "Armario bajo" (base cabinet) and "armario" with "bajo el televisor" (under the television) read alike."""
     words = language(code)
-    after = [
-        text
-        for slot in ("in", "of", "there", "with", "then", "second", "last")
-        for text in words.slots[slot]
-    ]
+    after = [text for slot in ("in", "of", "there", "with", "then", "second", "last") for text in words.slots[slot]]
     after += [text for phrases in words.predicates.values() for text in phrases]
     for nouns in (words.nouns, words.rooms):
         texts = [noun.text for noun in nouns.values()]
