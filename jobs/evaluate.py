@@ -23,6 +23,7 @@ from condvln.evaluation.split import SplitOptions, evaluate_split, split_tasks
 from condvln.evaluation.tables import Table, all_tables, twin_tables
 from condvln.formats.streams import atomic_stream
 from condvln.navigation.navmesh_folder import NavmeshFolder
+from jobs.looker import LOOKER, datasets_of, looking_agent
 from jobs.policy import eyes_of, is_policy, policy_named, walk_policy
 from jobs.report import Report
 from schemas.config import Config
@@ -187,6 +188,8 @@ def walk_split(
     roots: Sequence[Path],
     seed: int,
     objects: Config | None = None,
+    datasets: Sequence[str] = (),
+    looker: Sequence[str] = (),
 ) -> Report:
     """Write the predictions of one agent, walked on the episodes' own navmeshes.
 
@@ -194,13 +197,17 @@ def walk_split(
     ----------
     agent : a reference agent, or ``module:Class`` of one's own
     objects : the configuration whose published objects one's own agent sees; without it, it sees none
+    datasets, looker : ``FAMILY=FOLDER`` of what the agent ``looker`` sees, and ``KEY=VALUE`` of its configuration
 
     Raises
     ------
     UsageError : no such agent, or it answers something that is not an action
     """
-    tasks, navmeshes = split_tasks(export, split), NavmeshFolder((export, *roots))
-    if is_policy(agent):
+    tasks = split_tasks(export, split)
+    navmeshes = NavmeshFolder((export, *roots, *datasets_of(datasets).values()))
+    if agent == LOOKER:
+        predictions = predict_all(looking_agent(datasets, looker), tasks, navmeshes, seed=seed)
+    elif is_policy(agent):
         eyes = eyes_of(objects, navmeshes) if objects is not None else None
         predictions = walk_policy(policy_named(agent), tasks, navmeshes, eyes)
     else:

@@ -46,7 +46,7 @@ def walk(
         str,
         typer.Option(
             help="perfect, oracle, wrong-branch, random-leaf, coin-flip, always-then, always-else, nearest, "
-            "stop-at-start, or your own module:Class"
+            "stop-at-start; looker, which reads and looks; or your own module:Class"
         ),
     ],
     out: Annotated[Path, typer.Option(help="file of predictions to write (VLN-CE's format)")],
@@ -55,13 +55,21 @@ def walk(
     objects: Annotated[
         Path | None, typer.Option("--objects", metavar="CONFIG", help="configuration whose objects your own agent sees")
     ] = None,
+    scenes: Annotated[
+        list[str] | None, typer.Option("--scenes", metavar="FAMILY=DIR", help="dataset that looker sees; repeatable")
+    ] = None,
+    looker: Annotated[
+        list[str] | None,
+        typer.Option("--looker", metavar="KEY=VALUE", help="looker's errors and habits: noise.missed=0.1; repeatable"),
+    ] = None,
 ) -> None:
     """Walk an agent, a reference or your own, on the navmesh with VLN-CE's actions; write its predictions."""
     from jobs.configuration import load_config
     from jobs.evaluate import walk_split
 
     seen = load_config(objects, check_roots=False) if objects is not None else None
-    answer(walk_split(export, split, agent, out, navmesh_root or (), seed, seen), False)
+    found = walk_split(export, split, agent, out, navmesh_root or (), seed, seen, scenes or (), looker or ())
+    answer(found, False)
 
 
 def evaluate(

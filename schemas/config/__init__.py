@@ -28,7 +28,7 @@ from schemas.config.run import (
     SplitsConfig,
 )
 from schemas.config.section import Section
-from schemas.config.sensors import CameraConfig, NoiseConfig
+from schemas.config.sensors import CameraConfig, LookerConfig, NoiseConfig
 
 __all__ = [
     "MOVED",
@@ -45,6 +45,7 @@ __all__ = [
     "InstructionsConfig",
     "KeepConfig",
     "LimitsConfig",
+    "LookerConfig",
     "NoiseConfig",
     "PlacesConfig",
     "PredicateWeights",

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
 from schemas.base import Finite
 from schemas.config.section import Metres, Section, Share
 
-__all__ = ["CameraConfig", "NoiseConfig"]
+__all__ = ["CameraConfig", "LookerConfig", "NoiseConfig"]
 
 Pixels = Annotated[int, Field(ge=1, le=8192, json_schema_extra={"unit": "px"})]
 
@@ -70,3 +70,21 @@ class NoiseConfig(Section):
     turn: Annotated[Finite, Field(ge=0, json_schema_extra={"unit": "share"})] = Field(
         0.0, description="standard deviation of a turn's angle, as a share of it"
     )
+
+
+class LookerConfig(Section):
+    """An agent that looks: what its eyes show it, how far it errs, and what it keeps."""
+
+    noise: NoiseConfig = Field(NoiseConfig(), description="errors of its detector, pose and motor")
+    logic: Share = Field(0.0, description="conditions that it answers wrongly whatever it has seen")
+    memory: Annotated[int, Field(ge=1, json_schema_extra={"unit": "steps"})] | None = Field(
+        None, description="steps after which it forgets a thing that it no longer sees; null for never"
+    )
+    map: Literal["own", "given"] = Field("own", description="a map that it makes as it goes, or one of all the floor")
+    pixels: Pixels = Field(128, description="rows and columns of each of its four cameras, which see all around")
+    least_pixels: Annotated[int, Field(ge=1, json_schema_extra={"unit": "px"})] = Field(
+        1, description="pixels of a thing that must be seen before it is known"
+    )
+    reach: Metres = Field(10.0, description="distance beyond which it sees neither things nor floor")
+    close: Metres = Field(3.0, description="distance from which a floor must be seen before what is not there is false")
+    patience: Share = Field(0.7, description="part of the budget after which it answers what it has not decided")

@@ -5,7 +5,7 @@
 
 from condvln.evaluation.environment.navigation_env import NavigationEnv
 from condvln.evaluation.environment.registration import ENVIRONMENT_ID, register_environments
-from condvln.evaluation.environment.views import SceneViews
+from condvln.evaluation.scene_views import SceneViews
 
 __all__ = ["ENVIRONMENT_ID", "NavigationEnv", "SceneViews", "register_environments"]
 

@@ -13,11 +13,11 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from condvln.evaluation.environment.views import SCENES_KEPT, SceneViews
 from condvln.evaluation.export_folder import Export, open_export
 from condvln.evaluation.goal_distances import Nearness
 from condvln.evaluation.measures import path_length
 from condvln.evaluation.predictions import Prediction
+from condvln.evaluation.scene_views import SCENES_KEPT, SceneViews
 from condvln.evaluation.score import ScoreRules, score
 from condvln.evaluation.stepped_episode import SteppedEpisode
 from condvln.evaluation.task import Task

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from condvln.evaluation.export_folder import Export, open_export
 from condvln.evaluation.task import LeafTask, Task
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.polygon_tile import tile_of_polygons
+from condvln.samples import make_samples
+from condvln.sources.registry import open_source
+from condvln.world import open_world
+from schemas.config import InstructionsConfig
 from schemas.program import SHAPES, Condition, Leaf, ObjectRef, Program, RoomRef
 
 L_VERTICES = [[0, 0, 0], [4, 0, 0], [4, 0, 2], [2, 0, 2], [0, 0, 2], [2, 0, 4], [0, 0, 4]]
@@ -120,3 +126,18 @@ def task_with(
         **changes,
     }
     return Task(**values)
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Export, Path]:
+    """An export of two made scenes with shipped navmeshes, and the folder of its dataset."""
+    root = tmp_path_factory.mktemp("environment")
+    make_samples(root / "replicacad", family="replicacad", scenes=2, seed=3)
+    source = open_source("replicacad", root / "replicacad")
+    wanted = InstructionsConfig(per_category={"simple": 4, "chain": 3, "nested": 3}, counterfactual_groups=0)
+    rows = [row for name in source.scene_ids() for row in open_world(source, name).episodes(instructions=wanted)]
+    assert len({row.scene_id for row in rows}) == 2
+    (root / "export" / "manifest").mkdir(parents=True)
+    text = "".join(row.model_dump_json() + "\n" for row in rows)
+    (root / "export" / "manifest" / "train.jsonl").write_text(text, encoding="utf-8")
+    return open_export(root / "export", (root / "replicacad",)), root / "replicacad"

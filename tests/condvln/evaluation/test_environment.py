@@ -14,14 +14,11 @@ from gymnasium.utils.env_checker import check_env
 
 from condvln.evaluation.agents import agent_named
 from condvln.evaluation.environment import ENVIRONMENT_ID, NavigationEnv, SceneViews
-from condvln.evaluation.export_folder import Export, open_export
+from condvln.evaluation.export_folder import Export
 from condvln.evaluation.predictions import Prediction, read_predictions, write_predictions
 from condvln.evaluation.score import score
 from condvln.navigation.follower import Follower
-from condvln.samples import make_samples
-from condvln.sources.registry import open_source
-from condvln.world import open_world
-from schemas.config import CameraConfig, InstructionsConfig, NoiseConfig
+from schemas.config import CameraConfig, NoiseConfig
 from schemas.errors import UsageError
 
 SMALL = {
@@ -29,21 +26,6 @@ SMALL = {
     "depth": CameraConfig(width=16, height=16),
     "instance": CameraConfig(width=16, height=16),
 }
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Export, Path]:
-    """An export of two made scenes with shipped navmeshes, and the folder of its dataset."""
-    root = tmp_path_factory.mktemp("environment")
-    make_samples(root / "replicacad", family="replicacad", scenes=2, seed=3)
-    source = open_source("replicacad", root / "replicacad")
-    wanted = InstructionsConfig(per_category={"simple": 4, "chain": 3, "nested": 3}, counterfactual_groups=0)
-    rows = [row for name in source.scene_ids() for row in open_world(source, name).episodes(instructions=wanted)]
-    assert len({row.scene_id for row in rows}) == 2
-    (root / "export" / "manifest").mkdir(parents=True)
-    text = "".join(row.model_dump_json() + "\n" for row in rows)
-    (root / "export" / "manifest" / "train.jsonl").write_text(text, encoding="utf-8")
-    return open_export(root / "export", (root / "replicacad",)), root / "replicacad"
 
 
 def environment(made: tuple[Export, Path], **options: Any) -> NavigationEnv:

@@ -1,0 +1,191 @@
+"""The loops of an agent's own map: what one view shows of the floor, the cheapest ways over it, and straight lines."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from condvln.compiled import compiled, register_warm_up
+
+__all__ = ["chart", "line_is_open", "ways"]
+
+Bools = npt.NDArray[np.bool_]
+F64 = npt.NDArray[np.float64]
+F32 = npt.NDArray[np.float32]
+I16 = npt.NDArray[np.int16]
+I32 = npt.NDArray[np.int32]
+I64 = npt.NDArray[np.int64]
+
+
+@compiled
+def chart(
+    depth: F32,
+    regions: I16,
+    columns: F64,
+    rows: F64,
+    place: F64,
+    heading: float,
+    eye: float,
+    cell: float,
+    climb: float,
+    height: float,
+    reach: float,
+    hit: Bools,
+    clear: Bools,
+    near: F32,
+    region: I16,
+) -> None:
+    """Enter one view into the grid: cells where something stands in the way, and cells whose floor is open.
+
+    Parameters
+    ----------
+    depth (h, w) : metres along the optical axis, 0 where nothing is seen; the camera is level
+    regions (h, w) : number of the room of each pixel's point, -1 where unknown
+    columns (w,), rows (h,) : see `condvln.sensors.camera.pixel_rays`
+    place (2,) : x and z of the agent, metres; its `eye` is so high above its feet
+    climb, height : what is higher than the one and lower than the other, metres above the feet, is in the way
+    hit, clear, near, region (n, n) : results; the grid's middle is the origin, rows along x
+    """
+    h, w = depth.shape
+    n = hit.shape[0]
+    half = n // 2
+    blind = eye / -rows[h - 1]
+    s, c = np.sin(heading), np.cos(heading)
+    for j in range(w):
+        slant = np.sqrt(1.0 + columns[j] * columns[j])
+        dx = (-s + c * columns[j]) / slant
+        dz = (-c - s * columns[j]) / slant
+        wall, far = np.inf, 0.0
+        for i in range(h):
+            d = depth[i, j]
+            if d <= 0.0:
+                continue
+            ground = d * slant
+            if ground > reach:
+                continue
+            up = eye + rows[i] * d
+            if up >= height:
+                continue
+            a = int(np.floor((place[0] + dx * ground) / cell)) + half
+            b = int(np.floor((place[1] + dz * ground) / cell)) + half
+            if a < 0 or b < 0 or a >= n or b >= n:
+                continue
+            if up > climb or up < -climb:
+                hit[a, b] = True
+                wall = min(wall, ground)
+            else:
+                far = max(far, ground)
+                clear[a, b] = True
+                region[a, b] = regions[i, j]
+                near[a, b] = min(near[a, b], ground)
+        # The camera does not see the floor around the agent's feet; it is taken for open up to what stands there.
+        stop = min(wall - cell, max(far, blind))
+        walked = 0.0
+        while walked <= stop:
+            a = int(np.floor((place[0] + dx * walked) / cell)) + half
+            b = int(np.floor((place[1] + dz * walked) / cell)) + half
+            if a < 0 or b < 0 or a >= n or b >= n:
+                break
+            clear[a, b] = True
+            near[a, b] = min(near[a, b], walked)
+            walked += cell / 2
+
+
+@compiled
+def ways(cost: F32, start: int) -> tuple[F32, I32]:
+    """Least costs from one cell to all others over a grid of eight neighbours, by Dijkstra's algorithm.
+
+    Parameters
+    ----------
+    cost (n, m) : of a cell's width walked in it; infinite where it can't be entered
+    start : flat index; it may be left whatever its own cost
+
+    Returns
+    -------
+    (n·m,) costs in cells, infinite where there is no way; (n·m,) flat index of the cell before, -1 at the start
+    """
+    n, m = cost.shape
+    distance = np.full(n * m, np.inf, np.float32)
+    before = np.full(n * m, -1, np.int32)
+    heap_key = np.empty(8 * n * m + 8, np.float32)
+    heap_cell = np.empty(8 * n * m + 8, np.int32)
+    size = 1
+    heap_key[0] = 0.0
+    heap_cell[0] = start
+    distance[start] = 0.0
+    while size > 0:
+        key, here = heap_key[0], heap_cell[0]
+        size -= 1
+        last_key, last_cell = heap_key[size], heap_cell[size]
+        hole = 0
+        while True:
+            child = 2 * hole + 1
+            if child >= size:
+                break
+            if child + 1 < size and heap_key[child + 1] < heap_key[child]:
+                child += 1
+            if heap_key[child] >= last_key:
+                break
+            heap_key[hole] = heap_key[child]
+            heap_cell[hole] = heap_cell[child]
+            hole = child
+        heap_key[hole] = last_key
+        heap_cell[hole] = last_cell
+        if key > distance[here]:
+            continue
+        a, b = here // m, here % m
+        for da in range(-1, 2):
+            for db in range(-1, 2):
+                p, q = a + da, b + db
+                if (da == 0 and db == 0) or p < 0 or q < 0 or p >= n or q >= m or not np.isfinite(cost[p, q]):
+                    continue
+                if da != 0 and db != 0 and here != start:
+                    # No corner is cut.
+                    if not (np.isfinite(cost[a, q]) and np.isfinite(cost[p, b])):
+                        continue
+                    step = np.float32(1.41421356) * cost[p, q]
+                elif da != 0 and db != 0:
+                    step = np.float32(1.41421356) * cost[p, q]
+                else:
+                    step = cost[p, q]
+                there = p * m + q
+                if distance[here] + step < distance[there]:
+                    distance[there] = distance[here] + step
+                    before[there] = here
+                    hole = size
+                    size += 1
+                    while hole > 0:
+                        parent = (hole - 1) // 2
+                        if heap_key[parent] <= distance[there]:
+                            break
+                        heap_key[hole] = heap_key[parent]
+                        heap_cell[hole] = heap_cell[parent]
+                        hole = parent
+                    heap_key[hole] = distance[there]
+                    heap_cell[hole] = there
+    return distance, before
+
+
+@compiled
+def line_is_open(shut: Bools, a: float, b: float, p: float, q: float, ignored: float) -> bool:
+    """Whether no shut cell lies on the line from (a, b) to (p, q), in cells, but for its last part, `ignored` long."""
+    length = np.sqrt((p - a) * (p - a) + (q - b) * (q - b))
+    steps = int(np.ceil(2 * (length - ignored)))
+    for k in range(steps + 1):
+        t = min(0.5 * k, max(length - ignored, 0.0)) / max(length, 1e-9)
+        i, j = int(np.floor(a + t * (p - a))), int(np.floor(b + t * (q - b)))
+        if i < 0 or j < 0 or i >= shut.shape[0] or j >= shut.shape[1] or shut[i, j]:
+            return False
+    return True
+
+
+def _warm_up() -> None:
+    grid, rays, place = np.zeros((8, 8), bool), np.array([0.5, -0.5]), np.zeros(2)
+    flat, near, region = np.ones((2, 2), np.float32), np.ones((8, 8), np.float32), np.zeros((8, 8), np.int16)
+    rooms = flat.astype(np.int16)
+    chart(flat, rooms, -rays, rays, place, 0.0, 1.25, 0.1, 0.2, 1.5, 5.0, grid, grid.copy(), near, region)
+    ways(np.ones((8, 8), np.float32), 0)
+    line_is_open(grid, 0.0, 0.0, 3.0, 3.0, 0.0)
+
+
+register_warm_up("an agent's map", _warm_up)

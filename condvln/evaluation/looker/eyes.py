@@ -1,0 +1,199 @@
+"""What an agent that looks is given: depth, the outlines of things, and the rooms that they are in."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from numpy.typing import NDArray
+from shapely import Polygon, contains_xy
+
+from condvln.labels import Vocabulary, vocabulary
+from condvln.scene import Scene
+from condvln.seeding import generator
+from condvln.sensors import Renderer
+from condvln.sensors.camera import pixel_rays
+from schemas.config import CameraConfig, LookerConfig, NoiseConfig
+
+__all__ = ["GHOST", "Eyes", "Look", "RoomLookup", "SeenView"]
+
+F64 = NDArray[np.float64]
+
+GHOST: Final = 1_000_000
+"""Numbers from here on are those of things that are not there."""
+LOOKUP_CELL: Final = 0.1
+"""Metres; edge of a cell of the table of rooms."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SeenView:
+    """One of the cameras around the agent.
+
+    depth (h, w) : metres along the optical axis, 0 where nothing is seen
+    regions (h, w) : number of the room of each pixel's point, -1 where unknown
+    turn : radians to the left of where the agent looks; eye : metres above its feet
+    """
+
+    depth: NDArray[np.float32]
+    regions: NDArray[np.int16]
+    columns: F64
+    rows: F64
+    turn: float
+    eye: float
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Look:
+    """What is seen all around from one pose.
+
+    points (n, 3) : metres to the right of the agent, above its feet, and ahead of it, on things; owner (n,) whose
+    things : label and number of the room of each thing in view, by its number
+    rooms : labels of rooms by number; here : number of the room that the agent is in, -1 where unknown
+    """
+
+    views: tuple[SeenView, ...]
+    points: F64
+    owner: NDArray[np.int64]
+    things: Mapping[int, tuple[str, int]]
+    rooms: Mapping[int, str]
+    here: int
+
+
+class RoomLookup:
+    """Numbers of rooms by place, from a table; what lies in no polygon belongs to none."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.labels = {k: room.label for k, room in enumerate(scene.rooms)}
+        drawn = [(k, room) for k, room in enumerate(scene.rooms) if room.polygon is not None]
+        self._single = len(scene.rooms) == 1
+        self._tables: list[tuple[float, NDArray[np.int16]]] = []
+        self._low = np.zeros(2)
+        if not drawn or self._single:
+            return
+        corners = np.concatenate([room.polygon for _, room in drawn])
+        self._low = corners.min(axis=0) - 0.5
+        size = np.ceil((corners.max(axis=0) + 0.5 - self._low) / LOOKUP_CELL).astype(int)
+        x, z = np.meshgrid(*((np.arange(n) + 0.5) * LOOKUP_CELL + low for n, low in zip(size, self._low, strict=True)),
+                           indexing="ij")  # fmt: skip
+        for floor in sorted({round(room.floor_y, 1) for _, room in drawn}):
+            table = np.full(x.shape, -1, np.int16)
+            for k, room in drawn:
+                if round(room.floor_y, 1) == floor:
+                    table[contains_xy(Polygon(room.polygon), x.ravel(), z.ravel()).reshape(x.shape)] = k
+            self._tables.append((floor, table))
+
+    def __call__(self, points: F64, feet: float) -> NDArray[np.int16]:
+        """Numbers (n,) of the rooms of points (n, 3) of a storey; `feet` is the height of the agent's feet."""
+        if self._single:
+            return np.zeros(len(points), np.int16)
+        if not self._tables:
+            return np.full(len(points), -1, np.int16)
+        table = min(self._tables, key=lambda one: abs(one[0] - feet))[1]
+        cells = np.floor((points[:, [0, 2]] - self._low) / LOOKUP_CELL).astype(np.intp)
+        inside: NDArray[np.bool_] = np.asarray(((cells >= 0) & (cells < table.shape)).all(axis=1))
+        cells = np.where(inside[:, None], cells, 0)
+        return np.where(inside, table[cells[:, 0], cells[:, 1]], -1).astype(np.int16)
+
+
+class Eyes:
+    """Cameras all around an agent in one scene, and a detector that may err.
+
+    A detector's errors are of things, not of looks: a thing that is missed is missed in the whole episode. Each thing
+    has draws of its own, so that with greater shares the same errors occur, and more.
+    """
+
+    def __init__(self, scene: Scene, renderer: Renderer, config: LookerConfig, words: Vocabulary = vocabulary) -> None:
+        self._renderer, self._config = renderer, config
+        self.rooms = RoomLookup(scene)
+        number = {room.room_id: k for k, room in enumerate(scene.rooms)}
+        known = words.labels
+        self._label = [item.label for item in scene.objects]
+        self._room = [number.get(item.room_id, -1) for item in scene.objects]
+        self._named: NDArray[np.bool_] = np.array(
+            [False, *(name in known and words.entry(name).kind != "structure" for name in self._label)]
+        )
+        self._labels = sorted({name for name, named in zip(self._label, self._named[1:], strict=True) if named})
+        self._cameras = [
+            CameraConfig(
+                width=config.pixels, height=config.pixels, hfov=90.0, turn=turn, max_depth=None, normalized=False
+            )
+            for turn in (0.0, 90.0, 180.0, -90.0)
+        ]
+        self._seed, self._names = 0, ("",)
+        self._errors = cache(self._error)
+
+    def begin(self, seed: int, episode: str) -> None:
+        """The errors of another episode."""
+        self._seed, self._names = seed, (episode,)
+        self._errors = cache(self._error)
+
+    def __call__(self, position: npt.ArrayLike, heading: float) -> Look:
+        """What is seen from a position (3,) of the feet with a heading, radians counter-clockwise from −Z."""
+        feet = np.asarray(position, np.float64)
+        views, points, owners = [], [], []
+        for camera in self._cameras:
+            frame = self._renderer.look(camera, feet, heading, rgb=False)
+            columns, rows = pixel_rays(camera)
+            turn = math.radians(camera.turn)
+            depth = frame.depth.astype(np.float64)
+            right, ahead = columns[None] * depth, depth
+            up = rows[:, None] * depth + camera.eye_height
+            own = _turned(np.stack([right, up, ahead], axis=2), turn)
+            world = _turned(own, heading) * [1.0, 1.0, -1.0] + feet
+            regions = self.rooms(world.reshape(-1, 3), float(feet[1])).reshape(depth.shape)
+            views.append(SeenView(frame.depth, regions, columns, rows, turn, camera.eye_height))
+            shown = np.asarray(self._named[frame.instance]) & np.asarray(np.hypot(right, ahead) <= self._config.reach)
+            points.append(own[shown])
+            owners.append(frame.instance[shown].astype(np.int64) - 1)
+        owner, cloud = np.concatenate(owners), np.concatenate(points)
+        here = int(self.rooms(feet[None], float(feet[1]))[0])
+        return self._detected(tuple(views), cloud, owner, here)
+
+    def _detected(self, views: tuple[SeenView, ...], points: F64, owner: NDArray[np.int64], here: int) -> Look:
+        numbers, inverse, counts = np.unique(owner, return_inverse=True, return_counts=True)
+        things: dict[int, tuple[str, int]] = {}
+        kept = np.zeros(len(numbers), bool)
+        ghosts, ghost_owner = [points], [owner]
+        for k, (number, count) in enumerate(zip(numbers.tolist(), counts.tolist(), strict=True)):
+            if count < self._config.least_pixels:
+                continue
+            label, ghost = self._errors(number)
+            if label is not None:
+                things[number] = label, self._room[number]
+                kept[k] = True
+            if ghost is not None:
+                things[GHOST + number] = ghost, self._room[number]
+                ghosts.append(points[inverse == k])
+                ghost_owner.append(np.full(count, GHOST + number))
+        ghosts[0], ghost_owner[0] = points[kept[inverse]], owner[kept[inverse]]
+        seen_rooms = {room for _, room in things.values()} | {here}
+        for view in views:
+            seen_rooms |= set(np.unique(view.regions).tolist())
+        rooms = {room: self.rooms.labels[room] for room in sorted(seen_rooms) if room >= 0}
+        return Look(views, np.concatenate(ghosts), np.concatenate(ghost_owner), things, rooms, here)
+
+    def _error(self, number: int) -> tuple[str | None, str | None]:
+        """The label that a thing is given, None if it is missed, and the label of a false detection at its place."""
+        noise, label = self._config.noise, self._label[number]
+        if noise == NoiseConfig():
+            return label, None
+        missed, confused, other, false, which = generator(self._seed, "detector", *self._names, number).uniform(size=5)
+        rest = [name for name in self._labels if name != label]
+        ghost = rest[int(which * len(rest))] if false < noise.false and rest else None
+        if missed < noise.missed:
+            return None, ghost
+        if confused < noise.confused and rest:
+            return rest[int(other * len(rest))], ghost
+        return label, ghost
+
+
+def _turned(points: F64, turn: float) -> F64:
+    """Points as (right, up, ahead) of a body, in the frame of one that it is turned to the left of, by radians."""
+    c, s = math.cos(turn), math.sin(turn)
+    right, up, ahead = points[..., 0], points[..., 1], points[..., 2]
+    return np.stack([c * right - s * ahead, up, s * right + c * ahead], axis=-1)

@@ -1,0 +1,207 @@
+"""The map that an agent makes for itself: a grid of floor, of what stands in the way, and of what it has not seen."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from condvln.evaluation.kernels.floor_grid import chart, line_is_open, ways
+from condvln.evaluation.looker.eyes import Look
+
+__all__ = ["CELL", "FloorMap", "Ground", "Ways"]
+
+F64 = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+CELL: Final = 0.1
+"""Metres; edge of a cell, the radius of the agent."""
+HALF: Final = 320
+"""Cells from the start to the map's edge."""
+CLIMB: Final = 0.2
+"""Metres; what is no higher is stepped over."""
+HEIGHT: Final = 1.5
+"""Metres; what begins higher is walked under. Both are those of VLN-CE's agent."""
+SURE: Final = 2
+"""What one look that finds something in the way counts; an open look counts −1."""
+MOST: Final = 6
+"""What all such looks count at most."""
+CLEARANCE: Final = 0.15
+"""Metres to what is in the way, below which the agent goes only where there is no other way."""
+WIDE: Final = 0.3
+"""Metres to what is in the way, beyond which a place is as good as any."""
+FLOOR_SPAN: Final = (-0.5, 0.2)
+"""Metres above the feet between which the floor lies: a navmesh is up to a voxel above it."""
+FLOOR_BIN: Final = 0.02
+"""Metres by which the floor's height is told."""
+LEAST_FRONTIER: Final = 3
+"""Cells of a border of the known floor that is worth going to."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Ground:
+    """The map as it is between two looks; all arrays (n, m), rows along x, from the cell `corner` on.
+
+    passable : cells that the agent can be in; cost : of walking in them, infinite elsewhere
+    frontier : passable cells beside floor that was never seen
+    region : number of the room, -1 where unknown; near : metres from which the cell was seen at best
+    """
+
+    corner: tuple[int, int]
+    passable: Bools
+    cost: NDArray[np.float32]
+    shut: Bools
+    frontier: Bools
+    region: NDArray[np.int16]
+    near: NDArray[np.float32]
+
+    def cell(self, x: float, z: float) -> tuple[int, int]:
+        """The cell of a place, kept inside of the map."""
+        a, b = math.floor(x / CELL) + HALF - self.corner[0], math.floor(z / CELL) + HALF - self.corner[1]
+        return min(max(a, 0), self.cost.shape[0] - 1), min(max(b, 0), self.cost.shape[1] - 1)
+
+    def places(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> F64:
+        """Middles (k, 2) of cells, x and z in metres."""
+        return np.stack([rows + self.corner[0] - HALF + 0.5, columns + self.corner[1] - HALF + 0.5], axis=1) * CELL
+
+    def ways_from(self, x: float, z: float) -> Ways:
+        """The cheapest ways from a place to all others."""
+        a, b = self.cell(x, z)
+        start = a * self.cost.shape[1] + b
+        distance, before = ways(self.cost, start)
+        return Ways(self, distance.reshape(self.cost.shape), before, start)
+
+    def open_between(self, one: F64, other: F64, ignored: float = 0.0, *, tight: bool = True) -> bool:
+        """Whether nothing is in the way between two places (2,), but for the last `ignored` metres.
+
+        tight : whether places that the agent can't be in are in the way too
+        """
+        offset = np.array(self.corner) - HALF
+        a, b = one / CELL - offset
+        p, q = other / CELL - offset
+        shut = ~self.passable if tight else self.shut
+        return line_is_open(shut, float(a), float(b), float(p), float(q), ignored / CELL)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Ways:
+    """Ways from one place: `distance` (n, m) in cells, dearer near what is in the way."""
+
+    ground: Ground
+    distance: NDArray[np.float32]
+    before: NDArray[np.int32]
+    start: int
+
+    def nearest(self, targets: Bools) -> tuple[int, int] | None:
+        """The cell among `targets` (n, m) that is reached first; None where none is."""
+        rows, columns = np.nonzero(targets & np.isfinite(self.distance))
+        if not len(rows):
+            return None
+        best = int(np.argmin(self.distance[rows, columns]))
+        return int(rows[best]), int(columns[best])
+
+    def to(self, cell: tuple[int, int]) -> F64:
+        """Places (k, 2) on the way to a cell, the start first."""
+        width = self.distance.shape[1]
+        at, found = cell[0] * width + cell[1], []
+        while at >= 0:
+            found.append(at)
+            at = int(self.before[at])
+        flat = np.array(found[::-1], np.intp)
+        return self.ground.places(flat // width, flat % width)
+
+
+class FloorMap:
+    """The grid; the start is its middle, and x and z are those of the agent's own poses."""
+
+    def __init__(self) -> None:
+        size = 2 * HALF
+        self._score = np.zeros((size, size), np.int8)
+        self._seen = np.zeros((size, size), bool)
+        self._bumped = np.zeros((size, size), bool)
+        self._near = np.full((size, size), np.inf, np.float32)
+        self._region = np.full((size, size), -1, np.int16)
+        self._floor = 0.0
+
+    def add(self, look: Look, x: float, z: float, heading: float, reach: float) -> None:
+        """Enter what is seen from a place with a heading, radians counter-clockwise from −z."""
+        hit, clear = np.zeros_like(self._seen), np.zeros_like(self._seen)
+        place = np.array([x, z])
+        self._floor = _floor_below(look, self._floor)
+        for view in look.views:
+            chart(
+                view.depth,
+                view.regions,
+                view.columns,
+                view.rows,
+                place,
+                heading + view.turn,
+                view.eye - self._floor,
+                CELL,
+                CLIMB,
+                HEIGHT,
+                reach,
+                hit,
+                clear,
+                self._near,
+                self._region,
+            )
+        score = self._score + SURE * hit.astype(np.int8) - (clear & ~hit).astype(np.int8)
+        self._score = np.clip(score, -1, MOST).astype(np.int8)
+        self._seen |= hit | clear
+
+    def reveal(self, places: F64, regions: NDArray[np.int16]) -> None:
+        """Make open floor known at places (k, 2) that nobody has seen yet, each of a room."""
+        cells = np.floor(places / CELL).astype(np.intp) + HALF
+        fits = ((cells >= 0) & (cells < 2 * HALF)).all(axis=1)
+        a, b = cells[fits].T
+        self._seen[a, b] = True
+        self._region[a, b] = regions[fits]
+
+    def bump(self, x: float, z: float) -> None:
+        """Remember that the agent could not go to a place."""
+        a, b = math.floor(x / CELL) + HALF, math.floor(z / CELL) + HALF
+        if 0 <= a < 2 * HALF and 0 <= b < 2 * HALF:
+            self._bumped[a, b] = self._seen[a, b] = True
+
+    def ground(self, x: float, z: float) -> Ground:
+        """The map around everything seen; the place where the agent is can always be left."""
+        known = np.nonzero(self._seen)
+        low = [max(int(axis.min()) - 2, 0) for axis in known]
+        high = [min(int(axis.max()) + 3, 2 * HALF) for axis in known]
+        part = slice(low[0], high[0]), slice(low[1], high[1])
+        shut = (self._score[part] > 0) | self._bumped[part]
+        seen = self._seen[part]
+        clearance = CELL * ndimage.distance_transform_edt(~shut) if shut.any() else np.full(shut.shape, np.inf)
+        passable = seen & (clearance >= CELL)
+        cost = np.where(passable, np.where(clearance >= WIDE, 1.0, np.where(clearance >= CLEARANCE, 1.5, 6.0)), np.inf)
+        unseen = ~seen
+        beside = np.zeros_like(unseen)
+        beside[1:] |= unseen[:-1]
+        beside[:-1] |= unseen[1:]
+        beside[:, 1:] |= unseen[:, :-1]
+        beside[:, :-1] |= unseen[:, 1:]
+        frontier = passable & beside & (clearance >= CLEARANCE)
+        borders, count = ndimage.label(frontier, np.ones((3, 3)))
+        if count:
+            sizes = np.bincount(borders.ravel())
+            frontier &= sizes[borders] >= LEAST_FRONTIER
+        region = self._region[part]
+        if (region >= 0).any():
+            index = ndimage.distance_transform_edt(region < 0, return_distances=False, return_indices=True)
+            region = np.where(seen, region[tuple(index)], -1).astype(np.int16)
+        return Ground((low[0], low[1]), passable, cost.astype(np.float32), shut, frontier, region, self._near[part])
+
+
+def _floor_below(look: Look, before: float) -> float:
+    """Height of the floor above the feet, metres: the one that most of what is seen around has."""
+    heights = [
+        (view.eye + view.rows[:, None] * view.depth)[(view.depth > 0) & (view.depth <= 4)] for view in look.views
+    ]
+    bins = round((FLOOR_SPAN[1] - FLOOR_SPAN[0]) / FLOOR_BIN)
+    counts, edges = np.histogram(np.concatenate(heights), bins, FLOOR_SPAN)
+    return float(edges[counts.argmax()]) + FLOOR_BIN / 2 if counts.max() > 0 else before

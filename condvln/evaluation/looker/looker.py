@@ -1,0 +1,432 @@
+"""An agent that reads the text, looks around, decides every condition by what it has seen, and walks to the leaf."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from condvln.evaluation.looker.eyes import Look
+from condvln.evaluation.looker.floor_map import CELL, FloorMap, Ground, Ways
+from condvln.evaluation.looker.judging import Compared, holds, ranked
+from condvln.evaluation.looker.memory import Memory, Thing
+from condvln.instructions import parse
+from condvln.instructions.language import LANGUAGES
+from condvln.instructions.text_reading import Phrase, Place, Reading
+from condvln.navigation.follower import FORWARD, LEFT, RIGHT, STOP, VLN_CE
+from condvln.seeding import generator
+from schemas.config import LookerConfig, Thresholds
+from schemas.config.constants import WALL_DETOUR
+from schemas.errors import FormatError
+from schemas.program import BEARINGS, SHAPES
+
+__all__ = ["Looker", "read_text"]
+
+F64 = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+HEADINGS: Final = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
+LOOK_EVERY: Final = 0.5
+"""Metres that it goes before it looks again."""
+ARRIVED: Final = 0.2
+"""Metres from a place at which it has come there."""
+REACH: Final = 0.5
+"""Metres from a thing at which one is at it."""
+FAR_REACH: Final = 1.5
+"""Metres from a thing that nobody can come nearer to."""
+AHEAD: Final = 2.0
+"""Metres of its way that it cuts short at most where nothing is in between."""
+HALF_TURN: Final = math.radians(VLN_CE.turn) / 2
+PATIENT: Final = 12
+"""Steps in which it must come nearer to where it goes; then it goes elsewhere."""
+
+
+def read_text(text: str) -> Reading:
+    """What an instruction says, in any of the languages that texts are in.
+
+    Raises
+    ------
+    FormatError : in none of them
+    """
+    fault: FormatError | None = None
+    for code in LANGUAGES:
+        try:
+            return parse(text, code)
+        except FormatError as error:
+            fault = fault or error
+    assert fault is not None
+    raise fault
+
+
+class Looker:
+    """One episode of the agent. It knows the text, its own steps, and what it sees.
+
+    Poses are its own reckoning: metres from where it started, x to the right and z behind as it faced there, and
+    radians counter-clockwise from then.
+
+    Attributes
+    ----------
+    verdicts : its answers so far, by the condition's place in the text; leaf : the branch it picked, None until then
+    forced : conditions that it answered without having seen enough
+    """
+
+    def __init__(self, text: str, max_steps: int, config: LookerConfig, seed: int = 0, episode: str = "") -> None:
+        self.config = config
+        self.reading = read_text(text)
+        self.verdicts: dict[int, bool] = {}
+        self.forced: set[int] = set()
+        self.leaf: int | None = None
+        self.map = FloorMap()
+        self.memory = Memory(config.memory)
+        self._north = None if self.reading.heading is None else 45.0 * HEADINGS.index(self.reading.heading)
+        self._limit = max_steps
+        self._flipped = generator(seed, "logic", episode).uniform(size=len(self.reading.conditions)) < config.logic
+        self._t = Thresholds()
+        self._step = 0
+        self._looked: F64 | None = None
+        self._place, self._heading = np.zeros(3), 0.0
+        self._ground: Ground | None = None
+        self._ways: Ways | None = None
+        self._aim: F64 | None = None
+        self._last: F64 = np.zeros(2)  # the stop before: the start at first
+        self._moves_done = 0
+        self._start_room = -1
+        self._given_up: list[F64] = []
+        self._stopping = False
+        self._best, self._since = math.inf, 0
+
+    def act(self, place: F64, heading: float, look: Callable[[], Look], bumped: bool) -> int:
+        """The next action.
+
+        Parameters
+        ----------
+        place (3,), heading : where it believes to be
+        look : gives what it sees from there
+        bumped : the last step forward was cut short
+        """
+        self._place, self._heading = place, heading
+        if bumped:
+            x, z = place[0] - 0.2 * math.sin(heading), place[2] - 0.2 * math.cos(heading)
+            self.map.bump(x, z)
+            self._aim = self._ground = None
+        flat = place[[0, 2]]
+        if self._looked is None or np.hypot(*(flat - self._looked)) >= LOOK_EVERY:
+            self._take_in(look())
+        action = None
+        for _ in range(40):
+            if self._aim is None:
+                self._decide()
+            if self._aim is None:
+                action = STOP
+                break
+            action = self._towards(self._aim)
+            if action is not None:
+                break
+            self._come_there(look)
+        self._step += 1
+        return LEFT if action is None else action
+
+    @property
+    def picked(self) -> int:
+        """The leaf that its answers lead to; what it has not decided yet counts as it looks by now."""
+        if self.leaf is not None:
+            return self.leaf
+        shape = SHAPES[self.reading.category]
+        at = 0
+        while at >= 0:
+            branch = shape.branches[at]
+            number = branch.condition
+            answer = self.verdicts.get(number)
+            if answer is None:
+                answer = self._judge(self.reading.conditions[number])[1] != bool(self._flipped[number])
+            at = branch.then if answer else branch.otherwise
+        return -1 - at
+
+    # What it sees
+
+    def _take_in(self, look: Look) -> None:
+        place = self._place
+        self._looked = place[[0, 2]].copy()
+        self.map.add(look, float(place[0]), float(place[2]), self._heading, self.config.reach)
+        self.memory.add(look, place, self._heading, self._step)
+        if self._step == 0:
+            self._start_room = look.here
+        self._ground = self._aim = None
+
+    def _now(self) -> tuple[Ground, Ways]:
+        x, z = float(self._place[0]), float(self._place[2])
+        if self._ground is None:
+            self._ground = self.map.ground(x, z)
+            self._ways = None
+        if self._ways is None:
+            self._ways = self._ground.ways_from(x, z)
+        return self._ground, self._ways
+
+    # What it wants
+
+    def _decide(self) -> None:
+        """Choose where to go; nowhere at the end."""
+        shape = SHAPES[self.reading.category]
+        at = 0
+        while at >= 0:
+            branch = shape.branches[at]
+            verdict = self._verdict(branch.condition)
+            if verdict is None:
+                return
+            at = branch.then if verdict else branch.otherwise
+        self.leaf = -1 - at
+        moves = self.reading.leaves[self.leaf]
+        while self._moves_done < len(moves):
+            move = moves[self._moves_done]
+            thing, target = self._found(move)
+            if thing is None:
+                if target is not None:
+                    self._set_aim(target)
+                    return
+                self._moves_done += 1  # it is nowhere: go on with what can be found
+                continue
+            place = self._stop_at(thing)
+            if place is None:
+                self._moves_done += 1
+                continue
+            self._set_aim(place, stop=True)
+            return
+        self._aim = None
+
+    def _verdict(self, number: int) -> bool | None:
+        """The answer to a condition; None where it must be looked for, and the aim is then set."""
+        if number in self.verdicts:
+            return self.verdicts[number]
+        phrase = self.reading.conditions[number]
+        answer, guess = self._judge(phrase)
+        if answer is None:
+            target = self._unseen(phrase) if self._step < self.config.patience * self._limit else None
+            if target is not None:
+                self._set_aim(target)
+                return None
+            if self._step >= self.config.patience * self._limit:
+                self.forced.add(number)
+            answer = guess
+        if self._flipped[number]:
+            answer = not answer
+        self.verdicts[number] = answer
+        return answer
+
+    def _judge(self, phrase: Phrase) -> tuple[bool | None, bool]:
+        """The answer that is sure by now, if there is one; and the answer if nothing more is seen."""
+        rooms = self._rooms(phrase)
+        things = self._known(phrase.label, rooms)
+        if phrase.qualifier is None:
+            return (True, True) if things and rooms is not None and self._room_is_sure(phrase) else (None, bool(things))
+        predicate, labels = phrase.qualifier
+        if predicate in BEARINGS:
+            if not things:
+                return None, False
+            best = max(holds(predicate, thing, (), self._north, self._t) for thing in things)
+            return (best > 0 if self._close(things[0]) else None), best > 0
+        anchors = self._anchors(labels, rooms)
+        if anchors is None or not things:
+            return None, False
+        scores = [holds(predicate, thing, anchors, self._north, self._t) for thing in things if thing not in anchors]
+        if not scores:
+            return None, False
+        sure = all(self._close(thing) for thing in (*anchors, *things)) and self._room_is_sure(phrase)
+        if max(scores) > 0:
+            return (True if sure else None), True
+        return (False if sure and phrase.definite else None), False
+
+    def _found(self, move: Phrase) -> tuple[Thing | None, F64 | None]:
+        """The thing that a stop means; else where to look for it."""
+        rooms = self._rooms(move)
+        things = self._known(move.label, rooms)
+        target = None
+        if move.qualifier is None:
+            if things and self._room_is_sure(move):
+                return min(things, key=self._distance), None
+            target = self._unseen(move)
+            return (things[0] if things and target is None else self._fallback(move, target)), target
+        predicate, labels = move.qualifier
+        anchors = () if predicate in (*BEARINGS, "bigger", "smaller") else self._anchors(labels, rooms)
+        if predicate in Compared:
+            wanted = 2 if predicate != "closest to" else len(things) + 1
+            if len(things) < wanted or anchors is None or not all(self._close(thing) for thing in things):
+                target = self._unseen(move)
+            if target is None and things:
+                return ranked(predicate, things, anchors)[0] if anchors is not None else things[0], None
+            return self._fallback(move, target), target
+        best = None
+        if things and anchors is not None:
+            scored = [
+                (holds(predicate, thing, anchors, self._north, self._t), thing)
+                for thing in things
+                if thing not in anchors
+            ]
+            if scored:
+                score, best = max(scored, key=lambda pair: pair[0])
+                if score > 0 and self._close(best) and self._room_is_sure(move):
+                    return best, None
+        target = self._unseen(move)
+        if target is not None:
+            return None, target
+        return best or (things[0] if things else self._fallback(move, None)), None
+
+    def _fallback(self, move: Phrase, target: F64 | None) -> Thing | None:
+        """A thing of the label in any room, where nothing is left to look at."""
+        if target is not None:
+            return None
+        things = self._known(move.label, None)
+        return things[0] if things else None
+
+    # Rooms and things as the text names them
+
+    def _rooms(self, phrase: Phrase) -> set[int] | None:
+        """Numbers of the rooms that a phrase may mean, as far as they are known; None for anywhere."""
+        if phrase.room is None:
+            at_start = phrase.qualifier is not None and phrase.qualifier[0] in BEARINGS
+            return {self._start_room} if at_start and self._start_room >= 0 else None
+        return self._rooms_of(phrase.room)
+
+    def _rooms_of(self, place: Place) -> set[int]:
+        rooms = {number for number, label in self.memory.rooms.items() if label == place.label}
+        if place.anchor is not None:
+            held = {thing.room for thing in self.memory if thing.label == place.anchor}
+            rooms = rooms & held or rooms
+        return rooms
+
+    def _room_is_sure(self, phrase: Phrase) -> bool:
+        """Whether the room that a phrase means is known, and not just one of its kind."""
+        place = phrase.room
+        if place is None or place.anchor is None:
+            return True
+        return any(thing.label == place.anchor and self.memory.rooms.get(thing.room) == place.label
+                   for thing in self.memory)  # fmt: skip
+
+    def _known(self, label: str, rooms: set[int] | None) -> list[Thing]:
+        return [thing for thing in self.memory if thing.label == label and (rooms is None or thing.room in rooms)]
+
+    def _anchors(self, labels: Sequence[str], rooms: set[int] | None) -> tuple[Thing, ...] | None:
+        found: list[Thing] = []
+        for label in labels:
+            known = [thing for thing in self._known(label, rooms) if thing not in found]
+            if not known:
+                return None
+            found.append(max(known, key=lambda thing: len(thing.cubes)))
+        return tuple(found)
+
+    def _close(self, thing: Thing) -> bool:
+        return thing.nearest <= self.config.close
+
+    def _distance(self, thing: Thing) -> float:
+        return float(np.hypot(*(thing.middle - self._place)[[0, 2]]))
+
+    # Where to go
+
+    def _unseen(self, phrase: Phrase) -> F64 | None:
+        """A place from which something new is seen of the rooms that a phrase may mean; None where there is none."""
+        ground, ways = self._now()
+        rooms = self._rooms(phrase)
+        targets = ground.passable & (ground.frontier | (ground.near > self.config.close))
+        for place in self._given_up:
+            a, b = ground.cell(float(place[0]), float(place[1]))
+            targets[max(a - 4, 0) : a + 5, max(b - 4, 0) : b + 5] = False
+        reached = np.isfinite(ways.distance)
+        if rooms is None:
+            return self._nearest(ways, targets)
+        inside = np.isin(ground.region, list(rooms))
+        found = self._nearest(ways, targets & inside)
+        if found is not None or ((inside & reached).any() and self._room_is_sure(phrase)):
+            return found
+        rows, columns = np.nonzero(ground.frontier & targets & reached)
+        if not len(rows):
+            return None
+        places, cost = ground.places(rows, columns), CELL * ways.distance[rows, columns]
+        beyond = [thing.middle[[0, 2]] for thing in self.memory if thing.room in rooms]
+        if beyond and not (inside & reached).any():
+            # The room was seen, and no way into it.
+            cost = cost + np.hypot(*(places - np.mean(beyond, axis=0)).T)
+        return np.asarray(places[int(np.argmin(cost))], np.float64)
+
+    def _nearest(self, ways: Ways, targets: Bools) -> F64 | None:
+        cell = ways.nearest(targets)
+        return None if cell is None else ways.ground.places(np.array([cell[0]]), np.array([cell[1]]))[0]
+
+    def _stop_at(self, thing: Thing) -> F64 | None:
+        """The place at a thing that is nearest from the stop before."""
+        ground, ways = self._now()
+        rows, columns = np.nonzero(ground.passable & np.isfinite(ways.distance))
+        if not len(rows):
+            return None
+        places = ground.places(rows, columns)
+        flat = thing.points[:, [0, 2]]
+        away = np.asarray(cKDTree(flat).query(places)[0], np.float64)
+        own = ground.region[rows, columns]
+        near = (away <= FAR_REACH) & ((own == thing.room) | (own < 0) | (thing.room < 0))
+        rows, columns, places, away = rows[near], columns[near], places[near], away[near]
+        if not len(rows):
+            return None
+        # Those on the side of the thing where one comes nearest to it.
+        best = ground.ways_from(*places[int(np.argmin(away))].tolist())
+        around = float(np.ptp(flat, axis=0).sum()) + WALL_DETOUR
+        same = best.distance[rows, columns] * CELL <= around
+        rows, columns, places, away = rows[same], columns[same], places[same], away[same]
+        reach = REACH if (away <= REACH).any() else float(away.min()) + 0.2
+        for widest in (reach, FAR_REACH):
+            fits = np.flatnonzero(away <= widest)
+            before = ground.ways_from(float(self._last[0]), float(self._last[1]))
+            cost = before.distance[rows[fits], columns[fits]]
+            for k in fits[np.argsort(np.where(np.isfinite(cost), cost, 1e9), kind="stable")][:400].tolist():
+                face = flat[np.argmin(np.hypot(*(flat - places[k]).T))]
+                if ground.open_between(places[k], face, 0.35, tight=False):
+                    return np.asarray(places[k], np.float64)
+        return np.asarray(places[int(np.argmin(away))], np.float64)
+
+    def _set_aim(self, place: F64, *, stop: bool = False) -> None:
+        self._aim, self._stopping = place, stop
+        self._best, self._since = math.inf, self._step
+
+    def _come_there(self, look: Callable[[], Look]) -> None:
+        """The aim is reached, or can't be."""
+        assert self._aim is not None
+        aim, self._aim = self._aim, None
+        if self._stopping:
+            self._last = self._place[[0, 2]].copy()
+            self._moves_done += 1
+            return
+        self._given_up.append(aim)
+        self._take_in(look())
+
+    # How it gets there
+
+    def _towards(self, aim: F64) -> int | None:
+        """The action that leads towards a place; None where it is reached or can't be."""
+        here = self._place[[0, 2]]
+        left = float(np.hypot(*(aim - here)))
+        if left <= ARRIVED:
+            return None
+        ground, ways = self._now()
+        self._ways = None  # the next step starts elsewhere
+        path = ways.to(ground.cell(float(aim[0]), float(aim[1])))
+        length = float(ways.distance[ground.cell(float(aim[0]), float(aim[1]))])
+        if not np.isfinite(length) or len(path) < 2:
+            return None
+        if length < self._best - 1:
+            self._best, self._since = length, self._step
+        elif self._step - self._since > PATIENT * 2:
+            return None
+        towards = path[1]
+        for point in path[2:]:
+            if np.hypot(*(point - here)) > AHEAD or not ground.open_between(here, point):
+                break
+            towards = point
+        away = towards - here
+        if np.hypot(*away) < CELL and len(path) > 2:
+            away = path[2] - here
+        wanted = math.atan2(-away[0], -away[1])
+        off = (wanted - self._heading + math.pi) % (2 * math.pi) - math.pi
+        if abs(off) <= HALF_TURN + 1e-9:
+            return FORWARD
+        return LEFT if off > 0 else RIGHT

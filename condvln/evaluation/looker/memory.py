@@ -1,0 +1,101 @@
+"""The things that an agent has seen: where their surfaces are, by its own reckoning."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.evaluation.looker.eyes import Look
+
+__all__ = ["GRAIN", "Memory", "Thing"]
+
+F64 = NDArray[np.float64]
+
+GRAIN: Final = 0.05
+"""Metres; edge of the cubes by which a thing's surface is remembered."""
+_SPAN: Final = 1 << 14
+_MOST: Final = 600
+"""Cubes of a thing at most when distances are measured; of a larger one every so-manieth is taken."""
+
+
+@dataclass(eq=False, slots=True)
+class Thing:
+    """A thing: its label, the number of its room, and its surface as far as it was seen.
+
+    nearest : metres along the ground from which it was seen at best; seen : the step when it was seen last
+    """
+
+    number: int
+    label: str
+    room: int
+    cubes: NDArray[np.int64]
+    nearest: float
+    seen: int
+    _points: F64 | None = field(default=None, repr=False)
+
+    @property
+    def points(self) -> F64:
+        """Middles (n, 3) of the cubes of its surface: x, height above the feet at the start, z, in metres."""
+        if self._points is None:
+            keys = self.cubes
+            keys = keys[:: max(1, -(-len(keys) // _MOST))] if len(keys) > 4 * _MOST else keys
+            axes = np.stack([keys // (_SPAN * _SPAN), keys // _SPAN % _SPAN, keys % _SPAN], axis=1)
+            self._points = np.asarray((axes - _SPAN // 2 + 0.5) * GRAIN, np.float64)
+        return self._points
+
+    @property
+    def box(self) -> F64:
+        """[min, max] (2, 3) of what was seen of it."""
+        points = self.points
+        return np.array([points.min(axis=0) - GRAIN / 2, points.max(axis=0) + GRAIN / 2])
+
+    @property
+    def middle(self) -> F64:
+        """(3,) of that."""
+        return np.asarray(self.box.mean(axis=0), np.float64)
+
+
+class Memory:
+    """All things seen so far, by their numbers, in the order in which they were seen first.
+
+    span : steps after which a thing is forgotten that is not seen again; None for never
+    """
+
+    def __init__(self, span: int | None = None) -> None:
+        self._things: dict[int, Thing] = {}
+        self._span = span
+        self.rooms: dict[int, str] = {}
+
+    def __iter__(self) -> Iterator[Thing]:
+        return iter(self._things.values())
+
+    def add(self, look: Look, place: F64, heading: float, step: int) -> None:
+        """Take in what is seen from a place (3,) with a heading, radians counter-clockwise from −z."""
+        self.rooms.update(look.rooms)
+        right, up, ahead = look.points.T
+        c, s = math.cos(heading), math.sin(heading)
+        x, z = place[0] + c * right - s * ahead, place[2] - s * right - c * ahead
+        cubes = np.floor(np.stack([x, up + place[1], z]) / GRAIN).astype(np.int64) + _SPAN // 2
+        keys = (cubes[0] * _SPAN + cubes[1]) * _SPAN + cubes[2]
+        order = np.argsort(look.owner, kind="stable")
+        owner, keys, away = look.owner[order], keys[order], np.hypot(right, ahead)[order]
+        numbers, starts = np.unique(owner, return_index=True)
+        ends = [*starts[1:].tolist(), len(owner)][: len(starts)]
+        for number, start, end in zip(numbers.tolist(), starts.tolist(), ends, strict=True):
+            label, room = look.things[number]
+            found, distance = np.unique(keys[start:end]), float(away[start:end].min())
+            known = self._things.get(number)
+            if known is None:
+                self._things[number] = Thing(number, label, room, found, distance, step)
+                continue
+            merged = np.union1d(known.cubes, found)
+            if len(merged) != len(known.cubes):
+                known.cubes, known._points = merged, None
+            known.nearest, known.seen = min(known.nearest, distance), step
+        if self._span is not None:
+            self._things = {k: one for k, one in self._things.items() if step - one.seen <= self._span}

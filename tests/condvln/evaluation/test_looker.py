@@ -1,0 +1,213 @@
+"""The agent that looks: no truth reaches it, it judges rightly what it sees whole, and its errors nest."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.sparse.csgraph import dijkstra
+from typer.testing import CliRunner
+
+from condvln.evaluation.export_folder import Export
+from condvln.evaluation.kernels.floor_grid import chart, line_is_open, ways
+from condvln.evaluation.looker import LookingAgent, read_text
+from condvln.evaluation.looker.eyes import GHOST, Eyes
+from condvln.evaluation.looker.judging import holds
+from condvln.evaluation.looker.memory import GRAIN, Thing
+from condvln.evaluation.scene_views import SceneViews
+from condvln.evaluation.score import score
+from condvln.instructions import reading_of
+from condvln.instructions.rendering import heading_name
+from condvln.relations import relate_room, text_facts
+from condvln.scene import RoomArrays, SceneObject
+from jobs.command import app
+from schemas.config import LookerConfig, NoiseConfig, Thresholds
+
+T = Thresholds()
+
+
+@pytest.fixture(scope="module")
+def views(made: tuple[Export, Path]) -> SceneViews:
+    return SceneViews({"replicacad": made[1]})
+
+
+def test_it_walks_to_the_right_leaf_by_what_it_sees(made: tuple[Export, Path], views: SceneViews) -> None:
+    agent = LookingAgent(views)
+    tasks = [task for task in made[0].tasks("train") if task.axes["category"] == "simple"][:4]
+    walks = {task: agent.walk(task, made[0].pathfinder(task)) for task in tasks}
+    assert len(walks) == 4
+    for task, walk in walks.items():
+        # Its answers are those of the geometry, and each was asked for.
+        assert walk.leaf == task.gold_leaf
+        assert {k: task.program.conditions[k].truth for k in walk.verdicts} == walk.verdicts
+        assert set(walk.verdicts) == set(task.program.route()[0])
+        assert not walk.forced
+    reached = [score(task, walk.prediction, made[0].pathfinder(task)).csr_all for task, walk in walks.items()]
+    assert np.mean(reached) >= 0.75
+
+
+def test_no_truth_reaches_it(made: tuple[Export, Path], views: SceneViews) -> None:
+    agent = LookingAgent(views)
+    for task in made[0].tasks("train")[:2]:
+        flipped = tuple(
+            condition.model_copy(update={"truth": not condition.truth, "witnesses": ()})
+            for condition in task.program.conditions
+        )
+        other = replace(
+            task,
+            program=task.program.model_copy(update={"conditions": flipped}),
+            gold_leaf=(task.gold_leaf + 1) % task.n_leaves,
+            leaves=tuple(replace(leaf, goals=leaf.goals + 1, subgoals=leaf.subgoals + 1) for leaf in task.leaves),
+            reference=task.reference[::-1],
+            success_distance=9.0,
+        )
+        one, two = (agent(each, made[0].pathfinder(task), 3) for each in (task, other))
+        np.testing.assert_array_equal(one.positions, two.positions)
+        assert one.stopped == two.stopped
+
+
+def test_it_reads_the_program_of_every_text(made: tuple[Export, Path]) -> None:
+    for task in made[0].tasks("train"):
+        read = read_text(task.text)
+        assert replace(read, heading=None) == reading_of(task.program)
+        if read.heading is not None:
+            degrees = -math.degrees(2 * math.atan2(task.start_rotation[1], task.start_rotation[3])) % 360
+            assert read.heading == heading_name(round(degrees, 3) % 360)
+
+
+def test_greater_shares_of_errors_keep_the_errors_of_smaller_ones(made: tuple[Export, Path], views: SceneViews) -> None:
+    task = made[0].tasks("train")[0]
+    view = views(str(task.axes["scene"]))
+    seen = {}
+    for share in (0.0, 0.2, 0.5):
+        noise = NoiseConfig(missed=share, confused=share, false=share)
+        eyes = Eyes(view.scene, view.renderer, LookerConfig(noise=noise))
+        eyes.begin(5, "episode")
+        looks = [eyes(task.start, heading) for heading in (0.0, 0.4)]
+        assert looks[0].things.keys() == looks[1].things.keys()
+        seen[share] = {number: label for number, (label, _) in looks[0].things.items()}
+    truth = seen[0.0]
+    assert truth
+    assert {number: view.scene.objects[number].label for number in truth} == truth
+    missing = {share: set(truth) - set(found) for share, found in seen.items()}
+    assert missing[0.0] <= missing[0.2] <= missing[0.5] != set()
+    ghosts = {share: {n for n in found if n >= GHOST} for share, found in seen.items()}
+    assert ghosts[0.0] <= ghosts[0.2] <= ghosts[0.5] != set()
+
+
+def surface(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Cubes of the surface of a box, as `Thing` keeps them."""
+    axes = [np.arange(round(a / GRAIN), round(b / GRAIN)) for a, b in zip(low, high, strict=True)]
+    grid = np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
+    ends = np.array([[axis[0], axis[-1]] for axis in axes])
+    outside = ((grid == ends[:, 0]) | (grid == ends[:, 1])).any(axis=1)
+    cells = grid[outside] + (1 << 13)
+    return np.sort((cells[:, 0] * (1 << 14) + cells[:, 1]) * (1 << 14) + cells[:, 2])
+
+
+def test_judgement_is_that_of_the_geometry_where_all_is_seen() -> None:
+    rng = np.random.default_rng(4)
+    decided: dict[str, set[int]] = {}
+    for _ in range(16):
+        low = rng.integers(0, 110, (6, 3)) * [1, 0.2, 1] // 1 * GRAIN
+        low[:3, 1] = 0
+        high = low + rng.integers(3, 22, (6, 3)) * GRAIN
+        objects = [
+            SceneObject(f"o{k}", "r", "x", "x", center=(a + b) / 2, aabb=np.array([a, b]))
+            for k, (a, b) in enumerate(zip(low, high, strict=True))
+        ]
+        arrays = RoomArrays.of("r", objects, 0.0)
+        facts = text_facts(relate_room(arrays, T), T)
+        things = [Thing(k, "x", 0, surface(a, b), 1.0, 0) for k, (a, b) in enumerate(zip(low, high, strict=True))]
+        predicates = ("near", "far from", "north of", "south-east of", "west of", "higher than", "lower than")
+        for predicate in predicates:
+            status = facts.status[predicate]
+            for i, j in zip(*np.nonzero(status), strict=True):
+                sure = holds(predicate, things[i], [things[j]], 0.0, T)
+                assert (sure > 0) == (status[i, j] == 1), (predicate, low[[i, j]], high[[i, j]], sure)
+                decided.setdefault(predicate, set()).add(int(status[i, j]))
+    assert all(found == {1, -1} for found in decided.values()), decided
+    assert len(decided) == len(predicates)
+
+
+def test_directions_count_from_north_as_the_text_said() -> None:
+    east = Thing(0, "x", 0, surface(np.array([1.0, 0, -0.2]), np.array([1.4, 0.4, 0.2])), 1.0, 0)
+    middle = Thing(1, "x", 0, surface(np.array([-0.2, 0, -0.2]), np.array([0.2, 0.4, 0.2])), 1.0, 0)
+    # What is to the right of one who faces north-east is to the south-east.
+    assert holds("south-east of", east, [middle], 45.0, T) > 20
+    assert holds("east of", east, [middle], 0.0, T) > 20
+    assert holds("west of", east, [middle], 180.0, T) > 20
+    assert holds("right", east, [], None, T) == pytest.approx(45, abs=0.1)
+    assert holds("left", east, [], None, T) < 0
+
+
+def test_ways_are_those_of_dijkstra() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        cost = np.where(rng.random((14, 17)) < 0.3, np.inf, rng.choice([1.0, 1.5, 6.0], (14, 17))).astype(np.float32)
+        cost[3, 4] = 1.0
+        graph = np.zeros((cost.size, cost.size))
+        for a in range(14):
+            for b in range(17):
+                for p, q in ((a + i, b + j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j):
+                    if not (0 <= p < 14 and 0 <= q < 17 and np.isfinite(cost[p, q]) and np.isfinite(cost[a, b])):
+                        continue
+                    straight = a == p or b == q
+                    start = (a, b) == (3, 4)
+                    if straight or start or (np.isfinite(cost[a, q]) and np.isfinite(cost[p, b])):
+                        graph[a * 17 + b, p * 17 + q] = cost[p, q] * (1 if straight else math.sqrt(2))
+        distance, before = ways(cost, 3 * 17 + 4)
+        np.testing.assert_allclose(distance, dijkstra(graph, indices=3 * 17 + 4), rtol=1e-5)
+        assert ((before >= 0) == (np.isfinite(distance) & (np.arange(cost.size) != 3 * 17 + 4))).all()
+
+
+def test_a_wall_ahead_is_where_it_is() -> None:
+    """A flat wall 2 m ahead of an agent that faces along +x, in a view of 90°."""
+    n, size = 64, 80
+    rays = (2 * np.arange(n) + 1 - n) / n
+    rows = -rays
+    depth = np.full((n, n), 2.0)
+    with np.errstate(divide="ignore"):
+        floor = np.where(rows < 0, 1.25 / -rows, np.inf)
+    depth = np.minimum(depth, floor[:, None]).astype(np.float32)
+    hit, clear = np.zeros((size, size), bool), np.zeros((size, size), bool)
+    near, region = np.full((size, size), np.inf, np.float32), np.full((size, size), -1, np.int16)
+    rooms = np.full((n, n), 7, np.int16)
+    chart(
+        depth, rooms, rays, rows, np.array([0.0, 0.0]), -math.pi / 2, 1.25, 0.1, 0.2, 1.5, 10.0, hit, clear, near,
+        region,
+    )  # fmt: skip
+    a, b = np.nonzero(hit)
+    assert (a - 40 + 0.5) * 0.1 == pytest.approx(np.full(len(a), 2.0), abs=0.11)
+    assert (b.min() - 40, b.max() - 40) == (-20, 19)
+    inside = clear & ~hit
+    a, b = np.nonzero(inside)
+    # Open floor is a triangle before the wall, as wide as it is far.
+    assert (np.abs(b - 40 + 0.5) <= np.abs(a - 40 + 0.5) + 1).all()
+    assert inside[41:58, 40].all()
+    assert not line_is_open(hit, 40.0, 40.0, 75.0, 40.0, 0.0)
+    assert line_is_open(hit, 40.0, 40.0, 59.0, 40.0, 0.0)
+    assert set(region[clear & (region >= 0)].tolist()) == {7}
+
+
+def test_the_command_walks_it_with_errors_and_refuses_what_it_cannot_read(
+    made: tuple[Export, Path], tmp_path: Path
+) -> None:
+    runner = CliRunner()
+    words = ["walk", str(made[0].folder), "train", "--agent", "looker", "--out", str(tmp_path / "looker.json")]
+    for wrong in (
+        [],
+        ["--scenes", "replicacad"],
+        ["--scenes", f"replicacad={made[1]}", "--looker", "noise.missed=2"],
+        ["--scenes", f"replicacad={made[1]}", "--looker", "colour=red"],
+        ["--scenes", f"replicacad={made[1]}", "--looker", "noise"],
+    ):
+        assert runner.invoke(app, [*words, *wrong]).exit_code == 1
+    result = runner.invoke(
+        app, [*words, "--scenes", f"replicacad={made[1]}", "--looker", "noise.missed=1", "--looker", "patience=0.1"]
+    )
+    assert result.exit_code == 0, result.output
+    assert f"{made[0].splits['train']} predictions of looker" in result.output
