@@ -1,1 +1,1 @@
-"""The verbs a person or a scheduler runs; the one place that wires the rest together."""
+"""The verbs that a person or a scheduler runs. Only this package wires the others together."""

@@ -1,4 +1,4 @@
-"""What the bias gate has to say in the report of an export."""
+"""The bias gate's part of the report of an export."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def add_bias(
 
 
 def priors_behind(snapshot: Snapshot, ref: str) -> tuple[int, int] | None:
-    """How many scenes the pinned priors were counted over, and how many are published; None if not more."""
+    """Return (scenes that the pinned priors were counted over, scenes published); None if no more are published."""
     now = max((stage.units - stage.skipped for stage in snapshot.manifest.stages.values()), default=0)
     for entry in snapshot.store.list("pins"):
         if entry.path.endswith(f"/{ref}.json"):

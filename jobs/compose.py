@@ -25,7 +25,7 @@ __all__ = ["NAVMESH", "compose", "found_scene", "refuse_export", "shipped_navmes
 SUFFIX: Final = ".glb"
 NAVMESH: Final = ".navmesh"
 SHOWN: Final = 5
-"""Objects that are left out are named up to here; ``--json`` has all of them."""
+"""Number of omitted objects that are named; ``--json`` has all of them."""
 
 
 def compose(config: Config, scene_id: str, out: Path, *, own_navmesh: bool = False) -> Report:
@@ -53,7 +53,7 @@ def compose(config: Config, scene_id: str, out: Path, *, own_navmesh: bool = Fal
         raise UsageError(
             f"the dataset ships no navmesh of {scene.family}/{scene.scene_id}",
             place="--own-navmesh",
-            remedy="Leave it out: the navmesh that is built then is the one of the episodes, too.",
+            remedy="Leave --own-navmesh out: the navmesh that is then built is also that of the episodes.",
         )
     composed = compose_scene(scene, source.geometry(scene), config.agent)
     walked = composed.navmesh if shipped is None else shipped
@@ -79,7 +79,7 @@ def refuse_export(export: Path | None, folder: Path) -> None:
 
 
 def write_changed(path: Path, data: bytes) -> bool:
-    """Write a file, whole or not at all; False if it has these bytes already.
+    """Write a file atomically; return False if it has these bytes already.
 
     Raises
     ------
@@ -93,7 +93,7 @@ def write_changed(path: Path, data: bytes) -> bool:
 
 
 def shipped_navmesh(scene: Scene) -> NavMeshFile | None:
-    """The navmesh that the dataset ships for a scene, as its source chose it; None where there is none.
+    """Return the navmesh that the dataset ships for a scene, as its source chose it; None if it ships none.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def shipped_navmesh(scene: Scene) -> NavMeshFile | None:
 
 
 def found_scene(config: Config, scene_id: str) -> tuple[Source, str]:
-    """The one source that has the scene, and the scene's id there.
+    """Return the one source that has the scene, and the scene's id there.
 
     Raises
     ------

@@ -31,9 +31,9 @@ from schemas.errors import FormatError, InputError, MissingFileError
 __all__ = ["compose_all"]
 
 SECONDS: Final = 0.1
-"""What composing a scene may take, for the first guess at the whole; a drawn house takes half of it."""
+"""Expected CPU seconds of composing one scene, for the first estimate of the total; a drawn house takes half of it."""
 _START: Final = 4096
-"""Bytes of a file that tell who wrote it."""
+"""Length in bytes of the part of a file that shows which program wrote it."""
 
 Name = tuple[str, str]
 """Family and scene id."""
@@ -90,7 +90,7 @@ def _composed(family: str) -> bool:
 
 
 def _known(config: Config) -> dict[Name, Source | InputError]:
-    """Every scene of the sources that are composed, with its reader or with the error that listing it gave."""
+    """Return every scene of the sources that are composed, with its reader or the error that listing it raised."""
     known: dict[Name, Source | InputError] = {}
     hashed = cache(hash_file)  # scenes share most of their files
     for one in config.sources:
@@ -104,7 +104,7 @@ def _known(config: Config) -> dict[Name, Source | InputError]:
 
 @dataclass(frozen=True)
 class _Export:
-    """The scenes of an export, from its own record.
+    """The scenes of an export, from its ``export.json``.
 
     scenes : of all splits, sorted
     hashes : SHA-256 of its files by path
@@ -116,7 +116,7 @@ class _Export:
 
     @classmethod
     def read(cls, folder: Path) -> _Export | None:
-        """By its own record; None where nothing is exported yet."""
+        """Read the record of an export; None if nothing is exported yet."""
         where = folder / INDEX
         if not where.exists():
             return None
@@ -129,7 +129,7 @@ class _Export:
         return cls(folder, sorted((family, scene) for family, _, scene in (n.partition("/") for n in names)), hashes)
 
     def navmesh(self, scene: Scene) -> bytes | None:
-        """The navmesh that was built for a scene's episodes; None where the export keeps none.
+        """Return the navmesh that was built for a scene's episodes; None if the export holds none.
 
         Raises
         ------
@@ -150,7 +150,7 @@ class _Export:
 
 @dataclass
 class _Writer:
-    """Writes scenes one by one, and keeps none in memory."""
+    """Writes scenes one by one, and holds only one in memory."""
 
     folder: Path
     known: dict[Name, Source | InputError]
@@ -159,7 +159,7 @@ class _Writer:
     own_navmesh: bool
 
     def write(self, name: Name, target: str) -> dict[str, Any]:
-        """What was written for one scene, and the warnings."""
+        """Write one scene; return what was written, and the warnings."""
         out = self.folder / target
         _refuse_strangers(out)
         source = self.known.get(name)
@@ -185,7 +185,7 @@ class _Writer:
         }
 
     def _navmesh(self, scene: Scene, built: NavMeshFile) -> tuple[bytes, str]:
-        """The bytes of the navmesh that goes beside the scene, and whose it is."""
+        """Return the bytes of the navmesh that goes beside the scene, and where it comes from."""
         if self.own_navmesh:
             shipped = shipped_navmesh(scene)
             if shipped is not None:
@@ -204,7 +204,7 @@ def _refuse_strangers(out: Path) -> None:
             ours = is_composed(stream.read(_START))
     if not ours:
         raise InputError(
-            "a file is there that condvln compose did not write: it is left as it is",
+            "the file exists and was not written by condvln compose: it is kept",
             where=out,
             remedy="Remove it, or choose another folder",
         )
@@ -232,7 +232,7 @@ def _report(done: _Done, folder: Path, origin: str) -> Report:
         "composed": done.entries,
     }
     lines = [
-        f"{folder}: {total} scenes {origin}: {written} written, {document['unchanged']} as they were, "
+        f"{folder}: {total} scenes {origin}: {written} written, {document['unchanged']} unchanged, "
         f"{len(done.failures)} that can't be composed"
     ]
     lines += [f"{scene}: {message.removeprefix(f'{scene}: ')}" for scene, message in done.failures.items()]

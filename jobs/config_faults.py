@@ -1,4 +1,4 @@
-"""What is wrong with a configuration, in the words of its keys: pydantic's findings without its own terms."""
+"""Errors of a configuration, in terms of its keys and without pydantic's own terms."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from schemas.errors import ConfigError
 __all__ = ["config_error", "nearest"]
 
 _KEY_OF_MAPPING: Final = "[key]"
-"""What pydantic puts behind the key of a mapping that it refuses."""
+"""Suffix that pydantic adds to the key of a mapping that it refuses."""
 
 _EXPECTED: Final = {
     "bool": "true or false is expected",
@@ -29,7 +29,7 @@ _EXPECTED: Final = {
     "string": "text is expected",
     "tuple": "a list is expected",
 }
-"""By the beginning of pydantic's names of errors (``int_parsing``, ``int_from_float``, ``int_type``)."""
+"""What was expected, by the prefix of pydantic's error types (``int_parsing``, ``int_from_float``, ``int_type``)."""
 
 _BOUNDS: Final = {
     "greater_than": ("gt", "must be greater than"),
@@ -40,7 +40,7 @@ _BOUNDS: Final = {
 
 
 def config_error(error: ValidationError, path: Path) -> ConfigError:
-    """One error that names every wrong key, what it must be and what it is."""
+    """Return one error that names every wrong key, what its value must be, and what it is."""
     faults = _faults(error)
     if len(faults) == 1:
         place, what, remedy = faults[0]
@@ -51,14 +51,14 @@ def config_error(error: ValidationError, path: Path) -> ConfigError:
 
 
 def nearest(word: object, known: Iterable[str]) -> str:
-    """The known word that was probably meant, as a question; empty where none is near."""
+    """Return the most similar known word as a question; empty if none is similar."""
     spelled = {name.casefold(): name for name in known}
     found = difflib.get_close_matches(str(word).casefold(), spelled, n=1, cutoff=0.8)
     return f"did you mean {spelled[found[0]]}?" if found else ""
 
 
 def _faults(error: ValidationError) -> list[tuple[str, str, str]]:
-    """(key, what is wrong, remedy) of each fault, in the order of the keys."""
+    """Yield (key, what is wrong, remedy) of each error, in the order of the keys."""
     found: dict[str, tuple[str, str, str]] = {}
     faults = error.errors()
     for fault in faults:
@@ -71,13 +71,14 @@ def _faults(error: ValidationError) -> list[tuple[str, str, str]]:
 
 
 def _is_echo(fault: Mapping[str, Any], faults: Sequence[Mapping[str, Any]]) -> bool:
-    """Is a list too short only because entries of it are wrong, which are reported themselves?"""
+    """Whether a list is too short only because its entries are wrong, which are reported themselves."""
     own = fault["loc"]
     return any(other["loc"][: len(own)] == own for other in faults if len(other["loc"]) > len(own))
 
 
 def _location(fault: Mapping[str, Any]) -> tuple[str | int, ...]:
-    """The key in the file; pydantic adds which alternative of a type it tried, and that a mapping's key is meant."""
+    """Return the key in the file. pydantic's location also names the alternative of a type, and marks keys of
+    mappings."""
     loc: tuple[str | int, ...] = fault["loc"]
     if loc and loc[0] == "store":
         return loc[:1]
@@ -87,7 +88,7 @@ def _location(fault: Mapping[str, Any]) -> tuple[str | int, ...]:
 
 
 def _said(fault: Mapping[str, Any], location: tuple[str | int, ...]) -> tuple[str, str]:
-    """What is wrong with a key, and what to do."""
+    """Return what is wrong with a key, and what to do."""
     kind, given, context = fault["type"], fault.get("input"), fault.get("ctx", {})
     got = f"got {_shown(given)}"
     if kind == "extra_forbidden":
@@ -162,12 +163,12 @@ def _remedy(kind: str, given: Any, location: Sequence[str | int]) -> str:
 
 
 def _choices(expected: str) -> list[str]:
-    """Names out of pydantic's "'a', 'b' or 'c'"."""
+    """Parse the names in pydantic's "'a', 'b' or 'c'"."""
     return expected.replace("'", "").replace(" or ", ", ").split(", ")
 
 
 def _allowed(location: Sequence[str | int]) -> list[str]:
-    """Keys of the section at a place."""
+    """Return the keys of the section at a location."""
     model: Any = Config
     for part in location:
         if isinstance(part, str):
@@ -182,7 +183,7 @@ def _section(annotation: Any) -> Any:
 
 
 def _shown(value: Any) -> str:
-    """The beginning of a value. Anchors and aliases may make one of a few lines that is endless when written out."""
+    """Return the beginning of a value. With YAML anchors and aliases, a short file may hold an endless value."""
     if value is None:
         return "nothing"
     if isinstance(value, bool):

@@ -1,4 +1,4 @@
-"""Reading the configuration file: YAML, then CONDVLN_ variables, then ``--set``; every fault named by its key."""
+"""Read the configuration: YAML file, then CONDVLN_ variables, then ``--set``. Every error names its key."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from schemas.errors import ConfigError, UsageError
 __all__ = ["ENVIRONMENT_PREFIX", "load_config"]
 
 ENVIRONMENT_PREFIX: Final = "CONDVLN_"
-"""``CONDVLN_RAY__WORKERS=2`` sets ``ray.workers``; two underscores part the keys."""
+"""Prefix of variables: ``CONDVLN_RAY__WORKERS=2`` sets ``ray.workers``. Two underscores separate the keys."""
 
 
 class _UniqueKeyLoader(yaml.SafeLoader):
-    """SafeLoader that refuses a key given twice, where the later one would silently win."""
+    """SafeLoader that refuses a key that occurs twice; YAML would use the later one without notice."""
 
 
 def _mapping(loader: _UniqueKeyLoader, node: yaml.MappingNode) -> dict[Any, Any]:
@@ -32,7 +32,7 @@ def _mapping(loader: _UniqueKeyLoader, node: yaml.MappingNode) -> dict[Any, Any]
         if not isinstance(key, Hashable):
             raise ConfigError("a list or a mapping is used as a key", place=place, remedy="Write name: value.")
         if key in keys:
-            raise ConfigError(f"the key {key!r:.60} is there twice", place=place, remedy="Keep one of them.")
+            raise ConfigError(f"the key {key!r:.60} occurs twice", place=place, remedy="Keep one of them.")
         keys[key] = loader.construct_object(value_node, deep=True)
     return keys
 
@@ -138,7 +138,7 @@ def _item(items: list[Any], key: str, origin: str) -> Any:
 
 
 def _store(address: Path | str, base: Path, path: Path) -> Path | str:
-    """A folder, counted from the file's own; or an object store's address, checked but not contacted."""
+    """Resolve a folder relative to the file's own, or an object store's address, which is checked but not contacted."""
     if "://" not in str(address):
         return (base / address).resolve()
     try:
@@ -184,7 +184,8 @@ def _resolve(config: Config, base: Path, path: Path, check_roots: bool) -> Confi
 
 
 def _apart(store: Path | str, export: Path | None, roots: Sequence[Path], path: Path) -> None:
-    """Store and export must lie outside of the datasets: else every rebuild would see them as changes of a dataset."""
+    """Require that store and export lie outside of the datasets: otherwise every rebuild would take them for
+    changes."""
     written = [(key, folder) for key, folder in (("store", store), ("export", export)) if isinstance(folder, Path)]
     for k, (key, folder) in enumerate(written):
         for other, taken in (*((f"sources.{j}.root", root) for j, root in enumerate(roots)), *written[:k]):

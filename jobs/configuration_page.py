@@ -1,4 +1,4 @@
-"""``docs/configuration.md``: every key of the configuration, written from its models and from what the stages read.
+"""Generate ``docs/configuration.md``: every key, from the models and from what the stages read.
 
 ``python -m jobs.configuration_page`` renews it.
 """
@@ -41,12 +41,12 @@ NO_STAGE: Final = {
     "ray": "nothing",
     "keep": "nothing",
 }
-"""Keys that no stage is keyed on, by themselves or by their section, and what they make stale in place of one."""
+"""What a key makes stale if no stage has it in its key, by key or by section."""
 
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """One key: its place with N for the entries of a list, and what a person must know of it."""
+    """One key, with N for the entries of a list: type, unit, default and description."""
 
     path: str
     type: str
@@ -56,7 +56,7 @@ class Key:
 
 
 def keys(model: type[BaseModel] = Config, before: str = "") -> Iterator[Key]:
-    """Every key of a model in their order, then those of its sections."""
+    """Yield every key of a model in order, then those of its sections."""
     inner: list[tuple[type[BaseModel], str]] = []
     for name, field in model.model_fields.items():
         path = before + name
@@ -70,7 +70,7 @@ def keys(model: type[BaseModel] = Config, before: str = "") -> Iterator[Key]:
 
 
 def makes_stale(path: str) -> tuple[str, ...]:
-    """Stages and aggregates that are keyed on a key, in the order of the pipeline; empty where none is."""
+    """Return the stages and aggregates whose keys contain a configuration key, in the order of the pipeline."""
     if path in NO_STAGE:
         return ()
     parts = [part for part in path.split(".") if part != "N"]
@@ -78,7 +78,7 @@ def makes_stale(path: str) -> tuple[str, ...]:
 
 
 def _read(config: Config) -> dict[str, JSON]:
-    """What each stage and aggregate reads of the configuration, as the documents that it is keyed on."""
+    """Return what each stage and aggregate reads of the configuration, as the documents in its key."""
     pipeline = build_pipeline(config)
     unit = Unit("replicacad/x", "replicacad", payload={"scene_id": "x", "navmesh": "navmeshes", "absence": "never"})
     read: dict[str, JSON] = {stage.name: stage.parameters(unit) for stage in pipeline.stages}
@@ -86,7 +86,8 @@ def _read(config: Config) -> dict[str, JSON]:
 
 
 def _sample() -> Config:
-    """Every section, and a cell that bounds words, so that all that a stage may read is read."""
+    """Return a configuration with every section, and a cell that bounds words, so that stages read all they may
+    read."""
     return Config(
         name="x",
         store="x",
@@ -106,7 +107,7 @@ def _holds(document: JSON, parts: list[str]) -> bool:
 
 
 def configuration_page() -> str:
-    """The whole text of ``docs/configuration.md``."""
+    """Return the text of ``docs/configuration.md``."""
     parts = [
         "# The configuration",
         "Made from the models in `schemas/config` by `python -m jobs.configuration_page`.",
@@ -157,7 +158,7 @@ def _stale(path: str) -> str:
 
 
 def _section(annotation: Any) -> tuple[type[BaseModel] | None, bool]:
-    """The section that a key holds, and whether it is a list of them."""
+    """Return the section that a key holds, and whether it is a list of them."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation, False
     if get_origin(annotation) is tuple:
@@ -186,7 +187,7 @@ def _type(annotation: Any) -> str:
 
 
 def _unit(field: FieldInfo) -> str:
-    """Metadata of the field, or of the numbers inside it."""
+    """Return the unit from the metadata of the field, or of the numbers inside it."""
     found: list[object] = [field.json_schema_extra]
     pending: list[Any] = [field.annotation]
     while pending:

@@ -1,4 +1,4 @@
-"""What each stage of a scene costs, estimated from counts that are known before a run.
+"""Cost of each stage of a scene, estimated from counts that are known before a run.
 
 A stage's CPU seconds are a sum of coefficients times counts, never negative: see `counts_of` for the counts and
 `COEFFICIENTS` for the coefficients, in CPU seconds of the reference machine (``factory.machine``). They only have to be
@@ -23,7 +23,7 @@ FEATURES: Final[Mapping[str, tuple[str, ...]]] = {
     "episodes": ("asked", "placed_kiloobjects"),
     "text": ("asked",),
 }
-"""The counts that each stage's cost is made of; see `counts_of`."""
+"""Counts that the cost of each stage depends on; see `counts_of`."""
 
 COEFFICIENTS: Final[Mapping[str, Mapping[str, tuple[float, ...]]]] = {
     "replicacad": {
@@ -69,11 +69,11 @@ scenes of ReplicaCAD, 10 of ProcTHOR and 7 of iTHOR; Gibson's is taken to be Pro
 """
 
 COMPILE_SECONDS: Final = 105.0
-"""CPU seconds that compiling all kernels takes once on the reference machine; after that they come from a cache."""
+"""CPU seconds for compiling all kernels once on the reference machine; later runs load them from a cache."""
 
 
 def counts_of(family: str, counts: SceneCounts, asked: int) -> dict[str, float]:
-    """The counts that costs are made of, by name.
+    """Return the counts that costs depend on, by name.
 
     scene : 1
     objects : objects of the scene
@@ -97,7 +97,7 @@ def counts_of(family: str, counts: SceneCounts, asked: int) -> dict[str, float]:
 
 
 def stage_costs(family: str, counts: SceneCounts, asked: int) -> dict[str, float]:
-    """CPU seconds on the reference machine of each stage of one scene.
+    """Return the CPU seconds on the reference machine of each stage of one scene.
 
     asked : episodes asked of the scene, all categories and counterfactual groups together
     """

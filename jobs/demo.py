@@ -1,4 +1,4 @@
-"""``condvln demo``: the whole job on made scenes in four formats: generated, exported, proven and measured."""
+"""``condvln demo``: the whole pipeline on made scenes in four formats: generate, export, verify and evaluate."""
 
 from __future__ import annotations
 
@@ -22,14 +22,15 @@ from schemas.program import CATEGORIES
 __all__ = ["run_demo"]
 
 FAMILIES: Final[tuple[Family, ...]] = ("replicacad", "procthor", "mp3d", "gibson")
-"""The paper's four sources; AI2-THOR by its houses, which have no mesh, so that navmeshes are built too."""
+"""Families of the paper's four sources. Of AI2-THOR it takes houses, which have no mesh, so that navmeshes are built
+too."""
 SHOWN: Final = 6
-"""Instructions printed, one a category."""
+"""Number of instructions printed, one per category."""
 PER_CATEGORY: Final = 10
-"""Episodes a scene and category: enough to fill every category, few enough for two minutes."""
+"""Episodes per scene and category: enough to fill every category, few enough for two minutes."""
 AGENTS: Final = ("perfect", "nearest", "wrong-branch")
 FRACTIONS: Final = (0.5, 0.25, 0.25)
-"""So few scenes would leave a tenth of them empty."""
+"""Shares of the splits: with so few scenes, a tenth of them would be no scene."""
 
 
 def run_demo(out: Path, *, scenes: int, seed: int, workers: int | None, console: Console) -> int:
@@ -83,7 +84,7 @@ def run_demo(out: Path, *, scenes: int, seed: int, workers: int | None, console:
 
 
 def _measure(config: Config, out: Path) -> EvaluationReport | None:
-    """Walk the reference agents on the largest split that is not for training."""
+    """Walk the reference agents on the largest split that is not for training, and evaluate them."""
     assert config.export is not None
     sizes = {
         split: sum(1 for _ in manifest_lines(manifest_path(config.export, split)))

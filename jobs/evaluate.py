@@ -32,12 +32,12 @@ from schemas.errors import FormatError, UsageError
 __all__ = ["EvaluationReport", "HandedIn", "Question", "evaluate_predictions", "walk_split"]
 
 SHOWN: Final = 5
-"""Ids of missing episodes in a sentence; ``--json`` has all of them."""
+"""Number of ids of missing episodes in a message; ``--json`` has all of them."""
 
 MAIN_TABLES: Final = ("main", "sweep", "twin_main")
-"""Tables that are printed unasked, where there are such; ``--json`` and ``--csv`` have all."""
+"""Tables that are printed by default, where they exist; ``--json`` and ``--csv`` have all."""
 ALL_TABLES: Final = "all"
-"""In place of names."""
+"""Value of ``tables`` that stands for all tables."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Question:
 
 @dataclass(frozen=True)
 class HandedIn:
-    """How many of a split's episodes one file has a path or a result for.
+    """How many episodes of a split have a prediction or a result in one file.
 
     missing : ids of those without, in the order of the split; an empty path counts as none
     """
@@ -84,7 +84,7 @@ class HandedIn:
     missing: tuple[str, ...]
 
     def warning(self) -> str:
-        """The warning if some are missing; empty if none are."""
+        """Return a warning if predictions are missing, else an empty text."""
         shown = ", ".join(self.missing[:SHOWN]) + (", …" if len(self.missing) > SHOWN else "")
         return (
             f"{len(self.missing)} of {self.episodes} episodes have no prediction, or an empty path, and count as "
@@ -93,7 +93,7 @@ class HandedIn:
 
 
 class EvaluationReport:
-    """The tables of one evaluation, and what the files lack; rich draws the terminal form."""
+    """The tables of one evaluation and what the files lack, printed on a terminal by rich."""
 
     def __init__(
         self,
@@ -109,16 +109,16 @@ class EvaluationReport:
 
     @property
     def shown(self) -> list[Table]:
-        """The tables that are printed: those asked for by name, else the main ones."""
+        """Return the tables to print: those requested by name, else the main ones."""
         return [table for table in self.tables if self._asked == (ALL_TABLES,) or table.name in self._asked]
 
     @property
     def warnings(self) -> list[str]:
-        """A warning for each file that lacks episodes."""
+        """Return a warning for each file that lacks episodes."""
         return [f"{one.file}: {one.warning()}" for one in self.handed_in if one.missing]
 
     def as_json(self) -> dict[str, Any]:
-        """All tables as plain values; of each file how many episodes it has and lacks."""
+        """Return all tables as plain values, and the counts of episodes of each file."""
         predictions = [
             {
                 "file": str(one.file),
@@ -135,15 +135,15 @@ class EvaluationReport:
         }
 
     def as_markdown(self) -> str:
-        """The shown tables as Markdown."""
+        """Return the tables to print as Markdown."""
         return "\n".join(as_markdown(table) for table in self.shown)
 
     def as_latex(self) -> str:
-        """The shown tables as LaTeX (booktabs)."""
+        """Return the tables to print as LaTeX (booktabs)."""
         return "\n".join(as_latex(table) for table in self.shown)
 
     def write_csv(self, folder: Path) -> list[Path]:
-        """One file a table; unrounded.
+        """Write one file per table, with unrounded numbers.
 
         Raises
         ------
@@ -157,11 +157,11 @@ class EvaluationReport:
         return written
 
     def write_plots(self, folder: Path) -> list[Path]:
-        """SR, BSA and CSR against depth and chain."""
+        """Plot SR, BSA and CSR against depth and chain."""
         return save_figures(self.evaluations, folder)
 
     def write_scores(self, path: Path) -> None:
-        """One JSON line an episode and agent.
+        """Write one JSON line per episode and agent.
 
         Raises
         ------
@@ -191,7 +191,7 @@ def walk_split(
     datasets: Sequence[str] = (),
     looker: Sequence[str] = (),
 ) -> Report:
-    """Write the predictions of one agent, walked on the episodes' own navmeshes.
+    """Walk one agent on the episodes' own navmeshes, and write its predictions.
 
     Parameters
     ----------
@@ -217,7 +217,7 @@ def walk_split(
 
 
 def evaluate_predictions(asked: Question) -> EvaluationReport:
-    """Metrics and tables of one or several agents on one split.
+    """Compute metrics and tables of one or several agents on one split.
 
     Raises
     ------
@@ -228,7 +228,7 @@ def evaluate_predictions(asked: Question) -> EvaluationReport:
     if asked.oracle and len(asked.oracle) != len(asked.predictions):
         raise UsageError(
             f"{len(asked.oracle)} files of predictions on the oracle twin for {len(asked.predictions)} agents",
-            remedy="Say --oracle once for each agent, in the same order.",
+            remedy="Give --oracle once for each agent, in the same order.",
         )
     said = [("--radius", radius) for radius in asked.radii]
     if asked.oracle_radius is not None:
@@ -260,7 +260,9 @@ def evaluate_predictions(asked: Question) -> EvaluationReport:
     names = [table.name for table in tables]
     unknown = [name for name in asked.tables if name not in (*names, ALL_TABLES)]
     if unknown:
-        raise UsageError(f"there is no table {unknown[0]!r}", place="--table", remedy=f"Choose of: {', '.join(names)}.")
+        raise UsageError(
+            f"there is no table {unknown[0]!r}", place="--table", remedy=f"Choose one of: {', '.join(names)}."
+        )
     return EvaluationReport(evaluations, tables, handed_in, asked.tables)
 
 

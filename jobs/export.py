@@ -64,7 +64,7 @@ def export_snapshot_of(config: Config, *, allow_shrink: bool = False) -> Report:
 
 
 def write_export(config: Config, *, allow_shrink: bool = False, renewed: bool = False) -> Report:
-    """As :func:`export_snapshot_of`, for a caller that holds the folder already (``jobs.export_lock``).
+    """Export as :func:`export_snapshot_of` does, for a caller that already holds the lock (``jobs.export_lock``).
 
     renewed : the priors were renewed on purpose
     """
@@ -118,7 +118,7 @@ def write_export(config: Config, *, allow_shrink: bool = False, renewed: bool = 
 
 
 def _check_rows(snapshot: Snapshot, report: ExportReport) -> None:
-    """Every episode that the snapshot's manifest counts is in a split or left out for a reason."""
+    """Check that every episode that the snapshot's manifest counts is in a split or left out for a reason."""
     found = sum(report.episodes.values()) + sum(report.left_out.values())
     rows = snapshot.manifest.tables["episodes"].rows
     if found != rows:
@@ -130,7 +130,7 @@ def _check_rows(snapshot: Snapshot, report: ExportReport) -> None:
 
 
 def _left_out(done: ExportReport) -> list[str]:
-    """Splits that stayed empty, and episodes that are in none, with the reasons."""
+    """Format splits that stayed empty, and episodes that are in no split, with the reasons."""
     chosen, left = sum(done.episodes.values()), sum(done.left_out.values())
     lines = [f"split {split} is EMPTY: {why}" for split, why in done.empty_splits.items()]
     lines += [
@@ -146,7 +146,7 @@ def _left_out(done: ExportReport) -> list[str]:
 
 
 class _Guard:
-    """Compares an export that is about to take its place with the one there, and records what it is made of."""
+    """Compares a new export with the one that it would replace, and records what it is made of."""
 
     def __init__(self, config: Config, snapshot: Snapshot, allow_shrink: bool, renewed: bool) -> None:
         self._config = config
@@ -157,7 +157,7 @@ class _Guard:
         self.said: list[str] = []
 
     def check(self, episodes: Mapping[str, int], left_out: Mapping[str, int]) -> None:
-        """Refuse what :func:`refuse_losses` refuses, unless it is allowed."""
+        """Refuse what :func:`refuse_losses` refuses, unless ``--allow-shrink`` is given."""
         assert self._config.export is not None
         try:
             self.said = refuse_losses(
@@ -175,12 +175,12 @@ class _Guard:
             self.said = [f"allowed by --allow-shrink: {error.what}"]
 
     def record(self, new: Path) -> None:
-        """Write what the export is made of."""
+        """Write the record of what the export is made of."""
         with atomic_stream(new / ORIGIN) as stream:
             stream.write(self._origin.as_bytes())
 
     def _listed(self) -> set[str] | None:
-        """Scenes in the sources now; None where they can't be listed here, as on a machine without them."""
+        """Return the scenes in the sources now; None where they can't be listed here, as on a machine without them."""
         try:
             return {unit.unit_id for unit in listed_units(self._config)}
         except (CondVLNError, OSError):
@@ -188,7 +188,7 @@ class _Guard:
 
 
 def _viewpoints_alone(config: Config, snapshot: Snapshot, guard: _Guard) -> Report:
-    """The export of a snapshot without episodes on a navmesh: what can be placed on viewpoint graphs, if anything."""
+    """Export a snapshot without episodes on a navmesh: only what can be placed on viewpoint graphs, if anything."""
     assert config.export is not None
     report = Report({}, ["no episodes on a navmesh to export; the tables scenes and rejections say why"])
     graphs = graphs_of(config)
@@ -205,7 +205,7 @@ def _viewpoints_alone(config: Config, snapshot: Snapshot, guard: _Guard) -> Repo
 
 
 def _write_viewpoints(config: Config, snapshot: Snapshot, new: Path) -> ViewpointReport:
-    """Place the instructions of scans without a mesh on their viewpoint graphs, where there are such."""
+    """Place the instructions of scans without a mesh on their viewpoint graphs, if there are any."""
     graphs = graphs_of(config)
     if not graphs:
         return ViewpointReport()
@@ -234,7 +234,7 @@ def _linear_text(seed: int, preamble: bool, wording: WordingConfig) -> Callable[
 
 
 def _former(config: Config, snapshot: Snapshot) -> FolderTables | None:
-    """The snapshot that the folder's export was made of, else the one published before; None where it is not kept."""
+    """Return the snapshot that the folder's export was made of, else the one published before; None if it was swept."""
     ref, _ = read_ref(snapshot.store, config.name)
     states = [state for state in (ref.history if ref is not None else ()) if state.snapshot_id != snapshot.snapshot_id]
     exported = exported_snapshot(config.export) if config.export is not None else ""
@@ -256,5 +256,5 @@ def _former(config: Config, snapshot: Snapshot) -> FolderTables | None:
 
 
 def graphs_of(config: Config) -> GraphFolder:
-    """Connectivity of Matterport3D scans, where the configuration names it or the dataset's folder holds it."""
+    """Return the connectivity graphs of Matterport3D scans, from the configured or the dataset's own folder."""
     return GraphFolder(*graph_folders(config))

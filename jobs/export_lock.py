@@ -1,4 +1,4 @@
-"""One command at a time writes an export's folder, and it is held before the work begins, not after."""
+"""The lock of an export's folder: one command at a time writes it, and holds the lock before its work begins."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _TRIES: Final = 100
 
 
 def alone_in_export(config: Config) -> AbstractContextManager[None]:
-    """Hold the configuration's export folder for a whole run; nothing to hold where none is configured.
+    """Hold the lock of the configured export folder for a whole run; without such a folder, do nothing.
 
     Raises
     ------
@@ -30,7 +30,7 @@ def alone_in_export(config: Config) -> AbstractContextManager[None]:
 
 @contextmanager
 def alone_in(folder: Path) -> Iterator[None]:
-    """Hold an export's folder against other commands on this machine, and remove what a killed export left beside it.
+    """Hold the lock of an export's folder on this machine, and remove what a killed export left beside it.
 
     The lock is the file ``.NAME.lock`` beside the folder, since the folder itself is replaced. It goes with its holder:
     one that is killed leaves the file and blocks nobody. A file system that knows no locks is taken as it is.
@@ -53,7 +53,7 @@ def alone_in(folder: Path) -> Iterator[None]:
 
 
 def _held(path: Path, here: Path) -> int:
-    """The open and locked file; it is made again if its former holder has removed it in the meantime."""
+    """Open and lock the lock file. It is created again if its former holder has removed it in the meantime."""
     for _ in range(_TRIES):
         try:
             opened = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)

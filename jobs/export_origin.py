@@ -1,4 +1,4 @@
-"""What an export was made of, and whether a smaller one is explained by what changed since.
+"""The record of what an export was made of, and whether a smaller export is explained by changes since.
 
 ``origin.json`` stands in each export: the configuration, the versions of the code, the priors, and for each scene its
 status, its files' hash, its key and its episodes. The next export is compared with it. A smaller export is accepted
@@ -28,45 +28,45 @@ __all__ = ["Origin", "SceneOrigin", "Shrinkage", "refuse_losses"]
 
 LOST_NAVMESH: Final = "the navmesh built for its scene is missing or changed"
 _KEPT_OUT: Final = {"store", "export", "ray", "keep", "name"}
-"""Keys of the configuration that decide nothing of an export's content."""
+"""Sections of the configuration that do not affect the content of an export."""
 _KEPT_OUT_OF_SPLITS: Final = {"bias", "sharded"}
 _PATHS: Final = {"root", "regions", "houses", "connectivity"}
-"""Keys of a source that are folders of a machine."""
+"""Keys of a source that are paths on a machine."""
 _SHOWN: Final = 5
 _LAST_STAGE: Final = "text"
 _FIRST_STAGE: Final = "scene"
 
 
 class SceneOrigin(Document):
-    """One scene as its snapshot had it."""
+    """One scene, as recorded in its snapshot."""
 
     status: str
-    """ok, skipped or quarantined."""
+    """Status: ok, skipped or quarantined."""
     data: str = ""
-    """Hash of its files."""
+    """Hash of the scene's files."""
     key: str = ""
-    """Key of its last stage: equal keys mean equal episodes."""
+    """Key of the scene's last stage: equal keys mean equal episodes."""
     episodes: int = 0
-    """Episodes in the snapshot, exported or not."""
+    """Number of episodes in the snapshot, exported or not."""
 
 
 class Origin(Document):
-    """``origin.json``."""
+    """Content of ``origin.json``."""
 
     snapshot: str
     configuration: dict[str, Any] = Field(default_factory=dict)
-    """By key, such as ``instructions.moves``; without folders."""
+    """Values of the configuration by key, such as ``instructions.moves``; without folders."""
     code: dict[str, int] = Field(default_factory=dict)
-    """Version of each stage, of the priors, and of the export's choice as ``select``."""
+    """Version of each stage, of the priors, and of the choice of episodes (as ``select``)."""
     priors: dict[str, str] = Field(default_factory=dict)
     scenes: dict[str, SceneOrigin] = Field(default_factory=dict)
-    """By ``<source>/<scene>``."""
+    """Scenes by ``<source>/<scene>``."""
     digest: str = ""
-    """Hash of all the rest."""
+    """Hash of everything else."""
 
     @classmethod
     def of(cls, config: Config, snapshot: Snapshot) -> Origin:
-        """The origin of the export that is made of a snapshot under a configuration."""
+        """Return the origin of an export of a snapshot under a configuration."""
         index = snapshot.index().table
         columns = [f"{_FIRST_STAGE}.inputs", "content", f"{_LAST_STAGE}.key", f"{_LAST_STAGE}/episodes.rows"]
         known = [name for name in ("unit_id", "status", *columns) if name in index.column_names]
@@ -88,7 +88,7 @@ class Origin(Document):
 
     @classmethod
     def read(cls, folder: Path) -> Origin | None:
-        """The origin of the export in a folder; None if there is none that can be read."""
+        """Read the origin of the export in a folder; None if there is none that can be read."""
         document = read_document(folder / ORIGIN)
         try:
             if document is None or document_digest(document) != document["digest"]:
@@ -98,7 +98,7 @@ class Origin(Document):
             return None
 
     def as_bytes(self) -> bytes:
-        """The file."""
+        """Encode the file."""
         document = self.model_dump(mode="json", exclude={"digest"})
         document["digest"] = document_digest(document)
         return orjson.dumps(document, option=orjson.OPT_INDENT_2) + b"\n"
@@ -128,20 +128,20 @@ def _flat(document: Mapping[str, Any], above: str = "") -> dict[str, Any]:
 
 @dataclass
 class Shrinkage:
-    """Why an export holds fewer episodes than the one in place."""
+    """Reasons why an export holds fewer episodes than the one in place."""
 
     causes: list[str] = field(default_factory=list)
-    """What changed in the configuration, the code or the sources."""
+    """Changes of the configuration, the code or the sources; they are accepted."""
     losses: list[str] = field(default_factory=list)
-    """Episodes that are gone though nothing they were made of changed; never accepted."""
+    """Lost episodes whose inputs did not change; they are never accepted."""
     doubts: list[str] = field(default_factory=list)
-    """What makes the export smaller and is neither in the configuration nor in the sources."""
+    """Reasons that are neither in the configuration nor in the sources."""
 
 
 def compare(
     former: Origin | None, now: Origin, *, renewed: bool = False, listed: Callable[[], set[str] | None] | None = None
 ) -> Shrinkage:
-    """What changed between the origins of two exports.
+    """Compare the origins of two exports.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def compare(
     """
     found = Shrinkage()
     if former is None:
-        found.doubts.append(f"the export in place has no readable {ORIGIN}, so it can't be said what changed since")
+        found.doubts.append(f"the export in place has no readable {ORIGIN}, so the changes since then are unknown")
         return found
     changed = _differing(former.configuration, now.configuration)
     if changed:
@@ -176,19 +176,19 @@ def compare(
 
 
 _KINDS: Final = {
-    "lost": ("losses", "fewer episodes in the snapshot though nothing changed that they are made of"),
-    "quarantine": ("doubts", "in quarantine though their files, the configuration and the code are as before"),
-    "other": ("doubts", "fewer episodes though their files, the configuration and the code are as before"),
-    "data": ("causes", "other files in their source"),
-    "new": ("causes", "new in their source"),
-    "explained": ("causes", "fewer episodes by what changed"),
+    "lost": ("losses", "fewer episodes in the snapshot although their inputs did not change"),
+    "quarantine": ("doubts", "in quarantine although their files, the configuration and the code are as before"),
+    "other": ("doubts", "fewer episodes although their files, the configuration and the code are as before"),
+    "data": ("causes", "their files in the source changed"),
+    "new": ("causes", "new in the source"),
+    "explained": ("causes", "fewer episodes because of these changes"),
     "skipped": ("causes", "skipped now"),
 }
-"""Where a kind of change counts, and its words."""
+"""For each kind of change: the list of `Shrinkage` that it goes to, and its wording."""
 
 
 def _kind(before: SceneOrigin, here: SceneOrigin, explained: bool) -> str:
-    """Why a scene that both snapshots have gives fewer episodes now; empty if nothing explains it."""
+    """Return the kind of change by which a scene has fewer episodes now; empty if nothing explains it."""
     fewer = before.episodes > here.episodes
     if fewer and here.status == "ok" and before.key and before.key == here.key:
         return "lost"
@@ -204,7 +204,7 @@ def _kind(before: SceneOrigin, here: SceneOrigin, explained: bool) -> str:
 def _gone(
     former: Origin, now: Origin, found: Shrinkage, changed: list[str], listed: Callable[[], set[str] | None] | None
 ) -> None:
-    """Scenes that the snapshot no longer has: removed from the source, or lost, or their source is not there."""
+    """Classify scenes that the snapshot no longer has: removed from the source, lost, or in a missing source."""
     gone = {name for name, scene in former.scenes.items() if scene.episodes and name not in now.scenes}
     if not gone:
         return
@@ -247,7 +247,7 @@ def _scenes(names: set[str] | list[str]) -> str:
 def refuse_losses(
     folder: Path, ref: str, now: Origin, episodes: Mapping[str, int], left_out: Mapping[str, int], **known: Any
 ) -> list[str]:
-    """Refuse an export that holds less than the one in ``folder`` without a reason; the reasons otherwise, in words.
+    """Raise an error if an export holds less than the one in ``folder`` without a reason; otherwise return the reasons.
 
     Parameters
     ----------
@@ -288,7 +288,8 @@ def refuse_losses(
 
 
 def _counts(folder: Path) -> dict[str, int] | None:
-    """Episodes by split of the export in place: by its own record, else by its manifests; None where there is none."""
+    """Return the episodes by split of the export in place, from its record or its manifests; None if there is
+    neither."""
     index = read_index(folder)
     if index is not None and isinstance(index.get("episodes"), dict):
         return {str(split): int(count) for split, count in index["episodes"].items()}

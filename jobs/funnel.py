@@ -1,5 +1,4 @@
-"""The funnel of a snapshot: what was wanted of each scene and cell, what was drawn, what each filter cost, what is
-left.
+"""The funnel of a snapshot: episodes wanted, candidates drawn, rejections by each filter, and episodes placed.
 
 Candidates are programs that were drawn; each is placed, and so published, or rejected under one reason. Before that a
 draw may fail. The reasons are counted as well, but another draw follows, and a failed one is never a candidate.
@@ -25,15 +24,15 @@ from jobs.report import Report, Section
 __all__ = ["Flow", "Funnel", "add_funnel", "funnel_of"]
 
 SHOWN_REASONS: Final = 3
-"""Reasons named beside a row on a terminal; ``--json`` has all of them."""
+"""Number of reasons named beside a row on a terminal; ``--json`` has all of them."""
 SHOWN_SCENES: Final = 20
-"""Scenes without episodes that are listed on a terminal."""
+"""Number of scenes without episodes that are listed on a terminal."""
 SURPLUS: Final = frozenset({"quota_full", "gold_leaf_full"})
-"""Reasons that end candidates for which there was no room, in the cell or among those of their gold leaf."""
+"""Reasons of candidates for which there was no room, in the cell or among those of their gold leaf."""
 TOO_FEW: Final = "too_few_candidates"
-"""Cause of the episodes that would be missing even if every candidate had found its place."""
+"""Cause of the episodes that would be missing even if every candidate had been placed."""
 PLACING: Final = "episodes"
-"""Stage whose rejections end candidates; those of other stages end draws."""
+"""Stage whose rejections end candidates; rejections of other stages end draws."""
 
 
 @dataclass
@@ -59,7 +58,7 @@ class Flow:
     def of_cell(
         cls, wanted: int, candidates: int, placed: int, rejected: Mapping[str, int], undrawn: Mapping[str, int]
     ) -> Flow:
-        """The flow of one cell of one scene."""
+        """Return the flow of one cell of one scene."""
         flow = cls(wanted, candidates, placed, Counter(rejected), Counter(undrawn), max(0, wanted - placed))
         if flow.short:
             flow.causes = Counter({reason: n for reason, n in rejected.items() if reason not in SURPLUS})
@@ -70,7 +69,7 @@ class Flow:
         return flow
 
     def add(self, other: Flow) -> None:
-        """Count what another flow counts as well."""
+        """Add the counts of another flow."""
         self.wanted += other.wanted
         self.candidates += other.candidates
         self.placed += other.placed
@@ -81,7 +80,7 @@ class Flow:
         self.undrawn_of_short += other.undrawn_of_short
 
     def document(self) -> dict[str, Any]:
-        """As JSON, filters by what they cost."""
+        """Return the flow as JSON, filters sorted by their counts."""
         return {
             "wanted": self.wanted,
             "candidates": self.candidates,
@@ -93,7 +92,7 @@ class Flow:
         }
 
     def why(self) -> str:
-        """The costliest causes of what is short, in a line; beside TOO_FEW what ended the draws."""
+        """Return the most frequent causes of a shortage in one line; beside TOO_FEW, what ended the draws."""
         return ", ".join(self._cause(reason, count) for reason, count in _ranked(self.causes)[:SHOWN_REASONS])
 
     def _cause(self, reason: str, count: int) -> str:
@@ -105,14 +104,14 @@ class Flow:
 
 @dataclass
 class Funnel:
-    """Flows by scene and by (source, cell); `barren` : why a scene has no episodes, in words, by its name."""
+    """Flows by scene and by (source, cell). `barren` : by scene, why it has no episodes."""
 
     scenes: dict[str, Flow]
     cells: dict[tuple[str, str], Flow]
     barren: dict[str, str]
 
     def document(self) -> dict[str, Any]:
-        """As JSON."""
+        """Return the funnel as JSON."""
         return {
             "scenes": [
                 {"scene": name, **flow.document(), "why": self.barren.get(name)} for name, flow in self.scenes.items()
@@ -123,7 +122,7 @@ class Funnel:
         }
 
     def sections(self) -> list[Section]:
-        """For people: the cells, and the scenes that yielded nothing."""
+        """Return sections for a terminal: the cells, and the scenes without episodes."""
         rows = [
             (
                 source,
@@ -155,7 +154,8 @@ def add_funnel(report: Report, snapshot: Snapshot) -> None:
 
 
 def funnel_of(snapshot: Snapshot) -> Funnel | None:
-    """The funnel of all scenes of a snapshot, those skipped included; None of a snapshot from before it was counted."""
+    """Count the funnel of all scenes of a snapshot, skipped ones included; None for snapshots of releases without
+    it."""
     if "funnel" not in snapshot.manifest.tables:
         return None
     scenes: defaultdict[str, Flow] = defaultdict(Flow)
@@ -188,17 +188,17 @@ def _rows(table: pa.Table) -> Iterable[dict[str, Any]]:
 
 
 def _explained(flow: Flow) -> str:
-    """Why a scene has no episodes: its most frequent cause, or the reason that ended its draws."""
+    """Return why a scene has no episodes: its most frequent cause, or the reason that ended its draws."""
     # The science is needed for its words alone, and only here.
     from condvln.episodes.rules import REASONS as PLACING_REASONS
     from condvln.instructions.rejection import REASONS as DRAWING_REASONS
 
     if not flow.wanted:
-        return "nothing was wanted of it"
+        return "no episodes were wanted of it"
     counts, meanings = (flow.rejected, PLACING_REASONS) if flow.candidates else (flow.undrawn, DRAWING_REASONS)
     counts = Counter({reason: count for reason, count in counts.items() if reason not in SURPLUS})
     if not counts:
-        return "nothing was drawn"
+        return "no candidate was drawn"
     reason, count = _ranked(counts)[0]
     what = "candidates" if flow.candidates else "draws"
     return f"{reason}: {meanings[reason]} ({count:,} of {sum(counts.values()):,} {what})"

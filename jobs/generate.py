@@ -1,4 +1,4 @@
-"""``condvln generate``: run the plan, publish a snapshot, write the export."""
+"""``condvln generate``: process what changed, publish a snapshot, write the export."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from schemas.errors import CorruptShardError, SmallerExportError
 __all__ = ["add_export", "bring_up_to_date", "run_generate", "run_report"]
 
 SHOWN_FAILURES: Final = 20
-"""Quarantined scenes listed on a terminal; ``condvln status`` has all of them."""
+"""Number of quarantined scenes listed on a terminal; ``condvln status`` has all of them."""
 
 
 def run_generate(
@@ -66,7 +66,7 @@ def run_generate(
 
 
 def _whole_report(config: Config, done: RunReport, renewed: bool) -> Report:
-    """What a run did, the funnel of what is published, and the export of it."""
+    """Report what a run did, the funnel of what is published, and the export of it."""
     report = run_report(done)
     if done.snapshot_id is not None:
         add_funnel(report, published(config))
@@ -86,7 +86,7 @@ def bring_up_to_date(
     warm: bool = True,
     console: Console,
 ) -> RunReport:
-    """Run what changed and publish; leaves the run's record and its log in the store.
+    """Process what changed and publish; leaves the run's record and its log in the store.
 
     verify : read every file again that what is published rests on, and make those again that differ from their hash
     warm : compile what scenes need before any is read; not worth it where none is expected to be made
@@ -123,7 +123,7 @@ def bring_up_to_date(
 
 
 def add_export(report: Report, config: Config, *, renewed: bool = False) -> bool:
-    """Export what is published, and say so in `report`; False where the export in place was kept instead.
+    """Export what is published, and add it to `report`; False where the export in place was kept instead.
 
     The folder is held by the caller (``jobs.export_lock``). renewed : the priors were renewed on purpose
     """
@@ -145,7 +145,7 @@ def add_export(report: Report, config: Config, *, renewed: bool = False) -> bool
 
 
 class _CompilationNote:
-    """Prints what is compiled; before the first that is not in the cache, what that takes."""
+    """Prints what is compiled and, before the first kernel that is not cached, how long that takes."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
@@ -156,7 +156,7 @@ class _CompilationNote:
             self._said = True
             seconds = COMPILE_SECONDS * slowness()
             self._console.print(
-                f"kernels are compiled once on a machine, about {seconds:.0f} CPU s; estimates don't count them",
+                f"kernels are compiled once on a machine, about {seconds:.0f} CPU s; estimates don't include this",
                 highlight=False,
             )
         self._console.print(message, highlight=False, markup=False)
@@ -180,7 +180,7 @@ def _executor(config: Config, inline: bool, say: Callable[[str], None]) -> Itera
 
 
 def run_report(done: RunReport) -> Report:
-    """What a run did, for people and scripts."""
+    """Report what a run did, for people and scripts."""
     counts = {name: done.counts[name] for name in ("total", "fresh", "reused", "made", "ok", "skipped", "quarantined")}
     document: dict[str, Any] = {
         "snapshot_id": done.snapshot_id,

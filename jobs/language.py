@@ -1,4 +1,4 @@
-"""``condvln language``: how texts are said, ours or those of any VLN file."""
+"""``condvln language``: statistics of the wording of texts, of CondVLN or of any VLN file."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CONFIG_SUFFIXES: Final = (".yaml", ".yml")
 
 
 def report_language(target: Path, overrides: Sequence[str] = ()) -> Report:
-    """The style report of a configuration's export, of an export, or of a file of instructions.
+    """Report the style of the texts of a configuration's export, of an export, or of a file of instructions.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The scenes of all sources, listed once and remembered until a file of theirs changes.
+"""A cache of the list of all scenes, valid until a file of the sources changes.
 
 Listing reads every record of a source that keeps its scenes in one file, which takes longer than planning them. The
 memory is a file in the machine's local state; names, sizes and times decide whether it still holds (``jobs.watch``).
@@ -23,7 +23,7 @@ __all__ = ["listed_units"]
 
 
 def listed_units(config: Config) -> list[Unit]:
-    """As ``list_units``, from the memory where no file below the sources' folders changed since."""
+    """List units as ``list_units`` does, from the cache if no file below the sources' folders changed."""
     path = local_state(config.store) / f".listing-{config.name}.json"
     files, settled = look(source_paths(config))
     document = config.model_dump(mode="json", exclude={"store", "export", "splits", "ray", "keep"})

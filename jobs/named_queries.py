@@ -1,4 +1,4 @@
-"""Views over the published tables, and queries by name: what people ask first, as plain SQL.
+"""Views over the published tables, and named queries for the most frequent questions, as plain SQL.
 
 ``condvln query TARGET --list`` tells them; ``docs/cookbook.md`` shows how to go on from them.
 """
@@ -13,7 +13,7 @@ __all__ = ["QUERIES", "VIEWS", "NamedQuery", "View"]
 
 @dataclass(frozen=True)
 class View:
-    """A view.
+    """A view over the tables.
 
     about : one line
     tables : published tables (or views before it) that it reads
@@ -79,7 +79,7 @@ _VIEWS: Final = (
 )
 
 VIEWS: Final[dict[str, View]] = {view.name: view for view in _VIEWS}
-"""Views, in an order in which each reads only what stands before it."""
+"""The views, in an order in which each reads only earlier ones."""
 
 _QUERIES: Final = (
     NamedQuery(
@@ -106,7 +106,7 @@ _QUERIES: Final = (
     ),
     NamedQuery(
         "balance",
-        "how evenly the gold leaf falls within a category of a source: 1 is even",
+        "evenness of the gold leaf within a category of a source: 1 is even",
         """
         SELECT source, category, any_value(n_leaves) AS leaves, gold_leaf, count(*) AS episodes,
                round(count(*) * any_value(n_leaves) / sum(count(*)) OVER (PARTITION BY source, category), 3) AS evenness
@@ -123,7 +123,7 @@ _QUERIES: Final = (
     ),
     NamedQuery(
         "gold-labels",
-        "what the gold leaves lead to, the most frequent first",
+        "goal labels of the gold leaves, the most frequent first",
         """
         SELECT gold_label, count(*) AS episodes, round(count(*) / sum(count(*)) OVER (), 4) AS share
         FROM episodes GROUP BY gold_label ORDER BY episodes DESC, gold_label
@@ -131,7 +131,7 @@ _QUERIES: Final = (
     ),
     NamedQuery(
         "truth-by-label",
-        "how often a condition's label is true: far from one half, the label gives the answer away",
+        "how often a condition's label is true; far from one half, the label reveals the answer",
         """
         SELECT source, label, room, count(*) AS conditions, round(avg(truth::INTEGER), 3) AS share_true,
                count(*) FILTER (predicate IS NOT NULL) AS relational
@@ -158,7 +158,7 @@ _QUERIES: Final = (
     ),
     NamedQuery(
         "funnel",
-        "of the candidates of each category and cell: how many were wanted, placed, and turned down in placing",
+        "for each category and cell: episodes wanted, candidates drawn, placed and rejected",
         """
         SELECT category, cell, sum(wanted)::BIGINT AS wanted, sum(candidates)::BIGINT AS candidates,
                sum(placed)::BIGINT AS placed, sum(rejected)::BIGINT AS rejected,
@@ -175,7 +175,7 @@ _QUERIES: Final = (
     ),
     NamedQuery(
         "warnings",
-        "what readers warned about, by code",
+        "warnings of the readers, by code",
         """
         SELECT source, warning.code AS code, count(*) AS warnings, count(DISTINCT scene_id) AS scenes,
                min(warning.message) AS example
@@ -193,7 +193,7 @@ _QUERIES: Final = (
     ),
     NamedQuery(
         "predicates",
-        "relations by predicate, and how many are sure enough for text",
+        "relations by predicate, and how many have the margin that text requires",
         """
         SELECT kind, predicate, count(*) AS relations, count(*) FILTER (true_in_text) AS true_in_text,
                round(median(used_distance), 2) AS median_m
@@ -202,7 +202,7 @@ _QUERIES: Final = (
     ),
     NamedQuery(
         "groups",
-        "counterfactual groups: how many variants of one skeleton there are",
+        "counterfactual groups by their number of variants",
         """
         SELECT variants, count(*) AS groups
         FROM (SELECT group_id, count(*) AS variants FROM episodes WHERE group_id IS NOT NULL GROUP BY source, group_id)
@@ -212,4 +212,4 @@ _QUERIES: Final = (
 )
 
 QUERIES: Final[dict[str, NamedQuery]] = {query.name: query for query in _QUERIES}
-"""Queries by name."""
+"""The queries by name."""

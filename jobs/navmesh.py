@@ -1,4 +1,4 @@
-"""``condvln navmesh``: build, look into, compare and draw navmeshes."""
+"""``condvln navmesh``: build, inspect, compare and draw navmeshes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ISLAND_COLOURS: Final = ("#7fb3d5", "#f5b041", "#82c785", "#d98880", "#a9a4d0", 
 
 
 def settings_of(pairs: Sequence[str]) -> NavMeshSettings:
-    """Habitat's defaults with ``name=value`` pairs put in. Raises UsageError on an unknown name or a bad value."""
+    """Apply ``name=value`` pairs to Habitat's default settings. Raises UsageError on an unknown name or a bad value."""
     settings = NavMeshSettings()
     kinds = {f.name: type(getattr(settings, f.name)) for f in fields(settings)}
     for pair in pairs:
@@ -44,7 +44,7 @@ def settings_of(pairs: Sequence[str]) -> NavMeshSettings:
 
 
 def build(mesh: Path, out: Path, settings: NavMeshSettings, profile: str, console: Console) -> Report:
-    """The navmesh that Habitat would build of `mesh`, written to `out`."""
+    """Build the navmesh that Habitat would build of `mesh`, and write it to `out`."""
     # Here and below: who asks for one verb waits for what that verb needs, not for the others' libraries.
     from condvln.navigation.recast import build_scene_navmesh
 
@@ -56,7 +56,7 @@ def build(mesh: Path, out: Path, settings: NavMeshSettings, profile: str, consol
 
 
 def info(path: Path) -> Report:
-    """Settings, size and islands of a ``.navmesh`` file."""
+    """Report settings, size and islands of a ``.navmesh`` file."""
     navmesh = read_navmesh(path)
     pathfinder = Pathfinder(navmesh)
     low, high = pathfinder.bounds
@@ -87,18 +87,18 @@ def info(path: Path) -> Report:
 
 
 def compare(first: Path, second: Path) -> Report:
-    """The first build stage at which two navmeshes differ; exit code 3 if they do."""
+    """Report the first build stage at which two navmeshes differ; exit code 3 if they do."""
     from condvln.navigation.recast.compare import compare_navmeshes
 
     found = compare_navmeshes(read_navmesh(first), read_navmesh(second))
     if found is None:
         return Report({"equal": True}, ["equal, byte for byte"])
     document = {"equal": False, **{name: str(value) for name, value in asdict(found).items()}}
-    return Report(document, [f"they part at {found}"], exit_code=3)
+    return Report(document, [f"they first differ at {found}"], exit_code=3)
 
 
 def picture(path: Path, out: Path) -> Report:
-    """A top-down PNG of a navmesh, each island in a colour of its own."""
+    """Draw a top-down PNG of a navmesh, each island in its own colour."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.collections import PolyCollection
     from matplotlib.figure import Figure

@@ -1,4 +1,4 @@
-"""``condvln oracle``: a split's oracle-linear twin, the gold branch as a plain instruction."""
+"""``condvln oracle``: write the oracle-linear twin of a split, which gives the gold branch as a plain instruction."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def linear_text(
     seed: int,
     preamble: bool,
 ) -> str:
-    """The gold branch of an instruction as a plain one, with the same choices of words.
+    """Word the gold branch of an instruction as a plain one, with the same choices of words.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def linear_text(
 def oracle_split(
     export: Path, split: str, *, file: Path | None = None, out: Path | None = None, seed: int | None = None
 ) -> Report:
-    """Rewrite a split, its shards and its ground truth.
+    """Write the twin of a split, its shards and its ground truth.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def _report(done: TwinReport, files: list[Path]) -> Report:
 
 
 def _rendering(export: Path) -> dict[str, Any]:
-    """What the export's texts were rendered with, as its own record says; nothing where there is none."""
+    """Return how the export's texts were rendered, from its own record; empty if there is none."""
     try:
         found = orjson.loads((export / INDEX).read_bytes())["texts"]
     except (OSError, ValueError, KeyError, TypeError):

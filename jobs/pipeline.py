@@ -1,4 +1,4 @@
-"""From a configuration to the pipeline and its units: the wiring of science, factory and contracts."""
+"""Build the pipeline and its units from a configuration: connects science, factory and contracts."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from schemas.tables import SORT_KEYS, TABLES
 __all__ = ["build_pipeline", "built_navmeshes", "list_units", "open_configured"]
 
 BYTES_BASE: Final = 300 * 2**20
-"""Memory of a worker before it reads a scene: interpreter, numpy, Arrow, compiled kernels."""
+"""Memory of a worker before it reads a scene, bytes: interpreter, numpy, Arrow, compiled kernels."""
 
 _STAGE_OF: Final[dict[str, str | tuple[str, ...]]] = {
     "scenes": "scene",
@@ -46,7 +46,7 @@ _STAGE_OF: Final[dict[str, str | tuple[str, ...]]] = {
 
 
 def build_pipeline(config: Config) -> Pipeline:
-    """The six stages under `config`, and the nine tables they publish."""
+    """Build the six stages under `config`, with the nine tables that they publish."""
     agent, preamble = config.agent, config.text.preamble
     return Pipeline(
         name="condvln",
@@ -82,7 +82,7 @@ def build_pipeline(config: Config) -> Pipeline:
 
 
 def open_configured(config: Config, source: SourceConfig, hash_file: HashFile) -> Source:
-    """The reader of one configured source."""
+    """Open the reader of one configured source."""
     return open_source(
         source.family,
         source.root,
@@ -99,7 +99,7 @@ def open_configured(config: Config, source: SourceConfig, hash_file: HashFile) -
 
 
 def list_units(config: Config, hash_file: HashFile) -> list[Unit]:
-    """All scenes of all sources as units; one that can't be listed is a unit with its error."""
+    """List all scenes of all sources as units. A scene that can't be listed is a unit with its error."""
     units = []
     wanted = config.instructions
     asked = sum(cell.count for cell in wanted.wanted) + GROUP_SIZE * wanted.counterfactual_groups
@@ -130,13 +130,13 @@ def list_units(config: Config, hash_file: HashFile) -> list[Unit]:
         if count > 1:
             raise ConfigError(
                 f"scene {name} comes from two sources",
-                remedy="Keep one of them, or part them with 'scenes' and 'exclude'.",
+                remedy="Keep one of them, or separate them with 'scenes' and 'exclude'.",
             )
     return units
 
 
 def built_navmeshes(config: Config, snapshot: Snapshot) -> NavmeshBytes:
-    """The navmeshes that the units of a snapshot were built with, by source and row of the scenes table.
+    """Yield the navmeshes that were built for the units of a snapshot, by source and row of the scenes table.
 
     Asking for one raises ``CorruptShardError`` where the unit's file is missing or damaged: leaving its scene out would
     shrink an export silently.

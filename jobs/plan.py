@@ -1,4 +1,4 @@
-"""``condvln plan``: what a run would do, why, and what it would cost. Runs nothing, writes no table."""
+"""``condvln plan``: what a run would do, why, and what it would cost. Runs nothing and writes no table."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from schemas.config import Config
 __all__ = ["make_plan"]
 
 SHOWN_FILES: Final = 5
-"""Missing or damaged files named on a terminal."""
+"""Number of missing or damaged files named on a terminal."""
 
 
 def make_plan(config: Config, *, every_scene: bool = False) -> Report:
-    """The plan of `config` against what is published under its name.
+    """Plan `config` against what is published under its name.
 
     every_scene : a row for each scene in place of one for all scenes of one cause
     """
@@ -67,7 +67,7 @@ def make_plan(config: Config, *, every_scene: bool = False) -> Report:
 
 
 def _groups(entries: list[dict[str, Any]]) -> Section:
-    """The work to do, one row for each cause; the most expensive first."""
+    """Group the work to do, one row per cause, the most expensive first."""
     groups: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
     for entry in entries:
         key = (entry["status"], ", ".join(entry["reasons"]), _stages(entry["stages"]))

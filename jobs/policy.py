@@ -1,4 +1,4 @@
-"""A user's own agent for ``condvln walk``: found by its name, and given eyes where objects are known."""
+"""A user's own agent for ``condvln walk``: loads it by name, and gives it the visible objects."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ _COLUMNS = ["scene_id", "label", "center"]
 
 
 def is_policy(agent: str) -> bool:
-    """Is this the name of a user's agent (``module:Class``), and not one of the reference agents?"""
+    """Whether this is the name of a user's agent (``module:Class``), and not of a reference agent."""
     return ":" in agent
 
 
 def policy_named(name: str) -> Policy:
-    """The agent that ``module:Class`` makes; modules of the folder at hand are found too.
+    """Create the agent ``module:Class``; modules in the current folder are found too.
 
     Raises
     ------
@@ -42,7 +42,7 @@ def policy_named(name: str) -> Policy:
         found = getattr(importlib.import_module(module), factory)
     except (ImportError, AttributeError, ValueError) as error:
         raise UsageError(
-            f"no agent {name!r} ({error})", remedy="Say module:Class of a module that Python finds from here."
+            f"no agent {name!r} ({error})", remedy="Give module:Class, where Python finds the module from this folder."
         ) from error
     policy = found() if callable(found) else found
     lacking = [method for method in ("begin", "act") if not callable(getattr(policy, method, None))]
@@ -54,7 +54,7 @@ def policy_named(name: str) -> Policy:
 
 
 def eyes_of(config: Config, pathfinder_of: Callable[[Task], Pathfinder]) -> Eyes:
-    """Eyes that see the objects of the published snapshot.
+    """Return eyes that see the objects of the published snapshot.
 
     Raises
     ------
@@ -72,6 +72,6 @@ def eyes_of(config: Config, pathfinder_of: Callable[[Task], Pathfinder]) -> Eyes
 def walk_policy(
     policy: Policy, tasks: Sequence[Task], pathfinder_of: Callable[[Task], Pathfinder], eyes: Eyes | None = None
 ) -> Iterator[Prediction]:
-    """Predictions of a user's agent, one episode at a time."""
+    """Yield the predictions of a user's agent, one episode at a time."""
     for task in tasks:
         yield walk(task, policy, pathfinder_of(task), eyes=eyes)

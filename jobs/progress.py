@@ -1,4 +1,4 @@
-"""Progress of a run on a terminal (a bar) or in a log (a line now and then), and the log that stays in the store."""
+"""Progress of a run: a bar on a terminal, occasional lines in a log, and the log file that is kept in the store."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from schemas.errors import CondVLNError
 __all__ = ["LOGS", "LoggedRun", "RunProgress"]
 
 LOGS: Final = "logs"
-"""Folder of the runs' logs in a store, each named as the run's record."""
+"""Folder of the runs' logs in a store. Each log has the name of the run's record."""
 
 LOG_STEPS: Final = 20
-"""Lines that a phase of a run leaves in a log, about."""
+"""Approximate number of lines that a phase of a run writes to a log."""
 
 
 class RunProgress:
-    """Draws a factory run: one bar a phase on a terminal, about LOG_STEPS lines a phase elsewhere."""
+    """Shows a factory run: one bar per phase on a terminal, about LOG_STEPS lines per phase elsewhere."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
@@ -59,7 +59,7 @@ class RunProgress:
         self._bar.stop()
 
     def phase(self, name: str, total: int, seconds: float, workers: int = 1) -> None:
-        """A phase begins."""
+        """Show that a phase begins."""
         self._phase, self._total, self._done = name, total, 0
         self._remaining = Remaining(seconds, workers)
         self._task = self._bar.add_task(name, total=total, last="", left=self._left())
@@ -71,7 +71,7 @@ class RunProgress:
             self._console.print(said, highlight=False)
 
     def unit(self, receipt: Receipt) -> None:
-        """A unit is done, well or not."""
+        """Show that a unit is finished, whether it succeeded or failed."""
         self._outcomes[receipt.status] += 1
         if receipt.failure is not None:
             self._console.print(
@@ -81,15 +81,15 @@ class RunProgress:
         self._advance(receipt.unit_id)
 
     def step(self) -> None:
-        """A step of a phase without units is done."""
+        """Show that a step of a phase without units is done."""
         self._advance("")
 
     def note(self, message: str) -> None:
-        """Something a person should know."""
+        """Show a message."""
         self._console.print(message, highlight=False, markup=False)
 
     def busy(self, unit: Busy, message: str) -> None:
-        """A unit takes long."""
+        """Show that a unit takes long."""
         self._console.print(message, highlight=False, markup=False)
 
     def _left(self) -> str:
@@ -107,7 +107,7 @@ class RunProgress:
 
 
 class LoggedRun:
-    """The structured log of one run, a JSON line an event and a scene: written on this machine, kept in the store.
+    """The structured log of one run, one JSON line per event and scene, written on this machine and kept in the store.
 
     While the run goes, and if it is killed, the log stands in ``logs/`` of the machine's local state under the time it
     began; when it ends, in ``logs/`` of the store under the name of the run's record.
@@ -125,11 +125,11 @@ class LoggedRun:
 
     @property
     def progress(self) -> RunLog:
-        """The receiver of a run's progress."""
+        """Return the receiver of a run's progress."""
         return self._log
 
     def keep(self, done: RunReport) -> None:
-        """The run is over: keep its log beside its record. One that found nothing to do leaves neither."""
+        """Store the log beside the run's record when the run is over. A run that had nothing to do leaves neither."""
         self._kept = f"{LOGS}/{Path(done.record).stem}.jsonl" if done.record else "-"
         self._log.event(
             "end",

@@ -21,11 +21,11 @@ from schemas.tables import TABLES
 __all__ = ["connect", "list_queries", "query_target", "run_query"]
 
 _WRITERS: Final = {".parquet": "PARQUET", ".csv": "CSV", ".json": "JSON", ".jsonl": "JSON"}
-"""Formats of ``--out`` by the file's ending."""
+"""Formats of ``--out``, by the suffix of the file."""
 
 
 def connect(target: Target, sql: str = "") -> duckdb.DuckDBPyConnection:
-    """An in-memory database with a view for each table over exactly the files of the published snapshot, and VIEWS.
+    """Open an in-memory database with VIEWS and a view for each table over exactly the files of the published snapshot.
 
     sql : what will be asked; where the store is elsewhere, only the tables that it reads are fetched. All by default.
     """
@@ -59,7 +59,8 @@ def _quoted(paths: Iterable[str]) -> str:
 
 
 def _tables_of(sql: str) -> set[str]:
-    """Published tables that a query reads, those behind views included; all of them when that can't be found out."""
+    """Return the published tables that a query reads, directly or through views; all of them if that can't be
+    determined."""
     try:
         with duckdb.connect(":memory:") as connection:
             named = {name.lower() for name in connection.get_table_names(sql)}
@@ -72,7 +73,7 @@ def _tables_of(sql: str) -> set[str]:
 
 
 def query_target(target: Target, sql: str, out: Path | None = None) -> Report:
-    """Rows of one query, or of a named one; written to `out` (Parquet, CSV, JSON by its ending) if that is given.
+    """Run one query or a named one, and write its rows to `out` if given (Parquet, CSV or JSON by its suffix).
 
     Raises UsageError with DuckDB's own message.
     """
@@ -94,12 +95,12 @@ def query_target(target: Target, sql: str, out: Path | None = None) -> Report:
 
 
 def run_query(config: Config, sql: str) -> Report:
-    """Rows of one query over what is published under a configuration's name."""
+    """Run one query over what is published under a configuration's name."""
     return query_target(Target(config.store, config.name, config), sql)
 
 
 def list_queries() -> Report:
-    """Tables, views and named queries."""
+    """List tables, views and named queries."""
     queries = [(query.name, query.about) for query in QUERIES.values()]
     views = [(view.name, view.about) for view in VIEWS.values()]
     tables = [(name, ", ".join(schema.names)) for name, schema in TABLES.items()]
@@ -112,8 +113,8 @@ def list_queries() -> Report:
         document,
         [],
         [
-            Section("Named queries: condvln query TARGET NAME", ("name", "what it tells"), [*queries]),
-            Section("Views", ("name", "what it holds"), [*views]),
+            Section("Named queries: condvln query TARGET NAME", ("name", "answer"), [*queries]),
+            Section("Views", ("name", "rows"), [*views]),
             Section("Tables, each with the column source", ("name", "columns"), [*tables]),
         ],
     )
@@ -127,7 +128,9 @@ def _write(result: duckdb.DuckDBPyRelation, out: Path) -> Report:
 
     kind = _WRITERS.get(out.suffix.lower())
     if kind is None:
-        raise UsageError(f"what is {out.suffix!r}?", where=out, remedy=f"Write to {', '.join(_WRITERS)}.")
+        raise UsageError(
+            f"{out.suffix!r} is not a format of query results", where=out, remedy=f"Write to {', '.join(_WRITERS)}."
+        )
     table = result.to_arrow_table()
     out.parent.mkdir(parents=True, exist_ok=True)
     if kind == "PARQUET":

@@ -1,4 +1,4 @@
-"""A small client of Ray's Jobs REST API, as its OpenAPI page describes it; the standard library is all it needs.
+"""A small client of Ray's Jobs REST API, written to its OpenAPI page with the standard library alone.
 
 Ray's own client comes with ``ray[default]``, some forty packages that a person's machine needs for nothing else.
 https://docs.ray.io/en/latest/cluster/running-applications/job-submission/rest.html (and ``/api/packages/…``, by which
@@ -26,20 +26,20 @@ from schemas.errors import TransientIOError, UsageError
 __all__ = ["JobState", "RayJobs"]
 
 TIMEOUT_SECONDS: Final = 30.0
-"""Of one request."""
+"""Timeout of one request, seconds."""
 
 TRIES: Final = 5
 """Tries of a request that only reads, with growing pauses: a head that restarts is away for some seconds."""
 
 NOT_YET: Final = "No available agent"
-"""What a head says, with code 500, while its agent starts. Nothing was submitted, so the request is repeated."""
+"""What a head answers, with code 500, while its agent starts. Nothing was submitted, so the request is repeated."""
 
 ENDED: Final = frozenset({"SUCCEEDED", "FAILED", "STOPPED"})
 
 LOOPBACK: Final = frozenset({"127.0.0.1", "localhost", "::1"})
 
 MAX_BYTES: Final = 64 * 2**20
-"""Longest answer that is read: the log of one job."""
+"""Largest answer that is read, bytes: the log of one job."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class RayJobs:
         return str(answer["ray_version"])
 
     def upload(self, files: Mapping[str, bytes]) -> str:
-        """Ship small files as a working directory; returns its URI. Equal files are shipped once."""
+        """Upload small files as a working directory; return its URI. Equal files are uploaded once."""
         data = io.BytesIO()
         with zipfile.ZipFile(data, "w", zipfile.ZIP_DEFLATED) as archive:
             for name, content in sorted(files.items()):
@@ -109,7 +109,7 @@ class RayJobs:
     def submit(
         self, entrypoint: str, submission_id: str, runtime_env: Mapping[str, Any], metadata: Mapping[str, str]
     ) -> str:
-        """Start a command on the head node (which needs no CPU for it); returns the id."""
+        """Start a command on the head node (which needs no CPU for it); return the submission id."""
         body = {
             "entrypoint": entrypoint,
             "submission_id": submission_id,
@@ -120,7 +120,7 @@ class RayJobs:
         return str(self._ask("POST", "/api/jobs/", json.dumps(body).encode())["submission_id"])
 
     def state(self, job: str) -> JobState | None:
-        """State of a job; None if there is no job of this id."""
+        """Return the state of a job; None if no job has this id."""
         answer = self._ask("GET", f"/api/jobs/{quote(job, safe='')}", missing=True)
         if answer is None:
             return None
@@ -128,12 +128,12 @@ class RayJobs:
         return JobState(str(answer["status"]), str(answer.get("message") or ""), None if code is None else int(code))
 
     def log(self, job: str) -> str:
-        """All that the command has printed so far."""
+        """Return everything that the command has printed so far."""
         answer = self._ask("GET", f"/api/jobs/{quote(job, safe='')}/logs", missing=True)
         return "" if answer is None else str(answer.get("logs") or "")
 
     def _ask(self, method: str, path: str, body: bytes | None = None, *, missing: bool = False) -> Any:
-        """The JSON of the answer ({} for an empty one); None for 404 if `missing`."""
+        """Send a request; return the JSON of the answer ({} if empty, None for 404 if `missing`)."""
         fault = ""
         for attempt in range(TRIES):
             if attempt:

@@ -1,4 +1,4 @@
-"""``condvln rebuild``: the scheduled form. Plan, run what changed, publish, export, sweep; nothing to do ends at once.
+"""``condvln rebuild``: the scheduled form of generate: plan, run what changed, publish, export, sweep.
 
 Every step may be killed and is taken up by the next rebuild. On one machine a second rebuild of the same name leaves
 the work to the first; on several, all may work, one publishes, and the others say so.

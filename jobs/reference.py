@@ -1,4 +1,4 @@
-"""The command reference, written from the commands' own help.
+"""Generate ``docs/command.md``, the command reference, from the commands' own help.
 
 ``python -m jobs.reference`` renews ``docs/command.md``.
 """
@@ -21,7 +21,7 @@ WIDTH: Final = 100
 
 
 def command_paths() -> list[tuple[str, ...]]:
-    """Every command as the words that call it, groups before their own commands."""
+    """Return every command as the words that call it, groups before their own commands."""
     root = get_command(app)
     return [(), *_below(root, ())]
 
@@ -33,7 +33,7 @@ def _below(command: object, path: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
 
 
 def reference() -> str:
-    """The whole text of ``docs/command.md``."""
+    """Return the text of ``docs/command.md``."""
     runner = CliRunner()
     parts = ["# The command", "Written from the commands' own `--help`; renew it with `python -m jobs.reference`."]
     for path in command_paths():

@@ -1,4 +1,4 @@
-"""``condvln render``: what is seen of a scene from a pose, or of an episode along its right way."""
+"""``condvln render``: images of a scene from a pose, or of an episode along its gold path."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ Cameras = Mapping[str, CameraConfig]
 
 ACTIONS: Final = {STOP: "stop", FORWARD: "forward", LEFT: "left", RIGHT: "right"}
 SHEET: Final = 24
-"""Steps of an episode on a contact sheet at most; the first and the last are among them."""
+"""Most steps of an episode on a contact sheet; the first and the last are among them."""
 LINE: Final = 150
-"""Characters of a line of text on a contact sheet."""
+"""Characters per line of text on a contact sheet."""
 QUARTERS: Final = ((0.0, "north"), (90.0, "east"), (180.0, "south"), (270.0, "west"))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Shots:
-    """Poses to be drawn: feet (n, 3), headings (n,) in radians counter-clockwise from −Z, and a caption for each."""
+    """Poses to draw: feet (n, 3) metres, headings (n,) in radians counter-clockwise from −Z, and a caption for each."""
 
     world: World
     positions: F64
@@ -126,7 +126,7 @@ def _episode(config: Config, name: str, missing: UsageError) -> _Shots:
     rows = [row for row in named_rows(snapshot, snapshot.table("episodes"), name) if row["episode_id"] is not None]
     if len(rows) != 1:
         what = str(missing.what) if not rows else f"{len(rows)} episodes begin with {name!r}"
-        what += ", and no episode begins so" if not rows else ""
+        what += ", and no episode id begins with it" if not rows else ""
         raise UsageError(what, place="SCENE|EPISODE", remedy="condvln show CONFIG --sample 5 lists some episodes.")
     (row,) = rows
     configured = next(one for one in config.sources if one.family == row["source"])
@@ -178,7 +178,7 @@ def _write(out: Path, cameras: Cameras, shots: _Shots) -> list[Path]:
 
 
 def _folder(out: Path, cameras: Cameras, shots: _Shots) -> list[Path]:
-    """A file of each pose and camera; depth cameras give instances too."""
+    """Write a file for each pose and camera; depth cameras give instances too."""
     renderer = shots.world.renderer
     written: list[Path] = []
     digits = max(3, len(str(len(shots.positions))))

@@ -1,4 +1,4 @@
-"""What a verb has to say, for people (rich) and for scripts (JSON) alike."""
+"""The report of a command, for people (rich) and for scripts (JSON)."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from rich.text import Text
 __all__ = ["PIPE_WIDTH", "Report", "Section", "terminal"]
 
 PIPE_WIDTH: Final = 160
-"""Columns of what is not printed on a terminal."""
+"""Width in columns of output that does not go to a terminal."""
 
 
 def terminal() -> Console:
-    """Where reports go. A file or a pipe has no width, and rich would wrap at 80 columns."""
+    """Create the console for reports. A file or a pipe has no width, and rich would wrap at 80 columns."""
     console = Console()
     return console if console.is_terminal else Console(width=PIPE_WIDTH)
 
@@ -31,7 +31,7 @@ class Section:
     rows: list[Sequence[Any]] = field(default_factory=list)
 
     def table(self) -> Table:
-        """The table for rich."""
+        """Return the table for rich."""
         table = Table(title=self.title, title_justify="left", header_style="bold")
         for k, column in enumerate(self.columns):
             numeric = bool(self.rows) and all(isinstance(row[k], int | float) for row in self.rows)
@@ -43,7 +43,7 @@ class Section:
 
 @dataclass
 class Report:
-    """Lines and tables for people, `document` for scripts, and how the command ends."""
+    """Lines and tables for people, `document` for scripts, and the exit code."""
 
     document: dict[str, Any]
     lines: list[str] = field(default_factory=list)
@@ -51,7 +51,7 @@ class Report:
     exit_code: int = 0
 
     def as_json(self) -> dict[str, Any]:
-        """The document, with the exit code."""
+        """Return the document, with the exit code."""
         return {**self.document, "exit_code": self.exit_code}
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:

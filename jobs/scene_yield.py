@@ -1,4 +1,4 @@
-"""What a run will make of one scene, foreseen from its rooms and labels before any relation is computed."""
+"""What a run will make of one scene, predicted from its rooms and labels before any relation is computed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["SceneYield", "scene_yield"]
 
 @dataclass(frozen=True, slots=True)
 class SceneYield:
-    """What to expect of one scene.
+    """What a run will make of one scene.
 
     nothing : why there will be no instructions; empty where there may be some
     rooms, named : its rooms, and those that text can tell apart
@@ -37,13 +37,13 @@ class SceneYield:
     hidden: int
 
     def document(self) -> dict[str, Any]:
-        """As ``--json`` gives it."""
+        """Return the prediction as ``--json`` prints it."""
         return {name: getattr(self, name) for name in self.__slots__}
 
 
 @dataclass(frozen=True, slots=True)
 class _NoFacts:
-    """The scene without extents: rooms are named by labels alone."""
+    """A stand-in for facts about a scene without extents: rooms are named by labels alone."""
 
     status: Mapping[str, NDArray[np.int8]]
     margin: Mapping[str, NDArray[np.float64]]
@@ -59,7 +59,7 @@ class _NoFacts:
 
 
 def scene_yield(scene: Scene, anchor_size: float) -> SceneYield:
-    """What a run can make of a scene, judged by its rooms and labels.
+    """Predict what a run can make of a scene, from its rooms and labels.
 
     anchor_size : least longest side of a thing that names a room, metres
     """

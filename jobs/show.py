@@ -1,4 +1,4 @@
-"""``condvln show``: episodes with their text, tree, truths and paths, and a top-down picture of each.
+"""``condvln show``: print episodes with text, tree, truths and paths, and draw each from above.
 
 Scenes without navmesh publish instructions that no episode was placed for: text, tree and truths are shown of them.
 """
@@ -40,7 +40,7 @@ _INSTRUCTION_COLUMNS: Final = (
 def show_episodes(
     config: Config, *, episode: str | None = None, sample: int | None = None, picture: Path | None = None
 ) -> Report:
-    """One episode by id (or the beginning of it), or a sample spread evenly over the categories, then the sources.
+    """Show one episode by id (or the beginning of it), or a sample spread evenly over categories, then sources.
 
     An id may be that of an instruction, and of a source without episodes of a category a sample has instructions.
 
@@ -90,7 +90,8 @@ def _chosen(snapshot: Snapshot, name: str | None, sample: int) -> list[dict[str,
 
 
 def named_rows(snapshot: Snapshot, episodes: pa.Table, name: str) -> list[dict[str, Any]]:
-    """Episodes whose id begins with `name`; failing these, those of the instruction whose id does, or it alone."""
+    """Return episodes whose id begins with `name`; if there are none, those of the instruction whose id does, or it
+    alone."""
     for column in ("episode_id", "episode_hash"):
         if column not in episodes.column_names:  # a snapshot of a former release, whose ids are hashes
             continue
@@ -117,13 +118,13 @@ def _instructions(snapshot: Snapshot, source: str) -> pa.Table:
 
 
 def _unplaced(instructions: pa.Table) -> list[dict[str, Any]]:
-    """Rows of instructions in the form of episodes, with the reason why there is no episode."""
+    """Return rows of instructions in the form of episodes, with the reason why there is no episode."""
     rows = [{"episode_id": None, "no_episode": "no navmesh", **row} for row in instructions.to_pylist()]
     return [{**row, "instruction_text": row.pop("text")} for row in rows]
 
 
 def spread(first: Mapping[tuple[str, str], Sequence[Item]], sample: int) -> list[Item]:
-    """So many of the items by (category, source): one category after the other, each going round its sources.
+    """Choose a number of items, evenly over categories, and over sources within each category.
 
     Where a source has no more, the others go on; where a category has none, the other categories do.
     """
@@ -147,14 +148,14 @@ def _programs(snapshot: Snapshot, rows: list[dict[str, Any]]) -> dict[tuple[str,
 
 
 def _seen(row: dict[str, Any]) -> str:
-    """The observability of an episode, O0f where all evidence is in the first view."""
+    """Return the observability of an episode: O0f where all evidence is in the first view."""
     if row.get("observability") is None:
         return "not told"
     return str(observability_class(row["observability"], row["evidence_in_view"]))
 
 
 def episode_lines(row: dict[str, Any], tree: str) -> list[str]:
-    """A row of the episodes table and the tree of its program as lines."""
+    """Format a row of the episodes table, and the tree of its program, as lines."""
     lines = [
         f"{row['source']}/{row['scene_id']} · {row['category']} · {row['composition']} · {_seen(row)} · "
         f"episode {row['episode_id']}",
@@ -176,7 +177,7 @@ def episode_lines(row: dict[str, Any], tree: str) -> list[str]:
 
 
 def _instruction_lines(row: dict[str, Any], tree: str) -> list[str]:
-    """The same for an instruction without an episode: it has no start, no heading and no paths."""
+    """Format an instruction without an episode: it has no start, no heading and no paths."""
     return [
         f"{row['source']}/{row['scene_id']} · {row['category']} · {row['composition']} · "
         f"instruction {row['instruction_id']} · no episode: {row['no_episode']}",
@@ -202,7 +203,7 @@ def _draw(config: Config, snapshot: Snapshot, row: dict[str, Any], tree: str, fo
 
 
 def _navmesh(config: Config, snapshot: Snapshot, scenes: list[Scene]) -> NavMeshFile:
-    """The navmesh of a scene that may lie in any of its family's folders, or was built and kept."""
+    """Return the navmesh of a scene, from any of its family's folders or from the store if it was built."""
     kept = built_navmeshes(config, snapshot)
     for scene in scenes:
         if scene.navmesh is None:

@@ -1,4 +1,4 @@
-"""``condvln show EXPORT``: episodes of an export's manifests, as published ones are shown.
+"""``condvln show EXPORT``: print episodes of an export's manifests in the form of published ones.
 
 An export holds no furniture: its pictures have the floor, the start, and the way to every leaf.
 """
@@ -25,7 +25,7 @@ __all__ = ["show_export"]
 Row = dict[str, Any]
 
 ID_WIDTH: Final = 16
-"""Characters that ids are brought to with blanks, so that integers sort by their value."""
+"""Width to which ids are padded with blanks, so that integers sort by their value."""
 
 
 def show_export(
@@ -36,7 +36,7 @@ def show_export(
     picture: Path | None = None,
     roots: Sequence[Path] = (),
 ) -> Report:
-    """One episode of an export by id (or the beginning of it), or a sample spread over categories and sources.
+    """Show one episode of an export by id (or the beginning of it), or a sample spread over categories and sources.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def show_export(
 
 
 def _chosen(export: Path, episode: str | None, sample: int) -> list[ManifestLine]:
-    """Lines of the manifests; those of a sample have the first ids of each category and source."""
+    """Return the chosen lines of the manifests; a sample has the first ids of each category and source."""
     found: list[ManifestLine] = []
     exact: list[ManifestLine] = []
     first: dict[tuple[str, str], list[tuple[str, ManifestLine]]] = {}

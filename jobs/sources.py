@@ -1,4 +1,5 @@
-"""``condvln sources``: what is there, what is missing, and what would be skipped or quarantined. Builds nothing."""
+"""``condvln sources``: list what is there, what is missing, and what would be skipped or quarantined. Builds
+nothing."""
 
 from __future__ import annotations
 
@@ -20,11 +21,11 @@ from schemas.errors import ConfigError, MissingFileError
 __all__ = ["survey"]
 
 SHOWN: Final = 20
-"""Scenes and labels listed on a terminal; ``--json`` has all of them."""
+"""Number of scenes and labels listed on a terminal; ``--json`` has all of them."""
 
 
 def survey(config: Config, *, limit: int | None = None, console: Console | None = None) -> Report:
-    """Every configured source: its files, scenes, rooms, objects, labels, and what a run would leave out.
+    """Survey every configured source: files, scenes, rooms, objects, labels, and what a run would leave out.
 
     limit : most scenes read of each source; all where None
     """
@@ -134,7 +135,7 @@ def _yield_row(found: Survey) -> tuple[int, ...]:
 
 
 def _may_be(raw: str, family: str) -> str:
-    """The labels whose absence an object of an unmapped type blocks."""
+    """Return the labels that an object of an unmapped type may have, whose absence it blocks."""
     label = vocabulary.canonical(raw, family)
     if vocabulary.is_vague(label, family):
         return "anything of its size"

@@ -1,4 +1,5 @@
-"""``condvln status``: what is published, what is in quarantine and why, the last runs, the drift of the priors."""
+"""``condvln status``: print what is published, the quarantine with causes, the last runs, and the drift of the
+priors."""
 
 from __future__ import annotations
 
@@ -22,23 +23,23 @@ from schemas.unit import QuarantineRecord
 __all__ = ["report_status", "target_status"]
 
 HISTORY_SHOWN: Final = 5
-"""Earlier snapshots of each ref that are listed."""
+"""Number of earlier snapshots listed for each ref."""
 
 OUTCOMES: Final = {0: "done", 3: "with quarantine", 4: "stopped over budget"}
 
 DAMAGED: Final = 3
-"""Exit code where files of what is published are missing or damaged."""
+"""Exit code if published files are missing or damaged."""
 
 MIB: Final = 2**20
 
 
 def report_status(config: Config) -> Report:
-    """State of the configuration's store and ref."""
+    """Report the state of the configuration's store and ref."""
     return target_status(Target(config.store, config.name, config))
 
 
 def target_status(target: Target, *, measure_drift: bool = False, sizes: bool = False) -> Report:
-    """State of a store: all its refs, the requested one first.
+    """Report the state of a store: all its refs, the requested one first.
 
     measure_drift : build the pinned tables again over what is published, and compare (reads every unit once)
     sizes : list every file of the store
@@ -94,10 +95,11 @@ def _line(status: RefStatus) -> str:
 
 
 def _tell_damage(report: Report, found: StoreStatus) -> None:
-    """Published files that are missing, with the remedy; sets the exit code too."""
+    """Add missing published files to the report, with the remedy, and set the exit code."""
     lines = [line for status in found.refs for line in status.damaged]
     lines += [
-        f"{found.url}/refs/{name}.json is missing, though a run published it: what is committed is published again"
+        f"{found.url}/refs/{name}.json is missing, although a run published it: "
+        "the next run publishes the committed results again"
         for name in found.unpublished
     ]
     report.document["damaged"] = lines
@@ -161,7 +163,7 @@ def _runs(records: tuple[RunRecord, ...]) -> Section:
 
 
 def _pins(store: Store, found: StoreStatus, report: Report) -> Section:
-    """How many scenes the pinned tables were built from, and how many are published now: a cheap sign of drift."""
+    """Return (scenes that the pinned tables were built from, scenes published now), a cheap sign of drift."""
     now = {
         status.ref.name: max((s.units - s.skipped for s in status.manifest.stages.values()), default=0)
         for status in found.refs

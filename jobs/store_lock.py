@@ -1,4 +1,4 @@
-"""One generate or rebuild of a name at a time on this machine, known before the work begins."""
+"""The lock of a name in a store: one generate or rebuild at a time on this machine, checked before the work begins."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _READ_ONLY: Final = {errno.EROFS, errno.EACCES, errno.EPERM}
 
 @contextmanager
 def alone(state: Path, name: str) -> Iterator[bool]:
-    """Whether no other generate or rebuild of this name is under way on this machine. A killed one blocks nobody.
+    """Whether no other generate or rebuild of this name runs on this machine. A killed one blocks nobody.
 
     Where nothing can be written nobody else is writing: no lock is needed to find that there is nothing to do.
     """
@@ -54,7 +54,7 @@ def alone_in_store(config: Config) -> Iterator[None]:
 
 
 def _opened(state: Path, name: str) -> int | None:
-    """The lock's file, open; None where it can't be made since the folder is read-only."""
+    """Open the lock file; None if it can't be created because the folder is read-only."""
     path = state / f".rebuild-{name}.lock"
     try:
         state.mkdir(parents=True, exist_ok=True)

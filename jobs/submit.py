@@ -1,4 +1,4 @@
-"""``condvln submit``: a verb as a Ray Job on a cluster, its log followed here, its exit code passed on.
+"""``condvln submit``: run a verb as a Ray Job on a cluster, follow its log, and return its exit code.
 
 The configuration is read and checked here and shipped resolved, so that environment and ``--set`` of this machine count
 and its folders are absolute: each must exist under that path on the cluster, the store too unless it is an object
@@ -25,7 +25,7 @@ from schemas.errors import UsageError
 __all__ = ["VERBS", "run_submit"]
 
 VERBS: Final = ("sources", "plan", "generate", "rebuild", "status", "export", "verify", "query", "show")
-"""Verbs that take a configuration."""
+"""Verbs that can be submitted: those that take a configuration."""
 
 SHIPPED: Final = "condvln.yaml"
 """Name of the configuration in the job's working directory."""
@@ -51,10 +51,10 @@ exit 127
 POLL_SECONDS: Final = 2.0
 
 INTERRUPTED: Final = 130
-"""Exit code after Ctrl-C, as shells have it; the job goes on."""
+"""Exit code after Ctrl-C, by the convention of shells; the job goes on."""
 
 UNKNOWN: Final = 1
-"""Exit code of a job that ended without one of its own: stopped, or lost with its node."""
+"""Exit code for a job that ended without one: it was stopped, or lost with its node."""
 
 
 def run_submit(
@@ -69,7 +69,7 @@ def run_submit(
     say: Callable[[str], None] = lambda text: print(text, end="", flush=True),
     poll: float = POLL_SECONDS,
 ) -> Report:
-    """Submit, and follow the job to its end unless `follow` is off. The report's exit code is the job's.
+    """Submit a job, and follow it to its end unless `follow` is off. The report's exit code is the job's.
 
     verb, arguments : one of `VERBS`, and further words of its command line; the caller has checked them
     job : submission id; a job that is there under it already is followed, not submitted twice
@@ -108,7 +108,7 @@ def run_submit(
 
 
 def entrypoint(verb: str, arguments: Sequence[str] = ()) -> str:
-    """The command line of a job: it joins the cluster that it runs on."""
+    """Return the command line of a job, which joins the cluster that it runs on."""
     return "exec " + shlex.join(["sh", LAUNCHER, verb, SHIPPED, *arguments, "--set", "ray.address=auto"])
 
 

@@ -1,4 +1,4 @@
-"""What a dataset on disk holds and what a run will make of it, found by reading scenes, without building anything."""
+"""What a dataset on disk holds and what a run will make of it, found by reading scenes without building anything."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Survey:
 
     @property
     def without_extent(self) -> int:
-        """Objects of unknown extent."""
+        """Return the number of objects of unknown extent."""
         return self.objects - self.with_extent
 
 
@@ -58,7 +58,7 @@ def survey_source(
     limit: int | None = None,
     tick: Callable[[], object] | None = None,
 ) -> Survey:
-    """Read scenes of a dataset and count.
+    """Read scenes of a dataset and count their content.
 
     Parameters
     ----------

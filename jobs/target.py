@@ -1,4 +1,4 @@
-"""What a reading verb is pointed at: a configuration, or a store by its folder or address."""
+"""The target of a reading verb: a configuration, or a store by its folder or address."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ class Target:
     config: Config | None = None
 
     def store(self) -> Store:
-        """The store, open."""
+        """Return the open store."""
         return open_store(self.address)
 
     def refs(self) -> list[str]:
-        """Names of all published refs, sorted."""
+        """Return the names of all published refs, sorted."""
         return sorted(entry.path.split("/", 1)[1].removesuffix(".json") for entry in self.store().list("refs"))
 
     def ref(self) -> str:
-        """The requested name; if none was given, the only ref, or 'main'.
+        """Return the requested name; if none was given, the only ref, or 'main'.
 
         Raises ``UsageError`` when it is not clear which is meant.
         """
@@ -51,18 +51,21 @@ class Target:
         if "main" in names or not names:
             return "main"
         raise UsageError(
-            f"{len(names)} refs are published: {', '.join(names)}", where=str(self.address), remedy="Say --ref NAME."
+            f"{len(names)} refs are published: {', '.join(names)}",
+            where=str(self.address),
+            remedy="Choose one with --ref NAME.",
         )
 
     def snapshot(self) -> Snapshot:
-        """What is published under the name; without one, the only ref or 'main'.
+        """Open the snapshot that is published under the name; without a name, under the only ref or 'main'.
 
         Raises ``StoreError`` when nothing is published under it, ``UsageError`` when it is not clear which is meant.
         """
         return Snapshot.open(self.store(), self.ref())
 
     def folder(self, tables: Iterable[str] | None = None) -> Path:
-        """The snapshot as a folder on this disk, fetched (only `tables`, if named) where the store is elsewhere."""
+        """Return the snapshot as a folder on this disk. It is fetched where the store is elsewhere (only `tables`, if
+        named)."""
         return snapshot_folder(self.address, self.snapshot(), tables)
 
 

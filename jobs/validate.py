@@ -1,4 +1,4 @@
-"""``condvln export --validate``: lint files of episodes, ours or a stranger's."""
+"""``condvln export --validate``: lint files of episodes, from CondVLN or elsewhere."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ _FAILED: Final = 3
 
 @dataclass(frozen=True)
 class ValidationReport:
-    """Findings of one run of the linter; as text one a line, so that they can be searched."""
+    """Findings of one run of the linter, printed one per line so that they can be searched."""
 
     findings: tuple[Finding, ...]
     navmeshes: EpisodeNavmeshes
 
     @property
     def exit_code(self) -> int:
-        """3 where a finding is an error, 0 where there are warnings at most."""
+        """Return 3 if a finding is an error, else 0."""
         return _FAILED if any(finding.severity == "error" for finding in self.findings) else 0
 
     def as_text(self) -> str:
-        """Findings, then what each kind means and how often it occurs."""
+        """Format the findings, then what each kind means and how often it occurs."""
         counts = Counter(finding.code for finding in self.findings)
         severities = Counter(finding.severity for finding in self.findings)
         lines = [finding.line() for finding in self.findings]
@@ -48,7 +48,7 @@ class ValidationReport:
         return [f"{found} scenes checked against their navmesh, {len(lacking)} not, such as {scene}: {why}"]
 
     def as_json(self) -> dict[str, Any]:
-        """Findings as records."""
+        """Return the findings as records."""
         return {
             "findings": [
                 {
@@ -68,7 +68,7 @@ class ValidationReport:
 
 
 def validate_files(path: Path, navmesh_roots: Sequence[Path] = (), graphs: Sequence[Path] = ()) -> ValidationReport:
-    """Lint a file, or all files of these formats below a folder.
+    """Lint a file, or all files of the known formats below a folder.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""``condvln verify``: independent proof of every published episode, with a certificate of each."""
+"""``condvln verify``: prove every published episode independently, and write a certificate for each."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ __all__ = ["verify_export"]
 
 MANIFEST: Final = "manifest"
 SHOWN: Final = 20
-"""Disagreements and faults shown on a terminal; the certificates and the summary have all of them."""
+"""Number of disagreements and faults shown on a terminal; the certificates and the summary have all of them."""
 
 
 def verify_export(config: Config, export_dir: Path, *, without_store: bool = False) -> Report:
@@ -75,7 +75,7 @@ def verify_export(config: Config, export_dir: Path, *, without_store: bool = Fal
 
 
 def _faults_of_snapshot(config: Config, export_dir: Path) -> Iterator[Fault]:
-    """What an export has that the published snapshot has not, and what it does not account for."""
+    """Yield what the export holds beyond the published snapshot, and what of the snapshot it does not account for."""
     index = read_index(export_dir)
     if index is None:
         return
@@ -110,7 +110,7 @@ def _relative(where: str, export_dir: Path) -> str:
 
 
 class _Scenes:
-    """Scenes of the configured sources, read as they are on disk now."""
+    """Scenes of the configured sources, read from the files that are on disk now."""
 
     def __init__(self, config: Config) -> None:
         self._agent = config.agent
@@ -121,7 +121,8 @@ class _Scenes:
 
     def __call__(self, source: str, scene_id: str) -> tuple[Scene, Surfaces]:
         missing = MissingFileError(
-            f"the configuration names no source of family {source!r}", remedy="Verify with the build's own."
+            f"the configuration names no source of family {source!r}",
+            remedy="Use the configuration that the export was built with.",
         )
         for one in self._sources.get(source, ()):
             try:
@@ -142,7 +143,7 @@ class _Tally:
         self.disagreed: Counter[str] = Counter()
         self.examples: list[tuple[int | str, str]] = []
         self.faults: list[Fault] = []
-        """What is wrong with the export as a whole."""
+        """Faults of the export as a whole."""
 
     def add(self, certificate: Certificate) -> None:
         """Count one certificate."""
@@ -155,7 +156,7 @@ class _Tally:
                 self.examples.append((certificate.episode_id, str(disagreement)))
 
     def document(self) -> dict[str, Any]:
-        """The summary as JSON."""
+        """Return the summary as JSON."""
         return {
             "episodes": self.episodes.total(),
             "proven": self.proven.total(),
@@ -170,10 +171,10 @@ class _Tally:
         }
 
     def report(self, document: dict[str, Any], folder: Path) -> Report:
-        """The summary for people and scripts."""
+        """Return the summary for people and scripts."""
         total, proven = self.episodes.total(), self.proven.total()
         lines = [f"{proven:,} of {total:,} episodes proven, {self.checked.total():,} facts checked"]
-        lines += [f"NOT WHOLE: {fault}" for fault in self.faults[:SHOWN]]
+        lines += [f"INCOMPLETE: {fault}" for fault in self.faults[:SHOWN]]
         if len(self.faults) > SHOWN:
             lines.append(f"… and {len(self.faults) - SHOWN:,} more, see {folder / SUMMARY}")
         lines += [f"episode {episode_id}: {text}" for episode_id, text in self.examples]
@@ -192,6 +193,6 @@ def _line(certificate: Certificate) -> bytes:
 
 
 def _hashes(export_dir: Path) -> dict[str, str]:
-    """SHA-256 of the files that were verified: certificates hold for these files only."""
+    """Return the SHA-256 of the files that were verified: certificates hold for these files only."""
     paths = [*manifest_paths(export_dir), *export_dir.glob("vlnce/*/*.json.gz")]
     return {path.relative_to(export_dir).as_posix(): hash_file(path)[1] for path in sorted(paths)}

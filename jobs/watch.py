@@ -1,4 +1,4 @@
-"""The inputs of the last rebuild by names, sizes and times, so that no file is read to find that nothing changed.
+"""A record of the last rebuild's inputs (names, sizes, times), which shows without reading files that nothing changed.
 
 Two digests are kept in the machine's local state. ``inputs`` covers the configuration, this code and every file below
 the sources' folders; ``outputs`` the published ref and all files that it names (``factory.inventory``), the quarantine,
@@ -29,13 +29,13 @@ from schemas.unit import Hash64
 __all__ = ["Memory", "Watch", "code_digest", "look"]
 
 SETTLED_SECONDS: Final = 2.0
-"""A file younger than this may change again within the same tick of a coarse clock."""
+"""Age in seconds below which a file may change again within the same tick of a coarse clock."""
 
 UNSETTLED: Final = "0" * 64
-"""Stands for inputs that are not remembered."""
+"""Placeholder for inputs that are not recorded."""
 
 EXPORT_INDEX: Final = "export.json"
-"""The export's own record of its snapshot and files."""
+"""File in which an export records its snapshot and files."""
 
 _CODE: Final = {".py", ".lark", ".csv", ".yaml", ".json"}
 _PACKAGES: Final = ("schemas", "condvln", "factory", "jobs")
@@ -47,13 +47,13 @@ class Memory(Document):
     inputs: Hash64
     outputs: Hash64
     exported: Hash64 | None = None
-    """What the export was made of."""
+    """Record of what the export was made of."""
     quarantined: int = 0
     looked_at: str = ""
 
 
 class Watch:
-    """Lists the inputs when it is made, so that the next run sees what changed during this one."""
+    """Lists the inputs on construction, so that the next run sees what changed during this one."""
 
     def __init__(self, config: Config, store: Store, state: Path) -> None:
         self._config = config
@@ -84,7 +84,8 @@ class Watch:
         return memory is not None and memory.inputs == self._inputs and memory.outputs == self._outputs()
 
     def export_stands(self, snapshot_id: str | None) -> bool:
-        """Whether the export is there, whole by its files' sizes, and made of this snapshot in this way."""
+        """Whether the export exists, is complete by its files' sizes, and was made of this snapshot with these
+        settings."""
         if self.memory is None or self.memory.exported != digest([snapshot_id, self._exported]):
             return False
         return self._export_stats() is not None
@@ -112,7 +113,8 @@ class Watch:
         return digest(document)
 
     def _export_stats(self) -> list[Any] | None:
-        """(path, size, time) of every file that the export lists; None when one is missing or of another size."""
+        """Return (path, size, time) of every file that the export lists; None when one is missing or of another
+        size."""
         assert self._config.export is not None
         found: list[Any] = []
         try:
@@ -128,7 +130,7 @@ class Watch:
 
 
 def look(roots: Iterable[Path]) -> tuple[list[list[Any]], bool]:
-    """([path, size, mtime_ns] of every file at or below `roots`, whether none was touched just now).
+    """Return ([path, size, mtime_ns] of every file at or below `roots`, whether all of them are old enough to trust).
 
     Sorted within each root; links are followed, each folder once. A file touched just now may change once more without
     showing it, where clocks are coarse.
@@ -169,7 +171,7 @@ def _stat(file: str | os.DirEntry[str]) -> list[Any]:
 
 
 def code_digest() -> str:
-    """Digest of this program's own files: their times say nothing, since every image is built again."""
+    """Return a digest of this program's own files. Their times are useless, since every image is built again."""
     state = hashlib.sha256()
     for package in _PACKAGES:
         root = Path(__file__).parents[1] / package

@@ -1,4 +1,4 @@
-"""The store of one configuration, what is published in it, and what this machine remembers of it."""
+"""The store of one configuration, what is published in it, and the caches of this machine."""
 
 from __future__ import annotations
 
@@ -33,25 +33,26 @@ __all__ = [
 ]
 
 HASHES: Final = ".hashes.sqlite"
-"""Memory of input hashes, in the local state of a store; losing it costs time only."""
+"""Cache of input hashes, in the local state of a store; without it, files are hashed again."""
 
 VERIFIED: Final = ".verified.sqlite"
-"""Memory of the hashes of published files, in the local state of a store; losing it costs reading them once."""
+"""Cache of the hashes of published files, in the local state of a store; without it, files are read once more."""
 
 CONNECTIVITY: Final = "connectivity"
-"""Folder of viewpoint graphs in a dataset of Matterport3D scans."""
+"""Folder of viewpoint graphs in a Matterport3D dataset."""
 
 CACHE_VARIABLE: Final = "CONDVLN_CACHE"
-"""Folder for what this machine keeps of stores that are elsewhere; ``~/.cache/condvln`` without it."""
+"""Variable that names the folder for this machine's data about remote stores; ``~/.cache/condvln`` by default."""
 
 
 def open_store(config: Config) -> Store:
-    """The store that `config` names: a folder or an object store."""
+    """Open the store that `config` names: a folder or an object store."""
     return open_address(config.store)
 
 
 def local_state(address: Path | str) -> Path:
-    """Folder on this machine for hashes, copies and locks of the store at `address`: for a folder, itself."""
+    """Return the folder on this machine for hashes, copies and locks of the store at `address`: for a folder,
+    itself."""
     if "://" not in str(address):
         return Path(address)
     base = os.environ.get(CACHE_VARIABLE) or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "condvln")
@@ -59,36 +60,37 @@ def local_state(address: Path | str) -> Path:
 
 
 def published(config: Config) -> Snapshot:
-    """What is published under the configuration's name. Raises StoreError when nothing is."""
+    """Open what is published under the configuration's name. Raises StoreError when nothing is."""
     return Snapshot.open(open_store(config), config.name)
 
 
 def snapshot_folder(address: Path | str, snapshot: Snapshot, tables: Iterable[str] | None = None) -> Path:
-    """The snapshot as a folder on this disk, fetched (only `tables`, if named) where the store is elsewhere."""
+    """Return the snapshot as a folder on this disk. It is fetched where the store is elsewhere (only `tables`, if
+    named)."""
     state = local_state(address)
     return local_copy(snapshot, state, tables, FileHashes(state / VERIFIED))
 
 
 def source_paths(config: Config) -> list[Path]:
-    """Folders and files that hold all inputs of the scenes."""
+    """Return the folders and files that hold all inputs of the scenes."""
     return [
         path for source in config.sources for path in (source.root, source.regions, source.houses) if path is not None
     ]
 
 
 def graph_folders(config: Config) -> list[Path]:
-    """Where connectivity of Matterport3D scans may be: as the configuration says, else in the dataset's folder."""
+    """Return the folders of Matterport3D's connectivity graphs: as configured, else in the dataset's folder."""
     sources = [source for source in config.sources if source.family == "mp3d"]
     return [source.connectivity or source.root / CONNECTIVITY for source in sources]
 
 
 def file_hashes(config: Config) -> FileHashes:
-    """The memory of input hashes; call ``save`` when done."""
+    """Open the cache of input hashes; call ``save`` when done."""
     return FileHashes(local_state(config.store) / HASHES)
 
 
 def hasher(hashes: FileHashes) -> HashFile:
-    """The memory in the form that sources ask for."""
+    """Return the cache in the form that sources ask for."""
 
     def hash_file(path: Path) -> tuple[int, str]:
         found = hashes.file(path.parent, path.name)
@@ -98,7 +100,8 @@ def hasher(hashes: FileHashes) -> HashFile:
 
 
 def git_revision() -> str:
-    """Revision of this code where it runs from a checkout, else empty. Recorded, never keyed."""
+    """Return the git revision of this code in a checkout, else an empty text. It is recorded, but is not part of any
+    key."""
     try:
         run = subprocess.run(
             ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"],

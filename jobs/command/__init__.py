@@ -1,4 +1,4 @@
-"""The ``condvln`` command: its verbs in the order of its help; each calls its module.
+"""The ``condvln`` command: its verbs in the order of its help. Each verb calls its module.
 
 Starting is quick because a verb imports what it needs only when it is called.
 """
@@ -49,11 +49,11 @@ app.command(epilog=EXIT_CODES)(evaluation_verbs.bias)
 app.add_typer(navmesh.group, name="navmesh")
 
 CLICK_USAGE: Final = 2
-"""Exit code of the command-line library for wrong usage; ours is 1."""
+"""Exit code of the command-line library for wrong usage; CondVLN's is 1."""
 
 
 def main() -> None:
-    """Entry point: our errors, and system errors that name a file, become one message and an exit code."""
+    """Entry point. CondVLN's errors, and system errors that name a file, become one message and an exit code."""
     try:
         app()
     except CondVLNError as error:

@@ -1,4 +1,4 @@
-"""What a verb says: its report on standard output, as text or JSON, and its exit code."""
+"""Output of a verb: its report on standard output, as text or JSON, and its exit code."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["answer", "console", "leave"]
 
 
 def console(quiet: bool = False) -> Console:
-    """Where progress goes: standard error, so that a program can read the report on standard output."""
+    """Create the console for progress: standard error, so that a program can read the report on standard output."""
     # In a log a line is one message; a terminal wraps it where it is narrow.
     return Console(stderr=True, quiet=quiet, soft_wrap=not sys.stderr.isatty())
 
@@ -29,6 +29,6 @@ def answer(report: Any, as_json: bool) -> None:
 
 
 def leave(code: int) -> None:
-    """Exit with this code, unless it is 0."""
+    """Exit with this code unless it is 0."""
     if code:
         raise typer.Exit(code)

@@ -1,4 +1,4 @@
-"""Verbs that make a dataset: its scenes where there are none, the plan, the run."""
+"""Verbs that build a dataset: demo, samples, plan, generate and rebuild."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["demo", "generate", "plan", "rebuild", "samples"]
 
 def demo(
     out: Annotated[Path, typer.Option(help="folder to write to")] = Path("out/demo"),
-    scenes: Annotated[int, typer.Option(min=1, help="made apartments, over all formats")] = 12,
+    scenes: Annotated[int, typer.Option(min=1, help="number of made apartments, over all formats")] = 12,
     seed: Annotated[int, typer.Option(help="seed of everything")] = 0,
     workers: Annotated[int | None, typer.Option(min=0, help="Ray workers; 0 runs inline")] = None,
 ) -> None:
@@ -35,7 +35,7 @@ def samples(
         ),
     ] = "replicacad",
     scenes: Annotated[int, typer.Option(min=1, help="how many")] = 12,
-    seed: Annotated[int, typer.Option(help="scene k of a seed is the same however many are made")] = 0,
+    seed: Annotated[int, typer.Option(help="seed; scene k of a seed is the same however many are made")] = 0,
     as_json: AsJson = False,
 ) -> None:
     """Write made scenes in a family's native format, and print the source entry for a configuration."""
@@ -47,7 +47,7 @@ def samples(
 def plan(
     config: ConfigPath,
     overrides: Overrides = None,
-    every_scene: Annotated[bool, typer.Option("--all", help="a row for each scene")] = False,
+    every_scene: Annotated[bool, typer.Option("--all", help="print a row for each scene")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Show what differs between the published snapshot and the sources, and its cost. Runs nothing."""
@@ -84,17 +84,17 @@ def rebuild(
     config: ConfigPath,
     overrides: Overrides = None,
     if_changed: Annotated[
-        bool, typer.Option("--if-changed", help="end at once when no file changed, by names, sizes and times")
+        bool, typer.Option("--if-changed", help="end at once if no file changed; compares names, sizes and times")
     ] = False,
     priors: RenewPriors = False,
     retry_quarantined: RetryQuarantined = False,
     verify: Annotated[
-        bool, typer.Option("--verify", help="read every file that publishing rests on, and make damaged ones again")
+        bool, typer.Option("--verify", help="read every file that publishing depends on, and rebuild damaged ones")
     ] = False,
     inline: Inline = False,
     as_json: AsJson = False,
 ) -> None:
-    """Bring the snapshot up to date, from a scheduler: plan, run what changed, publish, export, sweep."""
+    """Bring the snapshot up to date from a scheduler: plan, run what changed, publish, export, sweep."""
     from jobs.configuration import load_config
     from jobs.rebuild import run_rebuild
 

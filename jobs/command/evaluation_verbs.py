@@ -1,4 +1,4 @@
-"""Verbs that prove an export, walk it and measure predictions."""
+"""Verbs that verify an export, walk agents on it and score predictions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["bias", "evaluate", "language", "verify", "walk"]
 def verify(
     config: ConfigPath,
     export: Annotated[
-        Path | None, typer.Option("--export", metavar="DIR", help="export to prove; by default the configuration's")
+        Path | None, typer.Option("--export", metavar="DIR", help="export to verify; by default the configuration's")
     ] = None,
     without_store: Annotated[
         bool, typer.Option("--without-store", help="do not compare with the published snapshot")
@@ -63,7 +63,7 @@ def walk(
         typer.Option("--looker", metavar="KEY=VALUE", help="looker's errors and habits: noise.missed=0.1; repeatable"),
     ] = None,
 ) -> None:
-    """Walk an agent, a reference or your own, on the navmesh with VLN-CE's actions; write its predictions."""
+    """Walk an agent (a reference agent or your own) on the navmesh with VLN-CE's actions, and write its predictions."""
     from jobs.configuration import load_config
     from jobs.evaluate import walk_split
 
@@ -75,32 +75,46 @@ def walk(
 def evaluate(
     export: ExportPath,
     split: SplitName,
-    predictions: Annotated[list[Path], typer.Argument(metavar="P...", help="one file for each agent, named after it")],
+    predictions: Annotated[
+        list[Path],
+        typer.Argument(metavar="P...", help="one file of predictions per agent; tables name the agent after the file"),
+    ],
     navmesh_root: NavmeshRoots = None,
-    distance: Annotated[str, typer.Option(help="geodesic, or euclidean as the paper's authors measure")] = "geodesic",
-    radius: Annotated[list[float] | None, typer.Option(help="success distance of a sweep; may be repeated")] = None,
-    oracle_radius: Annotated[
-        float | None, typer.Option(help="distance of OSR where it is larger than the success distance (VLN-CE's: 3)")
+    distance: Annotated[
+        str, typer.Option(help="subgoal distances: geodesic, or euclidean as in the paper authors' code")
+    ] = "geodesic",
+    radius: Annotated[
+        list[float] | None, typer.Option(help="also report rates at this success distance, metres; may be repeated")
     ] = None,
-    fast_dtw: Annotated[bool, typer.Option("--fast-dtw", help="nDTW by FastDTW, as VLN-CE has it")] = False,
-    assume_stop: Annotated[bool, typer.Option("--assume-stop", help="take the last pose as STOP")] = False,
+    oracle_radius: Annotated[
+        float | None, typer.Option(help="distance for OSR in metres, if larger than the success distance (VLN-CE: 3)")
+    ] = None,
+    fast_dtw: Annotated[bool, typer.Option("--fast-dtw", help="compute nDTW by FastDTW, as VLN-CE does")] = False,
+    assume_stop: Annotated[bool, typer.Option("--assume-stop", help="treat the last pose as STOP")] = False,
     oracle: Annotated[
         list[Path] | None,
-        typer.Option("--oracle", help="predictions of the same agent on the oracle twin; once for each P, in order"),
+        typer.Option(
+            "--oracle", help="predictions of the same agent on the oracle twin; once per P, in the same order"
+        ),
     ] = None,
     connectivity: Graphs = None,
-    scores: Annotated[Path | None, typer.Option(help="file for one JSON line an episode")] = None,
-    csv: Annotated[Path | None, typer.Option("--csv", metavar="DIR", help="folder for one CSV file a table")] = None,
+    scores: Annotated[Path | None, typer.Option(help="file to write one JSON line per episode and agent to")] = None,
+    csv: Annotated[
+        Path | None, typer.Option("--csv", metavar="DIR", help="folder to write one CSV file per table to")
+    ] = None,
     plots: Annotated[
-        Path | None, typer.Option("--plots", metavar="DIR", help="folder for SR, BSA and CSR against depth and chain")
+        Path | None,
+        typer.Option(
+            "--plots", metavar="DIR", help="folder to write plots of SR, BSA and CSR against depth and chain to"
+        ),
     ] = None,
     strict: Annotated[
-        bool, typer.Option("--strict", help="exit code 3 and no tables if an episode has no prediction")
+        bool, typer.Option("--strict", help="exit with code 3 and print no tables if an episode has no prediction")
     ] = False,
     table: Annotated[
         list[str] | None, typer.Option("--table", metavar="NAME", help="print this table; may be repeated")
     ] = None,
-    all_tables: Annotated[bool, typer.Option("--all", help="print every table, not the main ones alone")] = False,
+    all_tables: Annotated[bool, typer.Option("--all", help="print every table, not only the main ones")] = False,
     latex: Annotated[bool, typer.Option("--latex", help="print LaTeX tables (booktabs)")] = False,
     markdown: Annotated[bool, typer.Option("--markdown", help="print Markdown tables")] = False,
     as_json: AsJson = False,
@@ -148,7 +162,7 @@ def language(
     overrides: Overrides = None,
     as_json: AsJson = False,
 ) -> None:
-    """How texts are said: lengths, variety, directions, phrases to avoid, and what a listener may misunderstand."""
+    """Report the wording of texts: lengths, variety, directions, phrases to avoid, and ambiguous references."""
     from jobs.language import report_language
 
     answer(report_language(target, overrides or ()), as_json)

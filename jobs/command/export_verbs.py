@@ -1,4 +1,4 @@
-"""Verbs that write what agents, loaders and other engines take: exports, twins, composed scenes."""
+"""Verbs that write files for agents and loaders: exports, oracle twins, composed scenes."""
 
 from __future__ import annotations
 
@@ -28,14 +28,16 @@ def export(
     validate: Annotated[
         Path | None,
         typer.Option(
-            "--validate", metavar="PATH", help="lint VLN-CE, ANSR-v1, RxR and R2R files instead, ours or a stranger's"
+            "--validate",
+            metavar="PATH",
+            help="lint VLN-CE, ANSR-v1, RxR and R2R files below this path instead, of CondVLN or others",
         ),
     ] = None,
     navmesh_root: NavmeshRoots = None,
     connectivity: Graphs = None,
     allow_shrink: Annotated[
         bool,
-        typer.Option("--allow-shrink", help="replace the export in place even by one with fewer episodes"),
+        typer.Option("--allow-shrink", help="replace the export in place even if the new one has fewer episodes"),
     ] = False,
     overrides: Overrides = None,
     as_json: AsJson = False,
@@ -52,7 +54,7 @@ def export(
         leave(found.exit_code)
         return
     if config is None:
-        raise UsageError("neither a configuration nor --validate", remedy="Say condvln export CONFIG.")
+        raise UsageError("neither a configuration nor --validate", remedy="Use condvln export CONFIG.")
     from jobs.configuration import load_config
     from jobs.export import run_export
 
@@ -66,12 +68,12 @@ def oracle(
     split: SplitName,
     file: Annotated[
         Path | None,
-        typer.Option("--file", help="VLN-CE, ANSR-v1 or RxR file of these episodes; by default the stock one"),
+        typer.Option("--file", help="VLN-CE, ANSR-v1 or RxR file of these episodes; by default that in vlnce/"),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("--out", help="by default oracle/SPLIT/SPLIT.json.gz of the export")
+        Path | None, typer.Option("--out", help="file to write; by default oracle/SPLIT/SPLIT.json.gz of the export")
     ] = None,
-    seed: Annotated[int | None, typer.Option(help="seed of the words; by default the export's own")] = None,
+    seed: Annotated[int | None, typer.Option(help="seed of the wording; by default the export's own")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Write the oracle-linear twin of a split: the same episodes, with the right branch as a plain instruction."""
@@ -93,15 +95,16 @@ def compose(
         typer.Option(
             "--all",
             metavar="DIR",
-            help="instead of one: every scene of the export (of the sources where none is), each at the path below DIR "
-            "that its episodes name; DIR is the loader's data/scene_datasets",
+            help="compose every scene of the export (of the sources where there is no export), each at "
+            "the path below DIR that its episodes name; DIR is the loader's data/scene_datasets",
         ),
     ] = None,
     own_navmesh: Annotated[
         bool,
         typer.Option(
             "--own-navmesh",
-            help="write the navmesh of the episodes: the dataset's own; with --all also one that the export keeps",
+            help="write the navmesh that the episodes were placed on: the dataset's own; with --all "
+            "also one that the export keeps",
         ),
     ] = False,
     overrides: Overrides = None,
@@ -121,7 +124,7 @@ def compose(
         report = compose_scene(loaded, scene, out, own_navmesh=own_navmesh)
     else:
         raise UsageError(
-            "either one scene is composed, or all are", remedy="Say compose CONFIG SCENE OUT.glb, or CONFIG --all DIR."
+            "either one scene is composed, or all are", remedy="Use compose CONFIG SCENE OUT.glb, or CONFIG --all DIR."
         )
     answer(report, as_json)
     leave(report.exit_code)

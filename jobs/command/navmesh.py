@@ -1,4 +1,4 @@
-"""The group of verbs for the navigation engine by itself."""
+"""The verbs of ``condvln navmesh``."""
 
 from __future__ import annotations
 
@@ -23,9 +23,10 @@ def navmesh_build(
     mesh: Annotated[Path, typer.Argument(metavar="MESH", help="GLB, PLY, OBJ …, in Habitat's frame")],
     out: Annotated[Path, typer.Argument(metavar="OUT", help="the .navmesh file to write")],
     settings: Annotated[
-        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="a NavMeshSettings field; may be repeated")
+        list[str] | None,
+        typer.Option("--set", metavar="NAME=VALUE", help="set a field of NavMeshSettings; may be repeated"),
     ] = None,
-    profile: Annotated[str, typer.Option(help="habitat>=0.3.4 or habitat<=0.3.3")] = "habitat>=0.3.4",
+    profile: Annotated[str, typer.Option(help="Recast version: habitat>=0.3.4 or habitat<=0.3.3")] = "habitat>=0.3.4",
     as_json: AsJson = False,
 ) -> None:
     """Build the navmesh that Habitat would build, byte for byte."""

@@ -30,7 +30,9 @@ Overrides = Annotated[
 TargetName = Annotated[
     str, typer.Argument(metavar="CONFIG|STORE", help="YAML configuration, or a store: its folder or s3://…")
 ]
-RefName = Annotated[str | None, typer.Option("--ref", metavar="NAME", help="published under another name")]
+RefName = Annotated[
+    str | None, typer.Option("--ref", metavar="NAME", help="read this published name (ref) instead of the default")
+]
 AsJson = Annotated[bool, typer.Option("--json", help="print one JSON document instead of text")]
 
 Inline = Annotated[bool, typer.Option("--inline", help="run in this process, without Ray")]

@@ -1,4 +1,4 @@
-"""Verbs that read what is there: sources, stores, published tables, episodes."""
+"""Verbs that read sources, stores, published tables and episodes."""
 
 from __future__ import annotations
 
@@ -39,7 +39,8 @@ def status(
     overrides: Overrides = None,
     ref: RefName = None,
     drift: Annotated[
-        bool, typer.Option("--drift", help="measure how far the priors are from what is published; reads every scene")
+        bool,
+        typer.Option("--drift", help="measure how far the priors differ from what is published; reads every scene"),
     ] = False,
     sizes: Annotated[bool, typer.Option("--sizes", help="list every file and add up the bytes")] = False,
     as_json: AsJson = False,
@@ -57,7 +58,8 @@ def status(
 def query(
     target: TargetName,
     sql: Annotated[
-        str | None, typer.Argument(metavar="SQL|NAME", help="a query over the tables and views, or one by its name")
+        str | None,
+        typer.Argument(metavar="SQL|NAME", help="an SQL query over the tables and views, or the name of a query"),
     ] = None,
     overrides: Overrides = None,
     ref: RefName = None,
@@ -82,13 +84,13 @@ def show(
     episode: Annotated[
         str | None,
         typer.Argument(
-            metavar="ID", help="episode id, or the beginning of it; of a configuration also an instruction's"
+            metavar="ID", help="episode id, or the beginning of one; with a configuration also an instruction id"
         ),
     ] = None,
     sample: Annotated[
         int | None, typer.Option(min=1, help="show this many, spread over categories and sources")
     ] = None,
-    picture: Annotated[Path | None, typer.Option(help="folder for a top-down picture of each")] = None,
+    picture: Annotated[Path | None, typer.Option(help="folder to write a top-down picture of each to")] = None,
     navmesh_root: NavmeshRoots = None,
     overrides: Overrides = None,
     as_json: AsJson = False,
@@ -127,16 +129,19 @@ def render(
     ] = "streamvln",
     position: Annotated[
         tuple[float, float, float] | None,
-        typer.Option(metavar="X Y Z", help="where to stand in a scene, metres; else some place that can be stood on"),
+        typer.Option(metavar="X Y Z", help="where the agent stands in a scene, metres; by default a navigable point"),
     ] = None,
     heading: Annotated[
         float | None,
-        typer.Option(metavar="DEGREES", help="where to look, clockwise from north; else all four quarters"),
+        typer.Option(
+            metavar="DEGREES",
+            help="where the camera looks, degrees clockwise from north; by default north, east, south and west",
+        ),
     ] = None,
     overrides: Overrides = None,
     as_json: AsJson = False,
 ) -> None:
-    """Draw what is seen from a pose in a scene, or along the right way of an episode; no simulator is needed.
+    """Draw a scene from a pose, or an episode along its gold path. No simulator is needed.
 
     A folder gets colours, depth in millimetres and instance numbers (index in the objects table plus 1) of each camera.
     """

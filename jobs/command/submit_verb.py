@@ -1,4 +1,4 @@
-"""The verb that runs another one as a job of a cluster."""
+"""The verb that runs another verb as a job of a cluster."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def submit(
     config: ConfigPath,
     verb: Annotated[str, typer.Argument(metavar="VERB", help="plan, generate, rebuild, export, verify, …")],
     arguments: Annotated[
-        list[str] | None, typer.Argument(metavar="ARGUMENTS...", help="further words of the verb's command line")
+        list[str] | None, typer.Argument(metavar="ARGUMENTS...", help="further arguments of the verb")
     ] = None,
     address: Annotated[
         str,
@@ -27,7 +27,10 @@ def submit(
     ] = "http://127.0.0.1:8265",
     overrides: Overrides = None,
     job: Annotated[
-        str | None, typer.Option("--id", metavar="ID", help="submission id; a job of this id is followed, not doubled")
+        str | None,
+        typer.Option(
+            "--id", metavar="ID", help="submission id; if a job of this id exists, it is followed and none is submitted"
+        ),
     ] = None,
     follow: Annotated[bool, typer.Option(help="follow the log until the job ends")] = True,
 ) -> None:
@@ -42,7 +45,7 @@ def submit(
 
 
 def _check(context: typer.Context, verb: str, words: list[str]) -> None:
-    """A wrong command line is refused here, not by a job after it has waited for a node."""
+    """Check the command line of the verb here, so that a job does not fail after waiting for a node."""
     from jobs.submit import VERBS
 
     if verb not in VERBS:

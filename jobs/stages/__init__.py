@@ -1,4 +1,4 @@
-"""The stages of a scene, each a thin wrapping of the science for the factory.
+"""The stages of a scene: each wraps functions of `condvln` for the factory.
 
 scene → relations → visibility → programs → episodes → text. What a stage computes is decided in ``condvln``; here is
 only what it reads, what it is keyed on, and where its rows go. A change of what a stage makes for equal inputs must

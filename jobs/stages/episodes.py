@@ -1,4 +1,4 @@
-"""Placed episodes of a scene: where its programs start, and what is seen on the way."""
+"""Stage ``episodes``: chooses starts, goal points and paths of programs, and what is visible on the way."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ __all__ = ["EpisodeStage"]
 
 @dataclass
 class EpisodeStage(Stage):
-    """Candidate programs + navmesh + surfaces → placed episodes and what is seen on them, without their words."""
+    """Candidate programs, navmesh and surfaces → placed episodes with their observability, without text."""
 
     places: PlacesConfig
     instructions: InstructionsConfig
@@ -97,7 +97,7 @@ class EpisodeStage(Stage):
         )
 
     def _without_navmesh(self, scene: Scene, candidates: list[Candidate]) -> StageOutput:
-        """As many instructions as wanted; every candidate counts as not placed."""
+        """Return as many instructions as wanted; every candidate counts as not placed."""
         pool = EpisodePool()
         wanted, groups = self.instructions.wanted, self.instructions.counterfactual_groups
         for candidate in candidates:

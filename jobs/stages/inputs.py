@@ -1,4 +1,4 @@
-"""What the stages of a scene read: its source, its scene, its navmesh and its surfaces."""
+"""Inputs of the stages of a scene: its source, its scene, its navmesh and its surfaces."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ __all__ = [
 Tables = Mapping[str, pa.Table]
 
 NAVMESHES: Final = pa.schema([("scene_id", pa.string()), ("data", pa.large_binary())])
-"""Built navmeshes, kept in the unit for later stages and for the export; not a published table."""
+"""Table of built navmeshes, kept in the unit for later stages and for the export; it is not published."""
 
 
 def navmeshes_table(scene_id: str, data: bytes | None) -> pa.Table:
@@ -65,7 +65,7 @@ def _source(
     absence: Absence,
     limits: LimitsConfig,
 ) -> Source:
-    """One reader for each process and dataset, so that shared files are read once."""
+    """Return the reader of a dataset, one per process, so that shared files are read once."""
     side, house_folder = (None if path is None else Path(path) for path in (regions, houses))
     return open_source(
         family,
@@ -80,7 +80,7 @@ def _source(
 
 
 def source_of(unit: Unit, limits: LimitsConfig = DEFAULT_LIMITS) -> Source:
-    """The reader of a unit's dataset; only what reads whole scenes has limits of its own."""
+    """Return the reader of a unit's dataset. Only readers of whole scenes get the size limits."""
     keys = ("regions", "houses", "navmesh", "connectivity")
     regions, houses, navmesh, graphs = (None if value is None else str(value) for value in map(unit.payload.get, keys))
     absence: Absence = "never" if unit.payload.get("absence") == "never" else "complete"
@@ -128,7 +128,7 @@ def scene_of(unit: Unit, tables: Tables) -> Scene:
 
 
 def pathfinder_of(scene: Scene, tables: Tables) -> Pathfinder:
-    """Pathfinder over the navmesh that the first stage chose or built."""
+    """Open a pathfinder over the navmesh that the scene stage chose or built."""
     assert scene.navmesh is not None
     if scene.navmesh.built:
         return Pathfinder(parse_navmesh(tables["navmeshes"]["data"][0].as_py(), scene.navmesh.path))
@@ -136,7 +136,7 @@ def pathfinder_of(scene: Scene, tables: Tables) -> Pathfinder:
 
 
 def walkable_of(unit: Unit, scene: Scene, tables: Tables, max_climb: float) -> Walkable | None:
-    """Where an agent can walk in the scene and what it sees there; None where the scene has no navmesh."""
+    """Return where an agent can walk in the scene and what it sees there; None if the scene has no navmesh."""
     if scene.navmesh is None:
         return None
 
@@ -153,6 +153,6 @@ def dump(section: Section) -> dict[str, JSON]:
 
 
 def asked_of(instructions: InstructionsConfig) -> dict[str, JSON]:
-    """The instructions asked for, without their wording."""
+    """Return the configuration of instructions without their wording."""
     said = InstructionsConfig.model_fields.keys() & WordingConfig.model_fields.keys()
     return {key: value for key, value in dump(instructions).items() if key not in said}

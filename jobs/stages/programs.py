@@ -1,4 +1,4 @@
-"""Candidate programs of a scene, and the priors over all scenes that they are drawn with."""
+"""Stage ``programs``: draws candidate programs of a scene with priors that are counted over all scenes."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ __all__ = ["PriorsAggregate", "ProgramStage"]
 
 @dataclass
 class PriorsAggregate(Aggregate):
-    """Which labels are usual in which type of room, and how often a statement is true there, over all scenes of all
-    sources."""
+    """Counts which labels are usual in which type of room, and how often a statement is true there, over all scenes of
+    all sources."""
 
     thresholds: Thresholds
     anchor_size: float
@@ -59,8 +59,8 @@ class PriorsAggregate(Aggregate):
 
 @dataclass
 class ProgramStage(Stage):
-    """relations + navmesh + surfaces → where objects are stood at, and candidate programs, in the order in which they
-    will be tried."""
+    """Relations, navmesh and surfaces → goal points of objects, and candidate programs in the order in which they will
+    be tried."""
 
     thresholds: Thresholds
     places: PlacesConfig
@@ -131,6 +131,6 @@ class ProgramStage(Stage):
         )
 
     def _graph(self, unit: Unit, scene: Scene) -> GraphPathfinder | None:
-        """The viewpoints of a scan without a navmesh; None if there is a navmesh, or no graph."""
+        """Return the viewpoints of a scan without a navmesh; None if there is a navmesh, or no graph."""
         path = None if scene.navmesh is not None else source_of(unit).connectivity(scene.scene_id)
         return None if path is None else GraphPathfinder.load(path)

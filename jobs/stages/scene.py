@@ -1,4 +1,4 @@
-"""The first stages of a scene: its tables from its native files, and the relations of its objects."""
+"""Stages ``scene`` and ``relations``: tables of a scene from its native files, and relations of its objects."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ __all__ = ["RelationStage", "SceneStage"]
 
 @dataclass
 class SceneStage(Stage):
-    """Native files → scenes, rooms, objects, and a navmesh where the source ships none.
+    """Native files → scenes, rooms, objects, and a navmesh if the source ships none.
 
     A sound scene that can't yield is skipped, with its reason. One without navmesh, mesh or walls yields instructions
     and no episodes.
@@ -65,7 +65,7 @@ class SceneStage(Stage):
 
 @dataclass
 class RelationStage(Stage):
-    """rooms, objects (and their meshes) → relations."""
+    """Rooms, objects and their meshes → relations."""
 
     thresholds: Thresholds
     name: str = "relations"

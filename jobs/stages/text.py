@@ -1,4 +1,4 @@
-"""The words of a scene's episodes."""
+"""Stage ``text``: words the episodes of a scene."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ __all__ = ["TextStage"]
 
 @dataclass
 class TextStage(Stage):
-    """Placed programs → their words: instructions and episodes as they are published."""
+    """Placed programs → instructions and episodes with their text, as they are published."""
 
     text: TextConfig
     wording: WordingConfig

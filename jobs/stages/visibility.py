@@ -1,4 +1,4 @@
-"""What can be seen of a scene's objects from where an agent can stand."""
+"""Stage ``visibility``: which objects of a scene can be seen from where an agent can stand."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["VisibilityStage"]
 
 @dataclass
 class VisibilityStage(Stage):
-    """rooms, objects, navmesh and surfaces → which objects can be seen; nothing is known of a scene without navmesh."""
+    """Rooms, objects, navmesh and surfaces → which objects can be seen. Rows are null in a scene without a navmesh."""
 
     eye_height: float
     island_radius: float

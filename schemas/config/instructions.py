@@ -126,7 +126,7 @@ class WordingConfig(Section):
     def _voices_differ(self) -> WordingConfig:
         twice = sorted({name for name in self.voices if self.voices.count(name) > 1})
         if twice:
-            raise ValueError(f"voices: {', '.join(twice)} is there twice")
+            raise ValueError(f"voices: {', '.join(twice)} occurs twice")
         return self
 
     @property
@@ -169,7 +169,7 @@ class InstructionsConfig(WordingConfig):
         for name in axes:
             if axes.count(name) > 1:
                 raise ValueError(
-                    f"cells: {' '.join(str(part) for part in name if part)} is there twice; add the counts up"
+                    f"cells: {' '.join(str(part) for part in name if part)} occurs twice; add up the counts"
                 )
         return self
 

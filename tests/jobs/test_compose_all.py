@@ -208,7 +208,7 @@ def test_the_command_takes_one_scene_or_all(houses: Config, tmp_path: Path) -> N
     said = json.loads(result.stdout)
     assert (said["scenes"], said["written"], said["exit_code"]) == (3, 3, 0)
     shown = runner.invoke(app, ["compose", str(config), "--all", folder])
-    assert "0 written, 3 as they were" in " ".join(shown.stdout.split())  # lines are folded
+    assert "0 written, 3 unchanged" in " ".join(shown.stdout.split())  # lines are folded
     for words in ([], ["houses-0"], ["houses-0", "a.glb", "--all", folder], ["houses-0", "--all", folder]):
         wrong = runner.invoke(app, ["compose", str(config), *words])
         assert isinstance(wrong.exception, UsageError)

@@ -95,7 +95,7 @@ def test_faults_name_the_key_and_what_is_allowed(written, changes, overrides, na
     [
         ("", "the file holds no keys. Start from configs/replicacad.yaml."),
         ("- a", "the file holds no keys. Start from configs/replicacad.yaml."),
-        ("a: 1\na: 2", "line 2: the key 'a' is there twice. Keep one of them."),
+        ("a: 1\na: 2", "line 2: the key 'a' occurs twice. Keep one of them."),
         ("? [a]\n: b", "line 1: a list or a mapping is used as a key. Write name: value."),
         ("1: 2", "the key 1 is not text. Write name: value."),
         (

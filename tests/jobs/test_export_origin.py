@@ -60,15 +60,15 @@ ONLY_A = {"replicacad/a": scene()}
         (origin(code={"scene": 2, "select": 1}), {}, r"the code changed \(scene\)"),
         (origin(code={"scene": 1, "select": 2}), {}, r"the code changed \(select\)"),
         (origin(scenes=ONLY_A), {}, r"no longer in their source: 1 scene \(replicacad/b\)"),
-        (origin(scenes=with_b(data="d2", key="k2", episodes=4)), {}, "other files in their source: 1 scene"),
+        (origin(scenes=with_b(data="d2", key="k2", episodes=4)), {}, "their files in the source changed: 1 scene"),
         (
             origin(scenes=with_b(data="d2", key="", episodes=0, status="quarantined")),
             {},
-            "other files in their source: 1 scene",
+            "their files in the source changed: 1 scene",
         ),
         (origin(scenes=with_b(key="", episodes=0, status="skipped")), {}, "skipped now: 1 scene"),
-        (origin(scenes=with_b(data="d2", key="k2")), {}, "other files in their source: 1 scene"),
-        (origin(scenes={**with_b(), "replicacad/c": scene()}), {}, "new in their source: 1 scene"),
+        (origin(scenes=with_b(data="d2", key="k2")), {}, "their files in the source changed: 1 scene"),
+        (origin(scenes={**with_b(), "replicacad/c": scene()}), {}, "new in the source: 1 scene"),
         (
             origin(scenes=with_b(key="k2", episodes=4), priors={"priors": "p2"}),
             {"renewed": True},
@@ -90,18 +90,18 @@ def test_reasons_that_are_accepted_and_said(tmp_path: Path, now: Origin, known: 
         (
             origin(snapshot="s2", scenes=with_b(episodes=4)),
             {},
-            "fewer episodes in the snapshot though nothing changed that they are made of: 1 scene",
+            "fewer episodes in the snapshot although their inputs did not change: 1 scene",
         ),
         (
             origin(scenes=with_b(episodes=4), configuration={"seed": 1}),
             {},
-            "fewer episodes in the snapshot though nothing changed",
+            "fewer episodes in the snapshot although their inputs",
         ),
-        (origin(scenes=with_b(key="", episodes=0, status="quarantined")), {}, "in quarantine though their files"),
+        (origin(scenes=with_b(key="", episodes=0, status="quarantined")), {}, "in quarantine although their files"),
         (
             origin(scenes=with_b(key="k2", episodes=4), priors={"priors": "p2"}),
             {},
-            "fewer episodes though their files",
+            "fewer episodes although their files",
         ),
         (
             origin(scenes={}, configuration={"seed": 1, "sources.replicacad": [{}]}),

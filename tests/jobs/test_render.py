@@ -94,7 +94,7 @@ def test_an_episode_is_shown_along_its_right_way(made_run: Run, tmp_path: Path) 
     assert (tmp_path / "sheet.png").is_file()
     with pytest.raises(UsageError, match="poses of its own"):
         render(config, name, tmp_path / "x.png", heading=3.0)
-    with pytest.raises(UsageError, match="no source has a scene 'nothing', and no episode begins so"):
+    with pytest.raises(UsageError, match="no source has a scene 'nothing', and no episode id begins with it"):
         render(config, "nothing", tmp_path / "x.png")
 
 

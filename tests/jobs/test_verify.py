@@ -68,7 +68,7 @@ def test_nothing_of_nothing_is_no_success(made: Config, folder: Path) -> None:
     (folder / INDEX).write_text('{"files": {}, "episodes": {}}')
     report = verify_export(made, folder, without_store=True)
     assert report.exit_code == 3
-    assert "NOT WHOLE: manifest: the export holds no episodes, so nothing is proven" in report.lines
+    assert "INCOMPLETE: manifest: the export holds no episodes, so nothing is proven" in report.lines
 
 
 def test_an_export_of_another_snapshot_is_named(made: Config, folder: Path) -> None:
