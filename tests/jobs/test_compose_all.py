@@ -96,7 +96,7 @@ def test_what_others_put_there_is_left(houses: Config, tmp_path: Path) -> None:
     report = compose_all(houses, tmp_path)
     assert report.exit_code == 3
     assert [one["scene"] for one in report.document["failed"]] == ["procthor/houses-1", "procthor/houses-2"]
-    assert all("did not write" in one["message"] for one in report.document["failed"])
+    assert all("was not written by condvln compose" in one["message"] for one in report.document["failed"])
     assert theirs.read_bytes() == before
     assert not theirs.with_suffix(".navmesh").exists()
 
@@ -134,7 +134,7 @@ def test_a_hostile_record_leads_nowhere(houses: Config, tmp_path: Path, scenes: 
     config = elsewhere(houses, tmp_path)
     told(config, scenes={"train": scenes})
     if error is not None:
-        with pytest.raises(error, match="climbs out"):
+        with pytest.raises(error, match="leads out of the dataset"):
             compose_all(config, tmp_path / "scenes")
     else:
         assert compose_all(config, tmp_path / "scenes").document["composed"] == []
