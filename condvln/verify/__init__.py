@@ -1,5 +1,7 @@
-"""The proof of an export: texts read, scenes measured and navmeshes asked again, by code that shares nothing with the
-code that made it."""
+"""Independent verification of an export: reads texts, measures scenes and queries navmeshes again.
+
+It shares no code with the modules that generate relations, instructions and episodes.
+"""
 
 from condvln.verify.certificate import FACTS, Certificate, Disagreement
 from condvln.verify.observability import Surfaces

@@ -1,4 +1,4 @@
-"""Whether a thing is the closest of several, the bigger of two, or between two others."""
+"""Decide whether an object is the closest of several, the bigger of two, or between two others."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ __all__ = ["compare_sizes", "is_closest", "lies_between"]
 
 
 def is_closest(subject: Thing, anchor: Thing, rivals: Sequence[Thing], t: Thresholds) -> Judgement:
-    """All rivals are much farther from the anchor, or one is much nearer."""
+    """Return whether the subject is closest: all rivals are much farther from the anchor (true), or one is much
+    nearer (false).
+    """
     if subject.box is None or anchor.box is None or anchor in rivals:
         return Judgement(UNDECIDED, {"box": None})
     own, gap = _nearest(subject, anchor), whole_mm(t.closest_gap)
@@ -28,7 +30,7 @@ def is_closest(subject: Thing, anchor: Thing, rivals: Sequence[Thing], t: Thresh
 
 
 def compare_sizes(subject: Thing, rivals: Sequence[Thing], t: Thresholds, sign: int) -> Judgement:
-    """Whether this is the bigger (`sign` 1) or the smaller (−1) of two objects with one label."""
+    """Return whether the subject is the bigger (`sign` 1) or smaller (−1) of two objects with one label."""
     if len(rivals) != 1 or rivals[0].label != subject.label:
         return Judgement(UNDECIDED, {"rivals": float(len(rivals))})
     one, other = subject.sides(), rivals[0].sides()
@@ -50,7 +52,9 @@ def compare_sizes(subject: Thing, rivals: Sequence[Thing], t: Thresholds, sign: 
 
 
 def lies_between(subject: Thing, anchors: Sequence[Thing], room: Surroundings, t: Thresholds) -> Judgement:
-    """It is on the floor, near the line of the anchors' centres and about half way along it."""
+    """Return whether the subject is between: on the floor, near the line of the anchors' centres, about half way
+    along it.
+    """
     a, b = anchors
     if a.box is None or b.box is None or subject in anchors or any(x.pieces for x in (subject, a, b)):
         return Judgement(UNDECIDED, {"box": None})
@@ -75,5 +79,5 @@ def lies_between(subject: Thing, anchors: Sequence[Thing], room: Surroundings, t
 
 
 def _nearest(one: Thing, other: Thing) -> float:
-    """Millimetres between the nearest pieces of two things."""
+    """Return the millimetres between the nearest pieces of two objects."""
     return min(box_gap(a, b) for a in one.solids() for b in other.solids())

@@ -1,6 +1,6 @@
-"""Whether an export is whole: every file as its own record lists it, every episode that its counts claim.
+"""Check that an export is complete: every file as listed in its index, every episode that its counts claim.
 
-The proofs of single episodes say nothing of those that are gone. This compares the folder with ``export.json``.
+Proofs of single episodes say nothing about missing ones. This compares the folder with ``export.json``.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from condvln.export.contents import INDEX, ORIGIN, document_digest, read_documen
 __all__ = ["Fault", "find_faults", "row_counts"]
 
 _READ: Final = ("manifest/*.jsonl", "vlnce/*/*.json.gz", "vlnce/*/content/*.json.gz")
-"""Files that are taken for the export's episodes wherever they come from."""
+"""Folders whose files count as episodes, whether listed or not."""
 _OF_A_SPLIT: Final = ("manifest/{0}.jsonl", "vlnce/{0}/{0}.json.gz", "vlnce/{0}/{0}_gt.json.gz")
 _BLOCK: Final = 1 << 20
 
@@ -32,19 +32,19 @@ class Fault:
         return f"{self.file}: {self.what}"
 
     def document(self) -> dict[str, str]:
-        """As plain values."""
+        """Return the fault as plain JSON values."""
         return asdict(self)
 
 
 def find_faults(folder: Path) -> Iterator[Fault]:
-    """All that differs between a folder and the record of the export in it; nothing where it is whole."""
+    """Yield all differences between a folder and the index of its export; none if it is complete."""
     index = read_index(folder)
     if index is None:
-        yield Fault(INDEX, "is missing or cut, so nothing says what the export should hold")
+        yield Fault(INDEX, "is missing or truncated, so the expected content is unknown")
         return
-    signed = "digest" in index  # exports of earlier versions are not, and have no origin
+    signed = "digest" in index  # exports of earlier versions have no digest and no origin
     if signed and index["digest"] != document_digest(index):
-        yield Fault(INDEX, "was changed or cut after the export: its digest is another")
+        yield Fault(INDEX, "was changed or truncated after the export: its digest differs")
     listed, episodes = index.get("files"), index.get("episodes")
     if not isinstance(listed, dict) or not isinstance(episodes, dict):
         yield Fault(INDEX, "does not list the export's files and episodes")
@@ -67,7 +67,7 @@ def find_faults(folder: Path) -> Iterator[Fault]:
 
 
 def row_counts(folder: Path) -> dict[str, int]:
-    """Rows of each manifest, by split."""
+    """Return the number of rows of each manifest, by split."""
     counts = {}
     for path in sorted(folder.glob("manifest/*.jsonl")):
         with path.open("rb") as lines:
@@ -78,9 +78,9 @@ def row_counts(folder: Path) -> dict[str, int]:
 def _faults_of_origin(folder: Path, index: Mapping[str, Any]) -> Iterator[Fault]:
     origin = read_document(folder / ORIGIN)
     if origin is None:
-        yield Fault(ORIGIN, "is missing or cut")
+        yield Fault(ORIGIN, "is missing or truncated")
     elif origin.get("digest") != document_digest(origin):
-        yield Fault(ORIGIN, "was changed or cut after the export: its digest is another")
+        yield Fault(ORIGIN, "was changed or truncated after the export: its digest differs")
     elif origin.get("snapshot") != index.get("snapshot"):
         yield Fault(ORIGIN, f"is of snapshot {origin.get('snapshot')}, {INDEX} of {index.get('snapshot')}")
 
@@ -97,7 +97,7 @@ def _faults_of_file(path: Path, name: str, entry: Any) -> Iterator[Fault]:
             yield Fault(name, f"has {found} bytes, {INDEX} says {size}")
             return
         if _sha256(path) != digest:
-            yield Fault(name, f"holds other bytes than {INDEX} says")
+            yield Fault(name, f"has another hash than {INDEX} lists")
     except OSError as error:
         yield Fault(name, f"can't be read: {error.strerror or error}; {INDEX} lists it with {size} bytes")
 

@@ -1,6 +1,6 @@
-"""Which objects are in shut containers, from the source's own statements and from boxes, one object at a time.
+"""Find the objects in shut containers from the source's statements and from boxes, one object at a time.
 
-The scene's own `parent`, `support` and `hidden` are not read: they are what is to be proven.
+The scene's own `parent`, `support` and `hidden` are not read, since they are to be verified.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ __all__ = ["said_of", "shut_away"]
 
 _MM: Final = 1000
 FROM_SCANS: Final = ("gibson", "mp3d")
-"""Families whose things were seen by a scanner."""
+"""Families whose scenes are scans: what the scanner saw is not hidden."""
 IN_FURNITURE: Final = "drawer"
-"""Nothing rests on the top of one: that lies inside of the furniture it belongs to."""
+"""Labels of objects whose top lies inside the furniture they belong to, so that nothing rests on it."""
 
 F64 = NDArray[np.float64]
 _Box = tuple[tuple[int, int, int], tuple[int, int, int]]
@@ -38,7 +38,7 @@ _Box = tuple[tuple[int, int, int], tuple[int, int, int]]
 def shut_away(
     items: Sequence[SceneObject], family: str, label_of: Callable[[SceneObject], str], meaning: Words
 ) -> frozenset[str]:
-    """Ids of objects that a person in the room can't know of: inside something shut, or in or on such an object."""
+    """Return the ids of objects that are not visible because they are in something shut, or in or on such an object."""
     if family in FROM_SCANS:
         return frozenset()
     things = {item.object_id: _Holder(item, label_of(item), meaning) for item in items}
@@ -57,7 +57,7 @@ def shut_away(
 
 
 def said_of(items: Sequence[SceneObject], label_of: Callable[[SceneObject], str], meaning: Words) -> Said:
-    """The source's own statements about where objects are; see `Said`."""
+    """Return the source's own statements about where objects are; see `Said`."""
     things = {item.object_id: _Holder(item, label_of(item), meaning) for item in items}
     return {
         name: [(holder.name, inside) for holder, inside in _stated(thing, things)]
@@ -67,7 +67,7 @@ def said_of(items: Sequence[SceneObject], label_of: Callable[[SceneObject], str]
 
 
 class _Holder:
-    """A thing in whole millimetres, and how it holds others."""
+    """An object in whole millimetres, and how it holds others."""
 
     def __init__(self, item: SceneObject, label: str, meaning: Words) -> None:
         self.item = item
@@ -82,7 +82,7 @@ class _Holder:
 
 
 def _below(thing: _Holder, things: dict[str, _Holder]) -> list[tuple[_Holder, bool]]:
-    """The objects that a thing is in (True) and on (False)."""
+    """Return the objects that an object is in (True) or on (False)."""
     if thing.links is None:
         thing.links = list(_stated(thing, things)) if thing.item.receptacles is not None else []
         others = [x for x in things.values() if x is not thing and x.item.room_id == thing.item.room_id]
@@ -119,7 +119,9 @@ def _encloses(holder: _Box | None, box: _Box) -> bool:
 
 
 def _bears(holder: _Holder, thing: _Holder) -> bool:
-    """Whether a thing rests on a holder: tops near its bottom that lie under half of it, of something larger."""
+    """Return whether a holder supports an object: it is larger, its top is near the object's bottom and under half
+    of it.
+    """
     own, its = thing.box, holder.box
     assert own is not None
     assert its is not None
@@ -135,7 +137,7 @@ def _bears(holder: _Holder, thing: _Holder) -> bool:
 
 
 def _share_inside(box: _Box, holder: _Box) -> float:
-    """Share of a box in another; a box is a millimetre thick at least."""
+    """Return the share of a box's volume inside another; boxes are at least a millimetre thick."""
     share = 1.0
     for k in range(3):
         low, high = box[0][k], max(box[1][k], box[0][k] + 1)
@@ -148,7 +150,7 @@ def _sides(box: _Box) -> list[int]:
 
 
 def _bounds(part: OrientedBox) -> F64:
-    """(2, 3) bounds of an oriented box."""
+    """Return the (2, 3) bounds of an oriented box."""
     reach = np.abs(part.rotation) @ part.half_extents
     return np.array([part.center - reach, part.center + reach])
 

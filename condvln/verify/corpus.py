@@ -1,4 +1,4 @@
-"""What only shows when all episodes are seen together: repeats, and scenes or programs in two splits."""
+"""Checks over all episodes: repeated ids and texts, and scenes or programs in two splits."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _GROUP_OF_SPLIT = {"train": "train", "val_seen": "train", "val_unseen": "val_uns
 
 
 class Corpus:
-    """Remembers what no second episode may repeat; some 200 bytes an episode."""
+    """Remembers what must be unique; about 200 bytes per episode."""
 
     def __init__(self) -> None:
         self._ids: set[int | str] = set()
@@ -24,7 +24,7 @@ class Corpus:
         self._groups: dict[str, tuple[tuple[object, ...], Program]] = {}
 
     def check(self, row: ManifestEpisode, split: str, certificate: Certificate) -> None:
-        """Hold one more episode against those before it."""
+        """Check one more episode against the earlier ones."""
         certificate.same("split_named", row.split, split)
         certificate.holds("unique_id", row.episode_id not in self._ids, "an id of its own", row.episode_id)
         self._ids.add(row.episode_id)
@@ -50,7 +50,7 @@ class Corpus:
         certificate.holds("program_once", unit == its_unit, "one start", f"another, of {its_unit}")
 
     def _check_group(self, row: ManifestEpisode, group_id: str, split: str, certificate: Certificate) -> None:
-        """Members share all but one condition and the places of two leaves."""
+        """Check that members of a group differ only in one condition's truth and two exchanged leaves."""
         shared = (row.source, row.scene_id, split, row.category, row.start_position, row.start_rotation, row.max_steps)
         first_shared, first = self._groups.setdefault(group_id, (shared, row.program))
         certificate.same("group", shared, first_shared, group_id)
@@ -65,12 +65,12 @@ class Corpus:
 
 
 def _number(episode_hash: str) -> int:
-    """The id that goes with a hash: 52 bits of its own hash."""
+    """Return the id that follows from a hash: 52 bits of the hash's own hash."""
     return int(hashlib.sha256(episode_hash.encode()).hexdigest()[:13], 16)
 
 
 def _told(program: Program) -> str:
-    """A program as a hashable key, unique in its scene; takes a third of the time of its JSON."""
+    """Return a program as a hashable key, unique in its scene; a third of the time of its JSON."""
     conditions = [(c.label, c.truth, *_ids(c)) for c in program.conditions]
     leaves = [[(move.object_id, *_ids(move)) for move in leaf.moves] for leaf in program.leaves]
     return repr((program.category, conditions, leaves))

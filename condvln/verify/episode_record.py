@@ -1,4 +1,4 @@
-"""A VLN-CE record, held against the manifest."""
+"""Compare a VLN-CE record with the manifest."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from schemas.evaluation import ManifestEpisode
 __all__ = ["check_record"]
 
 MISSING: Final = "missing"
-"""Stands for a key that is not there; null would be a value."""
+"""Marks a missing key, as opposed to a null value."""
 HEADING: Final = 1e-3
-"""Degrees that a stated heading may be off its rotation."""
+"""Tolerance in degrees between a stated heading and its rotation."""
 
 
 def check_record(row: ManifestEpisode, record: Mapping[str, Any] | None, certificate: Certificate) -> None:
-    """The stock episode of a row."""
+    """Check the stock episode of a row."""
     if record is None:
         certificate.holds("record", False, row.episode_id, "no record")
         return

@@ -1,4 +1,4 @@
-"""An export's files read side by side, a scene at a time."""
+"""Read an export's files in parallel, one scene at a time."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _REMEDY: Final = "Export again"
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One manifest row with its record and its ground truth, None where a file has none for it."""
+    """One manifest row with its record and its ground truth; None if a file has none for it."""
 
     split: str
     manifest: ManifestEpisode
@@ -46,7 +46,7 @@ class Unread:
 
 @dataclass(slots=True)
 class SceneRun:
-    """All rows of one scene that stand together."""
+    """All consecutive rows of one scene."""
 
     source: str
     scene_id: str
@@ -64,7 +64,7 @@ class ExportFiles:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.unread: list[Unread] = []
-        """Lines that are not a row with its record; complete when `runs` has ended."""
+        """Lines that are not a valid row with its record; complete when `runs` has ended."""
         self.splits = sorted(path.stem for path in (folder / "manifest").glob("*.jsonl"))
         if not self.splits:
             raise MissingFileError(
@@ -72,17 +72,17 @@ class ExportFiles:
             )
 
     def runs(self) -> Iterator[SceneRun]:
-        """The scenes; each comes once if all files have the same order, as in exports."""
+        """Yield the scenes; each occurs once if all files have the same order, as in exports."""
         cursors = [_SplitCursor(self.folder, split, self.unread) for split in self.splits]
         while waiting := [cursor.scene for cursor in cursors if cursor.scene is not None]:
-            # Not held here while the reader is at it, so that it goes when the reader is done.
+            # No reference is kept here, so that a scene is freed when the caller is done with it.
             yield _taken(cursors, *min(waiting))
         for cursor in cursors:
             cursor.close()
 
 
 def _taken(cursors: Sequence[_SplitCursor], source: str, scene_id: str) -> SceneRun:
-    """The rows of one scene out of all splits."""
+    """Take the rows of one scene from all splits."""
     run = SceneRun(source, scene_id)
     for cursor in cursors:
         while cursor.scene == (source, scene_id):
@@ -91,7 +91,7 @@ def _taken(cursors: Sequence[_SplitCursor], source: str, scene_id: str) -> Scene
 
 
 class _SplitCursor:
-    """One split's manifest, with its record and ground truth found along the way."""
+    """The manifest of one split, with the record and ground truth of each row."""
 
     def __init__(self, folder: Path, split: str, unread: list[Unread]) -> None:
         self.split = split
@@ -106,18 +106,18 @@ class _SplitCursor:
 
     @property
     def scene(self) -> tuple[str, str] | None:
-        """Source and scene of the row to come; None at the end."""
+        """Source and scene of the next row; None at the end."""
         return None if self._next is None else (self._next.source, self._next.scene_id)
 
     def take(self) -> Row:
-        """The row to come."""
+        """Return the next row."""
         assert self._next is not None
         row = self._next
         self._next = next(self._rows, None)
         return Row(self.split, row, self._records.pop(str(row.episode_id)), self._truths.pop(str(row.episode_id)))
 
     def close(self) -> None:
-        """Note what the other files have that the manifest has not."""
+        """Record entries of the other files that are not in the manifest."""
         for kind, lookup in (("record", self._records), ("ground_truth", self._truths)):
             for name in lookup.rest():
                 self._unread.append(Unread(self.split, name, kind, "no such episode in the manifest", name))
@@ -139,14 +139,14 @@ class _SplitCursor:
 
 
 class _Lookup:
-    """Entries by name out of a stream in roughly the order in which they are asked for."""
+    """Looks up entries by name in a stream that has roughly the order of the requests."""
 
     def __init__(self, stream: Iterator[tuple[str, Mapping[str, Any]]]) -> None:
         self._stream = stream
         self._passed: dict[str, list[Mapping[str, Any]]] = {}
 
     def pop(self, name: str) -> Mapping[str, Any] | None:
-        """The entry of a name, each given once; None where there is none."""
+        """Return the entry of a name, each only once; None if there is none."""
         if name not in self._passed:
             for other, entry in self._stream:
                 if other == name:
@@ -161,18 +161,18 @@ class _Lookup:
         return entry
 
     def rest(self) -> Iterator[str]:
-        """Names of the entries that were not requested."""
+        """Yield the names of the entries that were not requested."""
         for name, waiting in self._passed.items():
             yield from [name] * len(waiting)
         yield from (name for name, _ in self._stream)
 
 
 def _records(path: Path) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """Episodes of a VLN-CE document by id.
+    """Yield the episodes of a VLN-CE document by id.
 
     Raises
     ------
-    FormatError, MissingFileError : no such document
+    FormatError, MissingFileError : the file does not exist or has another format
     """
     for number, text in enumerate(_elements(path)):
         record = parsed(text, path, f"episodes.{number}")
@@ -182,7 +182,7 @@ def _records(path: Path) -> Iterator[tuple[str, Mapping[str, Any]]]:
 
 
 def _elements(path: Path) -> Iterator[bytes]:
-    """The bytes of each entry of the array ``episodes``, which must come first."""
+    """Yield the bytes of each entry of the array ``episodes``, which must come first."""
     state, pending, opened_array = new_state(), bytearray(), False
     with opened(path) as file:
         while block := file.read(_BLOCK):
@@ -198,12 +198,12 @@ def _elements(path: Path) -> Iterator[bytes]:
                 element = bytes(pending).lstrip(b"[, \t\r\n")
                 pending.clear()
                 if element.strip() == b"]":
-                    while file.read(_BLOCK):  # a damaged end shows only when it is read
+                    while file.read(_BLOCK):  # a damaged end is noticed only on reading it
                         pass
                     return
                 yield element
             pending += block[begin:]
-    raise FormatError("is empty or cut short", where=path, remedy=_REMEDY)
+    raise FormatError("is empty or truncated", where=path, remedy=_REMEDY)
 
 
 def _truths(path: Path) -> Iterator[tuple[str, Mapping[str, Any]]]:

@@ -1,4 +1,4 @@
-"""Where objects stand: how far a point is from them, and which of them a navmesh leads through."""
+"""Footprints of objects: how far points are from them, and which of them a path on the navmesh crosses."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ F64 = NDArray[np.float64]
 
 _GROUND: Final = np.array([0, 2])
 TOUCHING: Final = 0.001
-"""Metres by which a path may cut into a footprint: positions are rounded to as much."""
+"""Tolerance in metres by which a path may enter a footprint: positions are rounded to as much."""
 
 
 class _Rectangle(NamedTuple):
-    """centre (2,), half lengths (2,), and axes (2, 2) as columns, in the (x, z) plane."""
+    """A rectangle in the (x, z) plane: centre (2,), half lengths (2,), and axes (2, 2) as columns; metres."""
 
     centre: F64
     half: F64
     axes: F64
 
     def corners(self, inset: float) -> F64:
-        """(4, 2) corners, each side moved inwards."""
+        """Return the (4, 2) corners with each side moved inwards by `inset`."""
         reach = np.maximum(self.half - inset, 0.0)
         corners: F64 = self.centre + (np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * reach) @ self.axes.T
         return corners
 
 
 class Ground:
-    """Footprint of an object in the (x, z) plane: a rectangle, or one for each of its parts.
+    """The footprint of an object in the (x, z) plane: a rectangle, or one for each of its parts.
 
     centre : (2,) of the largest rectangle
     """
@@ -56,7 +56,7 @@ class Ground:
         self.centre: F64 = max(self._rectangles, key=lambda one: float(one.half[0] * one.half[1])).centre
 
     def distances(self, points: F64) -> F64:
-        """Horizontal metres (n,) from points (n, 3); 0 over the object."""
+        """Return the horizontal distance (n,) in metres of points (n, 3); 0 over the object."""
         away = []
         for centre, half, axes in self._rectangles:
             beyond = np.abs((points[:, _GROUND] - centre) @ axes) - half
@@ -65,18 +65,18 @@ class Ground:
 
     @property
     def half_round(self) -> float:
-        """Metres half way round the object."""
+        """Half of the footprint's perimeter in metres."""
         if len(self._rectangles) == 1:
             return float(2.0 * self._rectangles[0].half.sum())
         return float(self.polygon(0.0).length) / 2.0
 
     def polygon(self, inset: float) -> shapely.Geometry:
-        """The ground below it with the sides of each rectangle moved inwards."""
+        """Return the footprint as a polygon, with the sides of each rectangle moved inwards by `inset`."""
         return shapely.union_all([shapely.Polygon(one.corners(inset)) for one in self._rectangles])
 
 
 def _below(box: OrientedBox) -> _Rectangle | None:
-    """The rectangle below an upright box; None where it is tilted."""
+    """Return the rectangle below an upright box; None if the box is tilted."""
     up = np.abs(box.rotation[1])
     if up.max() < UPRIGHT_COSINE:
         return None
@@ -86,9 +86,10 @@ def _below(box: OrientedBox) -> _Rectangle | None:
 
 
 class Reach:
-    """Measures how far points lie from a scene's objects, on which floor and in which room.
+    """Measures the distance of points from a scene's objects, and whether they are on the object's floor and in its
+    room.
 
-    Many episodes share an object's goals, so each result is cached.
+    Results are cached, since many episodes share an object's goals.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -97,9 +98,10 @@ class Reach:
         self._known: dict[str, dict[Point, tuple[float, bool]]] = {}
 
     def around(self, object_id: str, positions: Sequence[Point]) -> tuple[tuple[float, ...], tuple[bool, ...]]:
-        """Horizontal metres of each position from the object, and whether it is on its floor and in its room.
+        """Return each position's horizontal distance in metres from the object, and whether it is on its floor and in
+        its room.
 
-        Empty where there is no such object.
+        Both are empty if the object does not exist.
         """
         known = self._known.setdefault(object_id, {})
         new = [position for position in positions if position not in known]
@@ -115,7 +117,7 @@ class Reach:
         return away, inside
 
     def half_round(self, object_id: str) -> float | None:
-        """Metres half way round what the object stands over; None of one that the scene does not have."""
+        """Return half of the perimeter of the object's footprint in metres; None if the object does not exist."""
         ground = self._ground(object_id)
         return None if ground is None else ground.half_round
 
@@ -128,7 +130,7 @@ class Reach:
 
 
 def _in_reach(ground: Ground, room: Room, points: F64) -> NDArray[np.bool_]:
-    """Which points (n, 3) are on the floor that an object is reached from, and in its room."""
+    """Return which points (n, 3) are on the floor from which an object is reached, and in its room."""
     hang = ground.bottom - points[:, 1]
     good = (hang <= HANG) & (hang >= -SINK)
     if room.annotation != "scene":
@@ -139,14 +141,14 @@ def _in_reach(ground: Ground, room: Room, points: F64) -> NDArray[np.bool_]:
 
 
 class Obstacles:
-    """Objects that stand on the floor although the navmesh goes on beneath them."""
+    """Objects on the floor that the navmesh ignores: it continues beneath them."""
 
     def __init__(self, scene: Scene, pathfinder: Pathfinder, max_climb: float) -> None:
         standing = [item for item in scene.objects if item.aabb is not None and item.room_id in scene.room_of]
         grounds = [Ground(item) for item in standing]
         below = np.array([[g.centre[0], g.bottom, g.centre[1]] for g in grounds]).reshape(-1, 3)
         floor = np.asarray(pathfinder.snap_points(below), dtype=np.float64)
-        # Furniture that was built in has a hole, or its own top, under its centre.
+        # Furniture that the navmesh takes into account leaves a hole, or its walkable top, under its centre.
         open_below = (np.linalg.norm((floor - below)[:, [0, 2]], axis=1) <= SNAP_TOLERANCE) & (
             np.abs(floor[:, 1] - below[:, 1]) < SINK
         )
@@ -163,13 +165,13 @@ class Obstacles:
         self._tree = shapely.STRtree([ground.polygon(TOUCHING) for ground in self.grounds])
 
     def holding(self, points: F64) -> list[str | None]:
-        """The obstacle over each of n points (n, 3), None where there is none."""
+        """Return the obstacle above each of n points (n, 3), None if there is none."""
         return self._met(shapely.points(points[:, [0, 2]]), len(points))
 
     def crossed(self, corners: F64, ends: NDArray[np.int64]) -> list[str | None]:
-        """The obstacle that each path leads through, None where there is none.
+        """Return the obstacle that each path crosses, None if there is none.
 
-        corners (n, 3) of all paths; ends (k,) : where each path's end
+        corners (n, 3) of all paths; ends (k,) : end index of each path in `corners`
         """
         owners = np.repeat(np.arange(len(ends)), np.diff(ends, prepend=0))
         return self._met(shapely.linestrings(corners[:, [0, 2]], indices=owners), len(ends))

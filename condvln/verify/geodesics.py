@@ -1,4 +1,4 @@
-"""Questions to a navmesh, gathered over all episodes of a scene and asked at once."""
+"""Navmesh queries, collected over all episodes of a scene and executed together."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ Point = tuple[float, float, float]
 
 
 class Geodesics:
-    """Points, distances and ways of one scene.
+    """Points, distances and paths of one scene.
 
-    First everything is noted, then `ask` is called once, then the answers are there.
+    First register all queries, then call `ask` once, then read the results.
 
     Attributes
     ----------
-    positions : the noted points, by index; points (n, 3) : the same
-    moved (n,) : metres that snapping moves each point, sideways or upwards; NaN where nothing is near
-    islands, island_radii : each point's island, -1 for none, and that one's radius in metres
+    positions : the registered points, by index; points (n, 3) : the same as an array
+    moved (n,) : metres by which snapping moves each point; NaN if there is no navmesh nearby
+    islands, island_radii : each point's island, -1 for none, and the island's radius in metres
     """
 
     def __init__(self) -> None:
@@ -40,19 +40,19 @@ class Geodesics:
         self.island_radii: list[float] = []
 
     def point(self, position: Point) -> int:
-        """Note a point; its index."""
+        """Register a point and return its index."""
         return self._index.setdefault(position, len(self._index))
 
     def pair(self, one: int, other: int) -> int:
-        """Note that the distance between two points is wanted; its index."""
+        """Register a distance between two points and return its index."""
         return self._pairs.setdefault((one, other), len(self._pairs))
 
     def leg(self, one: int, other: int) -> int:
-        """Note that the way between two points is wanted; its index."""
+        """Register a path between two points and return its index."""
         return self._legs.setdefault((one, other), len(self._legs))
 
     def ask(self, pathfinder: Pathfinder) -> None:
-        """Have everything answered."""
+        """Compute the results of all queries."""
         self.positions = list(self._index)
         points = self.points = np.array(self.positions).reshape(-1, 3)
         moved = np.asarray(pathfinder.snap_points(points), dtype=np.float64) - points
@@ -71,9 +71,11 @@ class Geodesics:
                 self._ways.append((way.geodesic_distance, tuple(map(tuple, corners.tolist()))))
 
     def metres(self, pairs: Sequence[int]) -> list[float]:
-        """Geodesics of noted pairs; infinite where there is no way."""
+        """Return the geodesic distances of registered pairs; infinite if there is no path."""
         return [self._lengths[pair] for pair in pairs]
 
     def way(self, leg: int) -> tuple[float, tuple[Point, ...]]:
-        """Metres and corners, rounded to 1 mm, of a noted leg; infinite and none where there is no way."""
+        """Return length in metres and corners, rounded to 1 mm, of a registered path; infinite and empty if there is
+        none.
+        """
         return self._ways[leg]

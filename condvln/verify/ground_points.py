@@ -1,8 +1,8 @@
-"""The floor of a room as points, to measure how much of it is seen.
+"""Sample points on the floor of a room, to measure how much of it is visible.
 
-Of a room with an outline these are the points of a grid, some 256 of them and none closer than 0.2 m, that an agent can
-stand at; where it can stand at none, all of them. Of a room without one, 512 places drawn over the navmesh, with the
-scene's own seed. None lies in furniture that the navmesh ignores, unless all do. Each is looked for 5 cm above the
+For a room with an outline these are the walkable points of a grid of about 256 points, at least 0.2 m apart; all grid
+points if none is walkable. For a room without an outline they are 512 random points on the navmesh, seeded by the
+scene. Points inside furniture that the navmesh ignores are left out, unless all are. Each point is 5 cm above the
 navmesh, so that no rug hides it.
 """
 
@@ -29,10 +29,10 @@ F64 = NDArray[np.float64]
 def ground_points(
     scene: Scene, room: Room, pathfinder: Pathfinder, least_radius: float, furniture: Sequence[Ground]
 ) -> F64:
-    """Points (n, 3) of a room's floor; none where the scene has no floor at all.
+    """Return points (n, 3) on a room's floor; empty if the scene has no floor at all.
 
-    least_radius : metres of an island that an episode may stand on
-    furniture : what the navmesh ignores
+    least_radius : least radius in metres of an island that an episode may use
+    furniture : objects that the navmesh ignores
     """
     wide = [
         k
@@ -53,7 +53,7 @@ def ground_points(
 
 
 def _drawn(scene_id: str, pathfinder: Pathfinder, islands: Sequence[int]) -> F64:
-    """Places over all islands, to each as many as its area asks for."""
+    """Return random points over all islands, in proportion to their areas."""
     areas = [pathfinder.island_area(k) for k in islands]
     rng = generator(0, scene_id, "floor")
     places = [np.empty((0, 3))]
@@ -65,7 +65,9 @@ def _drawn(scene_id: str, pathfinder: Pathfinder, islands: Sequence[int]) -> F64
 
 
 def _grid(polygon: F64, height: float, pathfinder: Pathfinder, islands: Sequence[int]) -> F64:
-    """The points of a grid about an outline's middle that lie in it and can be stood at; all of them if none can."""
+    """Return the points of a centred grid that lie inside an outline and are walkable; all inside it if none is
+    walkable.
+    """
     outline = shapely.make_valid(shapely.Polygon(polygon))
     apart = max(FLOOR_LEAST_SPACING, math.sqrt(outline.area / FLOOR_POINTS))
     west, north, east, south = outline.bounds
@@ -82,6 +84,6 @@ def _grid(polygon: F64, height: float, pathfinder: Pathfinder, islands: Sequence
 
 
 def _line(low: float, high: float, apart: float) -> F64:
-    """Equally spaced numbers about the middle of a stretch."""
+    """Return equally spaced numbers centred in an interval."""
     count = max(1, int((high - low) / apart))
     return np.asarray((low + high) / 2 + (np.arange(count) - (count - 1) / 2) * apart, dtype=np.float64)

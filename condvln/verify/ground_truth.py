@@ -1,4 +1,6 @@
-"""Ground truth of an episode: actions walked again on the navmesh, or locations along the reference path."""
+"""Check an episode's ground truth: actions are executed on the navmesh, or locations compared with the reference
+path.
+"""
 
 from __future__ import annotations
 
@@ -19,15 +21,15 @@ __all__ = ["check_truth"]
 F64 = NDArray[np.float64]
 
 ROUNDED: Final = 0.002
-"""Metres that a location may be off: both sides of the comparison are rounded to 1 mm."""
+"""Tolerance in metres of a location: both sides of the comparison are rounded to 1 mm."""
 SLACK: Final = 1e-6
-"""Parts: a side of 2.5000000001 m is ten steps of 0.25 m and not eleven."""
+"""Tolerance in steps: a segment of 2.5000000001 m is ten steps of 0.25 m and not eleven."""
 
 
 def check_truth(
     row: ManifestEpisode, truth: Mapping[str, Any] | None, follower: Follower, certificate: Certificate
 ) -> None:
-    """The ground-truth entry of a row."""
+    """Check the ground-truth entry of a row."""
     try:
         assert truth is not None
         locations = np.array(truth["locations"], dtype=np.float64).reshape(-1, 3)
@@ -49,7 +51,7 @@ def check_truth(
 
 
 def _check_actions(row: ManifestEpisode, taken: NDArray[np.int8], along: F64, certificate: Certificate) -> None:
-    """Actions end with their one STOP, at the goal, having passed the subgoals in their order."""
+    """Check that actions end with their only STOP, at the goal, after passing the subgoals in order."""
     stops = np.flatnonzero(taken == STOP).tolist()
     certificate.same("ground_truth", stops, [len(taken) - 1], "places of STOP")
     certificate.holds(
@@ -67,14 +69,14 @@ def _check_actions(row: ManifestEpisode, taken: NDArray[np.int8], along: F64, ce
 
 
 def _walked(row: ManifestEpisode, taken: NDArray[np.int8], follower: Follower) -> F64:
-    """The start and the place after each forward step (n, 3)."""
+    """Return the start and the position after each forward step (n, 3)."""
     walk = follower.walk(row.start_position, yaw_of(row.start_rotation) or 0.0, taken)
     places: F64 = walk.positions[np.concatenate([[0], np.flatnonzero(taken == FORWARD) + 1])].astype(np.float64)
     return places
 
 
 def _cut(path: F64, spacing: float) -> F64:
-    """Corners (n, 3) with each side cut into the fewest equal parts of at most `spacing` metres."""
+    """Return corners (n, 3) with each segment divided into the fewest equal parts of at most `spacing` metres."""
     along = np.diff(path, axis=0)
     parts = np.ceil(np.sqrt((along * along).sum(axis=1)) / spacing - SLACK).astype(np.int64)
     side = np.repeat(np.arange(len(along)), parts)

@@ -12,14 +12,14 @@ COMPASS: Final = {
     name: 45.0 * k
     for k, name in enumerate(("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west"))
 }
-"""Degrees clockwise from north."""
+"""Compass directions in degrees clockwise from north."""
 
 UNIT: Final = 1e-6
-"""How far a rotation's norm may be from 1, and its tilt from 0."""
+"""Tolerance of a rotation's norm around 1, and of its tilt around 0."""
 
 
 def yaw_of(rotation: Sequence[float]) -> float | None:
-    """Radians about +Y of a rotation ``[x, y, z, w]``; None where it is not a turn about the vertical."""
+    """Return the yaw in radians about +Y of a rotation ``[x, y, z, w]``; None if its axis is not vertical."""
     x, y, z, w = rotation
     if abs(x) > UNIT or abs(z) > UNIT or abs(math.hypot(y, w) - 1.0) > UNIT:
         return None
@@ -27,5 +27,5 @@ def yaw_of(rotation: Sequence[float]) -> float | None:
 
 
 def heading_of(yaw: float) -> float:
-    """Compass heading in [0, 360) degrees: yaw turns the other way round than a compass counts."""
+    """Return the compass heading in [0, 360) degrees; yaw is counter-clockwise, headings are clockwise."""
     return math.degrees(-yaw) % 360.0

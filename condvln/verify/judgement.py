@@ -1,4 +1,4 @@
-"""A verdict on one statement, and the numbers that it rests on."""
+"""The verdict on one statement, and the numbers that it is based on."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ TRUE, FALSE, UNDECIDED = 1, -1, 0
 
 
 class Judgement(NamedTuple):
-    """A verdict, and the metres, degrees and shares that it rests on."""
+    """A verdict (true, false, or undecided), and the metres, degrees and shares that it is based on."""
 
     verdict: int
     numbers: Mapping[str, float | None]
@@ -20,7 +20,7 @@ class Judgement(NamedTuple):
 def judged(
     true: bool, false: bool, shares: Mapping[str, float | None] | None = None, **millimetres: float | None
 ) -> Judgement:
-    """A judgement; `shares` are kept as they are, millimetres become metres."""
+    """Return a judgement; `shares` are kept unchanged, millimetres are converted to metres."""
     verdict = TRUE if true else FALSE if false else UNDECIDED
     metres = {k: None if v is None else round(v / 1000.0, 3) for k, v in millimetres.items()}
     return Judgement(verdict, {**metres, **(shares or {})})

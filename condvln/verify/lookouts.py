@@ -1,8 +1,8 @@
-"""Places that an episode is looked around from: on the way that all its leaves have in common.
+"""Viewpoints of an episode for observability: along the path that all its leaves share.
 
-Ways are one as long as, at equal lengths walked, no two of them are more than a step apart. That is asked every
-`PREFIX_SAMPLES` metres, and the agent looks around at the start and at equal distances of at most `EYE_SPACING` metres
-after it.
+Paths count as shared as long as, at equal walked lengths, no two of them are more than a step apart. This is tested
+every `PREFIX_SAMPLES` metres. The agent looks around at the start and then at equal distances of at most `EYE_SPACING`
+metres.
 """
 
 from __future__ import annotations
@@ -21,14 +21,16 @@ __all__ = ["shared_length", "stands"]
 
 F64 = NDArray[np.float64]
 EVEN: Final = 1e-6
-"""Parts of a distance: a way of 1.5000000001 m has three of 0.5 m, or four, as the sum of its sides is rounded."""
+"""Tolerance in steps: a path of 1.5000000001 m has three parts of 0.5 m or four, depending on how its length is
+rounded.
+"""
 
 
 def stands(paths: Sequence[F64]) -> list[F64]:
-    """Where the agent looks around before its ways part, (n, 3), the start first.
+    """Return the positions (n, 3) of the agent before its paths diverge, the start first.
 
-    A way whose length is a whole number of `EYE_SPACING` but for rounding may be cut in either number of parts: two
-    answers.
+    If the shared length is a multiple of `EYE_SPACING` up to rounding, there are two possible divisions, and both are
+    returned.
     """
     walked = [_walked(path) for path in paths]
     end = _shared(paths, walked)
@@ -38,7 +40,9 @@ def stands(paths: Sequence[F64]) -> list[F64]:
 
 
 def shared_length(paths: Sequence[F64]) -> float:
-    """Metres that ways (n, 3) from one start have in common, by the last mark at which they were one."""
+    """Return the length in metres that paths (n, 3) from one start share, up to the last sample at which they
+    agreed.
+    """
     return _shared(paths, [_walked(path) for path in paths])
 
 
@@ -56,7 +60,7 @@ def _shared(paths: Sequence[F64], walked: Sequence[F64]) -> float:
 
 
 def _walked(path: F64) -> F64:
-    """Metres from the start to each corner, (n,)."""
+    """Return the walked length (n,) in metres from the start to each corner."""
     sides = np.zeros(len(path))
     along = path[1:] - path[:-1]
     np.sqrt(np.einsum("ij,ij->i", along, along), out=sides[1:])
@@ -64,5 +68,5 @@ def _walked(path: F64) -> F64:
 
 
 def _at(path: F64, walked: F64, metres: F64) -> F64:
-    """The places (k, 3) that are so many metres along a path with lengths (n,) to its corners."""
+    """Return the positions (k, 3) at some walked lengths along a path, whose corners have walked lengths (n,)."""
     return np.stack([np.interp(metres, walked, path[:, axis]) for axis in range(3)], axis=1)

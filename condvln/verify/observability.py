@@ -1,14 +1,14 @@
-"""From where the evidence for an episode's conditions can be seen, with every ray cast again.
+"""Check from where the evidence for an episode's conditions is visible, with all rays cast again.
 
-What must be seen to know that a condition is true: one of its witnesses, and the thing that its qualifier refers to.
-That it is false: next to all of its room's floor; or, where things are there that its words could mean, all of these
-with the thing of the qualifier. O0 is what is seen from the start, O1 what is seen from the places on the way that all
-leaves share, taken together (:mod:`condvln.verify.lookouts`), O2 the rest.
+The evidence for a true condition is one of its witnesses and its anchor. The evidence for a false one is almost the
+whole floor of its room; or, if the room has objects that its words could mean, all of these and the anchor. O0 is
+visible from the start, O1 from the positions on the path shared by all leaves taken together
+(:mod:`condvln.verify.lookouts`), O2 is the rest.
 
-The rule: the published level of each condition, whether it is seen without turning, and whether boxes stood in for
-surfaces must be what is found here, exactly. Found by whose points, where sets of points could differ, is told in
-:mod:`condvln.verify.sight`. Only the engine of the looks and the published points are shared with the factory, both of
-``navigation``; what hides, what is looked for, where it is looked from, and what follows, is this package's own.
+The published level of each condition, whether it is visible without turning, and whether boxes replaced surfaces must
+equal what is found here. :mod:`condvln.verify.sight` describes which sample points decide where two sets could differ.
+Only the ray casting and the published sample points of ``navigation`` are shared with the generator; occluders,
+targets, viewpoints and conclusions are this package's own code.
 """
 
 from __future__ import annotations
@@ -41,20 +41,22 @@ __all__ = ["Surfaces", "check_observability", "sight_of"]
 F64 = NDArray[np.float64]
 
 Surfaces = Callable[[], SceneGeometry | None]
-"""Reads a scene's surfaces; None where its dataset tells none."""
+"""Returns a scene's surfaces; None if its dataset has none."""
 Proofs = list[list[Sought]]
-"""Ways to know a condition's truth: all that one of them names must be seen."""
+"""Alternative sets of targets that reveal a condition's truth: one whole set must be seen."""
 
 RESTS_ON: Final = frozenset({"reference_path", "start_rotation"})
-"""Facts without which there is no place to look from: a row that they refute already is not asked what it sees."""
+"""Facts without which there is no position to look from: if a row already fails one, its observability is not
+checked.
+"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Asked:
-    """A row whose evidence is looked for.
+    """A row whose evidence is checked.
 
     start (1, 3) : the eye at its start
-    proofs : by each condition that evidence is recorded for
+    proofs : for each condition with recorded evidence, its sets of targets
     """
 
     row: ManifestEpisode
@@ -71,7 +73,7 @@ def check_observability(
     referents: SceneReferents,
     eye_height: float,
 ) -> None:
-    """The evidence of all episodes of one scene, after their places were checked."""
+    """Check the evidence of all episodes of one scene, after their positions were checked."""
     asked = []
     for row, certificate in zip(rows, certificates, strict=True):
         if row.observability is None or any(d.fact in RESTS_ON for d in certificate.disagreements):
@@ -80,7 +82,7 @@ def check_observability(
             asked.append(_asked(row, certificate, referents, eye_height))
     sight.look((thing, one.start) for one in asked for _, proofs in one.proofs for way in proofs for thing in way)
     at_start = [[_known(sight, proofs, one.start) for _, proofs in one.proofs] for one in asked]
-    # Eyes (n, 3) on the shared way, in one or two answers; none where all is known at the start.
+    # Eyes (n, 3) on the shared path, in one or two variants; none if everything is visible at the start.
     ways = [[] if all(known) else _ways(one.row, eye_height) for one, known in zip(asked, at_start, strict=True)]
     sight.look(
         (thing, eyes)
@@ -105,7 +107,7 @@ def sight_of(
     obstacles: Obstacles,
     rules: VerifierRules,
 ) -> Sight:
-    """Looks in a scene, from nothing but its files.
+    """Return the visibility tests of a scene, built from its files only.
 
     Raises
     ------
@@ -121,7 +123,7 @@ def sight_of(
 
 def _asked(row: ManifestEpisode, certificate: Certificate, referents: SceneReferents, eye_height: float) -> _Asked:
     yaw = yaw_of(row.start_rotation)
-    assert yaw is not None, "a start without a heading is refuted before"
+    assert yaw is not None, "a start without a heading was rejected earlier"
     conditions = row.program.conditions
     told = [evidence for evidence in row.evidence or () if evidence.condition < len(conditions)]
     proofs = [(evidence, _proofs(conditions[evidence.condition], referents)) for evidence in told]
@@ -150,9 +152,9 @@ def _known(sight: Sight, proofs: Proofs, eyes: F64, yaw: float | None = None) ->
 
 
 def _check(sight: Sight, one: _Asked, evidence: Evidence, proofs: Proofs, ways: Sequence[F64]) -> None:
-    """One condition's level and whether it is seen without turning.
+    """Check a condition's level and whether it is visible without turning.
 
-    ways : eyes (n, 3) on the shared way, in one or two answers; none where it is known at the start
+    ways : eyes (n, 3) on the shared path, in one or two variants; none if it is visible at the start
     """
     levels: list[Observability] = ["O1" if _known(sight, proofs, eyes) else "O2" for eyes in ways] or ["O0"]
     ahead = not ways and _known(sight, proofs, one.start, one.yaw)
@@ -164,6 +166,8 @@ def _check(sight: Sight, one: _Asked, evidence: Evidence, proofs: Proofs, ways: 
 
 
 def _shares(sight: Sight, proofs: Proofs, eyes: F64) -> dict[str, Any]:
-    """How much is seen of all that tells a condition's truth; by own points and published ones, or of a floor's."""
+    """Return the visible share of each target, by our own points and by the published ones (for a floor, by its
+    points).
+    """
     things = sorted({thing for way in proofs for thing in way})
     return {f"{kind} {name}": sight.shares((kind, name), eyes) for kind, name in things}

@@ -1,7 +1,7 @@
-"""A language's phrases as one tree of words, made from the grammar's data files.
+"""A language's phrases as a trie of words, built from the grammar's data files.
 
-Only phrases are taken from the data. How sentences hang together is decided by ``reading``, not by the templates that
-the texts were made from.
+Only phrases are taken from the data. The structure of sentences is decided by ``reading``, not by the templates from
+which the texts were made.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from condvln.verify.words import package_data, words
 __all__ = ["SO_FAR", "Matches", "Phrasebook", "phrasebook"]
 
 END: Final = ""
-"""Key of a node under which the phrases that end there stand; no word is empty."""
+"""Key of a node for the phrases that end there; it can't be a word, since no word is empty."""
 SO_FAR: Final = "\n"
-"""Key of a node under which all phrases on the way to it stand, by kind; no word is white space."""
+"""Key of a node for all phrases on the path to it, by kind; it can't be a word, since no word is white space."""
 
 _TOKEN: Final = re.compile(r"[^\s,.;:?]+|[,.;:?]")
 _ARTICLES: Final = {"{a}": "indefinite", "{none}": "none", "{lo}": "pronoun"}
 
 Match = tuple[str, str, frozenset[str]]
-"""Kind of phrase, what it stands for, and the classes of noun that its article goes with."""
+"""A match: the kind of phrase, its value, and the noun classes that its article agrees with."""
 
 Node = dict[str, Any]
 Matches = dict[str, tuple[tuple[int, str, frozenset[str]], ...]]
-"""By kind of phrase (number of words, what it stands for, classes of noun)."""
+"""Matches by kind of phrase: (number of words, value, noun classes)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,14 +50,14 @@ class Phrasebook:
     lying: bool
 
     def tokens(self, text: str) -> list[str]:
-        """Words and punctuation of a text, in lower case, contractions taken apart."""
+        """Return the words and punctuation of a text, in lower case, with contractions expanded."""
         found: list[str] = _TOKEN.findall(text.lower())
         if not self.contractions:
             return found
         return [word for token in found for word in self.contractions.get(token, (token,))]
 
     def add(self, text: str, kind: str, value: str, classes: Iterable[str]) -> None:
-        """Enter one phrase."""
+        """Add one phrase."""
         node = self.tree
         for token in self.tokens(text):
             node = node.setdefault(token, {})
@@ -66,7 +66,7 @@ class Phrasebook:
 
 @cache
 def phrasebook(code: str = "en") -> Phrasebook:
-    """The phrasebook of a language's code, read once a process."""
+    """Return the phrasebook of a language code, read once per process."""
     document = yaml.safe_load(package_data("instructions", "grammar", f"{code}.yaml").read_text(encoding="utf-8"))
     articles: Mapping[str, Mapping[str, str]] = document["articles"]
     together = {short: tuple(apart.split()) for apart, short in (document.get("contractions") or {}).items()}
@@ -106,13 +106,13 @@ def phrasebook(code: str = "en") -> Phrasebook:
 
 
 def _phrases(document: Mapping[str, Any], slot: str) -> list[str]:
-    """All phrases of a slot, whatever the voice."""
+    """Return all phrases of a slot in all voices."""
     voices = document["voices"].values()
     return list(dict.fromkeys(phrase for said in (document["phrases"], *voices) for phrase in said.get(slot, ())))
 
 
 def _gather(node: Node, words_so_far: int, before: Matches) -> None:
-    """Give each node the phrases on the way to it."""
+    """Store in each node the phrases on the path to it."""
     found = dict(before)
     for kind, value, classes in node.get(END, ()):
         found[kind] = (*found.get(kind, ()), (words_so_far, value, classes))
@@ -123,7 +123,7 @@ def _gather(node: Node, words_so_far: int, before: Matches) -> None:
 
 
 def _with_articles(phrase: str, articles: Mapping[str, Mapping[str, str]]) -> Iterator[tuple[str, frozenset[str]]]:
-    """A phrase in each form its articles can take, with the classes of noun that take it."""
+    """Yield a phrase with each form of its articles, and the noun classes that take this form."""
     slots = [(slot, articles[kind]) for slot, kind in {**_ARTICLES, "{the}": "{the}"}.items() if slot in phrase]
     forms: dict[str, set[str]] = {}
     for noun_class in articles["definite"]:
@@ -136,7 +136,7 @@ def _with_articles(phrase: str, articles: Mapping[str, Mapping[str, str]]) -> It
 
 
 def _nouns(code: str, table: str) -> Mapping[str, tuple[str, str]]:
-    """(noun, class) by label or room type, of those that text may name."""
+    """Return (noun, class) by label or room type, for those that text may name."""
     fit = words().nouns if table == "nouns" else words().rooms
     if code == "en":
         return fit

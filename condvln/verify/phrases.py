@@ -1,6 +1,6 @@
-"""The noun phrases and clauses of a text, found place by place: what may begin at a word, and where it ends.
+"""Parse the noun phrases and clauses of a text: what may begin at a word, and where it ends.
 
-Every way to take the words is followed; ``reading`` decides which of them make a whole text.
+All possible parses are followed; ``reading`` decides which of them form a whole text.
 """
 
 from __future__ import annotations
@@ -15,16 +15,17 @@ __all__ = ["Moves", "Named", "Phrase", "PhraseReader"]
 
 
 class Named(NamedTuple):
-    """A room as named: its type, and the label of the object that distinguishes it."""
+    """A room as named in text: its type, and the label of the object that distinguishes it."""
 
     label: str
     anchor: str | None
 
 
 class Phrase(NamedTuple):
-    """A thing as named: label, (predicate, labels of the anchors), and the room; None where the text names none.
+    """An object as named in text: label, (predicate, labels of the anchors), and room; None if the text does not name
+    it.
 
-    known : of a condition, whether it speaks of one thing that is known to be there ("the lamp is near the bed")
+    known : for a condition, whether it is about one object that is known to exist ("the lamp is near the bed")
     """
 
     label: str
@@ -46,25 +47,25 @@ _Match = tuple[int, str, frozenset[str]]
 _Qualifier = tuple[str, tuple[str, ...]]
 """A predicate and the labels of its anchors."""
 _Place = tuple[int, Named | None]
-"""A place in the text, and the room named last before it."""
+"""A position in the text, and the room named last before it."""
 
 PAIRED: Final = frozenset({"between"})
 """Predicates with two anchors."""
 
 _STOPS: Final = frozenset(".;:")
-"""Marks that end a clause which says where to go."""
+"""Punctuation that ends a clause which states stops."""
 
 
 def _beside(thing: Phrase, before: Phrase) -> Phrase:
-    """A stop without a room is in that of the stop before it, unless it says where it lies at the start."""
+    """Return a stop with the room of the stop before it, unless it has a room or an egocentric direction."""
     at_start = thing.qualifier is not None and thing.qualifier[0] in BEARINGS
     return thing._replace(room=before.room) if thing.room is None and not at_start else thing
 
 
 class PhraseReader:
-    """The phrases of one text. The words that begin at a place are looked up once, whatever led there.
+    """The phrases of one text. The matches at a word are looked up once for all parses.
 
-    scope : the room that the text opens with, which is that of all things without a room
+    scope : the room named at the beginning of the text, which applies to all objects without a room
     """
 
     def __init__(self, book: Phrasebook, text: str) -> None:
@@ -76,13 +77,13 @@ class PhraseReader:
         self._apart: list[tuple[int, Named]] | None = None
 
     def rest(self) -> str:
-        """Some words from the furthest place that was reached."""
+        """Return some words from the furthest parsed position."""
         return " ".join(self.tokens[self.furthest : self.furthest + 6])
 
     # -- words and phrases ---------------------------------------------------------------------------------------------
 
     def _here(self, at: int) -> Matches:
-        """By kind, the phrases that begin at a place."""
+        """Return the phrases that begin at a position, by kind."""
         found = self._matches.get(at)
         if found is None:
             if at > self.furthest:
@@ -97,7 +98,7 @@ class PhraseReader:
         return found
 
     def _of(self, at: int, kind: str) -> Sequence[_Match]:
-        """(end, value, classes) of the phrases of a kind that begin at a place."""
+        """Return (end, value, classes) of the phrases of a kind that begin at a position."""
         here = self._matches.get(at)
         if here is None:
             here = self._here(at)
@@ -142,13 +143,13 @@ class PhraseReader:
                     yield stop, Named(label, anchor)
 
     def _set_apart(self) -> Sequence[tuple[int, Named]]:
-        """Places of the text where a room is named by a thing in it, and the room."""
+        """Positions in the text where a room is named by an object in it, with the room."""
         if self._apart is None:
             self._apart = []
             for at in range(len(self.tokens)):
                 for end, label in self._definite(at, "room"):
                     for after, _, _ in self._of(end, "with"):
-                        # The longest noun: "the table lamp" is no table.
+                        # The longest noun wins: "the table lamp" is not a table.
                         ends = dict(self._definite(after, "noun"))
                         if ends:
                             self._apart.append((at, Named(label, ends[max(ends)])))
@@ -165,7 +166,7 @@ class PhraseReader:
                         yield place, (predicate, (anchor, other))
 
     def _compared(self, at: int) -> Iterator[tuple[int, str, _Qualifier]]:
-        """(end, label, qualifier) of "the bigger lamp", where its adjective stands before or behind the noun."""
+        """Yield (end, label, qualifier) of "the bigger lamp", with the adjective before or after the noun."""
         for start, _, article in self._of(at, "the"):
             for middle, predicate, ending in self._of(start, "superlative"):
                 for end, label in self._agreeing(middle, "noun", article & ending):
@@ -184,9 +185,9 @@ class PhraseReader:
     def _where(
         self, at: int, last: Named | None, belonging: bool = False
     ) -> Iterator[tuple[int, Named | None, Named | None]]:
-        """(end, the room, the room named last) of "in the bedroom", of "there", and of nothing.
+        """Yield (end, room, room named last) of "in the bedroom", of "there", and of the empty phrase.
 
-        belonging : right behind a definite noun, where some languages have other words ("la cama del dormitorio")
+        belonging : directly after a definite noun, where some languages use other words ("la cama del dormitorio")
         """
         yield at, self.scope, last
         for end, _, _ in self._of(at, "of" if belonging else "in"):
@@ -197,13 +198,13 @@ class PhraseReader:
                 yield end, last, last
 
     def _things(self, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:
-        """Stops as the moves name them: "the lamp near the bed in the bedroom"."""
+        """Yield stops as named in moves: "the lamp near the bed in the bedroom"."""
         for end, label in self._definite(at, "noun"):
             for stop, qualifier in self._qualified(end, lying=self.book.lying):
                 for after, room, named in self._where(stop, last, belonging=qualifier is None):
                     yield after, Phrase(label, qualifier, room), named
             for stop, bearing, _ in self._of(end, "bearing_stop"):
-                # It is where the agent starts; what "there" would mean after it, nobody could tell.
+                # It is where the agent starts; "there" would be ambiguous after it.
                 yield stop, Phrase(label, (bearing, ()), None), None
         for end, label, compared in self._compared(at):
             for after, room, named in self._where(end, last, belonging=True):
@@ -212,7 +213,7 @@ class PhraseReader:
     # -- conditions ----------------------------------------------------------------------------------------------------
 
     def _some(self, slot: str, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:
-        """ "there's a lamp near the bed in the bedroom", by the phrases of a slot."""
+        """Yield "there's a lamp near the bed in the bedroom", by the phrases of a slot."""
         for end, _, classes in self._of(at, slot):
             for after, label in self._agreeing(end, "noun", classes):
                 for stop, qualifier in self._qualified(after):
@@ -228,7 +229,9 @@ class PhraseReader:
                         yield place, Phrase(label, qualifier, room), room
 
     def _known(self, slot: str | None, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:
-        """ "the lamp in the bedroom is near the bed", by the phrases of a slot; of None there is no verb in between."""
+        """Yield "the lamp in the bedroom is near the bed", by the phrases of a slot; with slot None there is no verb
+        in between.
+        """
         for end, label in self._definite(at, "noun"):
             for after, room, named in self._where(end, last, belonging=True):
                 verbs = [after] if slot is None else [stop for stop, _, _ in self._of(after, slot)]
@@ -258,7 +261,7 @@ class PhraseReader:
         yield from ((end, what, named) for end, what, named in questions if self._is(end, "?"))
 
     def _stops(self, at: int, last: Named | None) -> Iterator[tuple[int, Moves, Named | None]]:
-        """Where to go, up to the end of a clause: nothing comes between the last stop and the mark."""
+        """Yield stops up to the end of a clause: nothing may come between the last stop and the punctuation."""
         for start, _, _ in self._of(at, "go"):
             ahead: list[tuple[int, Moves, Named | None]] = [
                 (stop, (thing,), named) for stop, thing, named in self._things(start, last)

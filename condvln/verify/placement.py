@@ -1,6 +1,6 @@
-"""Starts, goals and paths of a scene's episodes, held against its navmesh and its boxes.
+"""Check starts, goals and paths of a scene's episodes against its navmesh and its boxes.
 
-All leaves are held to the same rules, as if each were gold.
+All leaves are checked by the same rules, as if each were gold.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ from schemas.evaluation import ManifestEpisode
 __all__ = ["check_placement"]
 
 MILLIMETRE: Final = 0.001
-"""How far re-derived lengths and corners may be from the published ones."""
+"""Tolerances in metres between recomputed lengths and corners and the published ones."""
 ROUNDING: Final = 1e-6
-"""Metres by which a distance may fall short of a bound that it was held to in other arithmetic."""
+"""Tolerance in metres by which a distance may violate a bound because of rounding."""
 LEAF_NAMES: Final = tuple(f"leaf {k}" for k in range(8))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Leaf:
-    """One leaf, with the indices of its points and of the questions about them.
+    """One leaf, with the indices of its points and queries.
 
-    end : which goal its path ends at
-    away, here : of its goals, metres from the object, and whether all are on its floor and in its room; empty if there
-    is no such object
-    direct : from the start to the goals; final : from the last stop to the goals; first : from the start to the
-    subgoals; around : from each goal nearest to the object to all; legs : from stop to stop
+    end : index of the goal at which its path ends
+    away, here : for each goal, metres from the object, and whether it is on its floor and in its room; empty if the
+        object does not exist
+    direct : queries from the start to the goals; final : from the last stop to the goals; first : from the start to the
+        subgoals; around : from each goal nearest to the object to all goals; legs : from stop to stop
     """
 
     leaf: EpisodeLeaf
@@ -62,7 +62,7 @@ class _Leaf:
 class _Placed:
     """A row's start and leaves.
 
-    gaps : by two leaves the questions about their goals, where a straight line does not tell that they are apart
+    gaps : by pair of leaves the queries about their goals, if a straight line does not show that they are apart
     clearances (l, l) : least metres from each leaf's path to another leaf's goals
     """
 
@@ -80,7 +80,7 @@ def check_placement(
     obstacles: Obstacles,
     rules: VerifierRules,
 ) -> None:
-    """Everything about the episodes of one scene that has a place."""
+    """Check all positions, paths and distances of the episodes of one scene."""
     lines = _Lines(rows)
     checker = _Checker(scene, rules)
     placed = checker.note(rows, lines)
@@ -96,10 +96,10 @@ def check_placement(
 
 
 class _Lines:
-    """Paths and goals of all leaves of a scene's rows, one after the other.
+    """The paths and goals of all leaves of a scene's rows, concatenated.
 
-    corners (n, 3), goals (m, 3); corner_ends, goal_ends (l,) : where each leaf's end; row_ends (r,) : where each
-    row's leaves end
+    corners (n, 3), goals (m, 3); corner_ends, goal_ends (l,) : end index of each leaf; row_ends (r,) : end index of
+        each row's leaves
     """
 
     def __init__(self, rows: Sequence[ManifestEpisode]) -> None:
@@ -111,9 +111,10 @@ class _Lines:
         self.row_ends = np.cumsum([len(row.leaves) for row in rows])
 
     def clearances(self) -> list[list[float]]:
-        """By leaf the metres from its path to the goals of each leaf of its row; infinite to its own.
+        """By leaf, the metres from its path to the goals of each leaf of its row; infinite to its own.
 
-        A straight line is never longer than a way, so that a path that keeps clear by it never enters the ball.
+        A straight line is never longer than a path, so a path with enough clearance by it never enters the success
+        ball.
         """
         widest = int(np.diff(self.row_ends, prepend=0).max())
         squares = clearances(self.corners, self.corner_ends, self.goals, self.goal_ends, self.row_ends, widest)
@@ -121,7 +122,9 @@ class _Lines:
         return found
 
     def near_goals(self, within: float) -> list[list[int]]:
-        """Pairs of goals closer than `within` metres in a straight line: only these decide the gap of two leaves."""
+        """Return pairs of goals closer than `within` metres in a straight line; only these can violate the gap of
+        two leaves.
+        """
         found: list[list[int]] = near_goals(self.goals, self.goal_ends, self.row_ends, within).tolist()
         return found
 
@@ -139,10 +142,11 @@ class _Checker:
         self._inside: dict[int, str] = {}
         self._astray: set[int] = set()
 
-    # -- what is wanted of the navmesh ---------------------------------------------------------------------------------
+    # -- queries to the navmesh
+    # -------------------------------------------------------------------------------------------
 
     def note(self, rows: Sequence[ManifestEpisode], lines: _Lines) -> list[_Placed]:
-        """Note every question about all rows."""
+        """Register all queries of all rows."""
         away = lines.clearances()
         near = iter(lines.near_goals(self.separation + 2 * math.sqrt(2) * SNAP_TOLERANCE))
         pair = next(near, None)
@@ -173,7 +177,7 @@ class _Checker:
         stops = (start, *subgoals, goals[end])
         direct = tuple([pair(start, goal) for goal in goals])
         away, here = self.reach.around(leaf.object_id, leaf.goals)
-        # Several may be nearest to within the rounding of two ways to measure; walls are asked from each.
+        # Several goals may be nearest within rounding; the wall check starts from each of them.
         least = min(away, default=0.0) + ROUNDING
         nearest = [goal for goal, metres in zip(goals, away or (0.0,), strict=False) if metres <= least]
         return _Leaf(
@@ -191,15 +195,16 @@ class _Checker:
         )
 
     def look_out(self, obstacles: Obstacles) -> None:
-        """Note which of the points lie off the floor, and which in what stands on it."""
+        """Find the points that are off the floor, and those inside objects on it."""
         blocked = obstacles.holding(self.walks.points)
         self._inside = {p: name for p, name in enumerate(blocked) if name is not None}
         self._astray = set(np.flatnonzero(~(self.walks.moved <= SNAP_TOLERANCE)).tolist())
 
-    # -- what comes out ------------------------------------------------------------------------------------------------
+    # -- results
+    # ----------------------------------------------------------------------------------------------------------
 
     def check(self, row: ManifestEpisode, placed: _Placed, certificate: Certificate) -> None:
-        """Hold one row against the answers."""
+        """Check one row against the results."""
         certificate.same("success_distance", row.success_distance, self.success)
         self._check_stand(placed, certificate)
         numbers = [leaf.leaf for leaf in row.leaves]
@@ -252,7 +257,7 @@ class _Checker:
         if not away:
             certificate.holds("goal_reach", False, object_id, "no such object", name)
             return
-        # Farther points only where nothing nearer can be stood on, so never both.
+        # Farther points are used only if no nearer one is walkable, so never both.
         reach = self.goals.reach if min(away) <= self.goals.reach else self.goals.reach_at_most
         farthest = max(away)
         certificate.holds("goal_reach", farthest <= reach + ROUNDING, (object_id, reach), farthest, name)
@@ -299,13 +304,13 @@ class _Checker:
 
 
 def _end(leaf: EpisodeLeaf) -> int:
-    """Which goal the path of a leaf ends at."""
+    """Return the index of the goal at which a leaf's path ends."""
     last = leaf.reference_path[-1]
     return min(range(len(leaf.goals)), key=lambda k: math.dist(leaf.goals[k], last))
 
 
 class _Groups:
-    """Words of the texts of each counterfactual group: all its budgets go by the longest."""
+    """Number of words in the texts of each counterfactual group; all its budgets follow from the longest."""
 
     def __init__(self, rows: Sequence[ManifestEpisode]) -> None:
         self._words: dict[str, list[int]] = {}
@@ -314,7 +319,7 @@ class _Groups:
                 self._words.setdefault(row.group_id, []).append(len(row.instruction_text.split()))
 
     def words(self, row: ManifestEpisode, certificate: Certificate) -> int:
-        """Words that decide a row's budget."""
+        """Return the number of words that determines a row's budget."""
         if row.group_id is None:
             return len(row.instruction_text.split())
         members = self._words[row.group_id]
@@ -325,7 +330,7 @@ class _Groups:
 def _check_budget(
     row: ManifestEpisode, groups: _Groups, follower: Follower, rules: VerifierRules, certificate: Certificate
 ) -> None:
-    """The budget, and the actions to the leaf that takes most of them; a proportional one goes by the words too."""
+    """Check the budget against the configuration, the longest leaf's actions and, if proportional, the words."""
     yaw = yaw_of(row.start_rotation)
     certificate.holds("start_rotation", yaw is not None, "a turn about the vertical", row.start_rotation)
     if yaw is None:

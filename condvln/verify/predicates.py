@@ -1,7 +1,7 @@
-"""Whether one thing is near, above or east of another: true with margin, false with margin, or too close to call.
+"""Decide whether one object is near, above or east of another: true with margin, false with margin, or undecided.
 
-Decided pair by pair on whole millimetres, in which sums and squares are exact; of a statement only the few things its
-words can mean are asked.
+Pairs are decided on whole millimetres, in which sums and squares are exact. Only the few objects that the words of a
+statement can mean are tested.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ DIRECTIONS: Final = {
 """(east, north) of the centre of each sector."""
 
 SOME: Final = frozenset(("on", "under", "in", "near", "above", "below"))
-"""Predicates that are true of a thing of several pieces where they are of one of these."""
+"""Predicates that are true of an object of several pieces if they are true of one of them."""
 
 
 class Judge:
-    """Predicates under one set of thresholds."""
+    """Evaluates predicates under one set of thresholds."""
 
     def __init__(self, thresholds: Thresholds, gauge: SurfaceGauge) -> None:
         self._t = thresholds
@@ -51,9 +51,9 @@ class Judge:
         room: Surroundings,
         rivals: Sequence[Thing] = (),
     ) -> Judgement:
-        """Does "`subject` `predicate` `anchors`" hold?
+        """Return whether "`subject` `predicate` `anchors`" holds.
 
-        rivals : the other things that the subject's label might mean; "closest to" and "the bigger" compare with them
+        rivals : the other objects that the subject's label might mean; "closest to" and "the bigger" compare with them
         """
         if predicate in ("bigger", "smaller"):
             return compare_sizes(subject, rivals, self._t, 1 if predicate == "bigger" else -1)
@@ -68,7 +68,7 @@ class Judge:
         return as_said_in(found, subject, anchor, room) if predicate == "in" else found
 
     def _of_pieces(self, predicate: str, subject: Thing, anchor: Thing, room: Surroundings) -> Judgement:
-        """The fact for objects of several pieces, from the facts of each pair of pieces."""
+        """Return the judgement for objects of several pieces, from the judgements of each pair of pieces."""
         found = [self._of_one(predicate, a, b, room) for a in subject.solids() for b in anchor.solids()]
         when_true, when_false = (
             (any, all) if predicate in SOME else (all, any) if predicate == "far from" else (all, all)
@@ -97,10 +97,10 @@ class Judge:
         used, is_bound = _used(one, other)
         close, far = used <= whole_mm(self._t.near_true), used >= whole_mm(self._t.near_false)
         surface = None
-        # Between the two the surfaces can't help.
+        # Between the two thresholds, surfaces can't decide either.
         if one.box is not None and other.box is not None and (close or (far and used <= self._within)):
             surface = self._gauge.millimetres(one.item, other.item)
-        # Boxes and bounding spheres hold their things, so that things are never closer than those; centres say nothing.
+        # Boxes and bounding spheres enclose their objects, so their distance is a lower bound; that of centres is not.
         least = surface if surface is not None else used if is_bound else None
         true = close and surface is not None and surface <= whole_mm(self._t.near_true)
         false = far and least is not None and least >= whole_mm(self._t.near_false)
@@ -128,7 +128,9 @@ class Judge:
 
 
 def _used(one: Thing, other: Thing) -> tuple[float, bool]:
-    """Millimetres between boxes, else bounding spheres, else centres; and whether surfaces are at least so far."""
+    """Return millimetres between boxes, else bounding spheres, else centres; and whether this is a lower bound of the
+    surface distance.
+    """
     if one.box is not None and other.box is not None:
         gaps = [max(one.box[0][k] - other.box[1][k], other.box[0][k] - one.box[1][k], 0) for k in range(3)]
         return math.sqrt(sum(gap * gap for gap in gaps)), True

@@ -1,4 +1,4 @@
-"""Checks of a program by itself: its axes, and that it is not degenerate."""
+"""Checks of a program alone: its axes, and the rules against degenerate programs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["check_program", "leaf_of"]
 
 
 def check_program(row: ManifestEpisode, certificate: Certificate) -> None:
-    """What the tree says of itself, and the rules of degeneracy."""
+    """Check a program's own axes and the rules against degenerate programs."""
     program = row.program
     claimed = (row.category, row.depth, row.chain, row.composition, row.moves)
     moves = len(program.leaves[row.gold_leaf].moves) if 0 <= row.gold_leaf < len(program.leaves) else None
@@ -51,9 +51,10 @@ def check_program(row: ManifestEpisode, certificate: Certificate) -> None:
 
 
 def _check_evidence(row: ManifestEpisode, certificate: Certificate) -> None:
-    """Evidence is recorded for the conditions that the gold route asks, and the worst of it is the observability.
+    """Check that evidence is recorded for the conditions on the gold path, and that its worst level is the
+    observability.
 
-    Whether it is seen from there is held against rays in :mod:`condvln.verify.observability`.
+    Whether the evidence is visible is checked with rays in :mod:`condvln.verify.observability`.
     """
     if row.observability is None:
         certificate.same("axes", row.evidence, None, "evidence")
@@ -68,7 +69,7 @@ def _check_evidence(row: ManifestEpisode, certificate: Certificate) -> None:
 
 
 def _depth(program: Program, at: int) -> int:
-    """Deepest nesting of tests inside THEN parts, the test at `at` included."""
+    """Return the deepest nesting of tests inside THEN parts, the test at `at` included."""
     if at < 0:
         return 0
     branch = program.branches[at]
@@ -107,7 +108,7 @@ def _composition(program: Program) -> str:
 
 @cache
 def leaf_of(category: Category, truths: tuple[bool, ...]) -> int:
-    """Index of the leaf that the truths of its conditions lead to in a tree of a category."""
+    """Return the index of the leaf that the truths of the conditions lead to in a tree of this category."""
     at = 0
     while at >= 0:
         branch = SHAPES[category].branches[at]
@@ -117,7 +118,7 @@ def leaf_of(category: Category, truths: tuple[bool, ...]) -> int:
 
 @cache
 def _rivals(category: Category, k: int) -> tuple[tuple[int, int], ...]:
-    """Pairs of leaves between which condition k alone decides under some truths of the others."""
+    """Return pairs of leaves between which condition k alone decides, for some truths of the others."""
     pairs = set()
     for truths in product((True, False), repeat=len(SHAPES[category].branches)):
         other = tuple(truth != (place == k) for place, truth in enumerate(truths))
@@ -126,14 +127,14 @@ def _rivals(category: Category, k: int) -> tuple[tuple[int, int], ...]:
 
 
 def _settled(condition: Condition) -> bool:
-    """Whether a condition's own words decide it: a bed near the bed, a piano in the room with the piano."""
+    """Return whether a condition's own words decide it: a bed near the bed, a piano in the room with the piano."""
     own = words().meant_by(condition.label)
     anchors = (*(condition.qualifier.anchor_labels if condition.qualifier else ()), condition.room.anchor_label)
     return any(anchor in own for anchor in anchors)
 
 
 def _follows(one: Condition, other: Condition) -> bool:
-    """Whether `other` asks or presupposes what `one` asks."""
+    """Return whether `other` asks or presupposes what `one` asks."""
     if one.room.room_id != other.room.room_id:
         return False
     own = words().meant_by(one.label)

@@ -1,4 +1,4 @@
-"""The proof of a whole export: every episode's certificate, scene by scene."""
+"""Verify a whole export: a certificate for every episode, scene by scene."""
 
 from __future__ import annotations
 
@@ -32,16 +32,18 @@ __all__ = ["Navmesh", "SceneReader", "find_navmesh", "prove_export", "prove_scen
 
 
 class SceneReader(Protocol):
-    """Scenes from their source files."""
+    """Reads scenes from their source files."""
 
     def __call__(self, source: str, scene_id: str) -> tuple[Scene, Surfaces]:
-        """One scene, and what reads its surfaces. Both raise InputError where that can't be read."""
+        """Return one scene, and a function that reads its surfaces. Both raise InputError if the files can't be
+        read.
+        """
         ...
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Navmesh:
-    """A navmesh with the name and hash it goes by."""
+    """A navmesh with its recorded name and hash."""
 
     path: str
     sha256: str
@@ -49,7 +51,7 @@ class Navmesh:
 
 
 def prove_export(folder: Path, rules: VerifierRules, read_scene: SceneReader) -> Iterator[Certificate]:
-    """Certificates of all episodes of an export, a scene's together.
+    """Yield the certificates of all episodes of an export, scene by scene.
 
     Raises
     ------
@@ -77,8 +79,8 @@ def prove_export(folder: Path, rules: VerifierRules, read_scene: SceneReader) ->
         return certificates
 
     while True:
-        # Passes over the rows take a fifth of the time. They are gone when the collector is on again: it would go
-        # through all that still lives.
+        # Garbage collection over the rows would take a fifth of the time. The rows are freed before it is on again,
+        # since it would scan everything that is still alive.
         with no_collection():
             certificates = certificates_of_next()
         if certificates is None:
@@ -99,7 +101,7 @@ def prove_scene(
     rules: VerifierRules,
     shapes: Shapes,
 ) -> None:
-    """Check all episodes of one scene; what was found is noted on their certificates.
+    """Check all episodes of one scene and record the results on their certificates.
 
     Raises
     ------
@@ -113,7 +115,7 @@ def prove_scene(
             certificate.holds("navmesh", False, rows[0].manifest.navmesh, str(error))
         return
     obstacles = Obstacles(scene, navmesh.pathfinder, rules.agent.max_climb)
-    # What is a wall or a floor goes by labels alone, before anything is known of what can be seen.
+    # Structure (walls, floors) is recognised by labels only, before visibility is known.
     labels = SceneReferents(scene, rules.thresholds, rules.anchor_size, shapes)
     sight = sight_of(scene, surfaces, labels.is_structure, labels.is_frame, navmesh.pathfinder, obstacles, rules)
     onlookers = Onlookers(scene, sight, navmesh.pathfinder, rules.places, labels.hidden)
@@ -134,7 +136,7 @@ def prove_scene(
 def _check_words(
     rows: Sequence[Row], certificates: Sequence[Certificate], referents: SceneReferents, rules: VerifierRules
 ) -> None:
-    """Check what the texts mean, and what follows from the programs and the records alone."""
+    """Check what the texts mean, and what follows from the programs and records alone."""
     for row, certificate in zip(rows, certificates, strict=True):
         check_meaning(row.manifest, referents, rules, certificate)
         check_program(row.manifest, certificate)
@@ -142,15 +144,15 @@ def _check_words(
 
 
 def find_navmesh(scene: Scene, folder: Path, claimed: str) -> Navmesh:
-    """The navmesh of a scene: one that was built is a file of the export, the others are the source's.
+    """Return the navmesh of a scene: a built one is a file of the export, a shipped one is the source's.
 
     Raises
     ------
-    InputError : there is no such file, or it is not a navmesh
+    InputError : the file does not exist, or is not a navmesh
     """
     relative = PurePosixPath(claimed)
     if relative.is_absolute() or ".." in relative.parts:
-        raise PathEscapeError(f"the navmesh {claimed!r} lies outside of the export", remedy="Export again")
+        raise PathEscapeError(f"the navmesh {claimed!r} is outside the export", remedy="Export again")
     if (folder / relative).is_file():
         path, name = folder / relative, claimed
     elif scene.navmesh is not None:

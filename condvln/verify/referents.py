@@ -1,4 +1,4 @@
-"""What the phrases of a text mean in a scene: rooms, things, and whether what is claimed of them is so."""
+"""Resolve the phrases of a text in a scene: rooms, objects, and whether what is claimed of them is true."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["Answer", "Problem", "Referent", "SceneReferents"]
 
 
 class Problem(NamedTuple):
-    """Why a phrase means nothing certain: the fact that fails, what the text needs, and what the scene has."""
+    """Why a phrase has no certain meaning: the fact that fails, what the text needs, and what the scene has."""
 
     fact: str
     needed: Any
@@ -30,7 +30,7 @@ class Problem(NamedTuple):
 
 
 class Referent(NamedTuple):
-    """The one thing that a phrase means, with the things that its qualifier and its room's name rest on."""
+    """The one object that a phrase refers to, and the objects that its qualifier and its room's name rely on."""
 
     object_id: str
     room_id: str
@@ -39,9 +39,9 @@ class Referent(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """Whether a claim holds, by which things, and the numbers of the thing that decides it.
+    """Whether a claim holds, its witnesses, and the measurements of the object that decides it.
 
-    definite : the claim is a relation, and its label fits one thing of the room alone
+    definite : the claim is a relation, and its label fits exactly one object of the room
     """
 
     truth: bool
@@ -54,9 +54,9 @@ class Answer(NamedTuple):
 
 
 class SceneReferents:
-    """The phrases of all texts of one scene; each phrase is resolved once.
+    """Resolves the phrases of all texts of one scene; each phrase is resolved once.
 
-    anchor_size : metres; what is shorter and not fixed is nothing to find others by
+    anchor_size : metres; an object that is smaller and not fixed can't be an anchor
     """
 
     def __init__(
@@ -105,23 +105,23 @@ class SceneReferents:
         return self.meaning.label(item.raw_label, self.scene.family, model_of(item))
 
     def is_structure(self, item: SceneObject) -> bool:
-        """Whether an object is a wall, a floor or the like."""
+        """Return whether an object is structure, such as a wall or floor."""
         return self._label(item) in self.meaning.structure
 
     def is_frame(self, item: SceneObject) -> bool:
-        """Whether an object is a shelf, a table or the like, whose box is mostly air."""
+        """Return whether an object is a frame (shelf, table), whose box is mostly air."""
         return self._label(item) in self.meaning.frames
 
     def room(self, named: Named | None) -> tuple[RoomView, str | None] | Problem:
-        """The room that a name means, and the id of the thing that its name rests on."""
+        """Return the room that a name refers to, and the id of the object that the name relies on."""
         if named not in self._rooms:
             self._rooms[named] = self._room(named)
         return self._rooms[named]
 
     def thing(self, phrase: Phrase, start: Standpoint | None = None) -> Referent | Problem:
-        """The one thing that a stop's phrase means; its qualifier must be needed and must suffice.
+        """Return the one object that a stop's phrase refers to; its qualifier must be necessary and sufficient.
 
-        start : where the agent stands and faces; what lies left, right, ahead or behind depends on it
+        start : the agent's start pose, for left, right, ahead and behind
         """
         if phrase.qualifier is not None and phrase.qualifier[0] in BEARINGS:
             return self._thing_at(phrase, start)
@@ -134,7 +134,7 @@ class SceneReferents:
         return self._things[phrase]
 
     def claim(self, phrase: Phrase, start: Standpoint | None = None) -> Answer | Problem:
-        """Whether there is such a thing, certainly or certainly not; bearings are those at the `start`."""
+        """Return whether an object as claimed certainly exists or certainly does not; bearings are those at `start`."""
         if phrase.qualifier is not None and phrase.qualifier[0] in BEARINGS:
             return self._claim_at(phrase, start)
         if phrase not in self._claims:
@@ -146,7 +146,7 @@ class SceneReferents:
         return self._claims[phrase]
 
     def _cut(self, used: Set[str | None]) -> Problem | None:
-        """The fault that something used is a piece of a thing whose rest is another object."""
+        """Return the fault that a used object is a piece of an object cut at a region's border, or None."""
         pieces = sorted(name for name in used if name in self._pieces)
         return Problem("whole_object", "things that no region border cuts", pieces) if pieces else None
 
@@ -193,21 +193,21 @@ class SceneReferents:
         return tuple(found)
 
     def _marks(self, anchor: Thing) -> bool:
-        """Whether others may be found by a thing: it has a size, and is fixed or too large to be carried about."""
+        """Return whether an object may be an anchor: its size is known, and it is fixed, or large and not portable."""
         side = longest_side(anchor)
         if side is None or anchor.label in self.meaning.roles["portable"]:
             return False
         return self._is_fixed(anchor) or side >= self._anchor_size
 
     def _is_fixed(self, thing: Thing) -> bool:
-        """Whether a thing stays where it is: built in, heavy, or a large landmark."""
+        """Return whether an object stays in place: built in, heavy, or a large landmark."""
         roles, side = self.meaning.roles, longest_side(thing)
         if thing.label in roles["fixed"]:
             return True
         return thing.label in roles["landmark"] and side is not None and side >= LANDMARK_SIZE
 
     def _carries_the_phrase(self, anchors: Iterable[Thing], things: Iterable[Thing]) -> bool:
-        """Whether each anchor is fixed, or larger than each of the things, on the ground or in volume."""
+        """Return whether each anchor is fixed, or larger than each of the objects in ground area or volume."""
         things = tuple(things)
         for anchor in anchors:
             if self._is_fixed(anchor):
@@ -223,7 +223,9 @@ class SceneReferents:
     def _relations(
         self, view: RoomView, label: str, predicate: str, anchors: tuple[Thing, ...]
     ) -> list[tuple[Thing, Judgement]]:
-        """Each thing that `label` might mean, in sight or not, and whether it is so related to the anchors."""
+        """Return each object that `label` might mean, visible or not, and whether it has the relation to the
+        anchors.
+        """
         key = (view.room.room_id, label, predicate, tuple(anchor.object_id for anchor in anchors))
         if key not in self._related:
             meant = view.meant(label)
@@ -286,7 +288,7 @@ class SceneReferents:
             found = {thing.object_id: dict(how.numbers) for thing, how in related}
         if not sure and possible:
             return Problem("condition_decided", f"surely a {phrase.label} or surely none", found)
-        # That the one thing of a label is elsewhere is seen; that there is no such thing must be known.
+        # That the one object of a label is elsewhere can be seen; that no such object exists must be known.
         definite = phrase.qualifier is not None and view.only(phrase.label) is not None
         if not sure and not definite and (doubt := self._doubt(view, phrase, anchors)) is not None:
             return Problem("absence_known", f"a room known to have no other {phrase.label}", doubt)
@@ -298,7 +300,7 @@ class SceneReferents:
     # -- bearings ------------------------------------------------------------------------------------------------------
 
     def _here(self, start: Standpoint | None) -> RoomView | Problem:
-        """The one room that the start is in."""
+        """Return the one room that contains the start."""
         around = [] if start is None else [view for view in self.rooms.values() if start.is_in(view.room)]
         if len(around) != 1:
             return Problem("bearing_room", "a start in one room", [view.room.room_id for view in around])
@@ -342,7 +344,9 @@ class SceneReferents:
         return Answer(truth, True, witnesses, view.room.room_id, (), room_anchor, how.numbers)
 
     def _doubt(self, view: RoomView, phrase: Phrase, anchors: Sequence[Thing]) -> str | None:
-        """Why absence of a label can't be known: the room, or an unlabelled object that may have it."""
+        """Return why absence of a label can't be known: the room, or an unlabelled object that may have it. None if
+        it can.
+        """
         if not view.room.complete:
             return view.room.room_id
         for thing in view.nameless(phrase.label):
@@ -357,7 +361,7 @@ class SceneReferents:
 
 
 def _deciding(related: list[tuple[Thing, Judgement]], sure: list[Thing]) -> Mapping[str, float | None]:
-    """The numbers of the first witness, or of the rival that comes first where there is none."""
+    """Return the measurements of the first witness, or, without a witness, of the best rival."""
     for thing, how in related:
         if not sure or thing is sure[0]:
             return how.numbers

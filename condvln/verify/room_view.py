@@ -1,4 +1,6 @@
-"""A room and its things as words find them: what a label might mean, what is in sight, what is known to be absent."""
+"""A room and its objects as words refer to them: what a label might mean, what is visible, what is known to be
+absent.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +16,9 @@ __all__ = ["RoomView", "longest_side", "model_of"]
 
 
 class RoomView:
-    """One room with its things, whose labels are found from their raw labels again.
+    """One room with its objects, whose labels are derived again from their raw labels.
 
-    things : all but what is inside something shut; not all of them can be seen
+    things : all objects except those inside something shut; some may not be visible
     """
 
     def __init__(
@@ -50,21 +52,21 @@ class RoomView:
 
     @cached_property
     def labels(self) -> frozenset[str]:
-        """Labels of its objects that are not in a shut container."""
+        """Labels of the objects that are not in a shut container."""
         return frozenset(thing.label for thing in self.things)
 
     def meant(self, label: str) -> tuple[Thing, ...]:
-        """All things in sight that a word for `label` might mean here."""
+        """Return all visible objects that a word for `label` might mean."""
         if label not in self._meant:
             self._meant[label] = tuple(thing for thing in self._called(label) if self.is_seen(thing))
         return self._meant[label]
 
     def unknown(self, label: str) -> tuple[Thing, ...]:
-        """All things out of sight that a word for `label` might mean: none of them can be said to be absent."""
+        """Return all invisible objects that a word for `label` might mean; they can't be claimed to be absent."""
         return tuple(thing for thing in self._called(label) if not self.is_seen(thing))
 
     def is_seen(self, thing: Thing) -> bool:
-        """Whether a thing can be seen: not in something shut, and in sight of a place where an agent can stand."""
+        """Return whether an object is visible: not in something shut, and in view from where an agent can stand."""
         return thing.object_id not in self._hidden and self._can_be_seen(thing.object_id)
 
     def _called(self, label: str) -> Iterable[Thing]:
@@ -72,22 +74,24 @@ class RoomView:
         return (thing for thing in self._all if thing.label in own or own & self._open[thing.object_id])
 
     def nameless(self, label: str) -> list[Thing]:
-        """Unlabelled objects that might be a `label`, as far as is known."""
+        """Return the unlabelled objects that might be a `label`, as far as is known."""
         own = self._meaning.meant_by(label)
         return [thing for thing in self._all if own & self._vague[thing.object_id]]
 
     def knows_absence(self, label: str) -> bool:
-        """Whether no unlabelled object might be a `label`, and the annotation is complete."""
+        """Return whether absence of `label` can be known: no unlabelled object might be one, and the annotation is
+        complete.
+        """
         return self.room.complete and not self.nameless(label)
 
     def only(self, label: str) -> Thing | None:
-        """The thing called so that is alone in it: no other could be meant."""
+        """Return the object with this label if no other object could be meant, else None."""
         found = self.meant(label)
         return found[0] if len(found) == 1 and found[0].label == label else None
 
 
 def longest_side(thing: Thing) -> float | None:
-    """Longest side in metres; None where its extent is not known."""
+    """Return the longest side in metres; None if the extent is unknown."""
     if thing.box is None:
         return None
     low, high = thing.box
@@ -95,5 +99,5 @@ def longest_side(thing: Thing) -> float | None:
 
 
 def model_of(item: SceneObject) -> str:
-    """The model of an object, where its id is that and the number of the copy."""
+    """Return the model name of an object, if its id consists of that and the number of the copy."""
     return item.object_id.rpartition(":")[0]

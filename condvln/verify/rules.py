@@ -1,4 +1,4 @@
-"""What a build was configured to keep to: the numbers that its episodes are held against."""
+"""The configured rules that episodes are checked against."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["VerifierRules"]
 
 @dataclass(frozen=True, slots=True)
 class VerifierRules:
-    """The parts of a configuration that decide whether an episode is sound."""
+    """The parts of a configuration that decide whether an episode is valid."""
 
     thresholds: Thresholds = field(default_factory=Thresholds)
     places: PlacesConfig = field(default_factory=PlacesConfig)
@@ -34,7 +34,7 @@ class VerifierRules:
 
     @classmethod
     def of(cls, config: Config) -> VerifierRules:
-        """The rules that a configuration sets."""
+        """Return the rules of a configuration."""
         return cls(
             config.thresholds,
             config.places,

@@ -1,9 +1,10 @@
-"""Visibility of a scene's objects, and of its rooms' floors, from given places.
+"""Visibility of a scene's objects, and of its rooms' floors, from given positions.
 
-A thing's surface is looked for at two sets of points: the 64 that `navigation.surface_samples` gives of it, by which
-observability is published, and 64 of this package's own. Where these see much of it, or next to nothing of what the
-others see much of, they decide; between, where 64 points more or less could tell either, the published ones do. "Much"
-is so much that two fair sets of points come out so far apart once in a million looks (`much`).
+An object's surface is tested at two sets of points: the 64 of `navigation.surface_samples`, from which observability is
+published, and 64 of this package's own. The package's own points decide if they see much of an object, or almost
+nothing of an object of which the published points see much; in between, where either set could be right, the published
+points decide. "Much" is a share so large that two fair sets of points differ by as much once in a million tests
+(`much`).
 """
 
 from __future__ import annotations
@@ -32,18 +33,18 @@ F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 OWN_POINTS: Final = 64
-"""Points of this package's own on a surface, as many as are published by."""
+"""Number of this package's own points on a surface, equal to the published number."""
 ODDS: Final = 1e-6
-"""Of two fair sets of points coming out as far apart as is taken for a contradiction."""
+"""Probability with which two fair sets of points differ by as much as counts as a contradiction."""
 EYES_AT_ONCE: Final = 512
-"""Eyes that are measured against one thing's points at once."""
+"""Number of eyes that are tested against one object's points at once."""
 RAYS_AT_ONCE: Final = 1 << 17
-"""Rays after which those that wait are cast: some ten megabytes."""
+"""Number of pending rays after which they are cast; some ten megabytes."""
 
 Sought = tuple[str, str]
-"""("thing", an object's id) or ("floor", a room's id)."""
+"""A target: ("thing", object id) or ("floor", room id)."""
 
-# Steps of the R2 sequence (Roberts 2018): powers of the inverse of the plastic number.
+# Increments of the R2 sequence (Roberts 2018): powers of the inverse of the plastic number.
 _R2: Final = (0.7548776662466927, 0.5698402909980532)
 _SIGNS: Final = np.array(list(product((-1.0, 1.0), repeat=3)))
 _QUADS: Final = np.array([[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4], [1, 3, 7, 5]])
@@ -52,10 +53,10 @@ _TRIANGLES: Final = np.concatenate([_QUADS[:, [0, 1, 2]], _QUADS[:, [0, 2, 3]]])
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Points:
-    """Sample points of one target.
+    """The sample points of one target.
 
     points : (k, 3); the first `own` of them are this package's own samples
-    boxes : (k,) number of the occluding box that each point lies on, -1 for none
+    boxes : (k,) index of the occluding box that each point lies on, -1 for none
     least : share of the points that must be visible
     """
 
@@ -65,7 +66,7 @@ class _Points:
     least: float
 
     def is_seen(self, seen: Bools) -> bool:
-        """Whether it is, by which of its points are (k,)."""
+        """Return whether the target counts as seen, given which of its points (k,) are visible."""
         published = _share(seen[self.own :])
         if self.own:
             ours, enough = _share(seen[: self.own]), much(self.least, self.own)
@@ -78,7 +79,9 @@ class _Points:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Look:
-    """Looks at one thing: eyes (n, 3), the keys they go by; seen (n, k), its points in range, and then those seen."""
+    """The pending tests of one target: eyes (n, 3) with their cache keys; seen (n, k), first the points in range, then
+    the visible ones.
+    """
 
     sought: Sought
     keys: list[bytes]
@@ -90,19 +93,19 @@ class _Look:
 class Sight:
     """Lines of sight in one scene; each (place, target) is computed once.
 
-    Surfaces that are exact hide what is behind them. Where boxes stand in for them, walls and floors hide as they are
-    drawn, and every thing as a solid box. Where no surface is known, things alone hide.
+    Exact surfaces occlude what is behind them. If boxes replace them, walls and floors occlude with their triangles and
+    every object with a solid box. If no surface is known, only objects occlude.
 
     Parameters
     ----------
-    geometry : the scene's surfaces, None where its dataset tells none
-    is_structure : whether an object is a wall, a floor …, whose box is not solid
-    is_frame : whether it is a shelf, a table …, whose box hides nothing of what is on it
+    geometry : the scene's surfaces, None if its dataset has none
+    is_structure : returns whether an object is structure (wall, floor), whose box is not solid
+    is_frame : returns whether an object is a frame (shelf, table), whose box does not hide what is on it
     floor : points (n, 3) of a room's floor, by its id
 
     Attributes
     ----------
-    approximate : whether boxes stand in for surfaces
+    approximate : whether boxes replace surfaces
     """
 
     def __init__(
@@ -146,7 +149,7 @@ class Sight:
         )
 
     def look(self, wanted: Iterable[tuple[Sought, F64]]) -> None:
-        """Cast the looks from eyes (n, 3) that were not cast before, many at once."""
+        """Cast all wanted lines of sight from eyes (n, 3) that are not cached, together."""
         places: dict[Sought, dict[bytes, F64]] = {}
         for sought, eyes in wanted:
             known = self._seen.setdefault(sought, {})
@@ -171,7 +174,7 @@ class Sight:
         self._cast(looks)
 
     def _cast(self, looks: Sequence[_Look]) -> None:
-        """Leave of what is in range what nothing hides, and keep it."""
+        """Reduce the points in range to those that nothing occludes, and cache the result."""
         if not looks:
             return
         ends = [np.nonzero(look.seen) for look in looks]
@@ -186,17 +189,17 @@ class Sight:
             self._seen[look.sought].update(zip(look.keys, look.seen, strict=True))
 
     def floor(self, room_id: str) -> F64:
-        """Points (n, 3) of a room's floor."""
+        """Return points (n, 3) on a room's floor."""
         return self._floor(room_id)
 
     def surface(self, object_id: str, count: int) -> F64:
-        """Points (count, 3) of this package's own on a thing's surface; its centre where no extent is known."""
+        """Return this package's own points (count, 3) on an object's surface; its centre if its extent is unknown."""
         item = self._scene.object_of[object_id]
         triangles = self._triangles(item)
         return item.center[None] if triangles is None else evenly(triangles, count)
 
     def meets(self, object_id: str, eyes: F64, points: F64) -> Bools:
-        """(k,): which of the points (k, 3) of a thing any of the eyes (n, 3) sees, at whatever distance."""
+        """Return (k,): which points (k, 3) of an object are visible from any of the eyes (n, 3), at any distance."""
         own = self._own_boxes(object_id, points)
         seen = np.zeros(len(points), dtype=bool)
         for begin in range(0, len(eyes), EYES_AT_ONCE):
@@ -208,12 +211,16 @@ class Sight:
         return seen
 
     def is_seen(self, sought: Sought, eyes: F64, yaw: float | None = None) -> bool:
-        """Whether enough of something is seen from eyes (n, 3) together; with a yaw, of what lies ahead of the one."""
+        """Return whether enough of a target is visible from eyes (n, 3) together; with a yaw, from one eye in that
+        direction.
+        """
         where = self._where(sought)
         return where is not None and where.is_seen(self._together(sought, where, eyes, yaw))
 
     def shares(self, sought: Sought, eyes: F64) -> list[float]:
-        """Shares of it that are seen: of this package's points, if there are any, and of the published ones."""
+        """Return the visible shares of a target: of this package's points, if there are any, and of the published
+        ones.
+        """
         where = self._where(sought)
         if where is None:
             return []
@@ -227,7 +234,7 @@ class Sight:
         return seen if yaw is None else seen & in_view(eyes, where.points, self._ahead, [yaw])[0]
 
     def _where(self, sought: Sought) -> _Points | None:
-        """Sample points of a target; None if the scene does not have it."""
+        """Return the sample points of a target; None if the scene does not have it."""
         if sought not in self._points:
             kind, name = sought
             self._points[sought] = self._of_thing(name) if kind == "thing" else self._of_floor(name)
@@ -256,7 +263,9 @@ class Sight:
         return _Points(points, count, self._own_boxes(object_id, points), least)
 
     def _own_boxes(self, object_id: str, points: F64) -> NDArray[np.int64]:
-        """Number of the box that each point (k, 3) of an object lies on, the nearest of several; -1 for none."""
+        """Return the index of the box that each point (k, 3) of an object lies on, the nearest of several; -1 for
+        none.
+        """
         numbers = np.array(self._boxes.get(object_id, [-1]), dtype=np.int64)
         if len(numbers) == 1:
             return np.full(len(points), numbers[0])
@@ -268,14 +277,14 @@ class Sight:
         return nearest
 
     def _faces(self, item: SceneObject) -> NDArray[np.int64]:
-        """Faces (m, 3) of a thing's own surface; none where no exact surface is known."""
+        """Return the indices (m,) of an object's own faces; empty if no exact surface is known."""
         known = self._geometry
         return (
             np.empty((0, 3), np.int64) if known is None else known.faces[known.owner == self._numbers[item.object_id]]
         )
 
     def _triangles(self, item: SceneObject) -> F64 | None:
-        """Triangles (m, 3, 3) of a thing's surface, or of its boxes; None where no extent is known."""
+        """Return triangles (m, 3, 3) of an object's surface, or of its boxes; None if its extent is unknown."""
         faces, boxes = self._faces(item), _boxes(item)
         if self._geometry is not None and len(faces):
             surface: F64 = self._geometry.vertices[faces]
@@ -290,13 +299,13 @@ def _share(seen: Bools) -> float:
 
 
 def evenly(triangles: F64, count: int = OWN_POINTS) -> F64:
-    """Points (count, 3) on triangles (m, 3, 3), equally many to equal areas; not drawn at random.
+    """Return points (count, 3) on triangles (m, 3, 3), uniform by area and deterministic.
 
-    Within triangles they follow the R2 sequence (Roberts 2018), turned from the square onto a triangle by the root map.
+    Within triangles they follow the R2 sequence (Roberts 2018), mapped from the square to a triangle by the root map.
     """
     first, along, across = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     area = np.linalg.norm(np.cross(along, across), axis=1)
-    if not area.any():  # a line or a point
+    if not area.any():  # degenerate triangles: a line or a point
         area = np.ones(len(triangles))
     number = np.arange(count)
     upto = np.cumsum(area)
@@ -308,10 +317,10 @@ def evenly(triangles: F64, count: int = OWN_POINTS) -> F64:
 
 @lru_cache(maxsize=16)
 def much(least: float, count: int) -> float:
-    """The share of `count` points that is too large if others see less than the share `least` of the same surface.
+    """Return the share of `count` points that contradicts another set of which less than the share `least` is visible.
 
-    Were both sets drawn at random from any surface, such a pair would come up with odds of no more than `ODDS`; both
-    are spread more evenly than that. More than 1 where no share is too much.
+    If both sets were random points on the same surface, such a pair would occur with a probability of at most `ODDS`;
+    both sets are spread more evenly than random ones. A result above 1 means that no share is a contradiction.
     """
     few = math.ceil(least * count)
     shown = np.arange(1, 1000)[:, None] / 1000.0
@@ -326,7 +335,7 @@ def much(least: float, count: int) -> float:
 
 
 def _boxes(item: SceneObject) -> list[tuple[F64, F64, F64]]:
-    """Middle, half extents and axes (columns) of each part of a thing, else of the tightest box that is known."""
+    """Return centre, half extents and axes (columns) of each part of an object, else of its tightest known box."""
     if item.parts:
         return [(part.center, part.half_extents, part.rotation) for part in item.parts]
     if item.obb is not None:

@@ -1,7 +1,7 @@
-"""Objects that an annotation cut at the border of two regions: a text must not take the pieces for different things.
+"""Detect objects that an annotation cut at the border of two regions; a text must not treat the pieces as two objects.
 
-Joining them is the business of the source; here it is checked that none was left apart, by stricter bounds, so that
-what the source leaves apart for a reason at its own bounds is not found again.
+The source merges such pieces. Here it is checked that none was left, with stricter bounds, so that pieces that the
+source kept apart near its own bounds are not reported.
 """
 
 from __future__ import annotations
@@ -15,18 +15,17 @@ from condvln.scene import Room, Scene, SceneObject
 __all__ = ["left_apart"]
 
 TOUCHING: Final = 0.02
-"""Metres between the boxes of two pieces, and from a piece to the other's region, at most."""
+"""Largest distance in metres between the boxes of two pieces, and from a piece to the other's region."""
 SAME_SECTION: Final = 0.8
-"""Share of the smaller cross-section that the other covers, at least."""
+"""Least share of the smaller cross-section that the other one covers."""
 CUT_FAMILIES: Final = ("mp3d",)
 """Families that are annotated region by region."""
 
 
 def left_apart(scene: Scene) -> frozenset[str]:
-    """Ids of the objects that look like pieces of one thing, in different regions of one level.
+    """Return the ids of objects that look like pieces of one object, in different regions of one level.
 
-    An object that the source put together (warning ``object_cut``) is larger than what it was cut from, and is not
-    compared again.
+    An object that the source has merged (warning ``object_cut``) is larger than its pieces, and is not compared again.
     """
     if scene.family not in CUT_FAMILIES:
         return frozenset()
@@ -46,7 +45,7 @@ def left_apart(scene: Scene) -> frozenset[str]:
 
 
 def _continues(one: SceneObject, other: SceneObject) -> bool:
-    """Whether the boxes touch, and one goes on where the other ends, with the same cross-section."""
+    """Return whether two boxes touch and one continues the other with the same cross-section."""
     assert one.aabb is not None
     assert other.aabb is not None
     shared = [float(min(one.aabb[1][k], other.aabb[1][k]) - max(one.aabb[0][k], other.aabb[0][k])) for k in range(3)]

@@ -1,7 +1,7 @@
-"""Where things lie for an agent at the start: left, right, ahead or behind, by code of this package's own.
+"""Decide whether objects are left, right, ahead or behind of an agent at the start, with this package's own code.
 
-The agent's own axes are taken from its rotation. A thing is a rectangle on the ground; a direction is a wedge about one
-of the axes, and both are compared as shapes.
+The agent's axes come from its rotation. An object is a rectangle on the ground, a direction is a wedge around one of
+the axes, and the two shapes are tested for intersection.
 """
 
 from __future__ import annotations
@@ -27,7 +27,9 @@ _Point = tuple[float, float]
 
 
 class Standpoint(NamedTuple):
-    """The start of an episode; x, height and z in millimetres, and its heading's unit vector on the ground (x, z)."""
+    """The start pose of an episode: x, height and z in millimetres, and the heading as a unit vector on the ground
+    (x, z).
+    """
 
     x: float
     height: float
@@ -36,7 +38,7 @@ class Standpoint(NamedTuple):
 
     @classmethod
     def of(cls, row: ManifestEpisode) -> Standpoint | None:
-        """From a row; None where the rotation is not a turn about the vertical."""
+        """Return the start pose of a row; None if its rotation is not about the vertical axis."""
         yaw = yaw_of(row.start_rotation)
         if yaw is None:
             return None
@@ -44,14 +46,16 @@ class Standpoint(NamedTuple):
         return cls(x, y, z, (-math.sin(yaw), -math.cos(yaw)))
 
     def is_in(self, room: Room) -> bool:
-        """Whether it stands in a room: within its outline, at about its floor; a room without one is everywhere."""
+        """Return whether the start is inside a room's outline, at about its floor height; always true without an
+        outline.
+        """
         if room.polygon is None:
             return True
         outline = [(1000.0 * float(x), 1000.0 * float(z)) for x, z in room.polygon]
         return inside_outline(self.x, self.z, outline) and abs(self.height - 1000.0 * room.floor_y) <= whole_mm(SINK)
 
     def judge(self, direction: str, thing: Thing, t: Thresholds) -> Judgement:
-        """Does `thing` lie in a direction?"""
+        """Return whether `thing` lies in a direction."""
         if thing.box is None:
             return judged(False, False, distance=None)
         (west, _, north), (east, _, south) = thing.box
@@ -66,7 +70,7 @@ class Standpoint(NamedTuple):
         return found._replace(numbers={**found.numbers, "degrees_off": round(off, 3)})
 
     def _seen(self, x: float, z: float, direction: str) -> _Point:
-        """(along the direction, to the right of it) of a point, in millimetres."""
+        """Return a point's coordinates in millimetres along the direction and to the right of it."""
         dx, dz = x - self.x, z - self.z
         ahead = dx * self.forward[0] + dz * self.forward[1]
         right = -dx * self.forward[1] + dz * self.forward[0]
@@ -75,14 +79,15 @@ class Standpoint(NamedTuple):
 
 
 def _off(point: _Point) -> float:
-    """Degrees between a point and the direction."""
+    """Return the angle in degrees between a point and the direction."""
     return math.degrees(math.atan2(abs(point[1]), point[0]))
 
 
 def _meets(corners: Sequence[_Point], half_width: float) -> bool:
-    """Whether a rectangle that does not hold the origin reaches into the wedge of `half_width` degrees about an axis.
+    """Return whether a rectangle that does not contain the origin intersects the wedge of ± `half_width` degrees about
+    an axis.
 
-    It does where a corner lies in the wedge, or where one of the wedge's two edges crosses one of its sides.
+    It does if a corner is in the wedge, or if one of the wedge's two edges crosses one of the rectangle's sides.
     """
     if any(_off(corner) < half_width for corner in corners):
         return True
@@ -100,7 +105,7 @@ def _meets(corners: Sequence[_Point], half_width: float) -> bool:
 
 
 def inside_outline(x: float, z: float, outline: Sequence[_Point]) -> bool:
-    """Whether a point lies in a polygon, by how many of its sides a ray towards +x crosses."""
+    """Return whether a point is inside a polygon, by the number of sides that a ray towards +x crosses."""
     inside = False
     for (x0, z0), (x1, z1) in zip(outline, (*outline[1:], outline[0]), strict=True):
         if (z0 > z) != (z1 > z) and x < x0 + (z - z0) / (z1 - z0) * (x1 - x0):

@@ -1,5 +1,6 @@
-"""Whether a thing is on, in, under, above another, or higher than it: by boxes, by what may carry what, and by what the
-source says of that. Of a thing of several pieces each is asked by itself."""
+"""Decide whether an object is on, in, under or above another, or higher, from boxes, possible support, and the source's
+statements. For an object of several pieces, each piece is tested separately.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +18,9 @@ _UNKNOWN = Judgement(UNDECIDED, {"box": None})
 
 
 def is_on(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -> Judgement:
-    """Its bottom is at the top of the anchor, whose footprint is the larger and holds most of its own."""
+    """Return "on": the subject's bottom is at the top of the anchor, whose larger footprint holds most of the
+    subject's.
+    """
     if subject.box is None or anchor.box is None:
         return _UNKNOWN
     step = subject.box[0][1] - anchor.box[1][1]
@@ -34,7 +37,7 @@ def is_on(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -> J
 
 
 def as_said_on(found: Judgement, subject: Thing, anchor: Thing, room: Surroundings) -> Judgement:
-    """The source decides where boxes leave a fact open; where they contradict each other, nothing is decided."""
+    """Return "on" by the source if boxes leave it open; undecided if source and boxes contradict each other."""
     if room.is_said_on(subject, anchor):
         return found._replace(verdict=UNDECIDED if found.verdict == FALSE else TRUE)
     if found.verdict == UNDECIDED and room.is_said_elsewhere(subject, anchor):
@@ -43,14 +46,14 @@ def as_said_on(found: Judgement, subject: Thing, anchor: Thing, room: Surroundin
 
 
 def as_said_in(found: Judgement, subject: Thing, anchor: Thing, room: Surroundings) -> Judgement:
-    """The source may name the container; where boxes contradict it, nothing is decided."""
+    """Return "in" by the source's named container; undecided if boxes contradict it."""
     if room.is_said_in(subject, anchor) and _can_be_looked_into(anchor):
         return found._replace(verdict=UNDECIDED if found.verdict == FALSE else TRUE)
     return found
 
 
 def is_under(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -> Judgement:
-    """It is on the floor below the anchor's underside."""
+    """Return "under": the subject is on the floor below the anchor's underside."""
     if subject.box is None or anchor.box is None:
         return _UNKNOWN
     lift, air, covered = room.off_floor(subject), anchor.box[0][1] - subject.box[1][1], _covered(subject, anchor)
@@ -67,7 +70,7 @@ def is_under(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -
 
 
 def is_in(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -> Judgement:
-    """Most of it is inside a container that is open at the top."""
+    """Return "in": most of the subject's volume is inside an open container."""
     if subject.box is None or anchor.box is None or not _can_be_looked_into(anchor):
         return _UNKNOWN
     volume = math.prod(high - low for low, high in zip(*subject.box, strict=True))
@@ -78,7 +81,7 @@ def is_in(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -> J
 
 
 def is_above(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -> Judgement:
-    """It is over the anchor, with air in between."""
+    """Return "above": the subject is over the anchor, with a vertical gap."""
     if subject.box is None or anchor.box is None:
         return _UNKNOWN
     up, air = subject.centre[1] - anchor.centre[1], subject.box[0][1] - anchor.box[1][1]
@@ -102,7 +105,7 @@ def is_above(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -
 
 
 def is_higher(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -> Judgement:
-    """Its centre and its top are higher; both hang or rest well above the floor, and neither carries the other."""
+    """Return "higher": centre and top are higher, both are well above the floor, and neither supports the other."""
     lifts = [room.off_floor(thing) for thing in (subject, anchor)]
     if subject.box is None or anchor.box is None or None in lifts:
         return _UNKNOWN
@@ -120,7 +123,7 @@ def _can_be_looked_into(holder: Thing) -> bool:
 
 
 def _covered(subject: Thing, anchor: Thing) -> float | None:
-    """Part of the subject's footprint that the anchor's covers; None of a footprint without area."""
+    """Return the share of the subject's footprint that the anchor's covers; None for a footprint without area."""
     area = math.prod(subject.ground_sides())
     x, _, z = shared_sides(subject, anchor)
     return x * z / area if area > 0 else None

@@ -1,4 +1,4 @@
-"""Distances between the surfaces of two objects, asked of FCL pair by pair."""
+"""Distances between the surfaces of two objects, measured with FCL pair by pair."""
 
 from __future__ import annotations
 
@@ -21,15 +21,17 @@ __all__ = ["Shapes", "SurfaceGauge"]
 F64 = NDArray[np.float64]
 
 KEPT_TRIANGLES: Final = 1_500_000
-"""Triangles whose hierarchies are kept for the next scene; some 300 MB, and four times what ReplicaCAD has."""
+"""Number of triangles whose FCL hierarchies are kept for the next scene: about 300 MB, four times ReplicaCAD."""
 
 ORTHOGONAL: Final = 1e-9
-"""Largest product of two unit axes of a placement that still counts as a rotation."""
+"""Largest dot product of two unit axes of a transform that still counts as a rotation."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Shape:
-    """Triangles in a frame of their own; corners (m, 3), one of each; bounds (2, 3); `solid`: they have an inside."""
+    """Triangles in their own frame; corners (m, 3), one per connected piece; bounds (2, 3); `solid` : they have an
+    interior.
+    """
 
     mesh: trimesh.Trimesh
     model: Any
@@ -40,7 +42,7 @@ class _Shape:
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """A shape where it stands: a rotation (3, 3) and a translation (3,); `bounds` (2, 3) hold it, perhaps loosely."""
+    """A placed shape: rotation (3, 3) and translation (3,); `bounds` (2, 3) enclose it, perhaps not tightly."""
 
     shape: _Shape
     rotation: F64
@@ -49,25 +51,29 @@ class _Part:
     collision: Any
 
     def to_own(self, points: F64) -> F64:
-        """Points (n, 3) of the scene in the shape's frame."""
+        """Return points (n, 3) of the scene in the shape's frame."""
         moved: F64 = (points - self.translation) @ self.rotation
         return moved
 
     def to_scene(self, points: F64) -> F64:
-        """The inverse of `to_own`."""
+        """Return points (n, 3) of the shape's frame in the scene's."""
         moved: F64 = points @ self.rotation.T + self.translation
         return moved
 
 
 class Shapes:
-    """The meshes under one dataset root as FCL knows them. Shared by scenes, since building a hierarchy is dear."""
+    """The FCL models of the meshes under one dataset root; shared by scenes, since building a hierarchy is
+    expensive.
+    """
 
     def __init__(self, root: Path) -> None:
         self._library = MeshLibrary(root)
         self._kept: OrderedDict[tuple[str, bytes], _Shape] = OrderedDict()
 
     def parts(self, item: SceneObject) -> list[_Part]:
-        """An object as its meshes, else its oriented box, else its axis-aligned one; empty without extent."""
+        """Return an object's meshes, else its oriented box, else its axis-aligned box; empty if its extent is
+        unknown.
+        """
         parts = [self._placed(part.path, part.transform) for part in item.mesh]
         parts = [part for part in parts if len(part.shape.corners)]
         if parts or (item.obb is None and item.box is None):
@@ -82,18 +88,18 @@ class Shapes:
         else:
             assert item.box is not None
             extents, centre, rotation = item.box[1] - item.box[0], item.box.mean(axis=0), np.eye(3)
-        # FCL's own box against box goes wrong where centres share a coordinate; twelve triangles do not.
+        # FCL's own box-box distance is wrong if centres share a coordinate; twelve triangles are right.
         return [_placed(_shape(trimesh.creation.box(extents=extents), True), rotation, centre)]
 
     def _placed(self, path: str, transform: F64) -> _Part:
-        """A placed mesh file; the part of its placement that is not a rotation is applied to the triangles."""
+        """Return a placed mesh file; the part of its transform that is not a rotation is applied to the triangles."""
         linear = transform[:3, :3]
         scale = np.linalg.norm(linear, axis=0)
         rotation = linear / scale if (scale > 0).all() else np.eye(3)
         if np.abs(rotation.T @ rotation - np.eye(3)).max() > ORTHOGONAL or np.linalg.det(rotation) < 0:
             rotation = np.eye(3)
         own = rotation.T @ linear
-        # Placements of one model differ in the last bits of what should be its one scale.
+        # The scales of several instances of one model differ only in the last bits.
         own = np.round(own, 12) + 0.0
         key = (path, own.tobytes())
         shape = self._kept.get(key)
@@ -108,7 +114,7 @@ class Shapes:
 
 
 class SurfaceGauge:
-    """Surface distances in one scene, each measured once."""
+    """The surface distances in one scene, each measured once."""
 
     def __init__(self, shapes: Shapes) -> None:
         self._shapes = shapes
@@ -116,7 +122,7 @@ class SurfaceGauge:
         self._distances: dict[tuple[str, str], float | None] = {}
 
     def millimetres(self, one: SceneObject, other: SceneObject) -> float | None:
-        """Whole millimetres between two surfaces, 0 where they touch or one lies in the other; None if unknown."""
+        """Return whole millimetres between two surfaces; 0 if they touch or one contains the other; None if unknown."""
         first, second = sorted((one, other), key=lambda item: item.object_id)
         key = (first.object_id, second.object_id)
         if key not in self._distances:
@@ -130,7 +136,7 @@ class SurfaceGauge:
 
 
 def _shape(mesh: trimesh.Trimesh, solid: bool) -> _Shape:
-    # Taken out once: trimesh checks its arrays for changes at every question.
+    # Extracted once: trimesh checks its arrays for changes on every access.
     corners = np.array(mesh.triangles[:, 0])
     bounds = np.zeros((2, 3)) if mesh.bounds is None else np.array(mesh.bounds)
     return _Shape(mesh, mesh_to_BVH(mesh) if len(corners) else None, corners, bounds, solid)
@@ -159,13 +165,13 @@ def _between(first: list[_Part], second: list[_Part]) -> float | None:
 
 
 def _least(one: _Part, other: _Part) -> float:
-    """Metres that two parts are at least apart."""
+    """Return a lower bound in metres of the distance of two parts."""
     gaps = np.maximum(one.bounds[0] - other.bounds[1], other.bounds[0] - one.bounds[1])
     return float(np.linalg.norm(np.maximum(gaps, 0.0)))
 
 
 def _holds(outer: list[_Part], inner: list[_Part]) -> bool:
-    """Whether some of a body lies inside another whose surface it does not touch."""
+    """Return whether part of a body lies inside another one whose surface it does not touch."""
     return all(part.shape.solid for part in outer) and any(_contains(one, other) for one in outer for other in inner)
 
 
@@ -173,7 +179,7 @@ def _contains(outer: _Part, inner: _Part) -> bool:
     if _least(outer, inner) > 0.0:
         return False
     low, high = outer.shape.bounds
-    # One corner of each triangle meets every connected piece of the surface; each is inside as a whole or not at all.
+    # One corner per triangle covers every connected piece of the surface; each piece is entirely inside or outside.
     points = outer.to_own(inner.to_scene(inner.shape.corners))
     points = points[((points >= low) & (points <= high)).all(axis=1)]
     return bool(len(points)) and bool(outer.shape.mesh.contains(points).any())

@@ -1,4 +1,4 @@
-"""What is around a thing in its room: the floor, what carries it, and who else could be meant."""
+"""The surroundings of an object in its room: the floor, its supports, and other objects that could be meant."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ __all__ = ["Point", "Said", "Surroundings", "Thing", "box_gap", "footprint_gap",
 Point = tuple[int, int, int]
 
 Said = Mapping[str, Sequence[tuple[str, bool]]]
-"""By the id of a thing what its source says that it is in (True) and on (False)."""
+"""By object id, what the source states that it is in (True) and on (False)."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Thing:
-    """An object by its numbers: centre and box corners (low, high) in whole millimetres, None where not known.
+    """An object in numbers: centre and box corners (low, high) in whole millimetres, None if unknown.
 
-    pieces : the boxes that it is made of where it is several, a counter's arms
+    pieces : its boxes if it has several (an L-shaped counter)
     """
 
     item: SceneObject
@@ -34,7 +34,7 @@ class Thing:
 
     @classmethod
     def of(cls, item: SceneObject, label: str) -> Thing:
-        """A thing from its record."""
+        """Return an object from its scene record."""
         box = item.box
         corners = None if box is None else (_whole(box[0]), _whole(box[1]))
         thing = cls(item, label, _whole(item.center), corners)
@@ -47,21 +47,21 @@ class Thing:
         return replace(thing, pieces=tuple(arms))
 
     def solids(self) -> tuple[Thing, ...]:
-        """Its pieces, or itself where it is one."""
+        """Return its pieces, or itself if it is a single box."""
         return self.pieces or (self,)
 
     @property
     def object_id(self) -> str:
-        """Its id in the scene."""
+        """The object's id in the scene."""
         return self.item.object_id
 
     def ground_sides(self) -> tuple[int, int]:
-        """Sides of its footprint along x and z; it must have a box."""
+        """Sides of its footprint in millimetres along x and z; it must have a box."""
         assert self.box is not None
         return self.box[1][0] - self.box[0][0], self.box[1][2] - self.box[0][2]
 
     def sides(self) -> list[float]:
-        """Sides of its oriented box, else of its axis-aligned one, the longest last; empty without either."""
+        """Sides of its oriented box, else of its axis-aligned box, the longest last; empty without either."""
         if self.item.obb is not None:
             return sorted(float(round(2.0 * float(half) * 1000.0)) for half in self.item.obb.half_extents)
         if self.box is None:
@@ -70,13 +70,13 @@ class Thing:
 
 
 class Surroundings:
-    """A room around its things.
+    """A room and its objects, for questions about their surroundings.
 
     Parameters
     ----------
     things : all things of the room
     floor : height of its floor in metres
-    said : what the source says of where things are
+    said : the source's statements about where objects are
     """
 
     def __init__(self, things: Sequence[Thing], floor: float, thresholds: Thresholds, said: Said | None = None) -> None:
@@ -87,19 +87,19 @@ class Surroundings:
         self._said = said or {}
 
     def off_floor(self, thing: Thing) -> int | None:
-        """Millimetres of its bottom above the floor."""
+        """Return the height in millimetres of the object's bottom above the floor."""
         return None if thing.box is None or self._floor is None else thing.box[0][1] - self._floor
 
     def is_said_on(self, upper: Thing, lower: Thing) -> bool:
-        """Whether the source says that `upper` rests on `lower`."""
+        """Return whether the source states that `upper` rests on `lower`."""
         return (lower.object_id, False) in self._said.get(upper.object_id, ())
 
     def is_said_in(self, inner: Thing, outer: Thing) -> bool:
-        """Whether the source says that `outer` contains `inner`."""
+        """Return whether the source states that `outer` contains `inner`."""
         return (outer.object_id, True) in self._said.get(inner.object_id, ())
 
     def is_said_elsewhere(self, thing: Thing, other: Thing) -> bool:
-        """Whether the source says that a thing is somewhere else than in or on `other`."""
+        """Return whether the source states that an object is not in or on `other` but elsewhere."""
         if not self._said.get(thing.object_id):
             return False
         receptacles = {x.object_id: x.item.receptacles or () for x in self._things}
@@ -113,8 +113,11 @@ class Surroundings:
         return other.object_id not in seen
 
     def may_rest(self, upper: Thing, lower: Thing) -> bool:
-        """Whether `upper` may rest on `lower`: the source names it, or footprints meet, and its bottom lies clearly
-        above that of `lower` and not clearly above its top."""
+        """Return whether `upper` may rest on `lower`.
+
+        This is so if the source states it, or if their footprints meet and the bottom of `upper` is clearly above that
+        of `lower` and not clearly above its top.
+        """
         if upper.object_id == lower.object_id:
             return False
         if lower.object_id in (upper.item.receptacles or ()):
@@ -128,7 +131,7 @@ class Surroundings:
         return bottom - lower.box[0][1] > self._lift and bottom - lower.box[1][1] < self._slack
 
     def may_carry(self, lower: Thing, upper: Thing) -> bool:
-        """Whether `upper` may rest on `lower`, perhaps with things in between."""
+        """Return whether `upper` may rest on `lower`, directly or through other objects."""
         return lower.object_id in self._carriers_of(upper)
 
     def _carriers_of(self, thing: Thing) -> frozenset[str]:
@@ -145,17 +148,17 @@ class Surroundings:
 
 
 def whole_mm(metres: float) -> float:
-    """Millimetres. 1.15 · 1000 is not a whole number in binary; a nanometre is ignored."""
+    """Return whole millimetres, rounded first to a nanometre, since 1.15 · 1000 is not an integer in binary."""
     return round(metres * 1000.0, 6)
 
 
 def footprint_gap(one: Thing, other: Thing) -> float:
-    """Horizontal millimetres between two footprints; both must have a box."""
+    """Return the horizontal distance in millimetres between two footprints; both objects must have a box."""
     return _beyond(one, other, (0, 2))
 
 
 def box_gap(one: Thing, other: Thing) -> float:
-    """Millimetres between two boxes; both must have one."""
+    """Return the distance in millimetres between two boxes; both objects must have one."""
     return _beyond(one, other, (0, 1, 2))
 
 
@@ -170,7 +173,7 @@ def _beyond(one: Thing, other: Thing, axes: tuple[int, ...]) -> float:
 
 
 def shared_sides(one: Thing, other: Thing) -> tuple[int, int, int]:
-    """Lengths along x, y and z that two boxes share."""
+    """Return the lengths along x, y and z of the overlap of two boxes."""
     assert one.box is not None
     assert other.box is not None
     x, y, z = (max(min(one.box[1][k], other.box[1][k]) - max(one.box[0][k], other.box[0][k]), 0) for k in range(3))

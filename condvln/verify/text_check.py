@@ -1,4 +1,4 @@
-"""Text against program against scene: what is said, what it means here, and which leaf is gold."""
+"""Check text against program and scene: the text's conditions, their meaning in the scene, and the gold leaf."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ __all__ = ["check_meaning"]
 def check_meaning(
     row: ManifestEpisode, referents: SceneReferents, rules: VerifierRules, certificate: Certificate
 ) -> None:
-    """Everything about an episode that its text and the scene decide."""
+    """Check everything about an episode that its text and the scene decide."""
     certificate.same("words", row.words, len(row.instruction_text.split()))
     _check_rooms(row.program, referents, certificate)
     try:
@@ -73,7 +73,7 @@ def _check_heading(row: ManifestEpisode, reading: TextReading, rules: VerifierRu
 def _check_conditions(
     program: Program, reading: TextReading, single_room: bool, certificate: Certificate
 ) -> list[int] | None:
-    """For each condition of the program its place in the text; None where they are not the same conditions."""
+    """Return for each condition of the program its index in the text; None if the conditions differ."""
     claimed = [_phrase(condition, single_room) for condition in program.conditions]
     said = [_unplaced(phrase, single_room) for phrase in reading.conditions]
     agreed = len(claimed) == len(said) == len(set(said)) and set(claimed) == set(said)
@@ -85,7 +85,7 @@ def _check_conditions(
 def _check_branches(
     program: Program, reading: TextReading, order: Sequence[int], single_room: bool, certificate: Certificate
 ) -> list[Moves] | None:
-    """The text's words for each leaf of the program; None where it sends the agent elsewhere."""
+    """Return the text's stops for each leaf of the program; None if the text leads elsewhere."""
     claimed = [tuple(_phrase(move, single_room) for move in leaf.moves) for leaf in program.leaves]
     words: dict[int, Moves] = {}
     for case, moves in enumerate(reading.moves):
@@ -109,7 +109,7 @@ def _check_claims(
     start: Standpoint | None,
     certificate: Certificate,
 ) -> list[bool] | None:
-    """Truths of the program's conditions as the scene has them; None where one can't be decided."""
+    """Return the truths of the program's conditions in the scene; None if one can't be decided."""
     truths: list[bool] = []
     for k, (condition, place) in enumerate(zip(program.conditions, order, strict=True)):
         name = f"condition {k}"
@@ -144,7 +144,7 @@ def _check_stops(
     start: Standpoint | None,
     certificate: Certificate,
 ) -> None:
-    """Every stop means one thing, the program's."""
+    """Check that every stop refers to exactly one object, the program's."""
     for k, (leaf, moves) in enumerate(zip(program.leaves, leaves, strict=True)):
         for j, (move, stop) in enumerate(zip(leaf.moves, moves, strict=True)):
             found = referents.thing(stop, start)
@@ -153,7 +153,8 @@ def _check_stops(
                 certificate.holds(found.fact, False, found.needed, found.found, f"{name} ({stop})")
             else:
                 if move.is_bearing:
-                    # Its room is not said. The program's name for it must fit all the same.
+                    # The text does not name the stop's room. The program's name for the room must be valid
+                    # nevertheless.
                     found = _with_room(found, move, referents)
                 claimed = (move.object_id, *_ids(move))
                 certificate.same("referents", claimed, (found.object_id, *_found_ids(found)), name)
@@ -167,16 +168,16 @@ def _with_room(found: Referent, move: ObjectRef, referents: SceneReferents) -> R
 
 
 def _phrase(named: Condition | ObjectRef, single_room: bool) -> Phrase:
-    """A part of the program as its text must name it."""
+    """Return a part of the program as its text must name it."""
     qualifier = None if named.qualifier is None else (named.qualifier.predicate, named.qualifier.anchor_labels)
-    # Where a stop lies at the start also says its room.
+    # A stop with an egocentric direction is in the room of the start.
     unnamed = single_room or (isinstance(named, ObjectRef) and qualifier is not None and qualifier[0] in BEARINGS)
     room = None if unnamed else Named(named.room.label, named.room.anchor_label)
     return Phrase(named.label, qualifier, room, isinstance(named, Condition) and named.definite)
 
 
 def _unplaced(phrase: Phrase, single_room: bool) -> Phrase:
-    """The phrase without its room in a scene of one room, where a text may name it or not."""
+    """Return the phrase without its room in a scene of one room, where naming the room is optional."""
     return phrase._replace(room=None) if single_room and phrase.room is not None else phrase
 
 

@@ -1,11 +1,10 @@
-"""What a text says, found without the templates that it was made from.
+"""Find the meaning of a text without the templates that it was made from.
 
-A text is read the way a person reads it: clause by clause, each "if", question and answer narrowing down under which
-circumstances its stops are meant. Circumstances are sets of assignments of truth to the conditions named so far (a
-bit mask), so that a reading is a function from what is true to where to go. Every way to attach an answer or an
-"otherwise" to what was asked before is followed; a text is sound when exactly one function comes out that says once,
-and only once, where to go in every case. That function must also be the one of a listener who takes every answer for
-the latest question: who has to think back has not understood.
+The text is read clause by clause: each "if", question and answer restricts the cases for which its stops apply. Cases
+are assignments of truth to the conditions named so far (a bit mask), so a reading is a function from truths to stops.
+All ways to attach an answer or an "otherwise" to earlier conditions are followed. A text is valid if exactly one
+function results that gives stops exactly once for every case. A listener who refers every answer to the latest question
+must also get this function, since otherwise the text would be hard to follow.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from condvln.verify.phrases import Moves, Named, Phrase, PhraseReader
 __all__ = ["MAX_CONDITIONS", "TextReading", "Unreadable", "read"]
 
 MAX_CONDITIONS: Final = 3
-"""Most conditions of any category."""
+"""Largest number of conditions of any category."""
 
 _CASES: Final = 1 << MAX_CONDITIONS
 _ALWAYS: Final = (1 << _CASES) - 1
@@ -34,7 +33,11 @@ class Unreadable(Exception):
 
 @dataclass(frozen=True, slots=True)
 class TextReading:
-    """conditions in the order of their first mention; moves[c] for the case c whose bit k is the truth of k."""
+    """The reading of a text.
+
+    conditions : in the order of their first mention
+    moves : moves[c] for the case c whose bit k is the truth of condition k
+    """
 
     conditions: tuple[Phrase, ...]
     moves: tuple[Moves, ...]
@@ -42,9 +45,9 @@ class TextReading:
 
 
 class _Ask(NamedTuple):
-    """Something asked or supposed: in which cases at all, of which condition, and in which cases the "if" holds.
+    """A question or an "if": the cases to which it applies, its condition, and the cases in which it holds.
 
-    guard : of an "if", the cases it is for; None of a question
+    guard : for an "if", the cases to which it applies; None for a question
     """
 
     context: int
@@ -53,11 +56,14 @@ class _Ask(NamedTuple):
 
 
 class _State(NamedTuple):
-    """A text read so far.
+    """The state after reading a part of a text.
 
-    room : named last; rules : (cases, moves); asks : in their order; open : places in `asks` of the "if"s without an
-    "otherwise" yet; listed : in a list, the cases of the entries so far; None outside of lists
-    early : an answer was not taken for the latest question
+    room : the room named last
+    rules : (cases, moves) so far
+    asks : questions and "if"s in order
+    open : indices in `asks` of "if"s that have no "otherwise" yet
+    listed : inside a list, the cases of its entries so far; None outside lists
+    early : some answer did not refer to the latest question
     """
 
     at: int
@@ -71,22 +77,22 @@ class _State(NamedTuple):
 
 
 def read(text: str, code: str = "en") -> TextReading:
-    """The one reading of `text`.
+    """Return the only reading of `text` in language `code`.
 
     Raises
     ------
     Unreadable
-        It has none, or more than one, or one that a listener would not come to first.
+        It has none, or more than one, or one that is not the first that a listener would assume.
     """
     reader = _Reader(phrasebook(code), text)
     found = list(reader.readings())
     if not found:
-        raise Unreadable(f"no reading; it breaks off before {reader.rest()!r}")
+        raise Unreadable(f"no reading; parsing stops before {reader.rest()!r}")
     functions = {reading for reading, _ in found}
     if len(functions) > 1:
-        raise Unreadable(f"{len(functions)} readings: it could be meant in as many ways")
+        raise Unreadable(f"the text is ambiguous: it has {len(functions)} readings")
     if all(early for _, early in found):
-        raise Unreadable("an answer does not belong to the question before it")
+        raise Unreadable("an answer does not refer to the question before it")
     conditions, moves, heading = found[0][0]
     return TextReading(conditions, moves, heading)
 
@@ -98,7 +104,7 @@ class _Reader(PhraseReader):
     """All readings of one text."""
 
     def readings(self) -> Iterator[tuple[_Function, bool]]:
-        """Meanings of the whole text, perhaps repeated, and whether they think back to an earlier question."""
+        """Yield meanings of the whole text (may repeat), and whether an answer refers to an earlier question."""
         for at, heading in self._opening():
             for start, scope in self._scopes(at):
                 self.scope = scope
@@ -110,7 +116,7 @@ class _Reader(PhraseReader):
     # -- sentences -----------------------------------------------------------------------------------------------------
 
     def _sentences(self, state: _State, base: int) -> Iterator[_State]:
-        """Clauses to the end of the text; `base` are the cases that the clauses of this sentence are about."""
+        """Parse clauses to the end of the text; `base` : the cases that the clauses of this sentence are about."""
         for end, _, _ in self._of(state.at, "list"):
             if self._is(end, ".") or self._is(end, ":"):
                 yield from self._sentences(state._replace(at=end + 1, listed=0), base)
@@ -127,7 +133,7 @@ class _Reader(PhraseReader):
                 yield from self._sentences(after._replace(at=after.at + 1), its_base)
 
     def _clause(self, state: _State, context: int, base: int) -> Iterator[tuple[_State, int]]:
-        """One clause with all that hangs on it, and the base of the clauses after it."""
+        """Parse one clause with everything attached to it; return also the base of the following clauses."""
         at = state.at
         for end, _, _ in self._of(at, "filler"):
             yield from self._clause(state._replace(at=end + self._is(end, ",")), context, base)
@@ -149,7 +155,7 @@ class _Reader(PhraseReader):
         yield from self._request(state, context & base, base)
 
     def _supposed(self, state: _State, context: int, base: int) -> Iterator[tuple[_State, int]]:
-        """A claim behind "if", and what follows from it."""
+        """Parse a claim after "if", and its consequences."""
         if state.listed is not None:
             context &= ~state.listed
         for claimed, present, what, room in self._said(state.at, state.room):
@@ -169,7 +175,7 @@ class _Reader(PhraseReader):
                 yield from self._but(opened, within & guard, base)
 
     def _answered(self, state: _State, base: int) -> Iterator[tuple[_State, int]]:
-        """An answer behind "if", and what follows from it: "so", "there is one", "it isn't", "neither is true"."""
+        """Parse an answer after "if", and its consequences: "so", "there is one", "it isn't", "neither is true"."""
         for slot, answer, kind in _ANSWERS:
             for end, _, _ in self._of(state.at, slot):
                 for place, ask in enumerate(state.asks):
@@ -196,7 +202,7 @@ class _Reader(PhraseReader):
                     yield from self._supposed(state._replace(at=end), context, base)
 
     def _comma(self, state: _State, context: int, base: int) -> Iterator[tuple[_State, int]]:
-        """What to do in the cases `context`: walk, look further, or suppose something more."""
+        """Parse what to do in the cases `context`: walk, look further, or an additional "if"."""
         if not context or not self._is(state.at, ","):
             return
         at = state.at + 1
@@ -228,7 +234,7 @@ class _Reader(PhraseReader):
 
 
 def _is_again(what: Phrase, before: Phrase) -> bool:
-    """Whether a relation is one that was named before, now without its room."""
+    """Return whether a relation was named before, now without its room."""
     return what.room is None and what.qualifier is not None and what == before._replace(room=None)
 
 
@@ -240,11 +246,11 @@ _ANSWERS: Final = (
     ("yes_it", True, True),
     ("no_it", False, True),
 )
-"""Slot of an answer, what it says, and whether it speaks of a definite thing (None: of either)."""
+"""Slot of an answer, its truth value, and whether it is about a definite object (None for both)."""
 
 
 def _table(state: _State) -> tuple[Moves, ...] | None:
-    """The moves of each case of the conditions named; None unless every case has them exactly once."""
+    """Return the moves of each case of the conditions; None unless every case has moves exactly once."""
     covered = 0
     for cases, _ in state.rules:
         if not cases or covered & cases:

@@ -1,9 +1,9 @@
-"""Which things of a scene can be seen at all, by rays of this package's own.
+"""Check which objects of a scene can be seen at all, with rays cast by this package.
 
-A thing is seen if enough of the points that this package spreads over its surface are met by looks from places of its
-room where an agent can stand. The factory asks for four times as much before it speaks of a thing, and for none of many
-more points before it passes over one: what lies between is never spoken of, so that two sets of points agree on the
-rest. What a shut container hides is not seen.
+An object is visible if enough of this package's points on its surface are visible from positions in its room where an
+agent can stand. The generator requires four times as much before text mentions an object, and zero of many more points
+before text may ignore it. Objects in between are never mentioned, so two sets of points agree on the rest. The contents
+of a shut container are not visible.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ __all__ = ["Onlookers", "check_seen"]
 F64 = NDArray[np.float64]
 
 POINTS: Final = 256
-"""Points on a thing's surface."""
+"""Number of points on an object's surface."""
 SEEN_SHARE: Final = SEEABLE_SHARE / 4
-"""Part of them that must be seen."""
+"""Share of the points that must be visible."""
 FEW: Final = 8
-"""One in so many places and points is tried first; most things are seen so."""
+"""Stride of the positions and points that are tested first; this suffices for most objects."""
 
 
 class Onlookers:
-    """What is seen from all places of each room where an agent can stand; each object is computed once.
+    """What is visible from all positions in each room where an agent can stand; each object is computed once.
 
-    hidden : ids of what is inside something shut
+    hidden : ids of objects inside something shut
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class Onlookers:
         self._seen: dict[str, bool] = {}
 
     def see(self, object_id: str) -> bool:
-        """Whether a thing can be seen from somewhere in its room."""
+        """Return whether an object is visible from some position in its room."""
         if object_id not in self._seen:
             self._seen[object_id] = self._look_for(object_id)
         return self._seen[object_id]
@@ -67,7 +67,7 @@ class Onlookers:
         return bool(self._sight.meets(object_id, eyes, points).sum() >= least) if len(eyes) else False
 
     def _of_room(self, room_id: str) -> F64:
-        """Eyes (n, 3) at the places of a room that can be stood at."""
+        """Return eyes (n, 3) at the positions of a room where an agent can stand."""
         if room_id not in self._eyes:
             floor = self._sight.floor(room_id) - np.array([0.0, FLOOR_LIFT, 0.0])
             stood = np.asarray(self._pathfinder.are_navigable(floor)) if len(floor) else np.zeros(0, bool)
@@ -76,7 +76,7 @@ class Onlookers:
 
 
 def check_seen(program: Program, onlookers: Onlookers, certificate: Certificate) -> None:
-    """Check that every object that a text presupposes can be seen: stops, anchors and witnesses."""
+    """Check that every object that a text presupposes is visible: stops, anchors and witnesses."""
     named: set[str | None] = set()
     for condition in program.conditions:
         named |= {*condition.witnesses, condition.room.anchor_id}

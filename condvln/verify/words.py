@@ -1,7 +1,6 @@
-"""What words mean, read from the vocabulary's tables by code of this package's own.
+"""The meaning of words, read from the vocabulary's tables by this package's own code.
 
-The tables are the contract; the code that made the instructions from them is not used here, so that a fault in it
-shows.
+The tables are shared with the generator; its code is not, so that a fault in it is detected.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from itertools import combinations
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    # Since Python 3.11 only.
+    # Only since Python 3.11.
     from importlib.resources.abc import Traversable  # novm
 
 __all__ = ["Words", "folded", "package_data", "words"]
@@ -30,20 +29,22 @@ SOURCE_OF_FAMILY: Final = {
     "mp3d": "mp3d",
     "gibson": "gibson",
 }
-"""The list of raw labels that a family's scenes use."""
+"""The list of raw labels used by a family's scenes."""
 
 ANY: Final = "*"
-"""What a thing may be that may be anything."""
+"""In the tables: an object that may be anything."""
 
 _OBJAVERSE: Final = "obja "
-"""Before the words of AI2-THOR's types of Objaverse assets."""
+"""Prefix of AI2-THOR's types of Objaverse assets."""
 
 _BORDERS: Final = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])|[_#\s]+")
 _COPY_NUMBER: Final = re.compile(r"\s\d+$")
 
 
 def package_data(*parts: str) -> Traversable:
-    """A data file of the science package. The path goes by folders, so that no module of theirs is imported."""
+    """Return the data folder of the package. The path is built from folders, so that none of its modules is
+    imported.
+    """
     found: Traversable = files("condvln")
     for part in parts:
         found = found / part
@@ -51,21 +52,21 @@ def package_data(*parts: str) -> Traversable:
 
 
 def folded(raw: str) -> str:
-    """A raw label as lower-case words: ``ArmChair``, ``arm_chair`` and ``arm#chair`` are ``arm chair``."""
+    """Return a raw label as lower-case words: ``ArmChair``, ``arm_chair`` and ``arm#chair`` give ``arm chair``."""
     return " ".join(_BORDERS.sub(" ", raw).lower().split())
 
 
 @dataclass(frozen=True, eq=False)
 class Words:
-    """The vocabulary.
+    """The vocabulary, as the verifier reads it.
 
     confusable : by label of an object, the labels that a speaker might mean by a word for it, itself included
     confusable_rooms : the same of room types
     nouns, rooms : (noun, its article) of the labels and room types that text may name
     structure : labels of walls, floors and the like
     objects : all other labels but the catch-alls, each with the bounds of its longest side in metres
-    containers : by label of what holds things inside, ``shut`` (a door or lid may hide them) or ``open``
-    frames : labels of what one sees through
+    containers : kind by label: ``shut`` (a door or lid may hide the contents) or ``open``
+    frames : labels of open frames, which one can see through
     roles : labels that are fixed or portable, by the name of the role
     """
 
@@ -87,19 +88,19 @@ class Words:
     _room_by_word: Mapping[str, str]
 
     def meant_by(self, label: str) -> frozenset[str]:
-        """Labels that a word for `label` might mean."""
+        """Return the labels that a word for `label` might mean."""
         return self.confusable.get(label, frozenset((label,)))
 
     def rooms_meant_by(self, label: str) -> frozenset[str]:
-        """Room types that a word for `label` might mean."""
+        """Return the room types that a word for `label` might mean."""
         return self.confusable_rooms.get(label, frozenset((label,)))
 
     def any_room(self, label: str) -> bool:
-        """Whether the noun of a room type ("room") might mean a room of any type."""
+        """Return whether the noun of a room type ("room") might mean a room of any type."""
         return label in self._general_rooms
 
     def may_be(self, label: str, family: str, side: float | None) -> tuple[frozenset[str], bool]:
-        """Other labels that an object with this label may have, and whether it may be anything of its size.
+        """Return the other labels that an object with this label may have, and whether it may be anything of its size.
 
         side : its longest side in metres
         """
@@ -113,10 +114,10 @@ class Words:
         return found, ANY in written
 
     def label(self, raw: str, family: str, model: str = "") -> str:
-        """Canonical label of a source's own label; the words of `raw` where the tables know none.
+        """Return the canonical label of a source's own label; the words of `raw` if the tables don't list it.
 
-        model : name of the model that stands for the object; where the tables list that, it goes before the label,
-            since some sources label a model wrongly
+        model : the object's model name; if the tables list it, it takes precedence over `raw`, since some sources label
+            a model wrongly
         """
         if (SOURCE_OF_FAMILY.get(family, ""), model) in self._labels:
             raw = model
@@ -130,14 +131,14 @@ class Words:
         return self._by_word.get(text) or self._by_word.get(_COPY_NUMBER.sub("", text)) or text
 
     def room_type(self, raw: str, family: str) -> str:
-        """Canonical room type of a source's own."""
+        """Return the canonical room type of a source's own one."""
         listed = _listed(self._room_types, raw, family)
         return listed if listed is not None else self._room_by_word.get(folded(raw), folded(raw))
 
 
 @cache
 def words() -> Words:
-    """The vocabulary as shipped, read once a process."""
+    """Return the vocabulary of this package's tables, read once per process."""
     labels = {row["label"]: row for row in _rows("labels.csv")}
     said = {label: {label, row["noun"], *filter(None, row["synonyms"].split(";"))} for label, row in labels.items()}
     rooms = {row["label"]: row for row in _rows("rooms.csv")}
@@ -191,15 +192,17 @@ def _cell(text: str) -> frozenset[str]:
 
 
 def _raw_table(name: str) -> dict[tuple[str, str], str]:
-    """Canonical label by (source, raw label); spelled as listed, or, where nothing is listed so, folded."""
+    """Return canonical labels by (source, raw label), also with the raw label in folded form unless that is listed
+    itself.
+    """
     listed = {(row["source"], row["raw_label"]): row["label"] for row in _rows(name)}
-    # Matterport's one-letter labels mean what their case says, and so have no folded form.
+    # Matterport3D's one-letter labels are case-sensitive, and so have no folded form.
     other = {(source, folded(raw)): label for (source, raw), label in reversed(listed.items()) if len(raw) > 1}
     return other | listed
 
 
 def _containers(labels: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
-    """Kind of container by label: as listed, else that of the first broader label which is listed."""
+    """Return the kind of container by label: as listed, else that of the first broader label that is listed."""
     listed = {row["label"]: row["kind"] for row in _rows("containers.csv")}
     found = {}
     for label in labels:
@@ -210,14 +213,14 @@ def _containers(labels: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
 
 
 def _frames(labels: Mapping[str, Mapping[str, str]]) -> frozenset[str]:
-    """Labels that are listed as frames, and narrower ones, but for what can be shut."""
+    """Return the labels listed as frames, and narrower ones, except those that can be shut."""
     listed = {row["label"] for row in _rows("frames.csv")}
     shut = {label for label, kind in _containers(labels).items() if kind == "shut"}
     return frozenset(label for label in labels if listed & {label, *_broader(label, labels)}) - shut
 
 
 def _listed(table: Mapping[tuple[str, str], str], raw: str, family: str) -> str | None:
-    """The entry of a raw label; an empty one says that it was looked at and means nothing in particular."""
+    """Return the entry of a raw label; an empty one means that it is deliberately unmapped."""
     source = SOURCE_OF_FAMILY.get(family, "")
     exact = table.get((source, raw))
     if exact is not None:
@@ -227,7 +230,7 @@ def _listed(table: Mapping[tuple[str, str], str], raw: str, family: str) -> str 
 
 
 def _sharing(said: Mapping[str, set[str]]) -> dict[str, set[str]]:
-    """Labels that share a word, each with itself."""
+    """Return for each label the labels that share a word with it, itself included."""
     found = {label: {label} for label in said}
     of_word: dict[str, set[str]] = {}
     for label, own in said.items():
@@ -241,7 +244,7 @@ def _sharing(said: Mapping[str, set[str]]) -> dict[str, set[str]]:
 
 
 def _unambiguous(said: Mapping[str, set[str]]) -> dict[str, str]:
-    """Label by word: a label's own name always, another word where only one label has it."""
+    """Return labels by word: a label's own name always, another word only if a single label has it."""
     holders: dict[str, list[str]] = {}
     for label, own in said.items():
         for word in own:
@@ -251,7 +254,7 @@ def _unambiguous(said: Mapping[str, set[str]]) -> dict[str, str]:
 
 
 def _broader(label: str, labels: Mapping[str, Mapping[str, str]]) -> set[str]:
-    """All labels that `label` is a kind of."""
+    """Return all labels that `label` is a kind of."""
     found: set[str] = set()
     ahead = [label]
     while ahead:

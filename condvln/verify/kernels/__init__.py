@@ -1,1 +1,1 @@
-"""Inherent loops of the proof, compiled."""
+"""Compiled kernels of the verifier."""

@@ -1,4 +1,4 @@
-"""How near the leaves of a row come to each other, over all rows of a scene."""
+"""Distances between the leaves of each row, over all rows of a scene."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ I64 = NDArray[np.int64]
 
 @compiled
 def clearances(corners: F64, corner_ends: I64, goals: F64, goal_ends: I64, row_ends: I64, widest: int) -> F64:
-    """(l, widest) squared metres from each leaf's path to the goals of each leaf of its row; infinite to its own.
+    """Return squared metres (l, widest) from each leaf's path to the goals of each leaf of its row; infinite to its
+    own.
 
-    corners (n, 3), goals (m, 3) : of all leaves, one after the other; corner_ends, goal_ends (l,) : where a leaf's end
-    row_ends (r,) : where a row's leaves end; widest : most leaves of a row
+    corners (n, 3), goals (m, 3) : of all leaves, concatenated; corner_ends, goal_ends (l,) : end index of each leaf
+    row_ends (r,) : end index of each row's leaves; widest : largest number of leaves of a row
     """
     away = np.full((len(corner_ends), widest), np.inf)
     first = 0
@@ -48,7 +49,9 @@ def clearances(corners: F64, corner_ends: I64, goals: F64, goal_ends: I64, row_e
 
 @compiled
 def near_goals(goals: F64, goal_ends: I64, row_ends: I64, within: float) -> I64:
-    """(k, 4) leaf, later leaf of the same row, goal, other goal: pairs of goals less than `within` metres apart."""
+    """Return pairs of goals less than `within` metres apart: (k, 4) leaf, later leaf of the same row, goal, other
+    goal.
+    """
     found = np.empty((16, 4), dtype=np.int64)
     count = 0
     first = 0

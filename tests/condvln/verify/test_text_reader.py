@@ -189,7 +189,7 @@ def test_a_listener_does_not_think_back() -> None:
     ],
 )
 def test_not_a_text_of_the_language(text: str) -> None:
-    with pytest.raises(Unreadable, match="breaks off before"):
+    with pytest.raises(Unreadable, match="parsing stops before"):
         read(text)
 
 
