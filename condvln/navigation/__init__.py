@@ -1,6 +1,6 @@
-"""Navigation with Habitat's numbers and without Habitat: navmesh files, paths, steps, ground-truth walks, the builder.
+"""Navigation as in habitat-sim, without habitat-sim: navmesh files, paths, steps, ground-truth walks, navmesh builder.
 
-The names below are loaded when first used, so that reading a configuration costs no start of numba.
+The names below are loaded when first used, so that reading a configuration does not start numba.
 """
 
 from __future__ import annotations

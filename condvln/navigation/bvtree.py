@@ -13,7 +13,7 @@ Cells = npt.NDArray[np.uint16]
 
 
 def quantise_bounds(lower: Floats, upper: Floats, tile_min: Floats, cell_size: float) -> tuple[Cells, Cells]:
-    """Boxes in cells of the tile, truncated and clamped to 16 bits. Detour uses the cell size in all three directions.
+    """Return boxes in cells of the tile, truncated and clamped to 16 bits. Detour uses the cell size in all directions.
 
     Parameters
     ----------
@@ -32,11 +32,12 @@ def quantise_bounds(lower: Floats, upper: Floats, tile_min: Floats, cell_size: f
 
 
 def build_bv_tree(lower: Cells, upper: Cells) -> Records:
-    """Tree over p boxes: (2p,) BV_NODE; the last one stays blank, as in Detour.
+    """Return the tree over p boxes: (2p,) BV_NODE; the last one stays blank, as in Detour.
 
-    Nodes stand in depth-first order; a leaf holds its polygon, an inner node minus the number of nodes to skip. Each
+    Nodes are in depth-first order; a leaf holds its polygon, an inner node minus the number of nodes to skip. Each
     node splits its items in the middle after a stable sort by lower bound along the longest axis (ties: x before y
-    before z). Detour calls ``qsort``, which glibc keeps stable; files made on another platform can differ among equals.
+    before z). Detour calls ``qsort``, which glibc keeps stable; files built on another platform may order ties
+    differently.
 
     Parameters
     ----------

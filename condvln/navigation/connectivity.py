@@ -1,4 +1,4 @@
-"""Matterport connectivity graphs: a strict reader of ``<scan>_connectivity.json``.
+"""Read Matterport3D's connectivity graphs, ``<scan>_connectivity.json``, with strict checks.
 
 The rules are Matterport3DSimulator's (``NavGraph.cpp``, MIT) and those of R2R's ``load_nav_graphs``: a viewpoint counts
 if it is ``included``; an edge joins two such viewpoints that are ``unobstructed`` both ways.
@@ -21,7 +21,7 @@ from schemas.errors import FormatError, MissingFileError
 
 __all__ = ["ViewpointGraph", "read_connectivity"]
 
-# The largest scan has some 350 viewpoints; a file lists visibility for every pair.
+# The largest scan has about 350 viewpoints; a file lists visibility for every pair.
 MAX_VIEWPOINTS = 2000
 MAX_FILE_BYTES = 64 * 1024 * 1024
 
@@ -30,7 +30,7 @@ REMEDY = "Take the file from the Matterport3DSimulator repository again"
 
 @dataclass(frozen=True, eq=False)
 class ViewpointGraph:
-    """n places and the m ways between them.
+    """A graph of n viewpoints and m edges.
 
     Attributes
     ----------
@@ -49,12 +49,12 @@ class ViewpointGraph:
 def read_connectivity(path: str | os.PathLike[str]) -> ViewpointGraph:
     """Read a connectivity file.
 
-    Cameras stand z-up and metres: (x, y, z) becomes (x, z, −y), and the floor lies the camera's ``height`` below.
+    Camera positions are z-up in metres: (x, y, z) becomes (x, z, −y), and the floor is the camera's ``height`` below.
 
     Raises
     ------
-    MissingFileError : there is no such file
-    FormatError : it does not hold a sound connectivity graph
+    MissingFileError : the file does not exist
+    FormatError : it does not hold a valid connectivity graph
     """
     file = Path(path)
     items = _load(file)
@@ -117,7 +117,7 @@ def _numbers(file: Path, place: str, values: Any, count: int) -> list[float]:
     if not isinstance(values, list) or len(values) != count:
         raise _error(file, place, f"not a list of {count} numbers")
     for value in values:
-        # bool is a kind of int in Python; coordinates beyond 1000 km do not belong to a building
+        # bool is a subclass of int in Python; coordinates beyond 1000 km can't belong to a building
         if (
             isinstance(value, bool)
             or not isinstance(value, int | float)

@@ -1,4 +1,4 @@
-"""Ground-truth actions: what an agent that knows the map does, in VLN-CE's action space."""
+"""Ground-truth actions: the walk of an agent that knows the map, in VLN-CE's action space."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ __all__ = [
 ]
 
 OUTCOMES = {ARRIVED: "arrived", NO_PATH: "no path", STUCK: "stuck", TOO_LONG: "too long"}
-# A walk of more actions than this is a mistake in the goals; episodes end at 500.
+# A walk of more actions than this is an error in the goals; episodes end at 500.
 MAX_ACTIONS = 5000
 
 
@@ -65,7 +65,7 @@ class ActionSpace:
 
     @property
     def headings(self) -> int:
-        """Number of headings that turning on the spot goes through."""
+        """Number of headings reachable by turning on the spot."""
         return round(360.0 / self.turn)
 
 
@@ -96,7 +96,7 @@ class FollowedRoute:
     actions : (n,) int8; the last one is STOP
     locations : (forward_steps + 1, 3) float32, metres: the start and the place after each forward step
     arrivals : (g,) index into ``locations`` at which each goal was reached, -1 if it was not
-    distance_to_goal : geodesic metres left to the goal walked to last
+    distance_to_goal : remaining geodesic distance in metres to the last goal
     outcome : "arrived", "no path", "stuck" or "too long"
     """
 
@@ -108,7 +108,7 @@ class FollowedRoute:
 
     @property
     def arrived(self) -> bool:
-        """Were all goals reached?"""
+        """Whether all goals were reached."""
         return self.outcome == "arrived"
 
     @property
@@ -118,7 +118,7 @@ class FollowedRoute:
 
 
 class Follower:
-    """Geodesics a navmesh to goals.
+    """Walks along geodesics of a navmesh to goals.
 
     Parameters
     ----------
@@ -126,8 +126,8 @@ class Follower:
     space : forward step and turn
     sliding : slide along walls (R2R in VLN-CE) or stop at them (RxR)
     stop_within : geodesic metres from a goal at which it counts as reached
-    arrive_within : geodesic metres at which it still counts, where no action leads nearer
-    max_actions : after which the walk is given up
+    arrive_within : geodesic metres at which it still counts as reached if no action leads nearer
+    max_actions : number of actions after which the walk is aborted
 
     Raises
     ------
@@ -178,14 +178,16 @@ class Follower:
         return FollowedRoute(actions, locations, arrivals, float(distance), OUTCOMES[status])
 
     def walk(self, start: npt.ArrayLike, heading: float, actions: npt.ArrayLike) -> Walk:
-        """The poses of an agent that takes ``actions`` (n,) from ``start``; STOP and unknown ids leave it standing."""
+        """Return the poses of an agent that takes ``actions`` (n,) from ``start``; STOP and unknown ids do not move
+        it.
+        """
         places, facing = replay_kernel(
             self.pathfinder.query_mesh, self._gait(heading), one_point(start)[0], np.array(actions, np.int8).reshape(-1)
         )
         return Walk(places, _headings(heading, facing, self.space))
 
     def stepped(self, start: npt.ArrayLike, heading: float) -> SteppedWalk:
-        """The walk of an agent that decides on each action after it has seen the pose before it."""
+        """Return a walk for an agent that chooses each action after seeing the current pose."""
         return SteppedWalk(self.pathfinder.query_mesh, self._gait(heading), one_point(start)[0], self.space)
 
     def _gait(self, heading: float) -> Gait:
@@ -198,7 +200,7 @@ class Follower:
 
 
 class SteppedWalk:
-    """A walk one action at a time, with the poses of :meth:`Follower.walk` bit for bit.
+    """A walk executed action by action, with the poses of :meth:`Follower.walk` bit for bit.
 
     Attributes
     ----------
@@ -209,7 +211,7 @@ class SteppedWalk:
         self.position = start
         self._mesh, self._gait, self._space = mesh, gait, space
         self._facing = 0
-        # The moves of two full turns: those that begin at any heading are a slice of them.
+        # The displacements of two full turns: those that begin at any heading are a slice of them.
         self._moves = np.concatenate([gait.moves, gait.moves])
 
     @property
@@ -218,7 +220,7 @@ class SteppedWalk:
         return float(_headings(self._gait.first_heading, np.array(self._facing), self._space))
 
     def take(self, action: int) -> None:
-        """Take one action; STOP and unknown ids leave the agent standing."""
+        """Take one action; STOP and unknown ids do not move the agent."""
         gait = self._gait._replace(moves=self._moves[self._facing : self._facing + self._space.headings])
         places, turns = replay_kernel(self._mesh, gait, self.position, np.array([action], np.int8))
         self.position = places[1]
@@ -226,7 +228,7 @@ class SteppedWalk:
 
 
 def _headings(first: float, facing: Indices, space: ActionSpace) -> npt.NDArray[np.float64]:
-    """Headings, in radians within [0, 2π), after as many turns from the first one."""
+    """Return the headings, in radians within [0, 2π), after given numbers of turns from the first one."""
     turned: npt.NDArray[np.float64] = np.mod(first + facing * math.radians(space.turn), 2 * math.pi)
     return turned
 

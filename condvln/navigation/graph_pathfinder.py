@@ -1,4 +1,4 @@
-"""Shortest paths over graphs of viewpoints, behind the protocol of those over a navmesh; and folders of graphs."""
+"""Shortest paths over viewpoint graphs with the pathfinder protocol, and folders of graphs."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from schemas.errors import InputError, UsageError
 
 __all__ = ["GraphFolder", "GraphPathfinder"]
 
-# Metres from a point to the viewpoint it snaps to: R2R's success radius, about one and a half edges.
+# Largest distance in metres from a point to the viewpoint it snaps to: R2R's success radius, about 1.5 edges.
 SNAP_REACH = 3.0
-# As on a navmesh: a navigable point is this near in the ground plane, metres.
+# Largest horizontal distance in metres of a navigable point from a viewpoint, as on a navmesh.
 NAVIGABLE_SHIFT = 1e-2
 
 NOWHERE = -1
@@ -34,14 +34,14 @@ NOWHERE = -1
 class GraphPathfinder:
     """Paths along the edges of a graph.
 
-    A point stands for the viewpoint nearest to it; lengths are sums of edge weights, so that they are R2R's own. Points
+    A point is replaced by the nearest viewpoint; lengths are sums of edge weights, as in R2R. Points
     are (3,) and batches (n, 3), metres, Habitat frame.
     """
 
     def __init__(self, graph: ViewpointGraph, snap_reach: float = SNAP_REACH) -> None:
         self.graph, self.snap_reach = graph, snap_reach
         count = len(graph.ids)
-        # A zero weight is no edge to scipy; two viewpoints in one place are a nanometre apart.
+        # scipy treats a zero weight as no edge, so two viewpoints at one position get a nanometre.
         weights = np.maximum(graph.lengths, 1e-9)
         matrix = csr_array((weights, (graph.edges[:, 0], graph.edges[:, 1])), shape=(count, count))
         self._lengths, self._before = dijkstra(matrix, directed=False, return_predecessors=True)
@@ -51,7 +51,7 @@ class GraphPathfinder:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> GraphPathfinder:
-        """Pathfinder over a Matterport connectivity file.
+        """Load a pathfinder over a Matterport3D connectivity file.
 
         Raises
         ------
@@ -61,7 +61,7 @@ class GraphPathfinder:
 
     @classmethod
     def from_edges(cls, positions: npt.ArrayLike, edges: npt.ArrayLike) -> GraphPathfinder:
-        """Pathfinder over any graph: places (n, 3) and pairs (m, 2) of them, weighted by their distance."""
+        """Build a pathfinder over any graph: positions (n, 3) and index pairs (m, 2), weighted by distance."""
         places = np.array(positions, np.float32).reshape(-1, 3)
         pairs = np.sort(np.array(edges, np.int32).reshape(-1, 2), axis=1)
         if not len(places) or not np.isfinite(places).all():
@@ -72,16 +72,17 @@ class GraphPathfinder:
         lengths = np.linalg.norm(places[pairs[:, 0]].astype(float) - places[pairs[:, 1]], axis=1)
         return cls(ViewpointGraph(tuple(str(i) for i in range(len(places))), places, pairs, lengths))
 
-    # -- what it is ----------------------------------------------------------------------------------------------------
+    # -- properties
+    # --------------------------------------------------------------------------------------------------------
 
     @property
     def settings(self) -> NavMeshSettings | None:
-        """None: a graph is made for no particular agent."""
+        """None: a graph is not built for a particular agent."""
         return None
 
     @property
     def bounds(self) -> tuple[Floats, Floats]:
-        """Lowest and highest corner of the viewpoints, (3,) each."""
+        """Lowest and highest corner of the viewpoints, (3,) each, in metres."""
         return self.graph.positions.min(axis=0), self.graph.positions.max(axis=0)
 
     @property
@@ -95,51 +96,53 @@ class GraphPathfinder:
         return int(self._islands.max()) + 1
 
     def island_area(self, index: int) -> float:
-        """0: viewpoints have no area."""
+        """Return 0: viewpoints have no area."""
         self._island(index)
         return 0.0
 
     # -- points --------------------------------------------------------------------------------------------------------
 
     def viewpoint(self, point: npt.ArrayLike) -> str | None:
-        """Name of the viewpoint that a point snaps to; None if none is in reach."""
+        """Return the name of the viewpoint that a point snaps to; None if none is in reach."""
         number = int(self._nearest(one_point(point))[0])
         return self.graph.ids[number] if number != NOWHERE else None
 
     def position(self, viewpoint: str) -> Floats:
-        """Place (3,) of a viewpoint."""
+        """Return the position (3,) of a viewpoint in metres."""
         place: Floats = self.graph.positions[self._index(viewpoint)]
         return place
 
     def snap_point(self, point: npt.ArrayLike, island: int | None = None) -> Floats:
-        """Nearest viewpoint (3,), or nearest of one island; NaN if none is in reach."""
+        """Return the nearest viewpoint's position (3,), or the nearest of one island; NaN if none is in reach."""
         snapped: Floats = self.snap_points(one_point(point), island)[0]
         return snapped
 
     def snap_points(self, points: npt.ArrayLike, island: int | None = None) -> Floats:
-        """:meth:`snap_point` of each of n points, (n, 3)."""
+        """Apply :meth:`snap_point` to each of n points, (n, 3)."""
         nearest = self._nearest(many_points(points), island)
         places = self.graph.positions[nearest]
         return np.where((nearest == NOWHERE)[:, None], np.float32(np.nan), places).astype(np.float32)
 
     def is_navigable(self, point: npt.ArrayLike, max_y_delta: float = 0.5) -> bool:
-        """Is the point a viewpoint, to 1 cm in the ground plane and ``max_y_delta`` metres in height?"""
+        """Return whether the point is a viewpoint, within 1 cm horizontally and ``max_y_delta`` metres in height."""
         asked = one_point(point)[0]
         away = self.graph.positions - asked
         in_plane = np.hypot(away[:, 0], away[:, 2]) <= NAVIGABLE_SHIFT
         return bool((in_plane & (np.abs(away[:, 1]) <= max_y_delta)).any())
 
     def get_island(self, point: npt.ArrayLike) -> int:
-        """Index of the connected component; -1 off the graph."""
+        """Return the index of the connected component; -1 off the graph."""
         return int(self.get_islands(one_point(point))[0])
 
     def get_islands(self, points: npt.ArrayLike) -> Ints:
-        """:meth:`get_island` of each of n points, (n,)."""
+        """Apply :meth:`get_island` to each of n points, (n,)."""
         nearest = self._nearest(many_points(points))
         return np.where(nearest == NOWHERE, -1, self._islands[nearest]).astype(np.int32)
 
     def island_radius(self, point_or_index: npt.ArrayLike) -> float:
-        """Metres from the mean of a component (an index, or that of a point) to its farthest viewpoint."""
+        """Return the distance in metres from the mean of a component (an index, or that of a point) to its farthest
+        viewpoint.
+        """
         where = np.asarray(point_or_index)
         index = self._island(int(where)) if where.ndim == 0 else self.get_island(where)
         if index < 0:
@@ -148,7 +151,7 @@ class GraphPathfinder:
         return float(np.linalg.norm(members - members.mean(axis=0), axis=1).max())
 
     def get_random_navigable_points(self, count: int, rng: RandomSource, island: int | None = None) -> Floats:
-        """``count`` viewpoints (count, 3) drawn uniformly, with repeats."""
+        """Return ``count`` viewpoints (count, 3), drawn uniformly with replacement."""
         chosen = np.arange(len(self.graph.ids))
         if island is not None:
             chosen = np.flatnonzero(self._islands == self._island(island))
@@ -158,11 +161,11 @@ class GraphPathfinder:
     # -- paths ---------------------------------------------------------------------------------------------------------
 
     def find_path(self, start: npt.ArrayLike, end: npt.ArrayLike) -> ShortestPath:
-        """Shortest path between the viewpoints of two points."""
+        """Return the shortest path between the viewpoints of two points."""
         return self._path(int(self._nearest(one_point(start))[0]), int(self._nearest(one_point(end))[0]), 0)
 
     def find_multi_goal_path(self, start: npt.ArrayLike, ends: npt.ArrayLike) -> ShortestPath:
-        """Shortest of the paths to several ends; ends off the graph are left out."""
+        """Return the shortest of the paths to several ends; ends off the graph are ignored."""
         begin, goals = int(self._nearest(one_point(start))[0]), self._nearest(many_points(ends))
         lengths = np.where((goals == NOWHERE) | (begin == NOWHERE), np.inf, self._lengths[begin, goals])
         if not np.isfinite(lengths).any():
@@ -171,49 +174,53 @@ class GraphPathfinder:
         return self._path(begin, int(goals[goal]), goal)
 
     def geodesic_distance(self, start: npt.ArrayLike, end: npt.ArrayLike) -> float:
-        """Metres along the shortest path to ``end``, or to the nearest of several; infinite where there is none."""
+        """Return the shortest distance in metres to ``end``, or to the nearest of several ends; infinite if there is
+        no path.
+        """
         if np.ndim(end) == 2:
             return self.find_multi_goal_path(start, end).geodesic_distance
         return float(self.geodesic_distances(start, end)[0])
 
     def geodesic_distances(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> Floats:
-        """:meth:`geodesic_distance` of n pairs, (n,) float32; a single start or end serves all the others."""
+        """Return :meth:`geodesic_distance` of n pairs, (n,) float32; a single start or end is paired with all
+        others.
+        """
         first, second = (self._nearest(points) for points in paired_points(starts, ends))
         lost = (first == NOWHERE) | (second == NOWHERE)
         return np.where(lost, np.inf, self._lengths[first, second]).astype(np.float32)
 
     def distance_table(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> Floats:
-        """:meth:`geodesic_distance` from each of n starts to each of m ends, (n, m) float32."""
+        """Return :meth:`geodesic_distance` from each of n starts to each of m ends, (n, m) float32."""
         first, second = self._nearest(many_points(starts))[:, None], self._nearest(many_points(ends))[None, :]
         lost = (first == NOWHERE) | (second == NOWHERE)
         return np.where(lost, np.inf, self._lengths[first, second]).astype(np.float32)
 
     def viewpoint_distance(self, start: str, end: str) -> float:
-        """Metres along the shortest path between two viewpoints; infinite where there is none."""
+        """Return the shortest distance in metres between two viewpoints; infinite if there is no path."""
         return float(self._lengths[self._index(start), self._index(end)])
 
     def viewpoint_path(self, start: str, end: str) -> list[str]:
-        """Names along the shortest path between two viewpoints; empty where there is none."""
+        """Return the viewpoint names along the shortest path between two viewpoints; empty if there is no path."""
         return [self.graph.ids[number] for number in self._chain(self._index(start), self._index(end))]
 
     def path_length(self, viewpoints: Sequence[str]) -> float:
-        """Metres along a chain of viewpoints.
+        """Return the length in metres of a sequence of viewpoints.
 
         Raises
         ------
-        InputError : two that follow each other are not joined
+        InputError : two consecutive viewpoints are not connected
         """
         total = 0.0
         weights = {(int(a), int(b)): float(w) for (a, b), w in zip(self.graph.edges, self.graph.lengths, strict=True)}
         for first, second in pairwise(viewpoints):
             a, b = sorted((self._index(first), self._index(second)))
             if (a, b) not in weights:
-                raise InputError(f"{first} and {second} are not joined", remedy="Give a path along edges")
+                raise InputError(f"{first} and {second} are not connected", remedy="Give a path along edges")
             total += weights[a, b]
         return total
 
     def _nearest(self, points: Floats, island: int | None = None) -> Ints:
-        """Viewpoint (n,) of each point, NOWHERE beyond reach."""
+        """Return the nearest viewpoint (n,) of each point, NOWHERE if none is in reach."""
         asked = points.astype(np.float64)
         away = np.linalg.norm(asked[:, None, :] - self.graph.positions[None, :, :], axis=2)
         if island is not None:
@@ -252,11 +259,11 @@ _SUFFIX: Final = "_connectivity.json"
 
 
 class GraphFolder(Mapping[str, GraphPathfinder]):
-    """Graph by scan over folders of ``<scan>_connectivity.json``; of two files of one scan the first folder's counts.
+    """Graphs by scan, read from folders of ``<scan>_connectivity.json``; the first folder with a scan's file is used.
 
     Raises
     ------
-    FormatError : on asking for a scan whose file is damaged
+    FormatError : when a scan is requested whose file is damaged
     """
 
     def __init__(self, *folders: Path) -> None:

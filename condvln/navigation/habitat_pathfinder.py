@@ -1,7 +1,7 @@
-"""habitat-sim's own pathfinder behind our protocol, where habitat-sim is installed.
+"""habitat-sim's own pathfinder with our protocol, if habitat-sim is installed.
 
-It is never required: :class:`~condvln.navigation.pathfinder.Pathfinder` gives the same numbers. It is here for those
-who want the simulator itself to have the last word.
+It is never required: :class:`~condvln.navigation.pathfinder.Pathfinder` gives the same numbers. It exists for users who
+want results from the simulator itself.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ NO_ISLAND = -1  # habitat-sim's ID_UNDEFINED
 class HabitatPathfinder:
     """``habitat_sim.nav.PathFinder`` (0.2.5 or newer) on one navmesh.
 
-    Points are (3,) and batches (n, 3), metres, Habitat frame; batches are loops, as habitat-sim has no other form.
+    Points are (3,) and batches (n, 3), metres, Habitat frame; batches are loops, since habitat-sim has no batch
+    functions.
 
     Raises
     ------
@@ -51,7 +52,7 @@ class HabitatPathfinder:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> HabitatPathfinder:
-        """Pathfinder over a ``.navmesh`` file."""
+        """Load a pathfinder over a ``.navmesh`` file."""
         return cls(path)
 
     @property
@@ -65,13 +66,13 @@ class HabitatPathfinder:
 
     @property
     def bounds(self) -> tuple[Floats, Floats]:
-        """Lowest and highest corner, (3,) each."""
+        """Lowest and highest corner, (3,) each, in metres."""
         low, high = self._habitat.get_bounds()
         return np.array(low, np.float32), np.array(high, np.float32)
 
     @property
     def navigable_area(self) -> float:
-        """Square metres of floor."""
+        """Navigable area in square metres."""
         return float(self._habitat.navigable_area)
 
     @property
@@ -80,14 +81,14 @@ class HabitatPathfinder:
         return int(self._habitat.num_islands)
 
     def find_path(self, start: npt.ArrayLike, end: npt.ArrayLike) -> ShortestPath:
-        """Shortest path between two points."""
+        """Return the shortest path between two points."""
         query = self._nav.ShortestPath()
         query.requested_start, query.requested_end = one_point(start)[0], one_point(end)[0]
         found = self._habitat.find_path(query)
         return ShortestPath(float(query.geodesic_distance), many_points(query.points), 0 if found else -1)
 
     def find_multi_goal_path(self, start: npt.ArrayLike, ends: npt.ArrayLike) -> ShortestPath:
-        """Shortest of the paths to several ends."""
+        """Return the shortest of the paths to several ends."""
         query = self._nav.MultiGoalShortestPath()
         query.requested_start, query.requested_ends = one_point(start)[0], list(many_points(ends))
         self._habitat.find_path(query)
@@ -95,18 +96,22 @@ class HabitatPathfinder:
         return ShortestPath(float(query.geodesic_distance), many_points(query.points), goal)
 
     def geodesic_distance(self, start: npt.ArrayLike, end: npt.ArrayLike) -> float:
-        """Metres along the shortest path to ``end``, or to the nearest of several; infinite where there is none."""
+        """Return the geodesic distance in metres to ``end``, or to the nearest of several ends; infinite if there is
+        no path.
+        """
         if np.ndim(end) == 2:
             return self.find_multi_goal_path(start, end).geodesic_distance
         return self.find_path(start, end).geodesic_distance
 
     def geodesic_distances(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> Floats:
-        """:meth:`geodesic_distance` of n pairs, (n,) float32; a single start or end serves all the others."""
+        """Return :meth:`geodesic_distance` of n pairs, (n,) float32; a single start or end is paired with all
+        others.
+        """
         pairs = np.broadcast_arrays(*paired_points(starts, ends))
         return np.array([self.geodesic_distance(a, b) for a, b in zip(*pairs, strict=True)], np.float32)
 
     def distance_table(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> Floats:
-        """:meth:`geodesic_distance` from each of n starts to each of m ends, (n, m) float32."""
+        """Return :meth:`geodesic_distance` from each of n starts to each of m ends, (n, m) float32."""
         first, second = many_points(starts), many_points(ends)
         table = np.empty((len(first), len(second)), np.float32)
         for row, start in enumerate(first):
@@ -114,37 +119,39 @@ class HabitatPathfinder:
         return table
 
     def snap_point(self, point: npt.ArrayLike, island: int | None = None) -> Floats:
-        """Nearest point (3,) on the navmesh, or on one island of it; NaN where none is in reach."""
+        """Return the nearest point (3,) on the navmesh, or on one island; NaN if none is in reach."""
         chosen = NO_ISLAND if island is None else island
         return np.array(self._habitat.snap_point(one_point(point)[0], chosen), np.float32)
 
     def snap_points(self, points: npt.ArrayLike, island: int | None = None) -> Floats:
-        """:meth:`snap_point` of each of n points, (n, 3)."""
+        """Apply :meth:`snap_point` to each of n points, (n, 3)."""
         return many_points([self.snap_point(point, island) for point in many_points(points)])
 
     def is_navigable(self, point: npt.ArrayLike, max_y_delta: float = 0.5) -> bool:
-        """Is the point on the navmesh?"""
+        """Return whether the point is on the navmesh."""
         return bool(self._habitat.is_navigable(one_point(point)[0], max_y_delta))
 
     def get_island(self, point: npt.ArrayLike) -> int:
-        """Index of the island that the point snaps to; -1 where it snaps to none."""
+        """Return the index of the island that the point snaps to; -1 if there is none."""
         return int(self._habitat.get_island(one_point(point)[0]))
 
     def get_islands(self, points: npt.ArrayLike) -> Ints:
-        """:meth:`get_island` of each of n points, (n,)."""
+        """Apply :meth:`get_island` to each of n points, (n,)."""
         return np.array([self.get_island(point) for point in many_points(points)], np.int32)
 
     def island_radius(self, point_or_index: npt.ArrayLike) -> float:
-        """Size of an island, given by index or by a point, metres."""
+        """Return the radius in metres of an island, given by index or by a point."""
         where = np.asarray(point_or_index)
         return float(self._habitat.island_radius(int(where) if where.ndim == 0 else one_point(where)[0]))
 
     def island_area(self, index: int) -> float:
-        """Square metres of one island."""
+        """Return the area in square metres of one island."""
         return float(self._habitat.island_area(index))
 
     def get_random_navigable_points(self, count: int, rng: RandomSource, island: int | None = None) -> Floats:
-        """``count`` random points (count, 3). The seed is drawn from ``rng``; the sequence is the C library's."""
+        """Return ``count`` random points (count, 3). The seed is drawn from ``rng``; the sequence is the C
+        library's.
+        """
         self._habitat.seed(int(np.random.default_rng(rng).integers(2**31)))
         chosen = NO_ISLAND if island is None else island
         drawn = [self._habitat.get_random_navigable_point(island_index=chosen) for _ in range(count)]

@@ -1,6 +1,6 @@
-"""What Habitat does to a tile that it builds or loads: link the polygons, switch off those without area.
+"""Finish a tile as Habitat does when it builds or loads one: link the polygons, disable those without area.
 
-After ``dtNavMesh::connectIntLinks`` (Detour) and ``removeZeroAreaPolys`` (``PathFinder.cpp`` of habitat-sim 0.3.4).
+Follows ``dtNavMesh::connectIntLinks`` (Detour) and ``removeZeroAreaPolys`` (``PathFinder.cpp`` of habitat-sim 0.3.4).
 """
 
 from __future__ import annotations
@@ -11,16 +11,16 @@ from condvln.navigation.tile import DISABLED, LINK, NULL_LINK, Floats, NavMeshTi
 
 __all__ = ["disable_zero_area", "link_tile", "polygon_areas"]
 
-# Square metres below which Habitat takes a polygon off the mesh, since walking into one crashes the simulator.
+# Area in square metres below which Habitat disables a polygon, since walking into one crashes the simulator.
 ZERO_AREA = np.float32(1e-5)
 INTERNAL_SIDE = 0xFF
 
 
 def link_tile(tile: NavMeshTile) -> NavMeshTile:
-    """The tile with fresh links and with its zero-area polygons disabled: the state in which Habitat saves it.
+    """Return the tile with new links and with its zero-area polygons disabled: the state in which Habitat saves it.
 
     Links are taken from the free list in polygon order, each polygon's edges last to first, and each is put at the head
-    of its polygon's list; the rest stay chained as free.
+    of its polygon's list; the remaining links stay in the free list.
     """
     neighbours = tile.neighbours
     edges = np.arange(neighbours.shape[1])[::-1]
@@ -47,7 +47,7 @@ def link_tile(tile: NavMeshTile) -> NavMeshTile:
 
 
 def disable_zero_area(tile: NavMeshTile) -> NavMeshTile:
-    """The tile with the flags of polygons below 1e-5 m² set to DISABLED."""
+    """Return the tile with the flags of polygons below 1e-5 m² set to DISABLED."""
     empty = polygon_areas(tile) < ZERO_AREA
     if not empty.any():
         return tile
@@ -57,7 +57,7 @@ def disable_zero_area(tile: NavMeshTile) -> NavMeshTile:
 
 
 def polygon_areas(tile: NavMeshTile) -> Floats:
-    """(p,) float32 square metres of each polygon, over its detail triangles, summed in order and in float32."""
+    """Return (p,) float32 square metres of each polygon, summed in float32 over its detail triangles in order."""
     corners, poly = tile.detail_triangles
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 1]
     cross = a[:, [1, 2, 0]] * b[:, [2, 0, 1]] - a[:, [2, 0, 1]] * b[:, [1, 2, 0]]

@@ -1,8 +1,8 @@
-"""Habitat's ``.navmesh`` files, versions 1 and 2: strict reading, byte-identical writing.
+"""Read Habitat's ``.navmesh`` files, versions 1 and 2, with strict checks, and write them byte-identically.
 
-Layout after ``PathFinder.cpp`` of habitat-sim (MIT) and ``DetourNavMesh.h`` of Recast & Detour (zlib licence). A file
-is hostile until proven sound: each count is checked against the bytes that are there before anything is allocated, and
-each index that a query follows is checked here, once, because compiled kernels check none.
+Layout after ``PathFinder.cpp`` of habitat-sim (MIT) and ``DetourNavMesh.h`` of Recast & Detour (zlib licence). Files
+are untrusted: each count is checked against the actual bytes before anything is allocated, and each index that a query
+follows is checked here once, because compiled kernels check none.
 """
 
 from __future__ import annotations
@@ -54,9 +54,10 @@ FILE_HEADER = np.dtype(
 SETTINGS_BLOCK = np.dtype([("numbers", "<f4", 13), ("flags", "u1", 4)])
 TILE_ENTRY = np.dtype([("reference", "<u4"), ("size", "<i4")])
 
-# A scene's navmesh has tens of kilobytes; nothing real comes near this.
+# Size limit in bytes. A scene's navmesh has tens of kilobytes; no real one comes close to this.
 MAX_FILE_BYTES = 1 << 30
-# Metres. Keeps every square and every sum over a path finite in float32, so that no comparison in a kernel meets a NaN.
+# Largest coordinate in metres. It keeps squares and sums over paths finite in float32, so that kernels never compare
+# NaN.
 MAX_COORDINATE = 1e6
 MAX_CELLS_PER_METRE = 1e4
 
@@ -71,10 +72,11 @@ class NavMeshFile:
     ----------
     tile : the mesh
     version : 1 (habitat-sim up to 0.2.1, no settings) or 2
-    settings : what the mesh was built with; None in version 1
-    origin, tile_width, tile_height : Detour's grid, (3,) float32 and metres; a box outside the tile's cell finds none
+    settings : the build settings; None in version 1
+    origin, tile_width, tile_height : Detour's grid, (3,) float32 and metres; a search box outside the tile's cell finds
+        nothing
     reference : Detour's reference of the tile
-    max_polys : polygons that references leave room for
+    max_polys : largest number of polygons that references can address
     static_objects_byte : the raw byte of ``include_static_objects``; in files of 0.2.2 to 0.2.4 it is blank padding
     """
 
@@ -90,7 +92,7 @@ class NavMeshFile:
 
     @classmethod
     def of_tile(cls, tile: NavMeshTile, settings: NavMeshSettings) -> NavMeshFile:
-        """A version 2 file of a freshly built tile, with the grid that Habitat's single-tile ``init`` makes."""
+        """Return a version 2 file of a newly built tile, with the grid that Habitat's single-tile ``init`` makes."""
         low, high = tile.bounds
         return cls(
             tile=tile,
@@ -106,7 +108,7 @@ class NavMeshFile:
 
     @property
     def known_settings(self) -> NavMeshSettings:
-        """The settings; for version 1 the defaults with agent sizes and cell size from the tile's header."""
+        """Return the settings; for version 1 the defaults with agent sizes and cell size from the tile's header."""
         if self.settings is not None:
             return self.settings
         header = self.tile.header
@@ -118,7 +120,7 @@ class NavMeshFile:
         )
 
     def to_bytes(self) -> bytes:
-        """The file's bytes; equal to those it was read from."""
+        """Return the file's bytes; equal to those it was read from."""
         header = np.zeros((), FILE_HEADER)
         header["magic"], header["version"], header["tile_count"] = FILE_MAGIC, self.version, 1
         header["origin"], header["max_tiles"], header["max_polys"] = self.origin, 1, self.max_polys
@@ -143,8 +145,8 @@ def read_navmesh(path: str | os.PathLike[str]) -> NavMeshFile:
 
     Raises
     ------
-    MissingFileError : there is no such file
-    FormatError : it is not a sound single-tile navmesh
+    MissingFileError : the file does not exist
+    FormatError : it is not a valid single-tile navmesh
     """
     file = Path(path)
     try:
@@ -167,11 +169,11 @@ def write_navmesh(path: str | os.PathLike[str], navmesh: NavMeshFile) -> None:
 
 
 def parse_navmesh(data: bytes, where: str | os.PathLike[str] = "<bytes>") -> NavMeshFile:
-    """The navmesh in ``data``; ``where`` names it in errors.
+    """Parse the navmesh in ``data``; ``where`` names it in errors.
 
     Raises
     ------
-    FormatError : not a sound single-tile navmesh
+    FormatError : not a valid single-tile navmesh
     """
     reader = _Reader(data, str(where))
     header = reader.take(FILE_HEADER, 1, "file header")[0]
@@ -195,7 +197,7 @@ def parse_navmesh(data: bytes, where: str | os.PathLike[str] = "<bytes>") -> Nav
         reader.fail(f"the tile claims {entry['size']} bytes and {reader.left} are there", "tile entry")
     tile = _read_tile(reader)
     max_polys = int(header["max_polys"])
-    if not len(tile.polys) <= max_polys <= 1 << 22:  # Detour keeps at least ten bits for the salt
+    if not len(tile.polys) <= max_polys <= 1 << 22:  # Detour reserves at least ten bits for the salt
         reader.fail(
             f"references are laid out for {max_polys} polygons and the tile has {len(tile.polys)}", "file header"
         )
@@ -215,7 +217,7 @@ def parse_navmesh(data: bytes, where: str | os.PathLike[str] = "<bytes>") -> Nav
 
 
 class _Reader:
-    """A cursor over the bytes that never hands out more than is there."""
+    """A cursor that never returns more bytes than exist."""
 
     def __init__(self, data: bytes, where: str) -> None:
         self.data, self.where, self.offset = data, where, 0
@@ -236,7 +238,7 @@ class _Reader:
         raise FormatError(what, where=self.where, place=place, remedy=REMEDY)
 
     def require(self, sound: Any, what: str, place: str) -> None:
-        """Fail at the first record that is not ``sound``."""
+        """Raise an error for the first record that is not ``sound``."""
         if not sound.all():
             first = tuple(int(i) for i in np.argwhere(~sound)[0])
             self.fail(what, f"{place} {first[0]}")
@@ -339,7 +341,7 @@ def _check_detail(reader: _Reader, tile: NavMeshTile) -> None:
     vert_end = mesh["vert_base"].astype(np.int64) + mesh["vert_count"]
     reader.require(vert_end <= len(tile.detail_verts), "vertices that are not there", place)
     counts = mesh["tri_count"].astype(np.int64)
-    if counts.sum() > len(tile.detail_tris):  # shared ranges would let a small file claim much memory
+    if counts.sum() > len(tile.detail_tris):  # shared ranges would let a small file allocate much memory
         reader.fail(f"{counts.sum()} triangles are claimed of {len(tile.detail_tris)}", place)
     poly = np.repeat(np.arange(len(mesh)), counts)
     rows = np.arange(len(poly)) + (mesh["tri_base"].astype(np.int64) - (np.cumsum(counts) - counts))[poly]
@@ -350,5 +352,5 @@ def _check_detail(reader: _Reader, tile: NavMeshTile) -> None:
 
 
 def _decimal(value: Any) -> float:
-    """The shortest decimal that rounds to this float32: 0.05, not 0.05000000074505806."""
+    """Return the shortest decimal that rounds to this float32: 0.05, not 0.05000000074505806."""
     return float(str(np.float32(value)))

@@ -1,4 +1,4 @@
-"""The navmesh of each episode, found by the manifest's path below some folders and proven by its hash."""
+"""Find each episode's navmesh by the manifest's path below some folders, and verify its hash."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from schemas.errors import FormatError, MissingFileError, PathEscapeError
 __all__ = ["NavmeshFolder"]
 
 _KEPT: Final = 64
-"""Pathfinders kept in memory: predictions name scenes in any order."""
+"""Number of pathfinders kept in memory: predictions name scenes in any order."""
 
 
 class OnNavmesh(Protocol):
-    """Anything that is placed on a navmesh and says on which: a task, a manifest's row."""
+    """Anything that names its navmesh: a task or a manifest row."""
 
     @property
     def episode_id(self) -> int | str:
@@ -27,12 +27,12 @@ class OnNavmesh(Protocol):
 
     @property
     def navmesh(self) -> str:
-        """Path below a root, '/'-separated."""
+        """Path of the navmesh below a root, '/'-separated."""
         ...
 
     @property
     def navmesh_sha256(self) -> str:
-        """Hash of the file, hex."""
+        """SHA-256 of the navmesh file, hex."""
         ...
 
 
@@ -41,7 +41,7 @@ class NavmeshFolder:
 
     Parameters
     ----------
-    roots : folders looked in, in order: the export itself first, then the datasets' own
+    roots : folders to search, in order: the export itself, then the datasets' own
     """
 
     def __init__(self, roots: Sequence[Path]) -> None:
@@ -49,21 +49,22 @@ class NavmeshFolder:
         self._pathfinders: OrderedDict[str, Pathfinder] = OrderedDict()
 
     def __call__(self, episode: OnNavmesh) -> Pathfinder:
-        """The pathfinder of an episode's scene.
+        """Return the pathfinder of an episode's scene.
 
         Raises
         ------
         MissingFileError : the navmesh is in none of the folders
-        FormatError : what is there is another file than the episodes were made on
+        FormatError : the file differs from the navmesh with which the episodes were generated
         """
         return self.load(episode.navmesh, episode.navmesh_sha256, f"episode {episode.episode_id}")
 
     def load(self, navmesh: str, sha256: str, place: str) -> Pathfinder:
-        """The pathfinder of a navmesh by its path below a root and its hash; ``place`` names the caller in messages.
+        """Return the pathfinder of a navmesh by its path below a root and its hash; ``place`` names the caller in
+        messages.
 
         Raises
         ------
-        PathEscapeError : the path lies outside of every root
+        PathEscapeError : the path is outside every root
         MissingFileError, FormatError : as for an episode
         """
         found = self._pathfinders.get(sha256)
@@ -75,11 +76,11 @@ class NavmeshFolder:
         return found
 
     def path(self, navmesh: str, sha256: str, place: str) -> Path:
-        """The file of a navmesh; arguments and errors as of :meth:`load`."""
+        """Return the file of a navmesh; arguments and errors are those of :meth:`load`."""
         relative = PurePosixPath(navmesh)
         if relative.is_absolute() or ".." in relative.parts:
             raise PathEscapeError(
-                f"the navmesh {navmesh!r} lies outside of every root",
+                f"the navmesh {navmesh!r} is outside every root",
                 place=place,
                 remedy="Export the split again",
             )
@@ -92,7 +93,7 @@ class NavmeshFolder:
                 others.append(path)
         if others:
             raise FormatError(
-                "not the navmesh that the episodes were made on: its hash differs",
+                "not the navmesh with which the episodes were generated: its hash differs",
                 where=others[0],
                 place=place,
                 remedy="Use the file of the dataset's version that the manifest names, or export again",

@@ -1,4 +1,4 @@
-"""What stands in the way of a look: a scene's triangles, or boxes and walls where it has none."""
+"""Occluders of lines of sight: a scene's triangles, or boxes and walls if it has none."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ Points = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
 TOUCH = 0.01
-"""Metres: what a ray meets so near to its end is the target's own surface, or something lying on it."""
+"""Metres: a hit this near to the target point is the target's own surface, or something lying on it."""
 
 WALL_THICKNESS = 0.1
-"""Metres, of a wall known as a line only."""
+"""Thickness in metres of a wall that is known only as a line."""
 
-# Rays cast at once: tens of megabytes of work space.
+# Number of rays cast at once: tens of megabytes of temporaries.
 _RAYS = 1 << 18
 
 
@@ -31,17 +31,17 @@ class Occluders(Protocol):
 
     @property
     def approximate(self) -> bool:
-        """Are these boxes and not the scene's surfaces? Recorded beside what is derived from them."""
+        """Whether these are boxes rather than the scene's surfaces; recorded with all derived results."""
 
     def hidden(self, eyes: Points, points: Points, own: npt.NDArray[np.int64] | None = None) -> Flags:
-        """Which of k looks, each from an eye to a point, (k, 3) and (k, 3) metres, meet something on the way, (k,).
+        """Return which of k lines of sight, each from an eye to a point, (k, 3) and (k, 3) metres, are blocked, (k,).
 
-        ``own`` (k,) names the occluder that each point belongs to, -1 for none; it matters for boxes only.
+        ``own`` (k,) : the occluder that each point belongs to, -1 for none; used for boxes only.
         """
 
 
 class MeshOccluders:
-    """Triangles, met from either side. Exact up to float32.
+    """Triangle occluders, blocking from both sides. Exact up to float32.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class MeshOccluders:
     approximate = False
 
     def __init__(self, vertices: npt.ArrayLike, faces: npt.ArrayLike) -> None:
-        # Imported here as both take long to load, and boxes need neither.
+        # Imported here because both are slow to load, and boxes need neither.
         import trimesh
         from trimesh.ray.ray_pyembree import RayMeshIntersector
 
@@ -90,9 +90,9 @@ class MeshOccluders:
 
 
 def _distance_along(eyes: Points, direction: Points, triangles: Points) -> Points:
-    """Metres from each eye to the plane of the triangle that its ray meets, (k,).
+    """Return the distance (k,) in metres from each eye to the plane of the triangle that its ray hits.
 
-    Along a plane the crossing is ill-defined; it lies between the triangle's corners anyway.
+    For a ray parallel to the plane the intersection is ill-defined; the result is clipped to the triangle's corners.
     """
     normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -104,20 +104,21 @@ def _distance_along(eyes: Points, direction: Points, triangles: Points) -> Point
 
 
 class BoxOccluders:
-    """Solid boxes in place of a scene's surfaces.
+    """Solid boxes that replace a scene's surfaces.
 
-    A box that holds the eye or the point hides nothing from it, since boxes of neighbouring things overlap and a
-    shelf's box holds what stands in the shelf. The point's own box hides its far side.
+    A box that contains the eye or the point does not block, since boxes of neighbouring objects overlap and a shelf's
+    box contains the objects in it. The point's own box blocks its far side.
 
     Parameters
     ----------
     centers, half_extents : (b, 3) metres, Habitat frame
-    rotations : (b, 3, 3), their columns the boxes' axes; none for boxes along the axes
-    headroom : (b,) metres above a box in which it hides nothing either, as of a table's what stands on it; none for 0
+    rotations : (b, 3, 3), their columns the boxes' axes; None for axis-aligned boxes
+    headroom : (b,) height in metres above a box whose points it does not block either, such as things on a table; None
+        for 0
 
     Raises
     ------
-    UsageError : shapes that don't fit, an extent that is negative or not finite
+    UsageError : shapes do not match, or an extent is negative or not finite
     """
 
     approximate = True
@@ -148,7 +149,7 @@ class BoxOccluders:
 
     @classmethod
     def of_aabbs(cls, aabbs: npt.ArrayLike) -> BoxOccluders:
-        """Boxes along the axes, (b, 2, 3) lowest and highest corner."""
+        """Build axis-aligned boxes from (b, 2, 3) lowest and highest corners."""
         low, high = np.moveaxis(np.asarray(aabbs, np.float64).reshape(-1, 2, 3), 1, 0)
         return cls((low + high) / 2, (high - low) / 2)
 
@@ -156,7 +157,7 @@ class BoxOccluders:
         return len(self._centers)
 
     def __add__(self, other: BoxOccluders) -> BoxOccluders:
-        """These boxes and then the others."""
+        """Return these boxes followed by the others."""
         pairs = (
             (self._centers, other._centers),
             (self._half, other._half),
@@ -166,16 +167,16 @@ class BoxOccluders:
         return BoxOccluders(*(np.concatenate(pair) for pair in pairs))
 
     def hidden(self, eyes: Points, points: Points, own: npt.NDArray[np.int64] | None = None) -> Flags:
-        """See :class:`Occluders`; ``own`` counts the boxes in the order in which they were given."""
+        """See :class:`Occluders`; ``own`` indexes the boxes in the given order."""
         mine = np.full(len(eyes), -1, np.int64) if own is None else np.require(own, np.int64, ["C", "W"])
         begin, end = (np.require(values, np.float64, ["C", "W"]) for values in (eyes, points))
         return blocked_looks(begin, end, mine, self._centers, self._half, self._axes, self._headroom, TOUCH)
 
 
 class JoinedOccluders:
-    """Triangles and boxes together: walls that are known as surfaces, things that are known as boxes.
+    """Triangles and boxes together: walls known as surfaces, objects known as boxes.
 
-    ``own`` of a look counts the boxes.
+    ``own`` indexes the boxes.
     """
 
     approximate = True
@@ -194,11 +195,11 @@ class JoinedOccluders:
 def wall_boxes(
     segments: npt.ArrayLike, bottom: npt.ArrayLike, top: npt.ArrayLike, thickness: float = WALL_THICKNESS
 ) -> BoxOccluders:
-    """Walls known by their lines, as boxes.
+    """Return walls that are known by their lines, as boxes.
 
     Parameters
     ----------
-    segments : (w, 2, 2) metres, both ends of each wall as (x, z); openings are left out by whoever draws them
+    segments : (w, 2, 2) metres, both ends of each wall as (x, z); without the openings
     bottom, top : (w,) or one height for all, metres
     """
     ends = np.asarray(segments, np.float64).reshape(-1, 2, 2)

@@ -1,4 +1,4 @@
-"""Habitat's ``PathFinder`` without Habitat: the same answers, bit for bit, from the same ``.navmesh`` files."""
+"""habitat-sim's ``PathFinder`` reimplemented: bit-identical results from the same ``.navmesh`` files."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from schemas.errors import UsageError
 
 __all__ = ["HitRecord", "Pathfinder"]
 
-# habitat-sim's default of ``is_navigable``, metres between the point and the floor below or above it.
+# habitat-sim's default of ``is_navigable``: largest vertical distance in metres between the point and the floor.
 MAX_Y_DELTA = 0.5
-# A picture with more pixels than this is a mistake in metres per pixel.
+# Largest number of pixels of a picture; more is an error in metres per pixel.
 MAX_PIXELS = 100_000_000
 
 
@@ -39,9 +39,9 @@ class HitRecord:
 
     Attributes
     ----------
-    hit_pos : (3,) the wall's nearest point; zeros where none is within the search radius
-    hit_normal : (3,) unit vector from there to the snapped point; NaN where the point lies on the wall
-    hit_dist : metres in the ground plane; the search radius where no wall is within it, infinite off the navmesh
+    hit_pos : (3,) the wall's nearest point; zeros if no wall is within the search radius
+    hit_normal : (3,) unit vector from there to the snapped point; NaN if the point is on the wall
+    hit_dist : horizontal metres; the search radius if no wall is within it, infinite off the navmesh
     """
 
     hit_pos: Floats
@@ -53,15 +53,15 @@ class Pathfinder:
     """Shortest paths, snapping, islands and movement on one navmesh.
 
     Names and semantics are habitat-sim 0.3.4's. Points are (3,) and batches (n, 3), metres, Habitat frame, rounded to
-    float32 on entry. A point that can't be projected snaps to NaN; one that can't be reached is infinitely far.
-    Instances may be shared by threads; all that changes is the sequence of ``get_random_navigable_point``.
+    float32 on entry. A point that can't be projected snaps to NaN; one that can't be reached has infinite distance.
+    Instances may be shared by threads; their only state is the sequence of ``get_random_navigable_point``.
     """
 
     def __init__(self, navmesh: NavMeshFile) -> None:
         self.navmesh = navmesh
         self._random = np.random.default_rng(0)
         tile = navmesh.tile
-        # Islands come before polygons without area are taken off the mesh, as in Habitat.
+        # Islands are found before polygons without area are disabled, as in Habitat.
         self._island_of_poly, self._island_radii = find_islands(
             np.array(tile.verts, np.float32, order="C"),
             tile.poly_verts.astype(np.int64, order="C"),
@@ -76,7 +76,7 @@ class Pathfinder:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Pathfinder:
-        """Pathfinder over a ``.navmesh`` file.
+        """Load a pathfinder over a ``.navmesh`` file.
 
         Raises
         ------
@@ -86,7 +86,7 @@ class Pathfinder:
 
     @classmethod
     def from_tile(cls, tile: NavMeshTile, settings: NavMeshSettings | None = None) -> Pathfinder:
-        """Pathfinder over a tile just built (and linked)."""
+        """Build a pathfinder over a newly built (and linked) tile."""
         return cls(NavMeshFile.of_tile(tile, settings or NavMeshSettings()))
 
     @classmethod
@@ -97,11 +97,11 @@ class Pathfinder:
         settings: NavMeshSettings | None = None,
         profile: str = "habitat>=0.3.4",
     ) -> Pathfinder:
-        """Pathfinder over the navmesh that Habitat would build from triangles.
+        """Build a pathfinder over the navmesh that Habitat would build from triangles.
 
         Parameters and errors are those of :func:`condvln.navigation.recast.build_navmesh`.
         """
-        from condvln.navigation.recast import build_navmesh  # its kernels are needed by few
+        from condvln.navigation.recast import build_navmesh  # imported here, since few callers need its kernels
 
         return cls(build_navmesh(vertices, faces, settings, profile))
 
@@ -109,16 +109,17 @@ class Pathfinder:
         """Write the navmesh, byte for byte as it was loaded or built."""
         write_navmesh(path, self.navmesh)
 
-    # -- what it is ----------------------------------------------------------------------------------------------------
+    # -- properties
+    # --------------------------------------------------------------------------------------------------------
 
     @property
     def settings(self) -> NavMeshSettings:
-        """What the navmesh was built with (version 1 has agent and cell sizes only; the rest are defaults)."""
+        """The build settings (version 1 has agent and cell sizes only; the rest are defaults)."""
         return self.navmesh.known_settings
 
     @property
     def bounds(self) -> tuple[Floats, Floats]:
-        """Lowest and highest corner, (3,) each; the upper one includes the agent's height."""
+        """Lowest and highest corner, (3,) each, in metres; the upper one includes the agent's height."""
         return self._tile.bounds
 
     @property
@@ -131,52 +132,54 @@ class Pathfinder:
         areas = polygon_areas(self._tile)
         walkable = (self._tile.polys["flags"] & WALKABLE) != 0
         total = np.zeros(self.num_islands, np.float32)
-        np.add.at(total, self._island_of_poly[walkable], areas[walkable])  # one float32 addition a polygon, in order
+        np.add.at(total, self._island_of_poly[walkable], areas[walkable])  # one float32 addition per polygon, in order
         return total
 
     @property
     def navigable_area(self) -> float:
-        """Square metres of floor, all islands together."""
+        """Navigable area in square metres, all islands together."""
         total = np.float32(0.0)
         for area in self._island_areas:
             total += area
         return float(total)
 
     def island_area(self, index: int) -> float:
-        """Square metres of one island."""
+        """Return the area in square metres of one island."""
         return float(self._island_areas[self._island_index(index)])
 
     # -- points --------------------------------------------------------------------------------------------------------
 
     def snap_point(self, point: npt.ArrayLike, island: int | None = None) -> Floats:
-        """Nearest point (3,) on the navmesh, or on one island of it; NaN where none is within 2 m (4 m in height)."""
+        """Return the nearest point (3,) on the navmesh, or on one island; NaN if none is within 2 m (4 m in height)."""
         snapped: Floats = self.snap_points(one_point(point), island)[0]
         return snapped
 
     def snap_points(self, points: npt.ArrayLike, island: int | None = None) -> Floats:
-        """:meth:`snap_point` of each of n points, (n, 3)."""
+        """Apply :meth:`snap_point` to each of n points, (n, 3)."""
         chosen = ANY_ISLAND if island is None else self._island_index(island)
         return project(self.query_mesh, many_points(points), chosen)[1]
 
     def is_navigable(self, point: npt.ArrayLike, max_y_delta: float = MAX_Y_DELTA) -> bool:
-        """Is the point on the navmesh, to 1 cm in the ground plane and ``max_y_delta`` metres in height?"""
+        """Return whether the point is on the navmesh, within 1 cm horizontally and ``max_y_delta`` metres in height."""
         return bool(self.are_navigable(one_point(point), max_y_delta)[0])
 
     def are_navigable(self, points: npt.ArrayLike, max_y_delta: float = MAX_Y_DELTA) -> npt.NDArray[np.bool_]:
-        """:meth:`is_navigable` of each of n points, (n,)."""
+        """Apply :meth:`is_navigable` to each of n points, (n,)."""
         return all_navigable(self.query_mesh, many_points(points), np.float32(max_y_delta))
 
     def get_island(self, point: npt.ArrayLike) -> int:
-        """Index of the island that the point snaps to; -1 where it snaps to none."""
+        """Return the index of the island that the point snaps to; -1 if there is none."""
         return int(self.get_islands(one_point(point))[0])
 
     def get_islands(self, points: npt.ArrayLike) -> Ints:
-        """:meth:`get_island` of each of n points, (n,)."""
+        """Apply :meth:`get_island` to each of n points, (n,)."""
         polys, _ = project(self.query_mesh, many_points(points), ANY_ISLAND)
         return np.where(polys == NO_POLYGON, -1, self._island_of_poly[polys]).astype(np.int32)
 
     def island_radius(self, point_or_index: npt.ArrayLike) -> float:
-        """Metres from the mean corner of an island (an index, or that of a point) to the farthest; 0 off the mesh."""
+        """Return the distance in metres from the mean corner of an island (an index, or that of a point) to the
+        farthest; 0 off the mesh.
+        """
         where = np.asarray(point_or_index)
         index = self._island_index(int(where)) if where.ndim == 0 else self.get_island(where)
         return float(self._island_radii[index]) if index >= 0 else 0.0
@@ -184,12 +187,12 @@ class Pathfinder:
     # -- paths ---------------------------------------------------------------------------------------------------------
 
     def find_path(self, start: npt.ArrayLike, end: npt.ArrayLike) -> ShortestPath:
-        """Shortest path between two points."""
+        """Return the shortest path between two points."""
         lengths, counts, points = routes(self.query_mesh, one_point(start), one_point(end), True)
         return ShortestPath(float(lengths[0]), points, 0 if counts[0] else -1)
 
     def find_paths(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> list[ShortestPath]:
-        """Paths of n pairs; a single start or end serves all."""
+        """Return the paths of n pairs; a single start or end is paired with all others."""
         lengths, counts, points = routes(self.query_mesh, *paired_points(starts, ends), True)
         pieces = np.split(points, np.cumsum(counts)[:-1])
         return [
@@ -198,7 +201,7 @@ class Pathfinder:
         ]
 
     def find_multi_goal_path(self, start: npt.ArrayLike, ends: npt.ArrayLike) -> ShortestPath:
-        """Shortest of the paths to several ends; ends off the navmesh are left out."""
+        """Return the shortest of the paths to several ends; ends off the navmesh are ignored."""
         begin, goals = one_point(start), many_points(ends)
         reach = goals - begin
         squares = reach * reach
@@ -210,33 +213,41 @@ class Pathfinder:
         return ShortestPath(float(length), points, int(goal))
 
     def geodesic_distance(self, start: npt.ArrayLike, end: npt.ArrayLike) -> float:
-        """Metres along the shortest path to ``end``, or to the nearest of several; infinite where there is none."""
+        """Return the geodesic distance in metres to ``end``, or to the nearest of several ends; infinite if there is
+        no path.
+        """
         if np.ndim(end) == 2:
             return self.find_multi_goal_path(start, end).geodesic_distance
         return float(routes(self.query_mesh, one_point(start), one_point(end), False)[0][0])
 
     def geodesic_distances(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> Floats:
-        """:meth:`geodesic_distance` of n pairs, (n,) float32; a single start or end serves all the others."""
+        """Return :meth:`geodesic_distance` of n pairs, (n,) float32; a single start or end is paired with all
+        others.
+        """
         return routes(self.query_mesh, *paired_points(starts, ends), False)[0]
 
     def distance_table(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> Floats:
-        """:meth:`geodesic_distance` from each of n starts to each of m ends, (n, m) float32."""
+        """Return :meth:`geodesic_distance` from each of n starts to each of m ends, (n, m) float32."""
         return distance_table(self.query_mesh, many_points(starts), many_points(ends))
 
     # -- movement ------------------------------------------------------------------------------------------------------
 
     def try_step(self, start: npt.ArrayLike, end: npt.ArrayLike) -> Floats:
-        """Where a move from ``start`` towards ``end`` ends (3,), sliding along walls; ``start`` if it can't be made."""
+        """Return where a move from ``start`` towards ``end`` ends (3,), sliding along walls; ``start`` if it is
+        impossible.
+        """
         reached: Floats = self.try_steps(one_point(start), one_point(end))[0]
         return reached
 
     def try_step_no_sliding(self, start: npt.ArrayLike, end: npt.ArrayLike) -> Floats:
-        """Where a move from ``start`` towards ``end`` ends (3,), stopping at the first wall (habitat-sim 0.3.4)."""
+        """Return where a move from ``start`` towards ``end`` ends (3,), stopping at the first wall (habitat-sim
+        0.3.4).
+        """
         reached: Floats = self.try_steps(one_point(start), one_point(end), sliding=False)[0]
         return reached
 
     def try_steps(self, starts: npt.ArrayLike, ends: npt.ArrayLike, sliding: bool = True) -> Floats:
-        """The steps of n pairs, (n, 3)."""
+        """Return the end points of n steps, (n, 3)."""
         first, second = many_points(starts), many_points(ends)
         if len(first) != len(second):
             raise UsageError(
@@ -245,11 +256,13 @@ class Pathfinder:
         return steps(self.query_mesh, first, second, sliding)
 
     def distance_to_closest_obstacle(self, point: npt.ArrayLike, max_search_radius: float = 2.0) -> float:
-        """Metres in the ground plane to the nearest wall, at most the radius; infinite off the navmesh."""
+        """Return the horizontal distance in metres to the nearest wall, at most the radius; infinite off the
+        navmesh.
+        """
         return self.closest_obstacle_surface_point(point, max_search_radius).hit_dist
 
     def closest_obstacle_surface_point(self, point: npt.ArrayLike, max_search_radius: float = 2.0) -> HitRecord:
-        """The point of the nearest wall and the way from it."""
+        """Return the nearest wall's point, the normal towards the given point, and the distance."""
         distances, hits, normals = nearest_walls(self.query_mesh, one_point(point), np.float32(max_search_radius))
         return HitRecord(hits[0], normals[0], float(distances[0]))
 
@@ -260,18 +273,19 @@ class Pathfinder:
         return Sampler(self.query_mesh)
 
     def seed(self, seed: int) -> None:
-        """Start the sequence of :meth:`get_random_navigable_point` again; a new pathfinder has seed 0."""
+        """Restart the sequence of :meth:`get_random_navigable_point`; a new pathfinder has seed 0."""
         self._random = np.random.default_rng(seed)
 
     def get_random_navigable_point(self, max_tries: int = 10, island_index: int = -1) -> Floats:
-        """The next point (3,) of this pathfinder's own sequence, uniform over the floor or over one island of it.
+        """Return the next point (3,) of this pathfinder's own random sequence, uniform over the floor or over one
+        island.
 
-        The distribution is habitat-sim's, the sequence is not: Habitat draws from the C library's generator. Code whose
-        result must not depend on the calls before it uses :meth:`get_random_navigable_points` with a generator.
+        The distribution is habitat-sim's, the sequence is not: Habitat draws from the C library's generator. For
+        results that do not depend on earlier calls, use :meth:`get_random_navigable_points` with a generator.
 
         Parameters
         ----------
-        max_tries : taken for habitat-sim's sake; one try is enough here
+        max_tries : accepted for compatibility with habitat-sim; one try is enough here
         island_index : -1 for any island
 
         Raises
@@ -283,7 +297,7 @@ class Pathfinder:
         return point
 
     def get_random_navigable_points(self, count: int, rng: RandomSource, island: int | None = None) -> Floats:
-        """``count`` points (count, 3) uniform over the floor, or over one island of it.
+        """Return ``count`` points (count, 3) uniform over the floor, or over one island.
 
         Raises
         ------
@@ -294,9 +308,9 @@ class Pathfinder:
     def get_random_navigable_point_near(
         self, centre: npt.ArrayLike, radius: float, rng: RandomSource, max_tries: int = 100, island: int | None = None
     ) -> Floats:
-        """A point (3,) uniform over the floor within ``radius`` metres of ``centre`` in the ground plane.
+        """Return a point (3,) uniform over the floor within ``radius`` metres of ``centre`` in the ground plane.
 
-        NaN where ``max_tries`` draws from the polygons in reach bring none.
+        NaN if ``max_tries`` draws from the polygons in reach give none.
         """
         chosen = None if island is None else self._island_index(island)
         return self._sampler.draw_near(one_point(centre)[0], radius, rng, max_tries, chosen)
@@ -304,7 +318,8 @@ class Pathfinder:
     # -- pictures ------------------------------------------------------------------------------------------------------
 
     def top_down_view(self, metres_per_pixel: float, height: float, eps: float = MAX_Y_DELTA) -> npt.NDArray[np.bool_]:
-        """Navigability (rows along z, columns along x) of the points at ``height``, to ``eps`` metres in height.
+        """Return the navigability (rows along z, columns along x) of points at ``height``, within ``eps`` metres in
+        height.
 
         Raises
         ------

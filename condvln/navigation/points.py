@@ -1,4 +1,4 @@
-"""Points as callers give them, checked and copied into the arrays that kernels take."""
+"""Check points given by callers and copy them into the arrays that kernels take."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from schemas.errors import UsageError
 
 __all__ = ["many_points", "one_point", "paired_points"]
 
-# The copies matter: numba compiles a kernel again for an array that is read-only or laid out otherwise.
+# The copies matter: numba compiles a kernel again for read-only arrays or another memory layout.
 
 
 def one_point(point: npt.ArrayLike) -> Floats:
-    """A point [x, y, z] as (1, 3) float32."""
+    """Return a point [x, y, z] as (1, 3) float32."""
     array = np.array(point, np.float32, order="C")
     if array.shape != (3,):
         raise UsageError(f"a point has three numbers, not the shape {array.shape}", remedy="Give [x, y, z]")
@@ -22,7 +22,7 @@ def one_point(point: npt.ArrayLike) -> Floats:
 
 
 def many_points(points: npt.ArrayLike) -> Floats:
-    """Points (n, 3) as float32; an empty list is (0, 3)."""
+    """Return points (n, 3) as float32; an empty list gives (0, 3)."""
     array = np.array(points, np.float32, order="C")
     if array.size == 0:
         return array.reshape(0, 3)
@@ -32,7 +32,7 @@ def many_points(points: npt.ArrayLike) -> Floats:
 
 
 def paired_points(starts: npt.ArrayLike, ends: npt.ArrayLike) -> tuple[Floats, Floats]:
-    """Starts and ends as (n, 3) each; a single point (3,), or one row, on either side goes with all on the other."""
+    """Return starts and ends as (n, 3) each; a single point (3,), or one row, is paired with all on the other side."""
     first, second = (one_point(p) if np.ndim(p) == 1 and np.size(p) else many_points(p) for p in (starts, ends))
     if len(first) != len(second) and 1 not in (len(first), len(second)):
         raise UsageError(f"{len(first)} starts and {len(second)} ends", remedy="Give as many of both, or one of either")

@@ -1,7 +1,7 @@
-"""A navmesh tile straight from convex polygons: the floor is given, so nothing is voxelised.
+"""Build a navmesh tile directly from convex polygons, without voxelisation.
 
-For made scenes, whose free floor is known as polygons, and for tests with closed-form distances. What Recast would
-build from the same floor is coarser (cells of 5 cm); Habitat loads and walks either.
+For generated scenes, whose free floor is known as polygons, and for tests with closed-form distances. Recast's result
+for the same floor would be coarser (cells of 5 cm); Habitat loads and uses both.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from schemas.errors import InputError
 __all__ = ["tile_of_polygons"]
 
 MAX_POLYGON_VERTICES = 0xFFFF  # vertices of a tile are numbered in 16 bits
-MAX_POLYGONS = 0x7FFF  # so are neighbours, whose highest bit means another tile
-# Square metres by which a corner may turn the wrong way, from rounding, before a polygon counts as not convex.
+MAX_POLYGONS = 0x7FFF  # neighbours, too; their highest bit marks another tile
+# Tolerance in square metres of the convexity test, for rounding.
 CONVEXITY_TOLERANCE = 1e-6
 # Edge flags of a fan triangle's three edges: on the polygon's boundary or not.
 BOUNDARY_FIRST, BOUNDARY_MIDDLE, BOUNDARY_LAST = 1, 4, 16
@@ -38,17 +38,17 @@ BOUNDARY_FIRST, BOUNDARY_MIDDLE, BOUNDARY_LAST = 1, 4, 16
 def tile_of_polygons(
     vertices: npt.ArrayLike, polygons: Sequence[Sequence[int]], settings: NavMeshSettings | None = None
 ) -> NavMeshTile:
-    """A linked tile whose polygons are joined wherever two of them share an edge (the same two vertices).
+    """Return a linked tile whose polygons are connected wherever two of them share an edge (the same two vertices).
 
     Parameters
     ----------
-    vertices : (v, 3) metres, Habitat frame; below 65,535 of them
+    vertices : (v, 3) metres, Habitat frame; fewer than 65,535
     polygons : convex, 3 to 6 vertices each, in either winding
     settings : agent sizes and cell size written into the tile; Habitat's defaults if not given
 
     Raises
     ------
-    InputError : a polygon is not convex, has too few or too many corners, or names a vertex that is not there; an edge
+    InputError : a polygon is not convex, has too few or too many corners, or refers to an unknown vertex; an edge
         is shared by more than two polygons; a number is not finite
     """
     chosen = settings or NavMeshSettings()
@@ -84,7 +84,9 @@ def tile_of_polygons(
 
 
 def _wound(verts: Floats, corners: list[int], number: int) -> list[int]:
-    """The corners counter-clockwise as seen from above (x east, z south), the winding that string pulling expects."""
+    """Return the corners counter-clockwise seen from above (x east, z south), the winding that string pulling
+    expects.
+    """
     place = f"polygon {number}"
     if not 3 <= len(corners) <= MAX_VERTS_PER_POLYGON or len(set(corners)) != len(corners):
         raise InputError(f"{len(corners)} corners", place=place, remedy="Give 3 to 6 different vertices")
@@ -120,7 +122,9 @@ def _polygon_records(corners: list[list[int]]) -> Records:
 
 
 def _fans(corners: list[list[int]]) -> tuple[Records, npt.NDArray[np.uint8]]:
-    """A detail mesh for each polygon: the fan of triangles around its first corner, with no vertices of its own."""
+    """Return a detail mesh for each polygon: the fan of triangles around its first corner, without additional
+    vertices.
+    """
     meshes = np.zeros(len(corners), DETAIL_MESH)
     triangles: list[tuple[int, int, int, int]] = []
     for number, polygon in enumerate(corners):

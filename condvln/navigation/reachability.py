@@ -1,9 +1,9 @@
-"""How well drawn surfaces agree with a simulator: the positions that AI2-THOR's agent reached, and those of ours.
+"""Compare generated surfaces with a simulator: positions reachable for AI2-THOR's agent, and for ours.
 
 The reachable positions that go with the metadata are those of the ALFRED benchmark (AI2-THOR 2.1.0). Its agent is a
 capsule of radius 0.175 m and height 0.9 m (allenai/ai2thor#732), and each position was kept only if the agent could
 turn around there, looking up, ahead and down, with a small object in its hand (askforalfred/alfred,
-``gen/layouts/precompute_layout_locations.py``). So both are asked for: floor for the body, and room for the hand.
+``gen/layouts/precompute_layout_locations.py``). So both are tested: floor for the body, and space for the hand.
 """
 
 from __future__ import annotations
@@ -24,31 +24,32 @@ __all__ = ["GRID", "Reachability", "reachability"]
 F64 = NDArray[np.float64]
 
 GRID: Final = 0.25
-"""Metres between reachable positions."""
+"""Grid spacing of reachable positions in metres."""
 
 BODY_RADIUS: Final = 0.175
 BODY_HEIGHT: Final = 0.9
-"""Metres, of the agent's capsule."""
+"""Radius and height in metres of the agent's capsule."""
 
 HAND_REACH: Final = 0.45
-"""Metres from the agent's axis to the far side of what it holds. Nobody documents it. Positions of seven floor plans
-keep 0.34 m or more from the box of all that stands at the hand's height (but for a lamp, which is a pole there), and
-only 0.03 to 0.2 m from lower boxes; of these plans 0.40 to 0.475 m tell nearly the same."""
+"""Distance in metres from the agent's axis to the far side of the held object. It is undocumented. Positions of seven
+floor plans keep at least 0.34 m from the boxes of everything at hand height (except a thin lamp), and only 0.03 to 0.2
+m from lower boxes; on these plans all values from 0.40 to 0.475 m give nearly the same result.
+"""
 
 HAND_HEIGHTS: Final = 1.2, 1.5
-"""Metres between which the hand moves as the agent looks down and up."""
+"""Range of heights in metres through which the hand moves as the agent looks down and up."""
 
 CELL: Final = 0.025
 CELL_HEIGHT: Final = 0.1
-"""Metres of a voxel: `BODY_RADIUS`, `BODY_HEIGHT` and `HAND_REACH` are whole numbers of them."""
+"""Voxel size in metres: `BODY_RADIUS`, `BODY_HEIGHT` and `HAND_REACH` are multiples of it."""
 
 ON_FLOOR: Final = 0.3
-"""Metres above the floor below which the navmesh is the floor's and no furniture's."""
+"""Height in metres above the floor up to which the navmesh is floor and not furniture."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reachability:
-    """Positions of the grid: found reachable by the simulator, by us, and by both."""
+    """Numbers of grid positions reachable by the simulator, by our surfaces, and by both."""
 
     reachable: int
     navigable: int
@@ -56,21 +57,22 @@ class Reachability:
 
     @property
     def precision(self) -> float:
-        """Share of our positions that are the simulator's too; 1 where we have none."""
+        """Share of our positions that the simulator also reaches; 1 if we have none."""
         return self.both / self.navigable if self.navigable else 1.0
 
     @property
     def recall(self) -> float:
-        """Share of the simulator's positions that are ours too; 1 where it has none."""
+        """Share of the simulator's positions that we also reach; 1 if it has none."""
         return self.both / self.reachable if self.reachable else 1.0
 
 
 def reachability(geometry: SceneGeometry, positions: F64, hand: bool = True) -> Reachability:
-    """Compares the navmesh built of surfaces with positions (n, 2) of (x, z) in Habitat's frame, on a grid of `GRID`.
+    """Compare the navmesh of a geometry with reachable positions (n, 2) as (x, z) in Habitat's frame, on a grid of
+    `GRID`.
 
     Parameters
     ----------
-    hand : ask for room for the hand too
+    hand : also require space for the hand
 
     Raises
     ------
@@ -86,7 +88,7 @@ def reachability(geometry: SceneGeometry, positions: F64, hand: bool = True) -> 
 
 
 def _grid(geometry: SceneGeometry, theirs: set[tuple[int, int]]) -> tuple[NDArray[np.int64], F64]:
-    """(n, 2) whole numbers of grid steps that cover the scene and all known positions, and the points (n, 3)."""
+    """Return integer grid coordinates (n, 2) that cover the scene and all known positions, and their points (n, 3)."""
     ground = np.concatenate([geometry.vertices[:, [0, 2]] / GRID, np.array(sorted(theirs)).reshape(-1, 2)])
     low, high = np.floor(ground.min(axis=0)).astype(int), np.ceil(ground.max(axis=0)).astype(int)
     steps = np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high, strict=True)), indexing="ij")
@@ -95,7 +97,7 @@ def _grid(geometry: SceneGeometry, theirs: set[tuple[int, int]]) -> tuple[NDArra
 
 
 def _at_hand(geometry: SceneGeometry) -> NDArray[np.int64]:
-    """Faces of the floor, and of what reaches into the heights of the hand."""
+    """Return the faces of the floor, and of everything that extends into the range of hand heights."""
     heights = geometry.vertices[geometry.faces][:, :, 1]
     low, high = heights.min(axis=1), heights.max(axis=1)
     at_hand = (low <= HAND_HEIGHTS[1]) & (high >= HAND_HEIGHTS[0])
@@ -106,8 +108,10 @@ def _at_hand(geometry: SceneGeometry) -> NDArray[np.int64]:
 def _on_floor(
     geometry: SceneGeometry, faces: NDArray[np.int64], radius: float, height: float, points: F64, main_only: bool
 ) -> NDArray[np.bool_]:
-    """Which points lie on the floor's navmesh for an agent of this size, or on that island of it which holds most."""
-    # Regions are in cells, and 1 m² of them or less is dropped by default.
+    """Return which points are on the floor's navmesh for an agent of this size, or only on the island with most of
+    them.
+    """
+    # Recast measures regions in cells and by default drops regions of 1 m² or less.
     settings = NavMeshSettings(
         cell_size=CELL,
         cell_height=CELL_HEIGHT,
@@ -119,7 +123,7 @@ def _on_floor(
     try:
         nav = Pathfinder.build(geometry.vertices, faces, settings)
     except InputError:
-        return np.zeros(len(points), np.bool_)  # no floor is left to stand on
+        return np.zeros(len(points), np.bool_)  # no walkable floor is left
     on = nav.are_navigable(points) & (nav.snap_points(points)[:, 1] < ON_FLOOR)
     if main_only and on.any():
         islands = nav.get_islands(points)

@@ -1,7 +1,7 @@
 """Seeded uniform sampling of the floor.
 
-Detour's ``findRandomPoint`` draws from libc's ``rand``, whose sequence can't be had elsewhere; the distribution can: a
-polygon by its area in the ground plane, then a uniform point inside it.
+Detour's ``findRandomPoint`` uses libc's ``rand``, whose sequence can't be reproduced elsewhere. Its distribution can:
+choose a polygon by its area in the ground plane, then a uniform point inside it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ __all__ = ["RandomSource", "Sampler"]
 
 RandomSource: TypeAlias = np.random.Generator | int
 
-# Rounding can put a drawn point off its polygon; it is drawn again. More rounds than this mean a mesh of slivers.
+# Rounding can put a drawn point off its polygon; then it is drawn again. If this many rounds fail, the mesh has only
+# slivers.
 MAX_REDRAWS = 100
 
 
@@ -33,7 +34,7 @@ class Sampler:
         self._weights = ground_areas(mesh).astype(np.float64)
 
     def draw(self, count: int, rng: RandomSource, island: int | None = None) -> Floats:
-        """``count`` uniform points (count, 3) on the mesh or on one island.
+        """Return ``count`` uniform points (count, 3) on the mesh or on one island.
 
         Raises
         ------
@@ -45,7 +46,9 @@ class Sampler:
         return points
 
     def draw_near(self, centre: Floats, radius: float, rng: RandomSource, max_tries: int, island: int | None) -> Floats:
-        """A uniform point (3,) of the floor within ``radius`` of ``centre`` in the plane; NaN after ``max_tries``."""
+        """Return a uniform point (3,) on the floor within ``radius`` of ``centre`` in the plane; NaN after
+        ``max_tries``.
+        """
         weights = self._weights_of(island) * self._within(centre, radius)
         nothing = np.full(3, np.nan, np.float32)
         if weights.sum() <= 0:

@@ -1,4 +1,4 @@
-"""The navmesh that a scene's episodes are placed on: one that its dataset ships, else one built from its surfaces."""
+"""Choose the navmesh of a scene's episodes: one that its dataset ships, else one built from its surfaces."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ __all__ = ["built_path", "with_built_navmesh", "with_shipped_navmesh"]
 
 
 def with_shipped_navmesh(scene: Scene, agent: AgentConfig) -> Scene:
-    """The scene with the navmesh of its dataset that was built for the agent.
+    """Return the scene with the navmesh of its dataset that was built for the agent.
 
     Of ``scene.shipped_navmeshes`` the first file whose settings fit the agent is taken, else the first one that
-    exists, with the warning ``navmesh_does_not_fit``. Where none exists the scene has no navmesh and the warning
+    exists, with the warning ``navmesh_does_not_fit``. If none exists, the scene has no navmesh and the warning
     ``no_navmesh``.
 
     Raises
@@ -55,21 +55,21 @@ def with_shipped_navmesh(scene: Scene, agent: AgentConfig) -> Scene:
 
 
 def built_path(family: str, scene_id: str) -> str:
-    """Path of a scene's built navmesh in an export, '/'-separated."""
+    """Return the path of a scene's built navmesh in an export, '/'-separated."""
     return f"navmeshes/{family}/{quote(scene_id, safe='')}.navmesh"
 
 
 def with_built_navmesh(scene: Scene, geometry: SceneGeometry, agent: AgentConfig) -> tuple[Scene, bytes | None]:
-    """The scene with a navmesh built as Habitat would build it, and that navmesh's bytes.
+    """Return the scene with a navmesh built as Habitat would build it, and that navmesh's bytes.
 
-    Objects are part of the floor plan: they are in the agent's way. A scene in which no agent can stand stays without
-    a navmesh and gets the warning ``navmesh_not_built``.
+    Objects are obstacles. A scene without walkable floor stays without a navmesh and gets the warning
+    ``navmesh_not_built``.
 
     Parameters
     ----------
     scene : without a navmesh
     geometry : the scene's surfaces
-    agent : whom the navmesh must fit
+    agent : the agent that the navmesh is for
     """
     scene = replace(scene, warnings=tuple(warning for warning in scene.warnings if warning.code != "no_navmesh"))
     settings = NavMeshSettings.furnished(agent)

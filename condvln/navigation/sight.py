@@ -1,7 +1,7 @@
-"""Line of sight: what an agent sees of an object from where it stands.
+"""Lines of sight: what an agent sees of an object from its position.
 
-A look goes from an eye to a point on the object's surface. The point is seen if it is within range and in the field of
-view, and nothing stands before it.
+A line goes from an eye to a point on the object's surface. The point is seen if it is within range and in the field of
+view, and nothing blocks the line.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ __all__ = [
 ]
 
 EYE_HEIGHT = 1.25
-"""Metres of the camera above the agent's feet: habitat-lab's default sensor position, which VLN-CE's R2R task keeps."""
+"""Height in metres of the camera above the agent's feet: habitat-lab's default, which VLN-CE's R2R task keeps."""
 
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """How far and how wide an agent sees.
+    """The range and field of view of an agent.
 
-    range : metres from the eye, the end included
+    range : metres from the eye, inclusive
     horizontal_fov : degrees; 360 looks all around, else below 180
-    vertical_fov : degrees below 180, of a level pinhole camera; none does not limit
+    vertical_fov : degrees below 180, of a level pinhole camera; None for no limit
     """
 
     range: float = 5.0
@@ -56,7 +56,7 @@ class View:
 
     @property
     def needs_heading(self) -> bool:
-        """Does it matter where the agent looks?"""
+        """Whether the agent's heading matters."""
         return self.horizontal_fov != 360 or self.vertical_fov is not None
 
 
@@ -65,7 +65,7 @@ class SightTarget:
     """An object to look for.
 
     samples : (k, 3) points of its surface
-    own : number of the box occluder that it is, or (k,) of the one that each sample belongs to; -1 for none
+    own : index of its box occluder, or (k,) that of each sample; -1 for none
     """
 
     samples: Points
@@ -73,12 +73,12 @@ class SightTarget:
 
     @property
     def owners(self) -> npt.NDArray[np.int64]:
-        """`own` for each sample."""
+        """The value of `own` for each sample."""
         return np.broadcast_to(np.asarray(self.own, dtype=np.int64), len(self.samples))
 
 
 def eyes_at(positions: npt.ArrayLike, height: float = EYE_HEIGHT) -> Points:
-    """Eyes (n, 3) above the feet (n, 3) of agents."""
+    """Return the eyes (n, 3) above the feet (n, 3) of agents, in metres."""
     eyes: Points = np.asarray(positions, np.float64).reshape(-1, 3) + np.array([0.0, height, 0.0])
     return eyes
 
@@ -91,19 +91,19 @@ def visible_points(
     headings: npt.ArrayLike | None = None,
     own: npt.ArrayLike | None = None,
 ) -> Flags:
-    """Which points each eye sees, (n, m).
+    """Return which points each eye sees, (n, m).
 
     Parameters
     ----------
-    eyes : (n, 3) metres, Habitat frame; one that is not finite sees nothing
+    eyes : (n, 3) metres, Habitat frame; a non-finite one sees nothing
     points : (m, 3) metres
     view : 5 m all around if not given
     headings : (n,) radians counter-clockwise from −z, for a view that does not look all around
-    own : (m,) number of the occluder that each point belongs to, -1 for none
+    own : (m,) index of the occluder that each point belongs to, -1 for none
 
     Raises
     ------
-    UsageError : the view needs headings and none are given, or shapes don't fit
+    UsageError : the view needs headings and none are given, or shapes do not match
     """
     view = view or View()
     looking, seen = (np.asarray(values, np.float64).reshape(-1, 3) for values in (eyes, points))
@@ -117,11 +117,11 @@ def visible_points(
 
 
 def in_view(eyes: Points, points: Points, view: View, headings: npt.ArrayLike | None = None) -> Flags:
-    """Which points (m, 3) lie in the field of view of each eye (n, 3), occluders ignored, (n, m).
+    """Return which points (m, 3) are in the field of view of each eye (n, 3), ignoring occluders, (n, m).
 
     Raises
     ------
-    UsageError : the view needs headings, and there is not one an eye
+    UsageError : the view needs one heading per eye
     """
     away = points[None] - eyes[:, None]
     with np.errstate(invalid="ignore", over="ignore"):
@@ -150,7 +150,7 @@ def visible_shares(
     view: View | None = None,
     headings: npt.ArrayLike | None = None,
 ) -> Points:
-    """Share of each target's samples that each eye sees, (n, t), from 0 to 1. One batch, whatever n and t."""
+    """Return the share of each target's samples that each eye sees, (n, t), from 0 to 1, computed as one batch."""
     sizes = np.array([len(target.samples) for target in targets], np.int64)
     if (sizes == 0).any():
         raise UsageError("a target has no samples", place=f"target {int(np.argmin(sizes))}")
@@ -172,7 +172,9 @@ def first_sights(
     headings: npt.ArrayLike | None = None,
     least_share: float = 0.0,
 ) -> npt.NDArray[np.int64]:
-    """First eye of ``path`` (n, 3) that sees more than ``least_share`` of each target: its index, (t,); -1 if none."""
+    """Return for each target the index (t,) of the first eye of ``path`` (n, 3) that sees more than ``least_share``;
+    -1 if none.
+    """
     seen = visible_shares(occluders, path, targets, view, headings) > least_share
     if not len(seen):
         return np.full(len(targets), -1, np.int64)

@@ -1,6 +1,6 @@
-"""Seeded points on the surface of an object, for questions of sight.
+"""Seeded sample points on the surface of an object, for visibility tests.
 
-The same surface, count and seed give the same points, whatever ran before.
+The points depend only on surface, count and seed.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ __all__ = ["DEFAULT_SAMPLES", "box_samples", "mesh_samples"]
 Points = npt.NDArray[np.float64]
 
 DEFAULT_SAMPLES = 64
-"""Points an object: one that shows a twentieth of its surface is missed once in 27 times."""
+"""Number of points per object: all miss a visible twentieth of its surface once in 27 times."""
 
-# The six faces of a unit box from -1 to 1: the axis they stand on, and on which side.
+# The six faces of a unit box from -1 to 1: the axis perpendicular to each, and its sign.
 _FACE_AXIS = np.array([0, 0, 1, 1, 2, 2])
 _FACE_SIDE = np.array([-1.0, 1.0, -1.0, 1.0, -1.0, 1.0])
 
@@ -29,12 +29,13 @@ def box_samples(
     count: int = DEFAULT_SAMPLES,
     seed: int = 0,
 ) -> Points:
-    """Points (count, 3) on the faces of a box, spread by area. A flat box has its points on its two large faces.
+    """Return points (count, 3) on the faces of a box, distributed by area; those of a flat box are on its two large
+    faces.
 
     Parameters
     ----------
     center, half_extents : (3,) metres
-    rotation : (3, 3), its columns the box's axes; none for a box along the axes
+    rotation : (3, 3), its columns the box's axes; None for an axis-aligned box
 
     Raises
     ------
@@ -48,7 +49,7 @@ def box_samples(
         raise UsageError(f"a box with centre {middle} and half extents {half} has no surface")
     others = np.array([[1, 2], [0, 2], [0, 1]])[_FACE_AXIS]
     area = half[others].prod(axis=1)
-    if not area.any():  # a line or a point: any face will do
+    if not area.any():  # degenerate box (a line or a point): any face will do
         area = np.ones(6)
     face, rng = _by_area(area, count, seed)
     place = rng.uniform(-1.0, 1.0, (count, 3))
@@ -58,7 +59,7 @@ def box_samples(
 
 
 def mesh_samples(vertices: npt.ArrayLike, faces: npt.ArrayLike, count: int = DEFAULT_SAMPLES, seed: int = 0) -> Points:
-    """Points (count, 3) on a triangle mesh, spread by area.
+    """Return points (count, 3) on a triangle mesh, distributed by area.
 
     Parameters
     ----------
@@ -84,9 +85,11 @@ def mesh_samples(vertices: npt.ArrayLike, faces: npt.ArrayLike, count: int = DEF
 
 
 def _by_area(area: Points, count: int, seed: int) -> tuple[npt.NDArray[np.int64], np.random.Generator]:
-    """Face of each of ``count`` points, one in each of so many equal slices of the area; and the generator to go on."""
+    """Return the face of each of ``count`` points, one in each of as many equal slices of the area, and the
+    generator.
+    """
     if count < 1:
-        raise UsageError(f"{count} samples were asked for", remedy="Ask for at least one")
+        raise UsageError(f"{count} samples were asked for", remedy="Request at least one")
     rng = np.random.default_rng(seed)
     slices = (np.arange(count) + rng.uniform(0.0, 1.0, count)) / count
     upto = np.cumsum(area)

@@ -1,7 +1,8 @@
-"""One Detour tile in memory: every byte of it, as numpy arrays.
+"""One Detour tile in memory: all of its bytes as numpy arrays.
 
 The records are those of Detour's ``DetourNavMesh.h`` (Mikko Mononen, zlib licence), little-endian and with C's natural
-packing, so that :meth:`NavMeshTile.to_bytes` gives back exactly what was read. Habitat builds a scene as a single tile.
+packing, so that :meth:`NavMeshTile.to_bytes` returns exactly the bytes that were read. Habitat builds a scene as a
+single tile.
 """
 
 from __future__ import annotations
@@ -94,7 +95,7 @@ OFF_MESH_CONNECTION = np.dtype(
 
 @dataclass(frozen=True, eq=False)
 class NavMeshTile:
-    """A tile: p polygons over v vertices, with their detail triangles. Arrays are read-only by agreement.
+    """A tile: p polygons over v vertices, with their detail triangles. Arrays must not be modified.
 
     Attributes
     ----------
@@ -136,9 +137,9 @@ class NavMeshTile:
         detail_tris: npt.NDArray[np.uint8],
         bv_nodes: Records,
     ) -> NavMeshTile:
-        """Tile of these parts with the header that ``dtCreateNavMeshData`` gives them, its links still blank.
+        """Return a tile of these parts with the header that ``dtCreateNavMeshData`` writes, without links.
 
-        ``link_tile`` makes the links. One link is reserved per polygon edge, as Detour does.
+        ``link_tile`` makes the links. One link is reserved per polygon edge, as in Detour.
         """
         header = np.zeros((), HEADER)
         header["magic"], header["version"] = TILE_MAGIC, TILE_VERSION
@@ -164,7 +165,7 @@ class NavMeshTile:
         )
 
     def to_bytes(self) -> bytes:
-        """The tile as Detour keeps it in memory and Habitat writes it to disk."""
+        """Return the tile's bytes, as in Detour's memory and in Habitat's files."""
         sections = (
             self.header,
             self.verts.astype("<f4", copy=False),
@@ -179,17 +180,17 @@ class NavMeshTile:
         return b"".join(section.tobytes() for section in sections)
 
     def with_parts(self, **parts: Records) -> NavMeshTile:
-        """A copy with some arrays replaced."""
+        """Return a copy with some arrays replaced."""
         return replace(self, **parts)
 
     @property
     def bounds(self) -> tuple[Floats, Floats]:
-        """Lowest and highest corner, (3,) float32 each; the upper one includes the agent's height."""
+        """Lowest and highest corner, (3,) float32 each, in metres; the upper one includes the agent's height."""
         return self.header["bmin"].astype(np.float32), self.header["bmax"].astype(np.float32)
 
     @property
     def poly_verts(self) -> Ints:
-        """(p, 6) int32 vertex of each polygon corner; what lies beyond ``vert_count`` is 0."""
+        """(p, 6) int32 vertex index of each polygon corner; 0 beyond ``vert_count``."""
         return np.where(self._corners, self.polys["verts"], 0).astype(np.int32)
 
     @property
@@ -218,7 +219,8 @@ class NavMeshTile:
 
 
 def base_reference(poly_count: int) -> int:
-    """Detour's reference of polygon 0 of a single-tile mesh, which is the tile's own reference (salt 1, tile 0).
+    """Return Detour's reference of polygon 0 of a single-tile mesh, which is also the tile's reference (salt 1, tile
+    0).
 
     A 32-bit reference packs salt, tile and polygon; with one tile no bit goes to the tile, and the polygon has
     ``ilog2(nextPow2(poly_count))``.

@@ -1,6 +1,6 @@
-"""Corridor of polygons by A*: ``dtNavMeshQuery::findPath`` with its node pool and binary heap.
+"""Find a corridor of polygons by A*: ``dtNavMeshQuery::findPath`` with its node pool and binary heap.
 
-Which of two equal candidates wins decides the corridor, so the heap is Detour's own, not a library's.
+The corridor depends on which of two equal candidates comes first, so the heap is Detour's own, not a library's.
 """
 
 from __future__ import annotations
@@ -15,14 +15,16 @@ from condvln.navigation.kernels.geometry import HALF, ZERO, distance
 from condvln.navigation.kernels.mesh import QueryMesh
 from condvln.navigation.tile import Floats, Indices
 
-MAX_CORRIDOR = 256  # polygons; habitat-sim calls a longer path unreachable
-MAX_NODES = 2048  # of Detour's node pool; running out makes the goal unreachable too
+MAX_CORRIDOR = 256  # in polygons; habitat-sim treats a longer path as unreachable
+MAX_NODES = 2048  # size of Detour's node pool; if it is exhausted, the goal counts as unreachable, too
 HEURISTIC_SCALE = np.float32(0.999)
 OPEN, CLOSED = 1, 2
 
 
 class Search(NamedTuple):
-    """Working memory of one thread over p polygons; a node is its polygon, visited if of the current ``round``."""
+    """Working memory of one thread over p polygons; a node is its polygon, and is visited if marked in the current
+    ``round``.
+    """
 
     round: Indices
     parent: Indices
@@ -38,7 +40,7 @@ class Search(NamedTuple):
 
 @compiled
 def new_search(polygons: int) -> Search:
-    """Blank working memory."""
+    """Return empty working memory."""
     return Search(
         np.zeros(polygons, np.int64),
         np.empty(polygons, np.int64),
@@ -83,7 +85,9 @@ def moved_up(search: Search, node: int) -> None:
 
 @compiled
 def pop(search: Search) -> int:
-    """Take the least node. The hole sinks to a leaf first, and the last node rises from there, as in Detour."""
+    """Remove and return the least node. The hole sinks to a leaf first, and the last node rises from there, as in
+    Detour.
+    """
     heap = search.heap
     result = heap[0]
     search.counters[1] -= 1
@@ -103,7 +107,7 @@ def pop(search: Search) -> int:
 
 @compiled
 def edge_to(mesh: QueryMesh, poly: int, other: int) -> int:
-    """First edge of ``poly`` that leads to ``other``."""
+    """Return the first edge of ``poly`` that leads to ``other``."""
     for edge in range(mesh.poly_size[poly]):
         if mesh.neighbours[poly, edge] == other:
             return edge
@@ -133,7 +137,9 @@ def find_corridor(
     ey: np.float32,
     ez: np.float32,
 ) -> int:
-    """Polygons from ``start`` to ``end`` into ``search.corridor``; how many, or 0 where there is no complete path."""
+    """Write the polygons from ``start`` to ``end`` into ``search.corridor``; return their number, 0 if there is no
+    path.
+    """
     corridor = search.corridor
     if start == end:
         corridor[0] = start

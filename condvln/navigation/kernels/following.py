@@ -1,11 +1,11 @@
-"""Walking to goals with discrete actions: greedy on the geodesic distance, around obstacles.
+"""Walk to goals with discrete actions: greedily by geodesic distance, with a search around obstacles.
 
-The rule for aiming is that of habitat-lab's ``ShortestPathFollower`` (MIT): keep going while the path's direction is
-within one turn of the heading. What differs is that each step is tried on the navmesh before it is taken.
+The direction rule is that of habitat-lab's ``ShortestPathFollower`` (MIT): continue as long as the path's direction is
+within one turn of the heading. In addition, each step is tried on the navmesh before it is taken.
 
-Without sliding a walker that touches a wall may never leave it: habitat-sim stops a step at the first wall it meets,
-and a step that begins on a wall meets it at once. Such walks avoid contact as long as they get on without, and touch a
-wall only where some step leads on from there.
+Without sliding, an agent that touches a wall may be unable to leave it: habitat-sim stops a step at the first wall, and
+a step that begins at a wall hits it at once. Such walks avoid contact as long as they make progress without it, and
+touch a wall only where some step leads on from there.
 """
 
 from __future__ import annotations
@@ -29,23 +29,23 @@ from condvln.navigation.tile import Floats, Indices
 STOP, FORWARD, LEFT, RIGHT = 0, 1, 2, 3  # the action ids of VLN-CE
 ARRIVED, NO_PATH, STUCK, TOO_LONG = 0, 1, 2, 3
 
-# Metres: a path corner nearer than this gives no direction, the next one does.
+# Metres: a path corner nearer than this gives no direction; the next corner is used.
 TOO_NEAR_TO_AIM = np.float32(0.01)
-# Share of a full step by which a step must shorten the way to be taken without comparing all headings.
+# A step is taken without comparing all headings if it shortens the path by this share of a full step.
 GOOD_PROGRESS = np.float32(0.5)
-# Share below which, without sliding, steps that end at a wall are weighed as well.
+# Without sliding, steps that end at a wall are also considered if progress is below this share of a full step.
 SLOW_PROGRESS = np.float32(0.25)
-# Metres: a step that shortens the way by less is not progress.
+# Metres: a step that shortens the path by less is not progress.
 LEAST_PROGRESS = np.float32(1e-3)
-# Positions tried in looking for a way around, and the metres under which two of them are one.
+# Number of positions tried in the search for a path around, and the distance in metres under which two are merged.
 MAX_AROUND = 512
 SAME_PLACE = np.float32(0.02)
-# Slack on "within one turn", radians, for a heading that is a turn off to rounding.
+# Tolerance in radians of "within one turn", for rounding.
 TURN_SLACK = 1e-6
 
 
 class Gait(NamedTuple):
-    """How the walker moves. Headings are counted in turns from the first one, counter-clockwise."""
+    """How the agent moves. Headings are counted in turns from the first one, counter-clockwise."""
 
     moves: Floats
     """(h, 2) step along x and z for each heading, metres"""
@@ -59,16 +59,16 @@ class Gait(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """Geodesic distances, metres, at which a goal counts as reached."""
+    """Geodesic distances in metres at which a goal counts as reached."""
 
     stop_within: np.float32
-    """at once"""
+    """at any time"""
     arrive_within: np.float32
-    """where no step leads nearer"""
+    """if no step leads nearer"""
 
 
 class Goal(NamedTuple):
-    """A goal as asked for and as projected."""
+    """A goal as requested and as projected onto the navmesh."""
 
     asked: Floats
     poly: int
@@ -77,7 +77,7 @@ class Goal(NamedTuple):
 
 @compiled
 def _remaining(mesh: QueryMesh, search: Search, point: Floats, goal: Goal, points: Floats) -> tuple[np.float32, int]:
-    """Geodesic distance to the goal, and how many corner points of the path were written."""
+    """Return the geodesic distance to the goal, and the number of corner points of the path that were written."""
     at = np.empty(3, np.float32)
     poly, at[0], at[1], at[2] = nearest_polygon(mesh, point[0], point[1], point[2], ANY_ISLAND)
     return route_between(mesh, search, point, poly, at, goal.asked, goal.poly, goal.at, points)
@@ -85,7 +85,7 @@ def _remaining(mesh: QueryMesh, search: Search, point: Floats, goal: Goal, point
 
 @compiled
 def _turns_to_aim(gait: Gait, heading: int, points: Floats, count: int) -> float:
-    """Turns (counter-clockwise, fractional, -h/2 to h/2) between a heading and the direction of a path."""
+    """Return the turns (counter-clockwise, fractional, -h/2 to h/2) between a heading and the direction of a path."""
     for i in range(1, count):
         dx = points[i, 0] - points[0, 0]
         dz = points[i, 2] - points[0, 2]
@@ -99,7 +99,7 @@ def _turns_to_aim(gait: Gait, heading: int, points: Floats, count: int) -> float
 
 @compiled
 def _candidate(number: int, off: float) -> int:
-    """The ``number``-th nearest whole number to ``off``."""
+    """Return the ``number``-th nearest integer to ``off``."""
     nearest = math.floor(off + 0.5)
     side = 1 if off >= nearest else -1
     away = (number + 1) // 2
@@ -108,7 +108,7 @@ def _candidate(number: int, off: float) -> int:
 
 @compiled
 def _try_heading(mesh: QueryMesh, gait: Gait, point: Floats, heading: int, reached: Floats) -> bool:
-    """Step along a heading; True if no wall was in the way."""
+    """Step along a heading; return True if no wall was hit."""
     end = point.copy()
     end[0] = end[0] + gait.moves[heading, 0]
     end[2] = end[2] + gait.moves[heading, 1]
@@ -131,11 +131,13 @@ def _best_heading(
     points: Floats,
     tried: Floats,
 ) -> tuple[int, np.float32, int]:
-    """Heading to step along from ``point``, and the geodesic distance after it; -1 and infinite if there is none.
+    """Return the heading for a step from ``point``, and the geodesic distance after it; -1 and infinite if there is
+    none.
 
-    Going straight on comes first where the aim is within one turn, then the headings nearest to the aim. The first that
-    makes good progress is taken; failing that the one which makes most. In the first case ``tried`` is where the step
-    ends and ``points`` the way on from there, of as many corners as the third value says; otherwise that is 0.
+    The current heading is tried first if it is within one turn of the path's direction, then the headings nearest to
+    that direction. The first with good progress is taken, otherwise the one with most progress. In the first case
+    ``tried`` is the end of the step, ``points`` the path from there, and the third value its number of corners;
+    otherwise that is 0.
     """
     headings = gait.moves.shape[0]
     best_heading = -1
@@ -151,7 +153,7 @@ def _best_heading(
             continue
         after, corners = _remaining(mesh, search, tried, goal, points)
         if not (free or gait.sliding):
-            corners = 0  # the next line writes other points
+            corners = 0  # the next line overwrites the points
             if not _can_go_on(mesh, search, gait, tried, after, goal, points):
                 continue
         if after < best:
@@ -166,7 +168,7 @@ def _best_heading(
 def _can_go_on(
     mesh: QueryMesh, search: Search, gait: Gait, point: Floats, distance: np.float32, goal: Goal, points: Floats
 ) -> bool:
-    """Does some step from a place at a wall shorten the way?"""
+    """Return whether some step from a position at a wall shortens the path."""
     tried = np.empty(3, np.float32)
     for heading in range(gait.moves.shape[0]):
         _try_heading(mesh, gait, point, heading, tried)
@@ -187,9 +189,10 @@ def _way_around(
     contact: bool,
     points: Floats,
 ) -> Indices:
-    """Headings of the steps that lead from ``point`` to where the way is shorter again; empty if none were found.
+    """Return the headings of steps that lead from ``point`` to where the path is shorter again; empty if none were
+    found.
 
-    Best-first over the places that steps reach, nearest to the goal first.
+    Best-first search over positions reached by steps, nearest to the goal first.
     """
     places = np.empty((MAX_AROUND, 3), np.float32)
     left = np.empty(MAX_AROUND, np.float32)
@@ -262,9 +265,10 @@ def _plan(
     points: Floats,
     tried: Floats,
 ) -> tuple[Indices, np.float32, int]:
-    """Headings of the next steps: one that shortens the way, or those of a way around; none if there is neither.
+    """Return the headings of the next steps: one that shortens the path, or those of a path around; empty if there is
+    neither.
 
-    The other values are those of :func:`_best_heading`: where the last one is not 0, the step has been made already.
+    The other values are those of :func:`_best_heading`: if the last one is not 0, the step has already been made.
     """
     off = _turns_to_aim(gait, heading, path, corners)
     best, after, known = -1, INFINITE, 0
@@ -302,9 +306,9 @@ def follow(
 ) -> tuple[npt.NDArray[np.int8], Floats, Indices, np.float32, int]:
     """Walk from ``start`` to each of ``goals`` (g, 3) in turn.
 
-    Returns the actions (STOP last), the place before the first and after each forward step, how many forward steps had
-    been made when each goal was reached (-1: it was not), the geodesic distance left, and how it ended. A ``careful``
-    walk without sliding touches a wall only where it would not get on at all otherwise.
+    Returns the actions (STOP last), the positions before the first and after each forward step, the number of forward
+    steps at which each goal was reached (-1: not reached), the remaining geodesic distance in metres, and the outcome.
+    A ``careful`` walk without sliding touches a wall only if it would not make progress otherwise.
     """
     headings = gait.moves.shape[0]
     actions = np.empty(max_actions + 1, np.int8)
@@ -316,7 +320,7 @@ def follow(
     point = start.copy()
     reached = np.empty(3, np.float32)
     locations[0] = point
-    made, walked, heading = 0, 0, int(ZERO)  # a literal would make numba compile the callees once more
+    made, walked, heading = 0, 0, int(ZERO)  # a literal would make numba compile the callees again
     status = ARRIVED
     distance = ZERO
     for number in range(goals.shape[0]):
@@ -357,7 +361,7 @@ def follow(
             walked += 1
             heading = towards
             if known > 0:
-                # The step was tried in planning, and the way on from its end is in ``scratch``.
+                # The step was made in planning, and the path from its end is in ``scratch``.
                 distance, count = after, known
                 points, scratch = scratch, points
                 known = 0
@@ -375,7 +379,7 @@ def follow(
 
 @compiled
 def replay(mesh: QueryMesh, gait: Gait, start: Floats, actions: npt.NDArray[np.int8]) -> tuple[Floats, Indices]:
-    """Place (n + 1, 3) and heading (n + 1,) before the first of n actions and after each."""
+    """Return positions (n + 1, 3) and headings (n + 1,) before the first of n actions and after each."""
     headings = gait.moves.shape[0]
     places = np.empty((actions.shape[0] + 1, 3), np.float32)
     facing = np.empty(actions.shape[0] + 1, np.int64)

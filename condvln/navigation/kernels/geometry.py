@@ -1,4 +1,4 @@
-"""Plane geometry of ``DetourCommon.cpp``: the ground plane is xz, and y is left out unless said."""
+"""Plane geometry of ``DetourCommon.cpp``: in the ground plane xz, ignoring y unless stated."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ ZERO = np.float32(0.0)
 ONE = np.float32(1.0)
 HALF = np.float32(0.5)
 GREATEST = np.float32(np.finfo(np.float32).max)
-# A detail triangle of less than half this area (m²) holds no point (Detour's EPS in dtClosestHeightPointTriangle).
+# A detail triangle of less than half this area (m²) contains no point (Detour's EPS in dtClosestHeightPointTriangle).
 DEGENERATE_TRIANGLE = np.float32(1e-6)
 
 
@@ -20,7 +20,7 @@ DEGENERATE_TRIANGLE = np.float32(1e-6)
 def point_to_segment(
     x: np.float32, z: np.float32, px: np.float32, pz: np.float32, qx: np.float32, qz: np.float32
 ) -> tuple[np.float32, np.float32]:
-    """Squared distance to the segment p–q, and where along it the nearest point lies (0 to 1)."""
+    """Return the squared distance to the segment p–q, and the position of the nearest point along it (0 to 1)."""
     pqx = qx - px
     pqz = qz - pz
     dx = x - px
@@ -42,7 +42,7 @@ def point_to_segment(
 def triangle_area(
     ax: np.float32, az: np.float32, bx: np.float32, bz: np.float32, cx: np.float32, cz: np.float32
 ) -> np.float32:
-    """Twice the signed area of a, b, c; positive when c lies left of a–b in Detour's sense."""
+    """Return twice the signed area of a, b, c; positive when c is left of a–b in Detour's sense."""
     abx = bx - ax
     abz = bz - az
     acx = cx - ax
@@ -54,7 +54,7 @@ def triangle_area(
 def distance(
     ax: np.float32, ay: np.float32, az: np.float32, bx: np.float32, by: np.float32, bz: np.float32
 ) -> np.float32:
-    """Euclidean distance in space."""
+    """Return the Euclidean distance in space."""
     dx = bx - ax
     dy = by - ay
     dz = bz - az
@@ -63,7 +63,7 @@ def distance(
 
 @compiled
 def inside_polygon(mesh: QueryMesh, poly: int, x: np.float32, z: np.float32) -> bool:
-    """Does the vertical through (x, z) meet the polygon? Even–odd rule."""
+    """Return whether the vertical line through (x, z) meets the polygon (even–odd rule)."""
     inside = False
     size = mesh.poly_size[poly]
     j = size - 1
@@ -81,7 +81,7 @@ def inside_polygon(mesh: QueryMesh, poly: int, x: np.float32, z: np.float32) -> 
 
 @compiled
 def height_in_triangle(corner: Floats, x: np.float32, z: np.float32) -> tuple[bool, np.float32]:
-    """Height of the triangle ``corner`` (3, 3) at (x, z), if it is there."""
+    """Return whether (x, z) is inside the triangle ``corner`` (3, 3), and the triangle's height there."""
     v0x = corner[2, 0] - corner[0, 0]
     v0z = corner[2, 2] - corner[0, 2]
     v1x = corner[1, 0] - corner[0, 0]
@@ -108,7 +108,9 @@ def height_in_triangle(corner: Floats, x: np.float32, z: np.float32) -> tuple[bo
 def clamp_to_polygon(
     mesh: QueryMesh, poly: int, x: np.float32, y: np.float32, z: np.float32
 ) -> tuple[np.float32, np.float32, np.float32]:
-    """The point itself where it lies over the polygon, else the nearest point of its edges (polygon heights)."""
+    """Return the point itself if it is above or below the polygon, else the nearest point of its edges (polygon
+    heights).
+    """
     if inside_polygon(mesh, poly, x, z):
         return x, y, z
     size = mesh.poly_size[poly]

@@ -13,7 +13,7 @@ from condvln.navigation.tile import Floats, Indices
 def find_islands(
     verts: Floats, poly_verts: Indices, poly_size: Indices, neighbours: Indices, walkable: npt.NDArray[np.uint8]
 ) -> tuple[Indices, Floats]:
-    """Island of each polygon (p,) and radius of each island, metres.
+    """Return the island of each polygon (p,) and the radius of each island in metres.
 
     Flood fill in polygon order, into walkable neighbours only; a polygon that nothing reaches is an island of its own.
     The radius is the greatest distance of a polygon corner to their mean (with repeats, in the order of the fill).

@@ -1,4 +1,4 @@
-"""The arrays that queries run on, laid out for the kernels."""
+"""The arrays for navmesh queries, in the layout of the kernels."""
 
 from __future__ import annotations
 
@@ -15,14 +15,16 @@ __all__ = ["QueryMesh", "query_mesh"]
 BMIN, BMAX, QUANT, CLIMB, ORIGIN_X, ORIGIN_Z, TILE_WIDTH, TILE_HEIGHT, SLACK = 0, 3, 6, 7, 8, 9, 10, 11, 12
 GRID_SIZE = 13
 
-# Polygons are skipped by their boxes only where they are farther than the best so far by this much, so that rounding
-# never decides: metres, and a share of the largest coordinate (32 float32 ulps or more).
+# Polygons are skipped by their boxes only if they are farther than the best so far by this margin, so that rounding
+# never decides: in metres, and as a share of the largest coordinate (32 float32 ulps or more).
 BOX_SLACK = 1e-3
 BOX_SLACK_RELATIVE = 4e-6
 
 
 class QueryMesh(NamedTuple):
-    """p polygons, n detail triangles, b tree nodes. All arrays are C-contiguous, indices of 64 bits throughout."""
+    """The query data of p polygons, n detail triangles and b tree nodes. All arrays are C-contiguous, all indices
+    64-bit.
+    """
 
     verts: Floats
     """(v, 3) vertices, metres"""
@@ -33,7 +35,7 @@ class QueryMesh(NamedTuple):
     neighbours: Indices
     """(p, 6) polygon across each edge, -1 for a wall"""
     walkable: npt.NDArray[np.uint8]
-    """(p,) 1 where the query filter of habitat-sim lets through"""
+    """(p,) 1 if habitat-sim's query filter accepts the polygon"""
     island: Indices
     """(p,) connected component"""
     tri_start: Indices
@@ -49,11 +51,11 @@ class QueryMesh(NamedTuple):
     bv_index: Indices
     """(b,) polygon, or minus the nodes to skip"""
     grid: Floats
-    """(13,) tile bounds, cells a metre, climb, Detour's grid, slack of ``boxes``"""
+    """(13,) tile bounds, cells per metre, climb, Detour's grid, margin of ``boxes``"""
 
 
 def query_mesh(tile: NavMeshTile, island: Indices, origin: Floats, tile_width: float, tile_height: float) -> QueryMesh:
-    """Lay out ``tile`` for queries. The grid (x, z origin and extent of the tile's cell) is that of its file."""
+    """Convert ``tile`` for queries. The grid (x, z origin and extent of the tile's cell) is that of its file."""
     corners, poly = tile.detail_triangles
     counts = np.bincount(poly, minlength=len(tile.polys))
     start = np.zeros(len(tile.polys) + 1, np.int64)
@@ -65,7 +67,8 @@ def query_mesh(tile: NavMeshTile, island: Indices, origin: Floats, tile_width: f
     grid[TILE_WIDTH], grid[TILE_HEIGHT] = tile_width, tile_height
     grid[SLACK] = BOX_SLACK + BOX_SLACK_RELATIVE * max(float(np.abs(tile.verts).max()), float(np.abs(corners).max()))
     return QueryMesh(
-        verts=np.array(tile.verts, np.float32, order="C"),  # a copy: numba compiles again for a read-only array
+        # a copy, since numba would compile again for a read-only array
+        verts=np.array(tile.verts, np.float32, order="C"),
         poly_verts=tile.poly_verts.astype(np.int64, order="C"),
         poly_size=tile.polys["vert_count"].astype(np.int64),
         neighbours=tile.neighbours.astype(np.int64, order="C"),

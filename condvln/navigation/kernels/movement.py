@@ -1,7 +1,7 @@
-"""Steps along the floor and the distance to walls: Detour's ``moveAlongSurface`` and ``findDistanceToWall``.
+"""Steps along the floor and distances to walls: Detour's ``moveAlongSurface`` and ``findDistanceToWall``.
 
-Around them habitat-sim 0.3.4's ``tryStep``: height from the detail mesh, no crossing of walls without thickness, and,
-where sliding is off, a stop at the first wall that the step runs into.
+They are combined as in habitat-sim 0.3.4's ``tryStep``: heights from the detail mesh, no crossing of walls without
+thickness, and, if sliding is off, a stop at the first wall that the step hits.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from condvln.navigation.kernels.mesh import QueryMesh
 from condvln.navigation.kernels.projection import ANY_ISLAND, NO_POLYGON, height_on_polygon, nearest_polygon
 from condvln.navigation.tile import Floats, Indices
 
-MAX_VISITED = 64  # nodes of Detour's small pool
-MAX_QUEUE = 48  # at most so many wait
-SEARCH_SLACK = np.float32(0.001)  # metres added to the radius around the step's middle
-PARALLEL = np.float32(1e-6)  # m²: segments whose cross product is below this don't intersect
-NUDGE = np.float32(1e-4)  # metres; habitat-sim's push off an edge shared by two islands
+MAX_VISITED = 64  # size of Detour's small node pool
+MAX_QUEUE = 48  # size of its queue
+SEARCH_SLACK = np.float32(0.001)  # metres added to the search radius around the step's middle
+PARALLEL = np.float32(1e-6)  # m²: segments with a smaller cross product don't intersect
+NUDGE = np.float32(1e-4)  # metres; habitat-sim moves points this far off an edge shared by two islands
 
 
 @compiled
 def _passable(mesh: QueryMesh, poly: int, edge: int) -> int:
-    """Walkable polygon across an edge, or -1."""
+    """Return the walkable polygon across an edge, or -1."""
     other = mesh.neighbours[poly, edge]
     return int(other) if other >= 0 and mesh.walkable[other] else -1
 
@@ -41,13 +41,15 @@ def _node_of(polys: Indices, count: int, poly: int) -> int:
 def move_along_surface(
     mesh: QueryMesh, start_poly: int, start: Floats, end: Floats, reached: Floats, visited: Indices
 ) -> int:
-    """Slide from ``start`` towards ``end``: writes where that ends and the polygons on the way; how many of these."""
+    """Slide from ``start`` towards ``end``; write the end position and the polygons on the path, and return their
+    number.
+    """
     polys = np.empty(MAX_VISITED, np.int64)
     parent = np.empty(MAX_VISITED, np.int64)
     closed = np.zeros(MAX_VISITED, np.bool_)
     queue = np.empty(MAX_VISITED, np.int64)
     polys[0], parent[0], closed[0], queue[0] = start_poly, -1, True, 0
-    nodes, head, tail = int(ONE), 0, 1  # a literal would make numba compile the callees once more
+    nodes, head, tail = int(ONE), 0, 1  # a literal would make numba compile the callees again
     best_node = -1
     best = GREATEST
     reached[:] = start
@@ -104,7 +106,9 @@ def move_along_surface(
 
 @compiled
 def _stop_at_wall(mesh: QueryMesh, start: Floats, end: Floats, visited: Indices, count: int, reached: Floats) -> None:
-    """Move ``reached`` back to the wall of the visited polygons that start–end crosses nearest to its end."""
+    """Move ``reached`` back to the wall of the visited polygons that the segment start–end crosses nearest to its
+    end.
+    """
     best = GREATEST
     for i in range(count):
         poly = visited[i]
@@ -136,7 +140,7 @@ def _stop_at_wall(mesh: QueryMesh, start: Floats, end: Floats, visited: Indices,
 
 @compiled
 def step(mesh: QueryMesh, start: Floats, end: Floats, sliding: bool, reached: Floats) -> None:
-    """habitat-sim's ``tryStep``: where a move from ``start`` towards ``end`` ends, written to ``reached``."""
+    """habitat-sim's ``tryStep``: write where a move from ``start`` towards ``end`` ends to ``reached``."""
     start_at = np.empty(3, np.float32)
     start_poly, start_at[0], start_at[1], start_at[2] = nearest_polygon(mesh, start[0], start[1], start[2], ANY_ISLAND)
     end_poly, _, _, _ = nearest_polygon(mesh, end[0], end[1], end[2], ANY_ISLAND)
@@ -164,7 +168,7 @@ def step(mesh: QueryMesh, start: Floats, end: Floats, sliding: bool, reached: Fl
 
 @compiled
 def _nudge_inwards(mesh: QueryMesh, poly: int, point: Floats) -> None:
-    """Move a point that lies on the edge of two islands 0.1 mm towards the middle of its own polygon."""
+    """Move a point on the edge of two islands 0.1 mm towards the middle of its own polygon."""
     towards = np.zeros(3, np.float32)
     size = mesh.poly_size[poly]
     for i in range(size):
@@ -179,7 +183,7 @@ def _nudge_inwards(mesh: QueryMesh, poly: int, point: Floats) -> None:
 
 @compiled
 def steps(mesh: QueryMesh, starts: Floats, ends: Floats, sliding: bool) -> Floats:
-    """:func:`step` of each of n pairs, (n, 3)."""
+    """Apply :func:`step` to each of n pairs, (n, 3)."""
     reached = np.empty((starts.shape[0], 3), np.float32)
     for i in range(starts.shape[0]):
         step(mesh, starts[i], ends[i], sliding, reached[i])
@@ -190,10 +194,10 @@ def steps(mesh: QueryMesh, starts: Floats, ends: Floats, sliding: bool) -> Float
 def nearest_wall(
     mesh: QueryMesh, search: Search, point: Floats, max_radius: np.float32, hit: Floats, normal: Floats
 ) -> np.float32:
-    """Distance in the ground plane from a snapped point to the nearest wall, the wall's point, and the way from it.
+    """Return the horizontal distance from a snapped point to the nearest wall; write the wall's point and the normal.
 
-    Infinite off the mesh, with zeros. Where no wall is within ``max_radius`` the answer is that radius with a hit of
-    zeros and, as habitat-sim computes it all the same, the way from there. On a wall the way is NaN.
+    Off the mesh the distance is infinite and both are zero. If no wall is within ``max_radius``, the distance is that
+    radius, the wall's point is zero and the normal is computed from it, as in habitat-sim. On a wall the normal is NaN.
     """
     hit[:] = ZERO
     normal[:] = ZERO
@@ -262,7 +266,7 @@ def nearest_wall(
 
 @compiled
 def nearest_walls(mesh: QueryMesh, points: Floats, max_radius: np.float32) -> tuple[Floats, Floats, Floats]:
-    """:func:`nearest_wall` of each of n points: distances (n,), hits (n, 3), normals (n, 3)."""
+    """Apply :func:`nearest_wall` to each of n points: distances (n,), hits (n, 3), normals (n, 3)."""
     n = points.shape[0]
     distances = np.empty(n, np.float32)
     hits = np.empty((n, 3), np.float32)

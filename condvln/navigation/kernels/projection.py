@@ -30,12 +30,12 @@ from condvln.navigation.kernels.mesh import (
 )
 from condvln.navigation.tile import Floats, Indices
 
-# Half extents (metres) of the box in which habitat-sim looks for a polygon.
+# Half extents in metres of the box in which habitat-sim searches for a polygon.
 REACH_GROUND = np.float32(2.0)
 REACH_HEIGHT = np.float32(4.0)
-# Metres around a point in which polygons below it are looked for first: far more than rounding of the tree's boxes.
+# Half extent in metres of a first, smaller search for polygons below a point: far more than the rounding of tree boxes.
 REACH_BELOW = np.float32(0.2)
-# habitat-sim's isNavigable: a navigable point is snapped by no more than this in the ground plane, metres.
+# Largest horizontal distance in metres by which a navigable point is snapped, from habitat-sim's isNavigable.
 NAVIGABLE_SHIFT = np.float32(1e-2)
 
 NO_POLYGON = -1
@@ -45,14 +45,14 @@ NAN = np.float32(np.nan)
 
 @compiled
 def height_on_polygon(mesh: QueryMesh, poly: int, x: np.float32, z: np.float32) -> tuple[bool, np.float32]:
-    """Height of the detail mesh at (x, z), where the polygon is there."""
+    """Return whether the polygon covers (x, z), and the height of its detail mesh there."""
     if not inside_polygon(mesh, poly, x, z):
         return False, ZERO
     for tri in range(mesh.tri_start[poly], mesh.tri_start[poly + 1]):
         found, height = height_in_triangle(mesh.tri_points[tri], x, z)
         if found:
             return True, height
-    # Only degenerate triangles are there: the point is on an edge.
+    # There are only degenerate triangles here: the point is on an edge.
     _, y, _ = nearest_on_detail_edges(mesh, poly, x, z, False)
     return True, y
 
@@ -61,7 +61,7 @@ def height_on_polygon(mesh: QueryMesh, poly: int, x: np.float32, z: np.float32) 
 def nearest_on_detail_edges(
     mesh: QueryMesh, poly: int, x: np.float32, z: np.float32, boundary_only: bool
 ) -> tuple[np.float32, np.float32, np.float32]:
-    """Point of the detail mesh's edges nearest in the ground plane."""
+    """Return the horizontally nearest point on the edges of the detail mesh."""
     best = GREATEST
     along = ZERO
     best_tri = mesh.tri_start[poly]
@@ -104,10 +104,10 @@ def _cell(value: np.float32) -> int:
 def nearest_polygon(
     mesh: QueryMesh, x: np.float32, y: np.float32, z: np.float32, island: int
 ) -> tuple[int, np.float32, np.float32, np.float32]:
-    """Polygon nearest to a point and the point on it; ``NO_POLYGON`` and NaN where none is in reach.
+    """Return the polygon nearest to a point and the point on it; ``NO_POLYGON`` and NaN if none is in reach.
 
-    Over a polygon and within climbing height counts as distance 0; the first such polygon of the tree ends the search,
-    since later ones would have to be strictly nearer.
+    A point above a polygon and within climbing height has distance 0. The first such polygon of the tree ends the
+    search, since later ones would have to be strictly nearer.
     """
     grid = mesh.grid
     nothing = (NO_POLYGON, NAN, NAN, NAN)
@@ -123,7 +123,7 @@ def nearest_polygon(
         return nothing
     if math.floor((high_z - grid[ORIGIN_Z]) / grid[TILE_HEIGHT]) < ZERO:
         return nothing
-    # Most points lie over a polygon, which few of the tree's boxes can hold.
+    # Most points are above a polygon, whose box is one of few tree boxes that contain the point.
     below = _nearest_within(mesh, x, y, z, island, REACH_BELOW, True)
     if below[0] != NO_POLYGON:
         return below
@@ -134,7 +134,7 @@ def nearest_polygon(
 def _nearest_within(
     mesh: QueryMesh, x: np.float32, y: np.float32, z: np.float32, island: int, reach: np.float32, over_only: bool
 ) -> tuple[int, np.float32, np.float32, np.float32]:
-    """The answer of :func:`nearest_polygon` in a box; ``over_only``: the first polygon at distance 0, if any."""
+    """Return :func:`nearest_polygon` within a box; with ``over_only``, only the first polygon at distance 0, if any."""
     grid = mesh.grid
     low_x, low_y, low_z = x - reach, y - REACH_HEIGHT, z - reach
     high_x, high_y, high_z = x + reach, y + REACH_HEIGHT, z + reach
@@ -197,7 +197,7 @@ def _nearest_within(
 
 @compiled
 def _too_far(mesh: QueryMesh, poly: int, x: np.float32, z: np.float32, best: np.float32) -> bool:
-    """Is the polygon's box, less some slack, farther in the ground plane than the best so far?"""
+    """Return whether the polygon's box, minus a margin, is horizontally farther than the best so far."""
     box = mesh.boxes[poly]
     dx = max(max(box[0] - x, x - box[2]) - mesh.grid[SLACK], ZERO)
     dz = max(max(box[1] - z, z - box[3]) - mesh.grid[SLACK], ZERO)
@@ -206,7 +206,7 @@ def _too_far(mesh: QueryMesh, poly: int, x: np.float32, z: np.float32, best: np.
 
 @compiled
 def project(mesh: QueryMesh, points: Floats, island: int) -> tuple[Indices, Floats]:
-    """Nearest polygon (n,) and snapped point (n, 3) of each of n points."""
+    """Return the nearest polygon (n,) and the snapped point (n, 3) of each of n points."""
     polys = np.empty(points.shape[0], np.int64)
     snapped = np.empty((points.shape[0], 3), np.float32)
     for i in range(points.shape[0]):
@@ -220,7 +220,9 @@ def project(mesh: QueryMesh, points: Floats, island: int) -> tuple[Indices, Floa
 
 @compiled
 def navigable(mesh: QueryMesh, x: np.float32, y: np.float32, z: np.float32, max_y_delta: np.float32) -> bool:
-    """habitat-sim's ``isNavigable``: the point snaps by at most ``max_y_delta`` in height and 1 cm in the plane."""
+    """habitat-sim's ``isNavigable``: whether the point snaps by at most ``max_y_delta`` in height and 1 cm
+    horizontally.
+    """
     poly, sx, sy, sz = nearest_polygon(mesh, x, y, z, ANY_ISLAND)
     if poly == NO_POLYGON or abs(sy - y) > max_y_delta:
         return False
@@ -231,7 +233,7 @@ def navigable(mesh: QueryMesh, x: np.float32, y: np.float32, z: np.float32, max_
 
 @compiled
 def all_navigable(mesh: QueryMesh, points: Floats, max_y_delta: np.float32) -> npt.NDArray[np.bool_]:
-    """:func:`navigable` of each of n points."""
+    """Apply :func:`navigable` to each of n points."""
     answer = np.empty(points.shape[0], np.bool_)
     for i in range(points.shape[0]):
         answer[i] = navigable(mesh, points[i, 0], points[i, 1], points[i, 2], max_y_delta)
@@ -242,7 +244,9 @@ def all_navigable(mesh: QueryMesh, points: Floats, max_y_delta: np.float32) -> n
 def top_down_view(
     mesh: QueryMesh, columns: int, rows: int, metres_per_pixel: np.float32, height: np.float32, eps: np.float32
 ) -> npt.NDArray[np.bool_]:
-    """habitat-sim's ``getTopDownView``: navigability on a grid from the lower bound on; positions add up in float32."""
+    """habitat-sim's ``getTopDownView``: navigability on a grid from the lower bound on; positions are accumulated in
+    float32.
+    """
     view = np.empty((rows, columns), np.bool_)
     z = mesh.grid[BMIN + 2]
     for row in range(rows):

@@ -14,7 +14,7 @@ from condvln.navigation.kernels.straight import MAX_POINTS, path_length, pull_st
 from condvln.navigation.tile import Floats, Indices
 
 INFINITE = np.float32(np.inf)
-# Magnum's tolerance, absolute and relative, under which habitat-sim calls two snapped points the same.
+# Magnum's absolute and relative tolerance, under which habitat-sim treats two snapped points as equal.
 FUZZY = np.float32(1e-5)
 
 
@@ -41,9 +41,11 @@ def route_between(
     end_at: Floats,
     points: Floats,
 ) -> tuple[np.float32, int]:
-    """Length and number of corner points (written to ``points``) between two projected points; infinite and 0 if none.
+    """Return length and number of corner points (written to ``points``) between two projected points; infinite and 0 if
+    none.
 
-    ``start`` and ``end`` are as asked, ``start_at`` and ``end_at`` snapped; the string is pulled between the former.
+    ``start`` and ``end`` are the requested points, ``start_at`` and ``end_at`` the snapped ones; the string is pulled
+    between the requested ones.
     """
     if start_poly == NO_POLYGON or end_poly == NO_POLYGON:
         return INFINITE, 0
@@ -79,7 +81,7 @@ def route_between(
 
 @compiled
 def routes(mesh: QueryMesh, starts: Floats, ends: Floats, keep_points: bool) -> tuple[Floats, Indices, Floats]:
-    """Paths of n pairs: lengths (n,), counts (n,), and all points one after the other where they are kept.
+    """Return the paths of n pairs: lengths (n,), numbers of points (n,), and all points concatenated if they are kept.
 
     A single start or end serves all the others, and is projected once.
     """
@@ -117,7 +119,7 @@ def routes(mesh: QueryMesh, starts: Floats, ends: Floats, keep_points: bool) -> 
 
 @compiled
 def distance_table(mesh: QueryMesh, starts: Floats, ends: Floats) -> Floats:
-    """Lengths (n, m) of the paths from each of n starts to each of m ends; each point is projected once."""
+    """Return the path lengths (n, m) from each of n starts to each of m ends; each point is projected once."""
     table = np.empty((starts.shape[0], ends.shape[0]), np.float32)
     search = new_search(mesh.poly_size.shape[0])
     points = np.empty((MAX_POINTS, 3), np.float32)
@@ -144,9 +146,9 @@ def distance_table(mesh: QueryMesh, starts: Floats, ends: Floats) -> Floats:
 def route_to_nearest(
     mesh: QueryMesh, start: Floats, ends: Floats, bounds: Floats, order: npt.NDArray[np.int64]
 ) -> tuple[np.float32, int, Floats]:
-    """Shortest of the paths to several ends: length, which end (-1 for none), corner points.
+    """Return the shortest of the paths to several ends: length, index of the end (-1 for none), corner points.
 
-    Ends are tried in ``order``; one whose lower bound exceeds the best length so far is left out, as habitat-sim does.
+    Ends are tried in ``order``; an end whose lower bound exceeds the best length so far is skipped, as in habitat-sim.
     """
     search = new_search(mesh.poly_size.shape[0])
     points = np.empty((MAX_POINTS, 3), np.float32)

@@ -13,7 +13,9 @@ from condvln.navigation.tile import Floats, Indices
 
 @compiled
 def ground_areas(mesh: QueryMesh) -> Floats:
-    """Twice the area (p,) of each walkable polygon in the ground plane, 0 for the others: Detour's sampling weights."""
+    """Return twice the area (p,) of each walkable polygon in the ground plane, 0 for others: Detour's sampling
+    weights.
+    """
     weights = np.zeros(mesh.poly_size.shape[0], np.float32)
     for poly in range(mesh.poly_size.shape[0]):
         if mesh.walkable[poly]:
@@ -32,10 +34,10 @@ def _fan_area(mesh: QueryMesh, poly: int, corner: int) -> np.float32:
 
 @compiled
 def points_on_polygons(mesh: QueryMesh, polys: Indices, picks: Floats, spreads: Floats) -> Floats:
-    """A point (n, 3) on each of n polygons; NaN where rounding put it off the polygon.
+    """Return a point (n, 3) on each of n polygons; NaN if rounding put it off the polygon.
 
-    ``picks`` chooses the triangle of the polygon's fan and the place along its far edge, ``spreads`` the distance from
-    the first corner; with both uniform in [0, 1) the points are uniform on the polygon.
+    ``picks`` chooses the triangle of the polygon's fan and the position along its far edge, ``spreads`` the distance
+    from the first corner; if both are uniform in [0, 1), the points are uniform on the polygon.
     """
     points = np.empty((polys.shape[0], 3), np.float32)
     for i in range(polys.shape[0]):

@@ -1,4 +1,4 @@
-"""Looks against boxes: the slab test (Kay & Kajiya 1986), a look at a time, until something is met."""
+"""Lines of sight against boxes: the slab test (Kay & Kajiya 1986), one line at a time, until the first hit."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Doubles = npt.NDArray[np.float64]
 
 @compiled
 def _is_above(point: Doubles, center: Doubles, half: Doubles, axes: Doubles, headroom: float, touch: float) -> bool:
-    """Whether a point (3,) is straight above a box, at most ``headroom`` metres."""
+    """Return whether a point (3,) is directly above a box by at most ``headroom`` metres."""
     dx, dy, dz = point[0] - center[0], point[1] - center[1], point[2] - center[2]
     enter, leave = 0.0, headroom
     for i in range(3):
@@ -42,15 +42,15 @@ def blocked_looks(
     headroom: Doubles,
     touch: float,
 ) -> npt.NDArray[np.bool_]:
-    """Which of k lines of sight a box blocks, (k,).
+    """Return which of k lines of sight are blocked by a box, (k,).
 
-    A box that holds either end hides nothing, but for the one that the point belongs to; one with headroom holds what
-    is so far above it as well. What is met within ``touch`` metres of an end does not count.
+    A box that contains one of the ends blocks nothing, except the box that the point belongs to; a box with headroom
+    also contains points up to that height above it. Hits within ``touch`` metres of an end do not count.
 
     Parameters
     ----------
     eyes, points : (k, 3) float64
-    own : (k,) int64, number of the point's own box
+    own : (k,) int64, index of the point's own box
     centers, half : (b, 3) float64; axes : (b, 3, 3) float64, columns the boxes' axes
     headroom : (b,) float64, metres
     """
@@ -59,7 +59,7 @@ def blocked_looks(
     begins = np.empty((count, 3), np.float64)  # the eye in each box's axes
     holds_eye = np.empty(count, np.bool_)
     of_eye = -1
-    last = 0  # the box met last: looks from one eye to one thing often meet the same box
+    last = 0  # the box hit last: lines from one eye to one object often hit the same box
     for k in range(len(eyes)):
         x, y, z = points[k, 0] - eyes[k, 0], points[k, 1] - eyes[k, 1], points[k, 2] - eyes[k, 2]
         length = math.sqrt(x * x + y * y + z * z)
@@ -99,8 +99,8 @@ def blocked_looks(
                     enter = max(enter, min(one, other))
                     leave = min(leave, max(one, other))
                 elif abs(begin) > half[b, i]:
-                    leave = -math.inf  # beside the box all the way
-                # A slit as thin as rounding is none: the look only brushes an edge.
+                    leave = -math.inf  # the line passes beside the box
+                # An overlap as thin as rounding does not count: the line only touches an edge.
                 if not (enter < leave and leave > margin and enter < 1.0 - margin):
                     break
             else:

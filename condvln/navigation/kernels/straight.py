@@ -1,4 +1,4 @@
-"""Corner points of the shortest line through a corridor: Detour's ``findStraightPath``, the funnel algorithm."""
+"""Corner points of the shortest path through a corridor: Detour's ``findStraightPath``, the funnel algorithm."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from condvln.navigation.kernels.mesh import QueryMesh
 from condvln.navigation.tile import Floats, Indices
 
 MAX_POINTS = 256  # habitat-sim's buffer; a path that fills it counts as unreachable
-# Squared metres: points nearer than 1/16384 m are one; a portal nearer than 1 mm to the start is passed already.
+# Squared metres: points nearer than 1/16384 m are equal; a portal nearer than 1 mm to the start counts as passed.
 SAME_POINT = np.float32(1.0 / 16384.0) * np.float32(1.0 / 16384.0)
 AT_PORTAL = np.float32(0.001) * np.float32(0.001)
 
 
 @compiled
 def same_point(a: Floats, b: Floats) -> bool:
-    """Are two points less than 1/16384 m apart?"""
+    """Return whether two points are less than 1/16384 m apart."""
     dx = b[0] - a[0]
     dy = b[1] - a[1]
     dz = b[2] - a[2]
@@ -32,7 +32,7 @@ def _turn(a: Floats, b: Floats, c: Floats) -> np.float32:
 
 @compiled
 def _append(points: Floats, count: int, point: Floats) -> int:
-    """Append unless it repeats the last one; the new count."""
+    """Append a point unless it repeats the last one; return the new number of points."""
     if same_point(points[count - 1], point):
         return count
     points[count] = point
@@ -41,9 +41,10 @@ def _append(points: Floats, count: int, point: Floats) -> int:
 
 @compiled
 def pull_string(mesh: QueryMesh, corridor: Indices, size: int, start: Floats, end: Floats, points: Floats) -> int:
-    """Corner points through the first ``size`` polygons of ``corridor``, between points as asked for, not snapped.
+    """Write the corner points through the first ``size`` polygons of ``corridor``, between requested, not snapped,
+    points.
 
-    Returns the number of points written, or 0 where they fill the buffer.
+    Returns the number of points, or 0 if they fill the buffer.
     """
     first = np.empty(3, np.float32)
     last = np.empty(3, np.float32)
@@ -72,7 +73,7 @@ def pull_string(mesh: QueryMesh, corridor: Indices, size: int, start: Floats, en
             else:
                 new_left = last
                 new_right = last
-            turned = 0  # 1: the right side crossed the left one, which becomes a corner; 2: the other way round
+            turned = 0  # 1: the right side crossed the left one, which becomes a corner; 2: the reverse
             if _turn(apex, right, new_right) <= ZERO:
                 if same_point(apex, right) or _turn(apex, left, new_right) > ZERO:
                     right[:] = new_right
@@ -106,7 +107,7 @@ def pull_string(mesh: QueryMesh, corridor: Indices, size: int, start: Floats, en
 
 @compiled
 def path_length(points: Floats, count: int) -> np.float32:
-    """Length of a polyline, added up in float32 from its start, metres."""
+    """Return the length of a polyline in metres, summed in float32 from its start."""
     length = ZERO
     for i in range(1, count):
         dx = points[i - 1, 0] - points[i, 0]

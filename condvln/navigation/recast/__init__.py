@@ -1,4 +1,4 @@
-"""The navmesh builder: triangles to the very ``.navmesh`` that Habitat would build."""
+"""The navmesh builder: from triangles to the same ``.navmesh`` that Habitat would build, byte for byte."""
 
 from condvln.formats.triangles import Z_UP, PlacedMesh, mesh_triangles
 from condvln.navigation.recast.builder import build_navmesh, build_scene_navmesh

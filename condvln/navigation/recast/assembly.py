@@ -1,4 +1,4 @@
-"""Stage 12: the Detour tile of both meshes (``dtCreateNavMeshData``), with the links that Habitat saves."""
+"""Stage 12: assemble the Detour tile from both meshes (``dtCreateNavMeshData``), with the links that Habitat saves."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ MAX_POLYGONS = 0x8000
 
 
 def assemble_tile(mesh: PolyMesh, detail: DetailMesh, config: RecastConfig, settings: NavMeshSettings) -> NavMeshTile:
-    """Tile in the state in which Habitat saves it.
+    """Return the tile in the state in which Habitat saves it.
 
     Raises
     ------
     InputError
-        There is nothing to walk on.
+        The mesh has no walkable floor.
     FormatError
-        More than a tile can hold.
+        There are more polygons or vertices than a tile can hold.
     """
     if len(mesh.polygons) == 0:
         raise InputError(
@@ -91,7 +91,7 @@ def _detail_records(mesh: PolyMesh, detail: DetailMesh) -> Records:
 
 
 def _beyond_corners(mesh: PolyMesh, detail: DetailMesh) -> Records:
-    """(v,) bool, which detail vertices are not corners of their polygon; a polygon's corners come first."""
+    """Return (v,) bool: which detail vertices are not corners of their polygon; a polygon's corners come first."""
     within = np.arange(len(detail.vertices)) - np.repeat(detail.meshes[:, 0], detail.meshes[:, 1])
     beyond: Records = within >= np.repeat(mesh.vert_counts, detail.meshes[:, 1])
     return beyond

@@ -30,15 +30,15 @@ def build_navmesh(
     memory_limit: int = MEMORY_LIMIT_BYTES,
     report: Notify | None = None,
 ) -> NavMeshFile:
-    """Navmesh of a triangle mesh.
+    """Build the navmesh of a triangle mesh.
 
     Parameters
     ----------
-    vertices : (n, 3) float, metres, Habitat frame (y up); rounded to float32. All count for the bounds, used or not.
-    faces : (m, 3) int; their order matters where they meet
+    vertices : (n, 3) float, metres, Habitat frame (y up); rounded to float32. The bounds include unused vertices.
+    faces : (m, 3) int; the order of touching faces matters
     settings : Habitat's defaults if not given
-    profile : which Recast; see :class:`RecastProfile`
-    memory_limit : bytes that the voxel grid may take
+    profile : the version of Recast; see :class:`RecastProfile`
+    memory_limit : size limit in bytes of the voxel grid
     report : called with the name of each stage as it begins
 
     Raises
@@ -48,7 +48,7 @@ def build_navmesh(
     FormatError
         The mesh is malformed, or too large for a tile or for ``memory_limit``.
     InputError
-        There is no floor to walk on.
+        There is no walkable floor.
     """
     settings = settings or NavMeshSettings()
     stages = build_stages(
@@ -66,7 +66,7 @@ def build_scene_navmesh(
     memory_limit: int = MEMORY_LIMIT_BYTES,
     report: Notify | None = None,
 ) -> NavMeshFile:
-    """Navmesh of a scene: its stage and, if ``settings.include_static_objects``, the objects that don't move.
+    """Build the navmesh of a scene: its stage and, if ``settings.include_static_objects``, its static objects.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def build_scene_navmesh(
 
 
 def _warm_up() -> None:
-    """Build a floor with a pillar, placed so that it makes a hole in a region: all kernels are called."""
+    """Build a floor with a pillar, placed so that it makes a hole in a region; this calls all kernels."""
     floor = [[-1.5, 0, -1.5], [-1.5, 0, 1.5], [1.5, 0, 1.5], [1.5, 0, -1.5]]
     pillar = [[x, y, z] for y in (0, 2) for x, z in ((0.85, -0.05), (0.85, 0.05), (0.95, 0.05), (0.95, -0.05))]
     sides = [[4 + k, 4 + (k + 1) % 4, 8 + (k + 1) % 4] for k in range(4)]

@@ -1,4 +1,4 @@
-"""Stage 3: the open space above walkable spans, and who can step to whom (``rcBuildCompactHeightfield`` of Recast)."""
+"""Stage 3: the open space above walkable spans, and the connections between them (``rcBuildCompactHeightfield``)."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from schemas.errors import FormatError
 
 __all__ = ["CompactHeightfield", "compact"]
 
-# Recast's bit fields: spans of a neighbour column that a connection can name, spans of a column, spans of a field.
+# Limits of Recast's bit fields: spans of a neighbour column that a connection can address, per column, and in total.
 MAX_LAYERS = 62
 MAX_COLUMN_SPANS = 0xFF
 MAX_SPANS = 1 << 24
-# Free height above a span is kept in eight bits.
+# The clearance above a span has eight bits.
 MAX_CLEARANCE = 0xFF
 
 
@@ -53,7 +53,7 @@ def compact(field: Heightfield, area: Array, walkable_height: int, walkable_clim
     Raises
     ------
     FormatError
-        More spans than Recast's bit fields can number.
+        There are more spans than Recast's bit fields can number.
     """
     spans = int(np.count_nonzero(area))
     if spans > MAX_SPANS:
@@ -104,7 +104,7 @@ def _walkable(
 def _connect(
     width: int, depth: int, start: Array, column: Array, floor: Array, clearance: Array, height: int, climb: int
 ) -> tuple[Array, int]:
-    """Neighbours, and the highest layer that a connection wanted to name."""
+    """Return the neighbours of all spans, and the highest layer that a connection had to address."""
     neighbour = np.full((len(floor), 4), -1, np.int32)
     highest_layer = 0
     for i in range(len(floor)):

@@ -1,4 +1,4 @@
-"""Where two builds part: the first stage, array and place that differ."""
+"""Compare two builds: find the first stage, array and index that differ."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from condvln.navigation.recast.stages import BuildStages
 
 __all__ = ["Difference", "compare_builds", "compare_navmeshes", "first_difference"]
 
-# Stage that makes each array of a dump, and each part of a navmesh file, in the order of the build.
+# The stage that makes each array of a dump, and each part of a navmesh file, in build order.
 STAGE_OF_ARRAY = {
     "solid0": "rasterisation",
     "solid1": "low-hanging obstacle filter",
@@ -59,8 +59,8 @@ class Difference:
     ----------
     stage : the stage that made it
     array : name of the array or part
-    index : first row or item that differs; where one array ends early, its length
-    first, second : what stands there, None beyond the end
+    index : first row or item that differs; if one array is shorter, its length
+    first, second : the values there, None beyond the end
     """
 
     stage: str
@@ -74,17 +74,19 @@ class Difference:
 
 
 def first_difference(first: Mapping[str, Array], second: Mapping[str, Array]) -> Difference | None:
-    """The first array of :meth:`BuildStages.arrays`, in build order, in which two builds differ; None if none does."""
+    """Return the first array of :meth:`BuildStages.arrays`, in build order, in which two builds differ; None if they
+    are equal.
+    """
     return _first(first, second, STAGE_OF_ARRAY)
 
 
 def compare_builds(first: BuildStages, second: BuildStages) -> Difference | None:
-    """The first stage of two builds that differs; None if they are equal."""
+    """Return the first stage in which two builds differ; None if they are equal."""
     return first_difference(first.arrays(), second.arrays())
 
 
 def compare_navmeshes(first: NavMeshFile, second: NavMeshFile) -> Difference | None:
-    """The earliest stage whose result differs, as far as files tell; None if they are equal byte for byte."""
+    """Return the earliest stage whose result differs, as far as files show; None if they are equal byte for byte."""
     return _first(_parts(first), _parts(second), STAGE_OF_PART)
 
 
@@ -113,7 +115,7 @@ def _first(first: Mapping[str, Array], second: Mapping[str, Array], stages: Mapp
 
 
 def _unequal(a: Array, b: Array) -> Array:
-    """(n,) bool, which rows differ: in their bits where the types agree, so that NaN equals NaN, else in value."""
+    """Return (n,) bool: which rows differ, bitwise if the types are equal (so that NaN equals NaN), else by value."""
     count = len(a)
     if count and a.dtype == b.dtype:
         a, b = (np.frombuffer(rows.tobytes(), np.uint8).reshape(count, -1) for rows in (a, b))

@@ -1,4 +1,4 @@
-"""What a build is asked for, in the whole cells that Recast works with, and the limits of what it can do."""
+"""The parameters of a build in Recast's whole cells, and the limits of what can be built."""
 
 from __future__ import annotations
 
@@ -15,36 +15,37 @@ from schemas.errors import FormatError, UsageError
 
 __all__ = ["MAX_SPAN_HEIGHT", "MEMORY_LIMIT_BYTES", "RecastConfig", "RecastProfile"]
 
-# Recast keeps the height of a span in 13 bits, distances of the erosion and clearances in 8, coordinates of the mesh in
-# 16.
+# Recast stores the height of a span in 13 bits, distances of erosion and clearances in 8, mesh coordinates in 16.
 MAX_SPAN_HEIGHT = 0x1FFF
 MAX_AGENT_CELLS = 0xFF
 MAX_RADIUS_CELLS = 0x7F
 MAX_GRID_CELLS = 0xFFFF
-# Of the arrays alive at once: 12 bytes a column and about 60 a span; two spans, floor and ceiling, are assumed.
+# Memory of the arrays alive at once: 12 bytes per column and about 60 per span; two spans (floor, ceiling) are assumed.
 BYTES_PER_COLUMN = 132
-# A build that would need more is refused. 4 GiB are some 32 million columns: 280 m x 280 m in cells of 5 cm.
+# A build that needs more memory is rejected. 4 GiB are about 32 million columns: 280 m x 280 m in cells of 5 cm.
 MEMORY_LIMIT_BYTES = 4 << 30
-# Below this many cells between height samples habitat-sim takes none.
+# With less than this many cells between height samples, habitat-sim takes no samples.
 LEAST_SAMPLE_CELLS = np.float32(0.9)
 
 
 class RecastProfile(str, Enum):
-    """Which Recast a navmesh is built as. The two differ in one comparison, and so in which low passages are open."""
+    """The version of Recast to reproduce. The two differ in one comparison, which decides whether low passages are
+    walkable.
+    """
 
     HABITAT_0_3_3 = "habitat<=0.3.3"
     """The Recast of habitat-sim 0.1.7 (VLN-CE) to 0.3.3: a span needs more free voxels than the agent is high."""
     HABITAT_0_3_4 = "habitat>=0.3.4"
-    """Recast 1.6: as many are enough."""
+    """Recast 1.6: equal to the agent's height is enough."""
 
     @classmethod
     def named(cls, name: str) -> RecastProfile:
-        """The profile of this name.
+        """Return the profile of this name.
 
         Raises
         ------
         UsageError
-            There is none.
+            There is no profile of this name.
         """
         try:
             return cls(name)
@@ -91,7 +92,7 @@ class RecastConfig:
 
     @classmethod
     def of(cls, vertices: Array, settings: NavMeshSettings, memory_limit: int = MEMORY_LIMIT_BYTES) -> RecastConfig:
-        """Configuration for finite (n, 3) float32 ``vertices``, n > 0.
+        """Return the configuration for finite (n, 3) float32 ``vertices``, n > 0.
 
         Raises
         ------
@@ -133,7 +134,7 @@ class RecastConfig:
         )
 
 
-# Setting -> least and greatest value, whether the least itself is allowed.
+# By setting: least and greatest value, and whether the least value itself is allowed.
 _RANGES: dict[str, tuple[float, float, bool]] = {
     "cell_size": (0.0, math.inf, False),
     "cell_height": (0.0, math.inf, False),

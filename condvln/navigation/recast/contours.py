@@ -1,8 +1,8 @@
 """Stage 8: outlines of the regions, simplified (``rcBuildContours`` of Recast).
 
-A raw outline follows the cell edges around a region; each of its points knows the region on the other side of the edge
-that ends there. A simplified one keeps the points where that region changes, and along walls as many as hold it within
-``max_edge_error``.
+A raw outline follows the cell edges around a region; each of its points stores the region on the other side of the edge
+that ends there. A simplified outline keeps the points where that region changes and, along walls, as many points as are
+needed to stay within ``max_edge_error``.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from condvln.navigation.recast.planar import coincide
 
 __all__ = ["AREA_BORDER", "REGION_MASK", "Contours", "trace_contours"]
 
-# Fourth entry of a point: region beyond in the low bits, and this flag where the area id changes.
+# Fourth entry of a point: the adjacent region in the low bits, and this flag if the area id changes.
 REGION_MASK = 0xFFFF
 AREA_BORDER = 0x20000
-# Recast gives up on an outline after this many steps.
+# Recast stops tracing an outline after this many steps.
 MAX_OUTLINE_STEPS = 40000
 LEAST_POINTS = 3
 
@@ -32,7 +32,7 @@ class Contours:
 
     Attributes
     ----------
-    points : (n, 4) int32, x, y, z in cells and the region beyond with its flags
+    points : (n, 4) int32, x, y, z in cells, and the adjacent region with its flags
     start : (c + 1,) int32
     region, area : (c,) int32
     """
@@ -52,13 +52,13 @@ class Contours:
 def trace_contours(
     field: CompactHeightfield, area: Array, region: Array, max_error: np.float32, max_edge_length: int
 ) -> tuple[Contours, Contours]:
-    """Raw and simplified outlines of all regions, outer ones and those of holes.
+    """Return the raw and simplified outlines of all regions, outer ones and those of holes.
 
     Parameters
     ----------
     area : (s,) uint8 after erosion
     region : (s,) int32
-    max_error, max_edge_length : cells; a length of 0 leaves long wall edges whole
+    max_error, max_edge_length : cells; a length of 0 never splits long wall edges
     """
     raw, raw_start, simple, simple_start, regions, areas = _trace(
         field.width, field.column, field.floor, field.neighbour, area, region, max_error, max_edge_length
@@ -68,7 +68,7 @@ def trace_contours(
 
 @compiled
 def _open_edges(neighbour: Array, region: Array) -> Array:
-    """(s,) uint8, bit d set where the edge in direction d leaves the span's region."""
+    """Return (s,) uint8 with bit d set if the edge in direction d leaves the span's region."""
     edges = np.zeros(len(region), np.uint8)
     for i in range(len(region)):
         if region[i] != 0:
@@ -77,13 +77,13 @@ def _open_edges(neighbour: Array, region: Array) -> Array:
                 j = neighbour[i, direction]
                 if j < 0 or region[j] != region[i]:
                     bits |= 1 << direction
-            edges[i] = bits if bits != 0xF else 0  # a span alone has no outline
+            edges[i] = bits if bits != 0xF else 0  # a single span without open edges has no outline
     return edges
 
 
 @compiled
 def _corner_height(i: int, direction: int, floor: Array, neighbour: Array) -> int:
-    """Highest floor of the up to four spans that meet at the corner after edge ``direction``."""
+    """Return the highest floor of the up to four spans that meet at the corner after edge ``direction``."""
     height = floor[i]
     turned = (direction + 1) & 3
     for first, second in ((direction, turned), (turned, direction)):
@@ -108,7 +108,9 @@ def _walk(
     edges: Array,
     out: Array,
 ) -> int:
-    """Points of the outline through ``start`` into ``out``, taking its edges off ``edges``; returns how many."""
+    """Write the points of the outline through ``start`` into ``out``, removing its edges from ``edges``; return
+    their number.
+    """
     i = start
     direction = 0
     while edges[i] & (1 << direction) == 0:
@@ -137,7 +139,7 @@ def _walk(
 
 @compiled
 def _squared_distance(point: Ground, a: Ground, b: Ground) -> np.float32:
-    """From a point to a segment on the ground, cells squared, in float32."""
+    """Return the squared horizontal distance from a point to a segment in cells, in float32."""
     abx, abz = np.float32(b[0] - a[0]), np.float32(b[1] - a[1])
     dx, dz = np.float32(point[0] - a[0]), np.float32(point[1] - a[1])
     length = abx * abx + abz * abz
@@ -159,7 +161,9 @@ def _insert_after(kept: Array, n: int, i: int, value: int) -> None:
 
 @compiled
 def _corner_stones(raw: Array, n: int, kept: Array) -> int:
-    """The points that a simplified outline must hold: where the region beyond changes, else the two extreme corners."""
+    """Return the points that a simplified outline must keep: where the adjacent region changes, else two extreme
+    corners.
+    """
     m = 0
     inner = False
     for i in range(n):
@@ -185,15 +189,17 @@ def _corner_stones(raw: Array, n: int, kept: Array) -> int:
 
 @compiled
 def _forward(a: Ground, b: Ground) -> bool:
-    """Is b after a in the order by x, then z? Edges are treated in that direction, so that both their sides agree."""
+    """Return whether b comes after a by x, then z. Edges are processed in that direction, so that both their sides
+    agree.
+    """
     return bool(b[0] > a[0] or (b[0] == a[0] and b[1] > a[1]))
 
 
 @compiled
 def _simplify(raw: Array, n: int, max_error: np.float32, max_edge_length: int, kept: Array) -> int:
-    """Indices of the raw points that stay, into ``kept``; returns how many."""
+    """Write the indices of the raw points to keep into ``kept``; return their number."""
     m = _corner_stones(raw, n, kept)
-    # Add the farthest raw point until all are near enough. Edges between two regions stay straight.
+    # Add the farthest raw point until all are close enough. Edges between two regions stay straight.
     i = 0
     while i < m:
         begin, end = kept[i], kept[(i + 1) % m]
@@ -249,7 +255,7 @@ def _trace(
     max_edge_length: int,
 ) -> tuple[Array, Array, Array, Array, Array, Array]:
     edges = _open_edges(neighbour, region)
-    # Every step along an outline uses up one open edge, and simplification only drops points.
+    # Every step along an outline uses one open edge, and simplification only removes points.
     total = 0
     for i in range(len(edges)):
         for direction in range(4):
@@ -272,7 +278,7 @@ def _trace(
         for j in range(m):
             for k in range(3):
                 out[j, k] = points[kept[j], k]
-            # The edge that leaves a point has beyond it what the next raw point tells.
+            # The region beyond the edge that leaves a point is stored in the next raw point.
             out[j, 3] = points[(kept[j] + 1) % n, 3] & (REGION_MASK | AREA_BORDER)
         m = _without_doubles(out, m)
         if m >= LEAST_POINTS:
@@ -297,7 +303,7 @@ def _trace(
 
 @compiled
 def _without_doubles(points: Array, n: int) -> int:
-    """Drop a point that lies above or below the next one; returns how many are left. One pass, as in Recast."""
+    """Remove points that are directly above or below the next one; return the number left. One pass, as in Recast."""
     i = 0
     while i < n:
         if coincide(ground(points, i), ground(points, (i + 1) % n)):

@@ -1,7 +1,7 @@
 """Delaunay triangles of points within a given hull, seen from above (``delaunayHull`` of Recast).
 
-Edges are completed one after the other: on each open side the point is sought whose circle through the edge holds no
-other. All in float32, as decisions near a tie are part of the result.
+Edges are completed one after the other: for each open side, the point is found whose circle through the edge contains
+no other point. All arithmetic is float32, since decisions near ties are part of the result.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from condvln.navigation.recast.arrays import Array, Ground, ground
 
 __all__ = ["EDGES_PER_POINT", "cross_2d", "delaunay", "distance_2d"]
 
-# What lies on a side of an edge if it is not a triangle.
+# Marks the side of an edge that has no triangle.
 UNDECIDED = -1
 HULL = -2
-# Room that Recast keeps for edges.
+# Capacity for edges that Recast reserves per point.
 EDGES_PER_POINT = 10
-# Least doubled area, square metres, of a triangle.
+# Least doubled area of a triangle in square metres.
 AREA_EPSILON = np.float32(1e-5)
 CIRCLE_EPSILON = np.float32(1e-6)
 # Points within this share of a circle's radius count as on it.
@@ -27,13 +27,13 @@ CIRCLE_TOLERANCE = np.float32(0.001)
 
 @compiled
 def cross_2d(a: Ground, b: Ground, c: Ground) -> np.float32:
-    """Twice the signed area of a, b, c on the ground."""
+    """Return twice the signed area of a, b, c in the ground plane."""
     return np.float32((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
 
 
 @compiled
 def distance_2d(a: Ground, b: Ground) -> np.float32:
-    """Distance on the ground."""
+    """Return the distance in the ground plane."""
     dx = b[0] - a[0]
     dz = b[1] - a[1]
     return np.float32(np.sqrt(dx * dx + dz * dz))
@@ -41,13 +41,13 @@ def distance_2d(a: Ground, b: Ground) -> np.float32:
 
 @compiled
 def delaunay(points: Array, n: int, hull: Array, n_hull: int, edges: Array, triangles: Array) -> int:
-    """Triangulate ``points[:n]`` within the ring ``hull[:n_hull]``; returns how many triangles there are.
+    """Triangulate ``points[:n]`` within the ring ``hull[:n_hull]``; return the number of triangles.
 
     Parameters
     ----------
     points : (>= n, 3) float32
     hull : (>= n_hull,) int64
-    edges : (>= EDGES_PER_POINT * n, 4) int64, work space: two ends, what lies left, what lies right
+    edges : (>= EDGES_PER_POINT * n, 4) int64, work space: both ends, left face, right face
     triangles : (>= 2 * EDGES_PER_POINT * n, 3) int64, output
     """
     most = EDGES_PER_POINT * n
@@ -85,7 +85,7 @@ def _add_edge(edges: Array, n_edges: int, most: int, s: int, t: int, left: int, 
 
 @compiled
 def _set_left(edges: Array, e: int, s: int, t: int, face: int) -> None:
-    """Put ``face`` to the left of the edge, seen from s to t, if nothing is there yet."""
+    """Set the face to the left of the edge, seen from s to t, unless it is already set."""
     if edges[e, 0] == s and edges[e, 1] == t and edges[e, 2] == UNDECIDED:
         edges[e, 2] = face
     elif edges[e, 1] == s and edges[e, 0] == t and edges[e, 3] == UNDECIDED:
@@ -94,7 +94,7 @@ def _set_left(edges: Array, e: int, s: int, t: int, face: int) -> None:
 
 @compiled
 def _attach(edges: Array, n_edges: int, most: int, s: int, t: int, face: int) -> int:
-    """Give edge s-t ``face`` to its left, adding the edge if need be; returns how many edges there are then."""
+    """Set the face to the left of edge s-t, adding the edge if needed; return the number of edges."""
     e = _find_edge(edges, n_edges, s, t)
     if e < 0:
         return _add_edge(edges, n_edges, most, s, t, face, UNDECIDED)
@@ -104,7 +104,9 @@ def _attach(edges: Array, n_edges: int, most: int, s: int, t: int, face: int) ->
 
 @compiled
 def _circle(a: Ground, b: Ground, c: Ground, centre: Array) -> np.float32:
-    """Circle through three points: writes ``centre``, returns the radius; 0 around a if they are in line."""
+    """Compute the circle through three points: write ``centre`` and return the radius; 0 around a if they are
+    collinear.
+    """
     bx, bz = b[0] - a[0], b[1] - a[1]
     cx, cz = c[0] - a[0], c[1] - a[1]
     area = bx * cz - bz * cx
@@ -113,7 +115,7 @@ def _circle(a: Ground, b: Ground, c: Ground, centre: Array) -> np.float32:
         return np.float32(0)
     b_squared = bx * bx + bz * bz
     c_squared = cx * cx + cz * cz
-    # Relative to a. The order of the sums is Recast's, whose first term is 0.
+    # Relative to a. The order of the sums is Recast's, where the first term is 0.
     x = (b_squared * cz + c_squared * -bz) / (np.float32(2) * area)
     z = (b_squared * -cx + c_squared * bx) / (np.float32(2) * area)
     centre[0], centre[1] = x + a[0], z + a[1]
@@ -143,7 +145,7 @@ def _crosses_any(points: Array, edges: Array, n_edges: int, s: int, t: int) -> b
 
 @compiled
 def _third_point(points: Array, n: int, edges: Array, n_edges: int, s: int, t: int) -> int:
-    """The point left of s-t with the emptiest circle, n if there is none."""
+    """Return the point left of s-t whose circle contains no other point; n if there is none."""
     best = n
     centre = np.zeros(2, np.float32)
     radius = np.float32(-1)
@@ -154,7 +156,8 @@ def _third_point(points: Array, n: int, edges: Array, n_edges: int, s: int, t: i
             d = distance_2d((centre[0], centre[1]), ground(points, u))
             if d > radius * (np.float32(1) + CIRCLE_TOLERANCE):
                 continue
-            # On the circle within tolerance either point will do, if its edges cross nothing.
+            # If the point is on the circle within tolerance, either point is allowed, provided that its edges cross
+            # nothing.
             if not d < radius * (np.float32(1) - CIRCLE_TOLERANCE) and (
                 _crosses_any(points, edges, n_edges, s, u) or _crosses_any(points, edges, n_edges, t, u)
             ):
@@ -166,7 +169,7 @@ def _third_point(points: Array, n: int, edges: Array, n_edges: int, s: int, t: i
 
 @compiled
 def _complete(points: Array, n: int, edges: Array, n_edges: int, most: int, faces: int, e: int) -> tuple[int, int]:
-    """Put a triangle or the hull on an open side of edge e; returns how many edges and triangles there are then."""
+    """Put a triangle or the hull on an open side of edge e; return the numbers of edges and triangles."""
     s, t = edges[e, 0], edges[e, 1]
     if edges[e, 2] != UNDECIDED:
         s, t = t, s
@@ -182,7 +185,7 @@ def _complete(points: Array, n: int, edges: Array, n_edges: int, most: int, face
 
 @compiled
 def _collect(edges: Array, n_edges: int, faces: int, triangles: Array) -> int:
-    """Corners of each triangle from its edges; an unfinished one is replaced by the last."""
+    """Collect the corners of each triangle from its edges; an incomplete triangle is replaced by the last one."""
     for f in range(faces):
         triangles[f, 0] = triangles[f, 1] = triangles[f, 2] = -1
     for e in range(n_edges):

@@ -1,7 +1,7 @@
 """Stage 11: triangles that follow the height of the surface within each polygon (``rcBuildPolyMeshDetail`` of Recast).
 
-The border of a polygon is sampled and simplified; then the sample inside that is farthest from the triangles is added,
-until all are near. Everything is float32, in the order in which Recast computes it.
+The border of a polygon is sampled and simplified; then the inner sample that is farthest from the triangles is added,
+until all are close enough. All arithmetic is float32 in Recast's order.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ __all__ = ["DetailMesh", "build_detail"]
 
 # Detour counts the triangles of a polygon in eight bits.
 MAX_TRIANGLES = 255
-# Square of the distance, metres, within which a vertex is on the polygon's border.
+# Square of the distance in metres within which a vertex is on the polygon's border.
 ON_BORDER_SQUARED = np.float32(0.001) * np.float32(0.001)
 
 
@@ -54,7 +54,7 @@ class DetailMesh:
 
 
 def build_detail(mesh: PolyMesh, field: CompactHeightfield, region: Array, config: RecastConfig) -> DetailMesh:
-    """Detail mesh of ``mesh`` over the floors of ``field``; ``region`` is (s,) int32."""
+    """Return the detail mesh of ``mesh`` over the floors of ``field``; ``region`` is (s,) int32."""
     if len(mesh.polygons) == 0:
         return DetailMesh(np.zeros((0, 4), np.int32), np.zeros((0, 3), np.float32), np.zeros((0, 4), np.uint8))
     counts = mesh.vert_counts
@@ -81,7 +81,7 @@ def build_detail(mesh: PolyMesh, field: CompactHeightfield, region: Array, confi
 
 
 def _boxes(mesh: PolyMesh, counts: Array, width: int, depth: int) -> Array:
-    """(p, 4) int32, least x and z, columns and rows of the cells around each polygon."""
+    """Return (p, 4) int32: least x and z, columns and rows of the cells around each polygon."""
     corners = mesh.vertices[
         np.where(
             np.arange(mesh.verts_per_poly) < counts[:, None],
@@ -96,14 +96,16 @@ def _boxes(mesh: PolyMesh, counts: Array, width: int, depth: int) -> Array:
 
 @compiled
 def _fan(points: Array, hull: Array, n: int, n_corners: int, triangles: Array) -> int:
-    """Triangles of a ring, from the corner with the shortest way around it, adding the nearer side's next point."""
+    """Triangulate a ring, starting at the corner with the least perimeter and adding the next point of the nearer
+    side.
+    """
     start = 0
     left = 1
     right = n - 1
     shortest = FAR
     for i in range(n):
         if hull[i] >= n_corners:
-            continue  # within an edge
+            continue  # the point is within an edge
         before = i - 1 if i > 0 else n - 1
         after = i + 1 if i + 1 < n else 0
         p, c, q = ground(points, hull[before]), ground(points, hull[i]), ground(points, hull[after])
@@ -131,7 +133,7 @@ def _fan(points: Array, hull: Array, n: int, n_corners: int, triangles: Array) -
 
 @compiled
 def _on_border(a: Ground, b: Ground, polygon: Array, n: int) -> int:
-    """1 if both points lie on one edge of the polygon, seen from above."""
+    """Return 1 if both points are on one edge of the polygon, seen from above."""
     j = n - 1
     for i in range(n):
         p, q = ground(polygon, j), ground(polygon, i)
@@ -197,7 +199,7 @@ def _build(
             polygon, n, spacing, max_error, surface, scale, radius, points, hull, edge, kept
         )
         n_triangles = _fan(points, hull, n_hull, n, triangles)
-        # Slivers get no points inside.
+        # Slivers get no inner points.
         if spacing > 0 and least_extent(polygon, n) >= spacing * np.float32(2):
             samples, n_samples = inner_samples(polygon, n, spacing, surface, scale, radius, samples)
             for _ in range(n_samples):
@@ -211,7 +213,7 @@ def _build(
                 n_points += 1
                 n_triangles = delaunay(points, n_points, hull, n_hull, edges, triangles)
             n_triangles = min(n_triangles, MAX_TRIANGLES)
-        # To metres in the scene. Recast lifts the detail by one cell.
+        # Convert to metres in the scene. Recast raises the detail mesh by one cell.
         for i in range(n_points):
             points[i, 0] += origin[0]
             points[i, 1] += origin[1] + cell_height

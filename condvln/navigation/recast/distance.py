@@ -14,21 +14,21 @@ from condvln.navigation.recast.compact import CompactHeightfield
 
 __all__ = ["distance_field", "erode"]
 
-# "Not reached yet", in the eight bits that erosion uses and in the sixteen of the distance field.
+# "Not reached yet", in the eight bits of erosion and the sixteen bits of the distance field.
 FAR_8 = 0xFF
 FAR_16 = 0xFFFF
-# Half cells from the border within which the field is not blurred.
+# The field is not blurred within this many half cells of the border.
 BLUR_FROM = 2
 
 
 def erode(field: CompactHeightfield, walkable_radius: int) -> Array:
-    """Area ids with all spans nearer than ``walkable_radius`` cells to a border set to 0, (s,) uint8."""
+    """Return area ids (s,) uint8, with all spans nearer than ``walkable_radius`` cells to a border set to 0."""
     distance = _border_distance(field.neighbour, field.area, FAR_8)
     return np.where(distance < 2 * walkable_radius, np.uint8(0), field.area)
 
 
 def distance_field(field: CompactHeightfield, area: Array) -> tuple[Array, int]:
-    """Distance of each span from the border of its area, blurred.
+    """Return the blurred distance of each span from the border of its area.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def distance_field(field: CompactHeightfield, area: Array) -> tuple[Array, int]:
 
 @compiled
 def _border_distance(neighbour: Array, area: Array, far: int) -> Array:
-    """Two-pass chamfer distance to the nearest span that lacks one of four neighbours of its own area."""
+    """Two-pass chamfer distance to the nearest span without four neighbours of its own area."""
     spans = len(area)
     distance = np.full(spans, far, np.int32)
     for i in range(spans):
@@ -78,7 +78,7 @@ def _relax(neighbour: Array, distance: Array, i: int, straight: int, turn: int) 
 
 @compiled
 def _blurred(neighbour: Array, distance: Array) -> Array:
-    """Mean over the 3 x 3 neighbourhood, where what is missing counts as the span itself."""
+    """Return the mean over the 3 x 3 neighbourhood, where missing spans count as the span itself."""
     out = np.empty(len(distance), np.int32)
     for i in range(len(distance)):
         own = distance[i]

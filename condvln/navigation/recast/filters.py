@@ -1,6 +1,6 @@
 """Stage 2: filters that decide on which spans of the solid heightfield an agent can stand (``RecastFilter.cpp``).
 
-Each returns the new area ids, (s,) uint8, and leaves the heightfield as it was.
+Each returns new area ids, (s,) uint8, and does not change the heightfield.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from condvln.navigation.recast.heightfield import Heightfield
 
 __all__ = ["filter_ledges", "filter_low_hanging_obstacles", "filter_low_height"]
 
-# Height of the void above the last span of a column, voxels.
+# Height in voxels of the empty space above the last span of a column.
 SKY = 0xFFFF
 # Columns to the west (-x), south (+z), east (+x) and north (-z): Recast's directions 0 to 3.
 DX = np.array([-1, 0, 1, 0], np.int64)
@@ -21,14 +21,14 @@ DZ = np.array([0, 1, 0, -1], np.int64)
 
 
 def filter_low_hanging_obstacles(field: Heightfield, walkable_climb: int) -> Array:
-    """An obstacle whose top is within a step of a walkable span just below it may be walked on (kerbs, stairs)."""
+    """Make an obstacle walkable if its top is within a step of a walkable span just below it (kerbs, stairs)."""
     return _low_hanging(field.start, field.top, field.area, walkable_climb)
 
 
 def filter_ledges(field: Heightfield, walkable_height: int, walkable_climb: int) -> Array:
-    """Spans beside a drop of more than a step are not floor. The border of the grid counts as a drop.
+    """Make spans beside a drop of more than a step not walkable. The border of the grid counts as a drop.
 
-    Nor are spans whose reachable neighbours differ by more than a step: a slope too steep.
+    Also spans whose reachable neighbours differ by more than a step: too steep a slope.
     """
     return _ledges(
         field.width, field.depth, field.start, field.bottom, field.top, field.area, walkable_height, walkable_climb
@@ -36,9 +36,9 @@ def filter_ledges(field: Heightfield, walkable_height: int, walkable_climb: int)
 
 
 def filter_low_height(field: Heightfield, walkable_height: int, height_must_exceed: bool) -> Array:
-    """Spans without room for an agent above them are not floor.
+    """Make spans without clearance for an agent not walkable.
 
-    ``height_must_exceed`` asks for more than ``walkable_height`` voxels, as Recast did up to the version in habitat-sim
+    ``height_must_exceed`` requires more than ``walkable_height`` voxels, as Recast did up to the version in habitat-sim
     0.3.3.
     """
     least = walkable_height + 1 if height_must_exceed else walkable_height
@@ -57,7 +57,7 @@ def _low_hanging(start: Array, top: Array, area: Array, climb: int) -> Array:
         was_walkable = False
         for i in range(start[column], start[column + 1]):
             walkable = area[i] != 0
-            # What was walkable before this filter counts, so that a stack of obstacles is not climbed.
+            # The state before this filter counts, so that a stack of obstacles is not climbed.
             if not walkable and was_walkable and abs(top[i] - top[i - 1]) <= climb:
                 out[i] = out[i - 1]
             was_walkable = walkable
@@ -89,7 +89,7 @@ def _ledges(
                 neighbour = nx + nz * width
                 begin = start[neighbour]
                 end = start[neighbour + 1]
-                # The void below the first span is a drop if the agent fits through the gap.
+                # The empty space below the first span is a drop if the agent fits through the gap.
                 below = bottom[begin] if begin < end else SKY
                 if min(ceiling, below) - max(floor, -climb) > height:
                     drop = min(drop, -climb - floor)

@@ -1,8 +1,8 @@
-"""Stage 1: triangles to a solid heightfield, columns of voxel spans (``rcRasterizeTriangles`` of Recast).
+"""Stage 1: rasterize triangles to a solid heightfield, columns of voxel spans (``rcRasterizeTriangles`` of Recast).
 
-Each triangle is cut along the grid lines, first into rows and then into cells; what lies in a cell becomes one span
-from the lowest to the highest voxel touched. Spans of a column that touch are merged as they come, so the order of the
-triangles matters.
+Each triangle is cut along the grid lines, first into rows and then into cells; the part in a cell becomes one span from
+the lowest to the highest voxel touched. Touching spans of a column are merged immediately, so the order of triangles
+matters.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from condvln.navigation.recast.config import MAX_SPAN_HEIGHT, RecastConfig
 
 __all__ = ["Heightfield", "rasterize"]
 
-# A triangle cut by four lines has at most 7 corners; Recast keeps room for 12.
+# A triangle cut by four lines has at most 7 corners; Recast reserves space for 12.
 MAX_CORNERS = 12
-# Spans allocated at first; the pool doubles when it is full.
+# Initial number of spans; the pool doubles when it is full.
 SPAN_POOL = 1 << 14
 # Columns of the table of spans while they are linked lists.
 BOTTOM, TOP, AREA, NEXT = range(4)
@@ -76,7 +76,7 @@ def _cut_row(
 ) -> tuple[int, int]:
     """Cut the polygon in row ``source`` of the (4, 12) float32 work arrays where z equals ``line``.
 
-    What lies before the line goes to row ``row``, what lies after it to ``rest``; returns how many corners they have.
+    The part before the line goes to row ``row``, the part after it to ``rest``; return their numbers of corners.
     """
     n_row = 0
     n_rest = 0
@@ -94,7 +94,7 @@ def _cut_row(
             x[rest, n_rest], y[rest, n_rest], z[rest, n_rest] = xc, yc, zc
             n_row += 1
             n_rest += 1
-        # A corner on the line goes to both sides, unless the crossing just added is that corner.
+        # A corner on the line belongs to both sides, unless the crossing just added is that corner.
         if d > 0 or (d == 0 and not crosses):
             x[row, n_row], y[row, n_row], z[row, n_row] = x[source, i], y[source, i], z[source, i]
             n_row += 1
@@ -110,10 +110,10 @@ def _cut_row(
 def _cut_cell(
     x: Array, y: Array, source: int, corners: int, line: np.float32, rest: int
 ) -> tuple[int, int, np.float32, np.float32]:
-    """Cut a cell off the polygon of a row where x equals ``line``; what lies after it goes to ``rest``.
+    """Cut a cell off the polygon of a row where x equals ``line``; the part after it goes to ``rest``.
 
-    Returns the corners of the cell's piece and of the rest, and the least and greatest y of the piece, which is all it
-    is needed for.
+    Returns the numbers of corners of the cell's piece and of the rest, and the least and greatest y of the piece, for
+    which alone it is needed.
     """
     n_piece = 0
     n_rest = 0
@@ -150,11 +150,11 @@ def _cut_cell(
 
 @compiled
 def _insert(column: int, low: int, high: int, area: int, merge: int, first: Array, spans: Array, pool: Array) -> None:
-    """Insert a span into its column's list, swallowing the spans that it touches.
+    """Insert a span into its column's list, merging the spans that it touches.
 
-    ``spans`` has rows of (bottom, top, area, next one or -1), kept together as a column's spans lie far from each
-    other; ``pool`` is (number of rows ever used, head of the free list or -1). Where two tops are within ``merge``
-    voxels, the higher area id wins.
+    ``spans`` has rows of (bottom, top, area, next one or -1), in one array because the spans of a column are otherwise
+    far apart in memory; ``pool`` is (number of rows ever used, head of the free list or -1). If two tops are within
+    ``merge`` voxels, the higher area id is kept.
     """
     before = -1
     span = first[column]
@@ -210,8 +210,8 @@ def _rasterize(
     first = np.full(width * depth, -1, np.int32)
     spans = np.empty((SPAN_POOL, 4), np.int32)
     pool = np.array([0, -1], np.int64)
-    # Rows of work space: the polygon not yet in a row and its next state, a row's part not yet in a cell and its next
-    # state.
+    # Rows of work space: the polygon not yet in a row and its next state, the part of a row not yet in a cell and its
+    # next state.
     px = np.empty((4, MAX_CORNERS), np.float32)
     py = np.empty((4, MAX_CORNERS), np.float32)
     pz = np.empty((4, MAX_CORNERS), np.float32)
@@ -234,7 +234,7 @@ def _rasterize(
         corners = 3
         z_lowest = min(min(pz[rest, 0], pz[rest, 1]), pz[rest, 2])
         z_highest = max(max(pz[rest, 0], pz[rest, 1]), pz[rest, 2])
-        # Row -1 takes what lies before the grid off the polygon.
+        # Row -1 removes the part of the polygon before the grid.
         z_from = max(-1, min(int((z_lowest - z_min) * per_cell), depth - 1))
         z_to = max(0, min(int((z_highest - z_min) * per_cell), depth - 1))
         for z in range(z_from, z_to + 1):
@@ -277,7 +277,7 @@ def _rasterize(
 
 @compiled
 def _in_column_order(first: Array, spans: Array) -> tuple[Array, Array, Array, Array]:
-    """Linked columns to contiguous ones."""
+    """Convert linked columns to contiguous ones."""
     start = np.empty(len(first) + 1, np.int32)
     bottom = np.empty(len(spans), np.int32)
     top = np.empty(len(spans), np.int32)

@@ -1,7 +1,7 @@
 """Heights of the surface around one polygon, and their sampling (``getHeightData`` and ``getHeight`` of Recast).
 
-A patch is a rectangle of cells around the polygon. It is filled from the spans of the polygon's region; what the region
-leaves open is filled from there outward, so that samples on the border find a height.
+A patch is a rectangle of cells around the polygon. It is filled from the spans of the polygon's region; cells that the
+region does not cover are filled outward from there, so that samples on the border find a height.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ UNSET = 0xFFFF
 # The cell of a vertex and the eight around it, in Recast's order.
 AROUND_X = np.array([0, -1, 0, 1, 1, 1, 0, -1, -1], np.int64)
 AROUND_Z = np.array([0, -1, -1, -1, 0, 1, 1, 1, 0], np.int64)
-# Samples on a cell border belong to the cell above it, by this share of a cell.
+# Offset as a share of a cell, so that samples on a cell border belong to the cell above it.
 BORDER_SLACK = np.float32(0.01)
 
 
@@ -36,7 +36,7 @@ def fill_patch(
     region: Array,
     queue: Array,
 ) -> None:
-    """Fill ``patch``.
+    """Fill ``patch`` with heights around one polygon.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def fill_patch(
 
 @compiled
 def _cell(i: int, box: Array, width: int, column: Array) -> int:
-    """Cell of the patch that holds span i, -1 if none."""
+    """Return the cell of the patch that contains span i, -1 if none."""
     x = column[i] % width - box[0]
     z = column[i] // width - box[1]
     if x < 0 or z < 0 or x >= box[2] or z >= box[3]:
@@ -96,7 +96,7 @@ def _cell(i: int, box: Array, width: int, column: Array) -> int:
 
 @compiled
 def _nearest_span(box: Array, corners: Array, width: int, start: Array, floor: Array) -> int:
-    """The span near a vertex that is nearest to it in height."""
+    """Return the span near a vertex that is nearest to it in height."""
     nearest = UNSET
     best = -1
     for n in range(len(corners)):
@@ -127,7 +127,9 @@ def _seed(
     neighbour: Array,
     stack: Array,
 ) -> int:
-    """For a polygon without a span of its region: where a walk from a vertex to the middle ends, -1 if nowhere."""
+    """For a polygon without spans of its region, return the span at which a walk from a vertex to the middle ends,
+    -1 if none.
+    """
     i = _nearest_span(box, corners, width, start, floor)
     if i < 0:
         return -1
@@ -153,7 +155,7 @@ def _seed(
             straight = 1 if middle_z > z else 3
         else:
             straight = 2 if middle_x > x else 0
-        # The straight way is put on the stack last, to be tried first.
+        # The straight direction is pushed last, so that it is tried first.
         order[straight], order[3] = order[3], order[straight]
         for k in range(4):
             j = neighbour[i, order[k]]
@@ -178,10 +180,10 @@ def sample_height(
     patch: Array,
     box: Array,
 ) -> int:
-    """Height in cells at a place in metres from the grid's corner.
+    """Return the height in cells at a position in metres from the grid's corner.
 
-    Where the patch has none, the cells around are searched in square rings up to ``radius``, and of the first ring that
-    has heights the one nearest to ``y`` is taken; UNSET if there is none.
+    If the patch has none, the surrounding cells are searched in square rings up to ``radius``; of the first ring with
+    heights, the one nearest to ``y`` is returned. UNSET if there is none.
     """
     w, d = box[2], box[3]
     cx = max(0, min(int(np.floor(x * per_cell + BORDER_SLACK)) - box[0], w - 1))

@@ -1,4 +1,4 @@
-"""Stage 9: holes joined to their region's outline by cuts, so that one polygon is left (``mergeRegionHoles``)."""
+"""Stage 9: connect holes to their region's outline by cuts, so that a single polygon results (``mergeRegionHoles``)."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ __all__ = ["merge_holes"]
 
 
 def merge_holes(contours: Contours) -> Contours:
-    """The same contours in the same order, where holes that found a place in their region's outline are left empty.
+    """Return the same contours in the same order; holes that were merged into their region's outline are empty.
 
-    A hole that finds none stays a contour of its own, as in Recast.
+    A hole that can't be merged stays a contour of its own, as in Recast.
     """
     polygons = [contours[k] for k in range(len(contours))]
-    # Twice the area, rounded as Recast rounds it: what is wound backwards is a hole.
+    # Twice the area, rounded as in Recast; a contour of reverse winding is a hole.
     backwards = np.array([_doubled_area(p) < -2 for p in polygons], bool)
     if not backwards.any():
         return contours
@@ -28,7 +28,7 @@ def merge_holes(contours: Contours) -> Contours:
         if len(outlines) == 0:
             continue
         holes = [(_leftmost(polygons[k]), int(k)) for k in members[backwards[members]]]
-        holes.sort(key=lambda hole: hole[0][:2])  # by corner only: equal ones keep their order
+        holes.sort(key=lambda hole: hole[0][:2])  # sorted by corner only: equal ones keep their order
         order = [k for _, k in holes]
         outline, found = _merge_all(
             polygons[outlines[-1]],
@@ -49,14 +49,16 @@ def _doubled_area(polygon: Array) -> int:
 
 
 def _leftmost(polygon: Array) -> tuple[int, int, int]:
-    """x, z and index of the corner with least x, then z, then index."""
+    """Return x, z and index of the corner with least x, then z, then index."""
     i = int(np.lexsort((polygon[:, 2], polygon[:, 0]))[0])
     return int(polygon[i, 0]), int(polygon[i, 2]), i
 
 
 @compiled
 def _blocked(a: Ground, b: Ground, polygon: Array, ignored: int) -> bool:
-    """Does segment ab touch the polygon, save its edges at corner ``ignored`` and those that end in a or b?"""
+    """Return whether segment ab touches the polygon, except its edges at corner ``ignored`` and those that end in a
+    or b.
+    """
     n = len(polygon)
     for i in range(n):
         j = i + 1 if i + 1 < n else 0
@@ -72,7 +74,7 @@ def _blocked(a: Ground, b: Ground, polygon: Array, ignored: int) -> bool:
 
 @compiled
 def _joined(outline: Array, i: int, hole: Array, j: int) -> Array:
-    """Around the outline from corner i back to i, then around the hole from corner j back to j."""
+    """Return the outline from corner i around to i, then the hole from corner j around to j."""
     n, m = len(outline), len(hole)
     out = np.empty((n + m + 2, 4), np.int32)
     for k in range(n + 1):
@@ -84,15 +86,15 @@ def _joined(outline: Array, i: int, hole: Array, j: int) -> Array:
 
 @compiled
 def _merge_all(outline: Array, points: Array, start: Array, leftmost: Array) -> tuple[Array, Array]:
-    """Outline with as many holes as can be, and which ones they were.
+    """Return the outline with as many holes as possible merged, and which holes these were.
 
     Hole h is ``points[start[h]:start[h + 1]]``; the leftmost hole comes first.
     """
     holes = len(leftmost)
     found = np.zeros(holes, np.bool_)
     capacity = len(outline) + len(points) + 2 * holes
-    # Recast looks up the corner to ignore under the number of the hole, not of the diagonal, so entries from before are
-    # seen.
+    # Recast looks up the corner to ignore by the index of the hole, not of the diagonal, so entries of earlier holes
+    # are read.
     corner_of = np.zeros(capacity, np.int64)
     length = np.zeros(capacity, np.int64)
     for h in range(holes):

@@ -1,4 +1,4 @@
-"""Distances between points, segments, polygons and triangles in float32, in the order in which Recast computes them."""
+"""Distances between points, segments, polygons and triangles in float32, with Recast's order of operations."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from condvln.navigation.recast.arrays import Array, Ground, Point, ground
 __all__ = ["FAR", "depth_inside", "height_error", "least_extent", "segment_distance", "segment_distance_2d"]
 
 FAR = np.float32(np.finfo(np.float32).max)
-# Slack of barycentric coordinates.
+# Tolerance of barycentric coordinates.
 INSIDE_EPSILON = np.float32(1e-4)
 
 
 @compiled
 def segment_distance_2d(p: Ground, a: Ground, b: Ground) -> np.float32:
-    """Squared distance from a point to a segment on the ground."""
+    """Return the squared distance from a point to a segment in the ground plane."""
     abx, abz = b[0] - a[0], b[1] - a[1]
     dx, dz = p[0] - a[0], p[1] - a[1]
     length = abx * abx + abz * abz
@@ -31,7 +31,7 @@ def segment_distance_2d(p: Ground, a: Ground, b: Ground) -> np.float32:
 
 @compiled
 def segment_distance(p: Point, a: Point, b: Point) -> np.float32:
-    """Squared distance from a point to a segment in space."""
+    """Return the squared distance from a point to a segment in space."""
     abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     dx, dy, dz = p[0] - a[0], p[1] - a[1], p[2] - a[2]
     length = abx * abx + aby * aby + abz * abz
@@ -47,7 +47,7 @@ def segment_distance(p: Point, a: Point, b: Point) -> np.float32:
 
 @compiled
 def depth_inside(polygon: Array, n: int, p: Ground) -> np.float32:
-    """Squared distance to the border on the ground; negative inside."""
+    """Return the squared distance to the polygon's border in the ground plane; negative inside."""
     nearest = FAR
     inside = False
     j = n - 1
@@ -62,7 +62,7 @@ def depth_inside(polygon: Array, n: int, p: Ground) -> np.float32:
 
 @compiled
 def height_error(p: Point, a: Point, b: Point, c: Point) -> np.float32:
-    """Vertical distance from a point to a triangle above or below it; FAR if there is none."""
+    """Return the vertical distance from a point to a triangle above or below it; FAR if there is none."""
     ux, uz = c[0] - a[0], c[2] - a[2]
     vx, vz = b[0] - a[0], b[2] - a[2]
     px, pz = p[0] - a[0], p[2] - a[2]
@@ -82,7 +82,7 @@ def height_error(p: Point, a: Point, b: Point, c: Point) -> np.float32:
 
 @compiled
 def least_extent(polygon: Array, n: int) -> np.float32:
-    """Least over the edges of the greatest distance of a vertex from it, metres: the width of the polygon."""
+    """Return the width of the polygon in metres: the least over its edges of the greatest distance of a vertex."""
     least = FAR
     for i in range(n):
         after = (i + 1) % n

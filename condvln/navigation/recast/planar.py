@@ -13,7 +13,7 @@ __all__ = ["coincide", "in_cone", "segments_cross", "segments_touch", "turn"]
 
 @compiled
 def turn(a: Ground, b: Ground, c: Ground) -> int:
-    """Twice the signed area of a, b, c: negative if c lies left of the line from a to b, 0 on it."""
+    """Return twice the signed area of a, b, c: negative if c is left of the line from a to b, 0 on it."""
     abx, abz = b[0] - a[0], b[1] - a[1]
     acx, acz = c[0] - a[0], c[1] - a[1]
     return int(abx * acz - acx * abz)
@@ -21,13 +21,13 @@ def turn(a: Ground, b: Ground, c: Ground) -> int:
 
 @compiled
 def coincide(a: Ground, b: Ground) -> bool:
-    """Do two points lie above each other?"""
+    """Return whether two points have the same x and z."""
     return bool(a[0] == b[0] and a[1] == b[1])
 
 
 @compiled
 def segments_cross(a: Ground, b: Ground, c: Ground, d: Ground) -> bool:
-    """Do segments ab and cd share a point that is inside both?"""
+    """Return whether segments ab and cd share a point that is inside both."""
     abc, abd, cda, cdb = turn(a, b, c), turn(a, b, d), turn(c, d, a), turn(c, d, b)
     if abc == 0 or abd == 0 or cda == 0 or cdb == 0:
         return False
@@ -36,7 +36,7 @@ def segments_cross(a: Ground, b: Ground, c: Ground, d: Ground) -> bool:
 
 @compiled
 def _on_segment(a: Ground, b: Ground, c: Ground) -> bool:
-    """Does c lie on the closed segment ab?"""
+    """Return whether c lies on the closed segment ab."""
     if turn(a, b, c) != 0:
         return False
     k = 0 if a[0] != b[0] else 1
@@ -45,7 +45,7 @@ def _on_segment(a: Ground, b: Ground, c: Ground) -> bool:
 
 @compiled
 def segments_touch(a: Ground, b: Ground, c: Ground, d: Ground) -> bool:
-    """Do segments ab and cd share any point?"""
+    """Return whether segments ab and cd share any point."""
     return (
         segments_cross(a, b, c, d)
         or _on_segment(a, b, c)
@@ -57,9 +57,9 @@ def segments_touch(a: Ground, b: Ground, c: Ground, d: Ground) -> bool:
 
 @compiled
 def in_cone(before: Ground, corner: Ground, after: Ground, point: Ground, loose: bool) -> bool:
-    """Does the way from a polygon's ``corner`` to ``point`` start inside the polygon?
+    """Return whether the segment from a polygon's ``corner`` to ``point`` starts inside the polygon.
 
-    With ``loose`` a way along one of the two edges counts at a convex corner.
+    With ``loose`` a segment along one of the two edges counts at a convex corner.
     """
     if turn(before, corner, after) <= 0:  # convex or straight
         limit = 0 if loose else -1

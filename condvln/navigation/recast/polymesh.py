@@ -1,4 +1,4 @@
-"""Stage 10: convex polygons of the contours, and who shares an edge with whom (``rcBuildPolyMesh`` of Recast).
+"""Stage 10: convex polygons of the contours, and their shared edges (``rcBuildPolyMesh`` of Recast).
 
 Recast also removes vertices on the borders of tiles; a build without borders has none.
 """
@@ -18,12 +18,12 @@ from schemas.errors import FormatError
 
 __all__ = ["NO_INDEX", "PolyMesh", "build_polymesh"]
 
-# What stands for "no vertex" and "no neighbour".
+# Marks "no vertex" and "no neighbour".
 NO_INDEX = 0xFFFF
 # Recast numbers vertices, polygons and edges in sixteen bits.
 MAX_VERTICES = 0xFFFE
 MAX_EDGES = 0xFFFF
-# Corners of two contours above each other are one vertex if they differ by at most this many cells in height.
+# Corners of two contours with equal x and z are one vertex if their heights differ by at most this many cells.
 SAME_HEIGHT = 2
 VERTEX_BUCKETS = 1 << 12
 LEAST_POINTS = 3
@@ -47,12 +47,12 @@ class PolyMesh:
 
     @property
     def verts_per_poly(self) -> int:
-        """Most vertices of a polygon, k."""
+        """Largest number of vertices of a polygon, k."""
         return int(self.polygons.shape[1] // 2)
 
     @property
     def vert_counts(self) -> Array:
-        """(p,) int64 vertices of each polygon."""
+        """(p,) int64 number of vertices of each polygon."""
         counts: Array = (self.polygons[:, : self.verts_per_poly] != NO_INDEX).sum(axis=1)
         return counts
 
@@ -63,7 +63,7 @@ def build_polymesh(contours: Contours, verts_per_poly: int) -> PolyMesh:
     Raises
     ------
     FormatError
-        More vertices or edges than a tile can number.
+        There are more vertices or edges than a tile can number.
     """
     sizes = np.diff(contours.start)
     total = int(sizes[sizes >= LEAST_POINTS].sum())
@@ -89,7 +89,9 @@ def _too_many(what: str, most: int) -> FormatError:
 
 @compiled
 def _vertex(x: int, y: int, z: int, vertices: Array, first: Array, after: Array, count: int) -> int:
-    """Number of the newest vertex at (x, z) of about this height, or ``count`` for a new one, which is added."""
+    """Return the index of the newest vertex at (x, z) of about this height; if there is none, add one and return
+    ``count``.
+    """
     bucket = (x * 73856093 ^ z * 19349663) % VERTEX_BUCKETS
     i = first[bucket]
     while i >= 0:
@@ -155,7 +157,7 @@ def _polygons(
 
 @compiled
 def _shared_edge(p: Array, n: int, q: Array, m: int) -> tuple[int, int]:
-    """Edge of p and edge of q with the same two vertices, the last such edge of p; (-1, -1) if there is none."""
+    """Return the edges of p and q with the same two vertices, the last such edge of p; (-1, -1) if there is none."""
     at = -1
     other = -1
     for i in range(n):
@@ -171,7 +173,9 @@ def _shared_edge(p: Array, n: int, q: Array, m: int) -> tuple[int, int]:
 
 @compiled
 def _merge_gain(p: Array, n: int, q: Array, m: int, vertices: Array, most: int) -> int:
-    """Squared length of the edge that a merger would take away; -1 if the result were too large or not convex."""
+    """Return the squared length of the edge that a merge would remove; -1 if the result were too large or not
+    convex.
+    """
     if n + m - 2 > most:
         return -1
     i, j = _shared_edge(p, n, q, m)
@@ -189,7 +193,7 @@ def _merge_gain(p: Array, n: int, q: Array, m: int, vertices: Array, most: int) 
 
 @compiled
 def _best_partner(j: int, parts: Array, size: Array, n: int, vertices: Array, most: int) -> tuple[int, int]:
-    """Among the polygons after j the first one that gains most, and what it gains; (-1, 0) if none."""
+    """Return the first polygon after j with the largest merge gain, and the gain; (-1, 0) if there is none."""
     best = -1
     gain = 0
     for k in range(j + 1, n):
@@ -202,9 +206,9 @@ def _best_partner(j: int, parts: Array, size: Array, n: int, vertices: Array, mo
 
 @compiled
 def _merge(parts: Array, size: Array, n: int, vertices: Array, most: int) -> int:
-    """Merge the pair that loses the longest edge, the first on ties, until none is left; returns how many polygons are.
+    """Repeatedly merge the pair that removes the longest edge, the first on ties; return the number of polygons left.
 
-    The best partner of each polygon is remembered, so that a merge needs a look at a few rows and not at all pairs.
+    The best partner of each polygon is cached, so that a merge updates a few rows and not all pairs.
     """
     partner = np.full(n, -1, np.int64)
     gain = np.zeros(n, np.int64)
@@ -247,7 +251,7 @@ def _merge(parts: Array, size: Array, n: int, vertices: Array, most: int) -> int
 
 @compiled
 def _join(polygons: Array, n_vertices: int, n_edges: int) -> int:
-    """Fill the second half of ``polygons`` with the neighbours; returns how many distinct edges there are."""
+    """Fill the second half of ``polygons`` with the neighbours; return the number of distinct edges."""
     most = polygons.shape[1] // 2
     first = np.full(n_vertices, -1, np.int32)
     after = np.empty(n_edges, np.int32)
@@ -271,7 +275,7 @@ def _join(polygons: Array, n_vertices: int, n_edges: int) -> int:
                     first[v] = edges
                     edges += 1
                 elif not rising and v > w:
-                    # The newest edge between the two that no other polygon has taken.
+                    # The newest edge between the two that no other polygon uses.
                     e = first[w]
                     while e >= 0 and not (upper[e] == v and not taken[e]):
                         e = after[e]

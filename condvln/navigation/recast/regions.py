@@ -1,7 +1,7 @@
-"""Stage 7: small regions dropped or merged into neighbours (``mergeAndFilterRegions`` of Recast).
+"""Stage 7: drop small regions or merge them into neighbours (``mergeAndFilterRegions`` of Recast).
 
-A region knows its neighbours in the order in which they lie along its outline, with 0 for a wall; two regions may be
-merged when they meet along one stretch only and never lie above each other.
+A region stores its neighbours in their order along its outline, with 0 for a wall. Two regions may be merged if they
+share a single stretch of border and are never above each other.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ from condvln.navigation.recast.compact import CompactHeightfield
 
 __all__ = ["merge_regions"]
 
-# Recast gives up on an outline after this many steps.
+# Recast stops tracing an outline after this many steps.
 MAX_OUTLINE_STEPS = 40000
 
 
 def merge_regions(
     field: CompactHeightfield, area: Array, region: Array, count: int, min_area: int, merge_area: int
 ) -> tuple[Array, int]:
-    """Regions with ids 1..n in order of their first appearance.
+    """Return regions with ids 1..n in order of their first appearance.
 
     Parameters
     ----------
     region : (s,) int32 with ids 1..``count``, 0 for none
     min_area : cells; connected regions that together have fewer are dropped
-    merge_area : cells; regions of at most this size, and those without a wall, are merged into their smallest fitting
-        neighbour
+    merge_area : cells; regions of at most this size, and those without a wall, are merged into their smallest
+        compatible neighbour
 
     Returns
     -------
@@ -50,7 +50,9 @@ def merge_regions(
 
 
 def _stacked(start: Array, region: Array, count: int, overlaps: Array) -> tuple[Array, Array, Array]:
-    """The regions that share a column with each region: one list, starts, lengths. Marks those above themselves."""
+    """Return the regions that share a column with each region (one list, starts, lengths); mark regions above
+    themselves.
+    """
     pairs = _column_pairs(start, region)
     pairs = np.unique(pairs[:, 0].astype(np.int64) * (count + 1) + pairs[:, 1])
     first, second = np.divmod(pairs, count + 1)
@@ -62,7 +64,7 @@ def _stacked(start: Array, region: Array, count: int, overlaps: Array) -> tuple[
 
 @compiled
 def _column_pairs(start: Array, region: Array) -> Array:
-    """(n, 2) int32, ordered pairs of regions whose spans share a column."""
+    """Return (n, 2) int32, ordered pairs of regions whose spans share a column."""
     needed = 0
     for column in range(len(start) - 1):
         layers = start[column + 1] - start[column]
@@ -83,7 +85,7 @@ def _column_pairs(start: Array, region: Array) -> Array:
 def _survey(
     neighbour: Array, area: Array, region: Array, count: int
 ) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """Size, area id, room for an overlap mark, and the neighbours along the first outline met, of each region."""
+    """Return size, area id, an empty overlap mark, and the neighbours along the first outline, of each region."""
     size = np.zeros(count + 1, np.int32)
     kind = np.zeros(count + 1, np.uint8)
     overlaps = np.zeros(count + 1, np.bool_)
@@ -112,7 +114,9 @@ def _survey(
 
 @compiled
 def _walk_outline(span: int, direction: int, neighbour: Array, region: Array, out: Array) -> int:
-    """Regions met along the outline that passes ``span``'s edge in ``direction``, changes only; returns how many."""
+    """Write the regions along the outline that passes ``span``'s edge in ``direction``, changes only; return their
+    number.
+    """
     first_span = span
     first_direction = direction
     j = neighbour[span, direction]
@@ -138,7 +142,9 @@ def _walk_outline(span: int, direction: int, neighbour: Array, region: Array, ou
 
 @compiled
 def _without_repeats(ring: Array, begin: int, length: int) -> int:
-    """Drop from the ring ``ring[begin:begin + length]`` each item equal to the one after it; returns the new length."""
+    """Remove from the ring ``ring[begin:begin + length]`` each item equal to the one after it; return the new
+    length.
+    """
     i = 0
     while i < length and length > 1:
         if ring[begin + i] == ring[begin + (i + 1) % length]:
@@ -179,7 +185,7 @@ def _may_merge(
 
 @compiled
 def _drop_small(size: Array, ids: Array, ring: Array, ring_start: Array, ring_length: Array, min_area: int) -> None:
-    """Unmake connected groups of regions that together have fewer than ``min_area`` spans."""
+    """Remove connected groups of regions that together have fewer than ``min_area`` spans."""
     visited = np.zeros(len(size), np.bool_)
     group = np.empty(len(size), np.int32)
     for seed in range(1, len(size)):
@@ -216,7 +222,7 @@ def _merge(
     min_area: int,
     merge_area: int,
 ) -> tuple[Array, int]:
-    """New id of each old region, and how many there are."""
+    """Return the new id of each old region, and the number of regions."""
     ring, ring_start, ring_length = rings
     above, above_start, above_length = floors
     regions = len(size)
@@ -249,7 +255,7 @@ def _merge(
             cut_own = _position(ring, ring_start[r], ring_length[r], ids[target])
             if cut_target < 0 or cut_own < 0:
                 continue
-            # The joined outline: all of the target's from where they met, then all of this one's.
+            # The merged outline: the target's from where they meet, then this one's.
             ring = grown(ring, ring_end + ring_length[target] + ring_length[r])
             begin = ring_end
             for k in range(ring_length[target] - 1):

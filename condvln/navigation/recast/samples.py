@@ -11,12 +11,12 @@ from condvln.navigation.recast.metric import FAR, depth_inside, height_error, se
 
 __all__ = ["MAX_VERTICES", "MAX_VERTICES_PER_EDGE", "inner_samples", "sample_border", "worst_sample"]
 
-# Detour counts the vertices of a polygon in eight bits, and Recast takes half of them.
+# Detour counts the vertices of a polygon in eight bits; Recast uses half of that.
 MAX_VERTICES = 127
 MAX_VERTICES_PER_EDGE = 32
-# Edges with less extent along x, metres, are ordered by z.
+# Edges with less extent along x (metres) are ordered by z.
 ORDER_EPSILON = np.float32(1e-6)
-# Share of a cell by which samples are shifted, so that a regular grid does not make degenerate triangles.
+# Shift of samples as a share of a cell, so that a regular grid does not give degenerate triangles.
 JITTER = np.float32(0.1)
 JITTER_X = 0x8DA6B343
 JITTER_Z = 0xD8163841
@@ -35,7 +35,9 @@ def _sample_edge(
     edge: Array,
     kept: Array,
 ) -> int:
-    """Heights along an edge into ``edge``, and those that must stay, with the ends, into ``kept``; returns how many."""
+    """Write the heights along an edge into ``edge`` and the necessary ones, with the ends, into ``kept``; return
+    their number.
+    """
     patch, box = surface
     dx, dy, dz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     steps = 1 + int(np.floor(np.sqrt(dx * dx + dz * dz) / spacing))
@@ -80,7 +82,9 @@ def sample_border(
     edge: Array,
     kept: Array,
 ) -> tuple[int, int]:
-    """Border of a polygon with the height samples it needs; returns the number of points, and of those on the hull."""
+    """Write the border of a polygon with the necessary height samples; return the number of points, and of those on
+    the hull.
+    """
     n_points = n
     n_hull = 0
     j = n - 1
@@ -88,7 +92,7 @@ def sample_border(
         hull[n_hull] = j
         n_hull += 1
         if spacing > 0:
-            # The same direction from both sides of an edge, so that neighbours agree on its heights.
+            # The same direction from both sides of an edge, so that neighbouring polygons agree on its heights.
             a, b = point(polygon, j), point(polygon, i)
             backwards = a[2] > b[2] if abs(a[0] - b[0]) < ORDER_EPSILON else a[0] > b[0]
             if backwards:
@@ -107,7 +111,7 @@ def sample_border(
 def inner_samples(
     polygon: Array, n: int, spacing: np.float32, surface: tuple[Array, Array], scale: Array, radius: int, samples: Array
 ) -> tuple[Array, int]:
-    """Grid points well inside a polygon, as rows (x, height in cells, z, 0); returns the rows and how many."""
+    """Return grid points well inside a polygon, as rows (x, height in cells, z, 0), and their number."""
     patch, box = surface
     low = point(polygon, 0)
     high = low
@@ -134,7 +138,7 @@ def inner_samples(
 
 @compiled
 def _jitter(i: int, factor: int) -> np.float32:
-    """Between -1 and 1."""
+    """Return a deterministic pseudo-random number between -1 and 1."""
     return np.float32((i * factor) & 0xFFFF) / np.float32(65535.0) * np.float32(2.0) - np.float32(1.0)
 
 
@@ -142,7 +146,9 @@ def _jitter(i: int, factor: int) -> np.float32:
 def worst_sample(
     samples: Array, count: int, spacing: np.float32, scale: Array, points: Array, triangles: Array, n_triangles: int
 ) -> tuple[int, np.float32, Point]:
-    """The sample farthest above or below the triangles, how far, and its place; (-1, 0, ...) if none."""
+    """Return the sample farthest above or below the triangles, its distance and position; (-1, 0, ...) if there is
+    none.
+    """
     worst = -1
     error = np.float32(0)
     place = point(points, 0)
@@ -159,7 +165,7 @@ def worst_sample(
             a, b, c = point(points, triangles[t, 0]), point(points, triangles[t, 1]), point(points, triangles[t, 2])
             nearest = min(nearest, height_error(p, a, b, c))
             if nearest <= error:
-                break  # another one is worse
+                break  # another sample is farther
         if nearest < FAR and nearest > error:
             error = nearest
             worst = i

@@ -1,4 +1,4 @@
-"""One build, stage by stage, with everything that each stage made."""
+"""One build, stage by stage, with the results of every stage."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from condvln.navigation.tile import NavMeshTile
 
 __all__ = ["BuildStages", "Notify", "build_stages"]
 
-# Called with the name of each stage as it begins.
+# Called with the name of each stage when it begins.
 Notify = Callable[[str], None]
-# How the reference dumps of stages write "no neighbour".
+# The value of "no neighbour" in the reference dumps of stages.
 NOT_CONNECTED = MAX_LAYERS + 1
 
 
@@ -60,7 +60,9 @@ class BuildStages:
     tile: NavMeshTile
 
     def arrays(self) -> dict[str, Array]:
-        """Flat arrays of all stages in order, named and laid out as in the reference dumps (``*.stages.npz``)."""
+        """Return flat arrays of all stages in order, named and laid out as in the reference dumps
+        (``*.stages.npz``).
+        """
         solid, field = self.solid, self.compact
         cell = np.repeat(np.arange(solid.width * solid.depth), np.diff(solid.start))
         out = {
@@ -102,7 +104,7 @@ def build_stages(
     memory_limit: int = MEMORY_LIMIT_BYTES,
     report: Notify | None = None,
 ) -> BuildStages:
-    """Build a navmesh and keep every stage. Parameters and errors are those of ``build_navmesh``."""
+    """Build a navmesh and keep the results of every stage. Parameters and errors are those of ``build_navmesh``."""
     begin = report or _silent
     begin("checking triangles")
     points, corners = checked_triangles(vertices, faces)

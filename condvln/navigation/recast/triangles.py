@@ -1,4 +1,4 @@
-"""The input of a build: checked vertices and faces, and which faces are level enough to stand on."""
+"""The input of a build: checked vertices and faces, and which faces are level enough to walk on."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from schemas.errors import FormatError
 
 __all__ = ["WALKABLE_AREA", "checked_triangles", "walkable_faces"]
 
-# Recast's area id of a surface to stand on.
+# Recast's area id of a walkable surface.
 WALKABLE_AREA = 63
 
 
 def checked_triangles(vertices: npt.ArrayLike, faces: npt.ArrayLike) -> tuple[Array, Array]:
-    """Vertices as (n, 3) float32 and faces as (m, 3) int32, in the order given.
+    """Return vertices as (n, 3) float32 and faces as (m, 3) int32, in the given order.
 
     Raises
     ------
     FormatError
-        Wrong shapes, no triangle, NaN or infinite vertices, or an index without a vertex.
+        The shapes are wrong, there is no triangle, a vertex is NaN or infinite, or an index is out of range.
     """
     points = np.asarray(vertices)
     corners = np.asarray(faces)
@@ -67,9 +67,10 @@ def checked_triangles(vertices: npt.ArrayLike, faces: npt.ArrayLike) -> tuple[Ar
 
 
 def walkable_faces(vertices: Array, faces: Array, least_upward: np.float32) -> Array:
-    """Area id of each face, (m,) uint8: WALKABLE_AREA where the unit normal's y exceeds ``least_upward``, else 0.
+    """Return the area id of each face, (m,) uint8: WALKABLE_AREA if the unit normal's y exceeds ``least_upward``, else
+    0.
 
-    After ``rcMarkWalkableTriangles`` of Recast, in float32 throughout. A degenerate face has no normal and is not
+    Follows ``rcMarkWalkableTriangles`` of Recast, in float32 throughout. A degenerate face has no normal and is not
     walkable.
     """
     a, b, c = (vertices[faces[:, k]] for k in range(3))

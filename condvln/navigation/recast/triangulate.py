@@ -1,4 +1,4 @@
-"""Triangles of a simple polygon on the integer grid: the ear with the shortest cut goes first (``triangulate``)."""
+"""Triangulate a simple polygon on the integer grid by cutting the ear with the shortest diagonal (``triangulate``)."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ __all__ = ["triangulate"]
 
 @compiled
 def triangulate(points: Array, corner: Array, ear: Array, triangles: Array) -> int:
-    """Write the triangles of a polygon as rows of corner numbers; returns how many.
+    """Write the triangles of a polygon as rows of corner numbers and return their number.
 
-    A polygon that overlaps itself may yield fewer than n - 2.
+    A self-overlapping polygon may give fewer than n - 2.
 
     Parameters
     ----------
@@ -52,7 +52,9 @@ def triangulate(points: Array, corner: Array, ear: Array, triangles: Array) -> i
 
 @compiled
 def _is_diagonal(i: int, j: int, n: int, points: Array, corner: Array, loose: bool) -> bool:
-    """Does the segment between corners i and j run inside the polygon? With ``loose`` it may touch the border."""
+    """Return whether the segment between corners i and j is inside the polygon. With ``loose`` it may touch the
+    border.
+    """
     a, b = ground(points, corner[i]), ground(points, corner[j])
     if not in_cone(ground(points, corner[(i + n - 1) % n]), a, ground(points, corner[(i + 1) % n]), b, loose):
         return False
@@ -90,7 +92,7 @@ def _shortest_ear(n: int, points: Array, corner: Array, ear: Array) -> int:
 
 @compiled
 def _shortest_loose_cut(n: int, points: Array, corner: Array) -> int:
-    """Way out where segments overlap. Recast measures to the corner after the cut's end; so must we."""
+    """Fallback for overlapping segments. Recast measures to the corner after the cut's end, and so does this."""
     best = -1
     shortest = -1
     for i in range(n):

@@ -1,7 +1,8 @@
-"""Stage 6: the surface cut into regions along the watersheds of the distance field (first half of ``rcBuildRegions``).
+"""Stage 6: partition the surface into regions along the watersheds of the distance field (first half of
+``rcBuildRegions``).
 
-The level sinks from the highest distance by one cell (two half cells) a time. At each level the regions found so far
-grow into what the level uncovers, and what they don't reach within a few steps is flooded as new regions.
+The level sinks from the highest distance by one cell (two half cells) at a time. At each level the existing regions
+grow into newly uncovered spans, and spans that they don't reach within a few steps are flooded as new regions.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from schemas.errors import FormatError
 
 __all__ = ["watershed"]
 
-# Cells are sorted into this many levels at a time; a level is two half cells of distance.
+# Spans are sorted into this many levels at a time; a level is two half cells of distance.
 LEVELS_AT_ONCE = 8
 LEVEL_SHIFT = 1
 # Steps that a region grows at each level, and at the end.
@@ -33,7 +34,7 @@ def watershed(field: CompactHeightfield, area: Array, distance: Array, highest: 
     ----------
     area : (s,) uint8, after erosion
     distance : (s,) int32, half cells
-    highest : level from which the water sinks
+    highest : the highest level, at which the watershed starts
 
     Returns
     -------
@@ -43,7 +44,7 @@ def watershed(field: CompactHeightfield, area: Array, distance: Array, highest: 
     Raises
     ------
     FormatError
-        More regions than Recast can number.
+        There are more regions than Recast can number.
     """
     region, count = _watershed(field.neighbour, area, distance, highest)
     if count >= REGION_LIMIT:
@@ -76,7 +77,7 @@ def _watershed(neighbour: Array, area: Array, distance: Array, highest: int) -> 
         if turn == 0:
             _sort_by_level(level, area, region, distance, sorted_spans, bucket)
             held = 0
-        # What the level before left over comes after the cells of this one.
+        # Spans left over from the previous level come after those of this level.
         begin, end = bucket[turn], bucket[turn + 1]
         kept = 0
         for j in range(held):
@@ -106,7 +107,9 @@ def _watershed(neighbour: Array, area: Array, distance: Array, highest: int) -> 
 
 @compiled
 def _sort_by_level(level: int, area: Array, region: Array, distance: Array, spans: Array, bucket: Array) -> None:
-    """Free spans of the next levels into ``spans``, level k at ``bucket[k]:bucket[k + 1]``, each in span order."""
+    """Sort the free spans of the next levels into ``spans``, level k at ``bucket[k]:bucket[k + 1]``, each in span
+    order.
+    """
     top = level >> LEVEL_SHIFT
     bucket[:] = 0
     for i in range(len(area)):
@@ -137,9 +140,10 @@ def _expand(
     held: int,
     dirty: Array,
 ) -> int:
-    """Grow regions into the ``held`` spans of ``work``, a ring a step; returns how many are still free, listed first.
+    """Grow regions into the ``held`` spans of ``work``, one ring per step; return the number of free spans, listed
+    first.
 
-    A span joins the neighbour that is nearest to its region's seed. At level 0 growth goes on until nothing changes.
+    A span joins the neighbour that is nearest to its region's seed. At level 0 growth continues until nothing changes.
     """
     kept = 0
     for j in range(held):
@@ -191,7 +195,9 @@ def _flood(
     reach: Array,
     stack: Array,
 ) -> bool:
-    """Fill the basin around ``seed``, down to a level below, as region ``new_id``. Is any of it clear of others?"""
+    """Fill the basin around ``seed``, down to one level below, as region ``new_id``; return whether any of it is not
+    adjacent to other regions.
+    """
     floor = max(level - 2, 0)
     region[seed] = new_id
     reach[seed] = 0
@@ -217,7 +223,7 @@ def _flood(
 
 @compiled
 def _touches_other(i: int, own: int, neighbour: Array, area: Array, region: Array) -> bool:
-    """Is one of the eight neighbours of span ``i`` in another region?"""
+    """Return whether one of the eight neighbours of span ``i`` is in another region."""
     for direction in range(4):
         j = neighbour[i, direction]
         if j < 0 or area[j] != area[i]:
