@@ -39,8 +39,8 @@ Matches = dict[str, tuple[tuple[int, str, frozenset[str]], ...]]
 class Phrasebook:
     """The phrases of one language.
 
-    tree : words to nodes; under `END` the matches of the phrase that ends there, under `SO_FAR` those before it too
-    contractions : words that stand for several, by the word
+    tree : words to nodes; under `END` the phrases that end there, under `SO_FAR` also those on the path
+    contractions : the words that a contraction stands for
     lying : whether stops have words between noun and relation ("que está")
     """
 

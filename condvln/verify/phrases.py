@@ -133,7 +133,9 @@ class PhraseReader:
             yield from self._agreeing(end, kind, classes)
 
     def _rooms(self, at: int) -> Iterator[tuple[int, Named]]:
-        """ "The bedroom with the desk"; "the bedroom" is that one where it was named so before."""
+        """Yield rooms: "the bedroom with the desk", and "the bedroom", which means that one if it was named so
+        before.
+        """
         for end, label in self._definite(at, "room"):
             before = {room for place, room in self._set_apart() if place < at and room.label == label}
             if len(before) < 2:
@@ -177,7 +179,10 @@ class PhraseReader:
                         yield end, label, (predicate, ())
 
     def _qualified(self, at: int, lying: bool = False) -> Iterator[tuple[int, _Qualifier | None]]:
-        """lying : whether words like "que está" come before the relation"""
+        """Yield (end, qualifier) of a relation or of nothing.
+
+        lying : whether words like "que está" come before the relation
+        """
         yield at, None
         for start in [end for end, _, _ in self._of(at, "lying")] if lying else [at]:
             yield from self._related(start)
@@ -221,7 +226,7 @@ class PhraseReader:
                         yield place, Phrase(label, qualifier, room), named
 
     def _checked(self, at: int) -> Iterator[tuple[int, Phrase, Named | None]]:
-        """The rest of "check the bedroom for a lamp near the bed"."""
+        """Yield what follows "check" in "check the bedroom for a lamp near the bed"."""
         for end, room in self._rooms(at):
             for after, _, classes in self._of(end, "for"):
                 for stop, label in self._agreeing(after, "noun", classes):
@@ -242,14 +247,14 @@ class PhraseReader:
                         yield stop, Phrase(label, (bearing, ()), room, True), named
 
     def _said(self, at: int, last: Named | None) -> Iterator[tuple[int, bool, Phrase, Named | None]]:
-        """Claims: (end, whether it is said to hold, what, room named last)."""
+        """Yield claims as (end, whether it is asserted or denied, claim, room named last)."""
         for present, some, known in ((True, "exists", "is"), (False, "absent", "is_not")):
             for found in (self._some(some, at, last), self._known(known, at, last)):
                 for end, what, named in found:
                     yield end, present, what, named
 
     def _requests(self, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:
-        """Requests to look, and questions with their mark."""
+        """Yield requests to look, and questions with their question mark."""
         for end, _, _ in self._of(at, "see"):
             for stop, present, what, named in self._said(end, last):
                 if present:

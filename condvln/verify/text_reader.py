@@ -162,7 +162,8 @@ class _Reader(PhraseReader):
             end = next((after for after, _, _ in self._of(claimed, "either")), claimed)
             for k, named in self._condition(state, what):
                 asked = [ask.context for ask in state.asks if ask.condition == k]
-                within = context & asked[0] if asked else context  # asked again, under the same circumstances
+                # asked again, so it applies to the same cases as before
+                within = context & asked[0] if asked else context
                 guard = _HOLDS[k] if present else _ALWAYS & ~_HOLDS[k]
                 opened = state._replace(
                     at=end,
@@ -194,7 +195,9 @@ class _Reader(PhraseReader):
                     yield from self._but(state._replace(at=end), cases, base)
 
     def _but(self, state: _State, context: int, base: int) -> Iterator[tuple[_State, int]]:
-        """What follows from an answer or a claim, or from it and one claim more: "if not, but there's a chair, …"."""
+        """Parse the consequences of an answer or a claim, possibly with one more claim: "if not, but there's a
+        chair, …".
+        """
         yield from self._comma(state, context, base)
         if self._is(state.at, ","):
             for joint in ("and", "but"):
@@ -220,9 +223,9 @@ class _Reader(PhraseReader):
                 yield state._replace(at=end, room=room, named=named, asks=asking), base
 
     def _condition(self, state: _State, what: Phrase) -> Iterator[tuple[int, tuple[Phrase, ...]]]:
-        """Number of a condition, and all that are named with it.
+        """Yield the number of a condition, and all conditions named with it.
 
-        A known thing without a room is in that of the condition before it.
+        A known object without a room is in the room of the condition before it.
         """
         known = [k for k, one in enumerate(state.named) if one == what or _is_again(what, one)]
         if known:
