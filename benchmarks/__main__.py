@@ -1,4 +1,4 @@
-"""``python -m benchmarks [NAME …]``: run all benchmarks, or those named, each in a process of its own.
+"""Run all benchmarks, or those named, each in its own process: ``python -m benchmarks [NAME …]``.
 
 ``python -m benchmarks versus COMMIT`` compares this tree with an earlier commit; it is not run with the others.
 """
@@ -11,7 +11,7 @@ from pathlib import Path
 
 
 def main() -> int:
-    """Run the chosen modules one after the other; the worst exit code is ours."""
+    """Run the chosen modules one after the other; return the worst exit code."""
     if sys.argv[1:2] == ["versus"]:
         from benchmarks.versus import main as compare
 

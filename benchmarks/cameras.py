@@ -1,4 +1,4 @@
-"""What an image costs beside the bare cast of its rays through Embree: colour, depth and instances, one thread.
+"""Cost of an image compared with casting its rays through Embree: colour, depth and instances, one thread.
 
 ``python -m benchmarks cameras`` prints a Markdown table: milliseconds of processor time (medians of `RUNS` poses) of a
 cast of prebuilt float32 rays, of a whole frame, and their ratio, over made scenes of several sizes with textures.
@@ -34,7 +34,8 @@ F64 = NDArray[np.float64]
 
 
 def textured_room(triangles: int) -> Renderer:
-    """A room of 8 × 8 m with `BALLS` textured balls of about so many triangles together; walls are tiled as finely."""
+    """Build a room of 8 × 8 m with `BALLS` textured balls of about so many triangles in total; walls have tiles of that
+    size."""
     rng = np.random.default_rng(0)
     builder = SurfaceBuilder()
     side = max(2, round((triangles / (BALLS + 6) / 2) ** 0.5))
@@ -70,7 +71,7 @@ def textured_room(triangles: int) -> Renderer:
 
 
 def median_ms(run: Callable[[int], object]) -> float:
-    """Milliseconds of processor time of a call, the median over `RUNS`."""
+    """Return the processor time of a call in milliseconds, the median over `RUNS`."""
     run(0)
     times = []
     for number in range(RUNS):
@@ -81,7 +82,7 @@ def median_ms(run: Callable[[int], object]) -> float:
 
 
 def measured(renderer: Renderer, camera: CameraConfig, places: F64) -> tuple[float, float, float]:
-    """Milliseconds of a bare cast, of depth and instance alone, and of a whole frame."""
+    """Return milliseconds of a bare cast, of depth and instance alone, and of a whole frame."""
     scene = rtcore_scene.EmbreeScene()
     TriangleMesh(scene, renderer.surfaces.corners)
     columns, rows = pixel_rays(camera)

@@ -1,4 +1,4 @@
-"""CPU seconds of first runs, and the coefficients of the cost model (``jobs/costs.py``) that fit them.
+"""CPU seconds of first runs, and coefficients of the cost model (``jobs/costs.py``) that fit them.
 
 Each family's real scenes (CONDVLN_REAL_DATA, or ``shared/data`` beside the checkout) run inline from an empty store,
 kernels warm, once for each number of episodes asked. Each stage's CPU seconds are fitted by non-negative least squares
@@ -40,12 +40,12 @@ from schemas.program import CATEGORIES
 __all__ = ["FirstRun", "first_run", "real_families"]
 
 ASKED = (4, 12)
-"""Episodes of each category that the coefficients are fitted on."""
+"""Episodes per category for which the coefficients are fitted."""
 
 
 @dataclass
 class FirstRun:
-    """One family from an empty store.
+    """The first run of one family, from an empty store.
 
     estimate : CPU seconds expected before it began
     seconds : CPU seconds of the whole process, planning and publishing included
@@ -72,7 +72,7 @@ class _Listener(Silence):
 
 
 def real_families() -> dict[str, Path]:
-    """Folder of each family's real scenes, as far as it is there."""
+    """Return the folder of each family's real scenes that is present."""
     data = Path(os.environ.get("CONDVLN_REAL_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
     return {family: data / family for family in COEFFICIENTS if (data / family).is_dir()}
 
@@ -105,7 +105,7 @@ def first_run(family: str, root: Path, asked: int, folder: Path, scenes: int) ->
 
 
 def _fit(runs: Iterable[tuple[int, FirstRun]], stage: str) -> tuple[list[float], int]:
-    """(coefficients, scenes) of one stage, in CPU seconds of this machine."""
+    """Return (coefficients, scenes) of one stage, in CPU seconds of this machine."""
     rows, spent = [], []
     for asked, found in runs:
         for unit_id, seconds in found.stages[stage]:
@@ -119,7 +119,7 @@ def _fit(runs: Iterable[tuple[int, FirstRun]], stage: str) -> tuple[list[float],
 
 
 def main() -> None:
-    """Print the coefficients that fit, beside those in use."""
+    """Print the fitted coefficients beside those in use."""
     console = Console(width=140)
     scenes = int(os.environ.get("CONDVLN_BENCH_SCENES", "24"))
     warm_up(lambda message: None)

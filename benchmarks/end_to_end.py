@@ -1,4 +1,5 @@
-"""First runs beside their estimates; then episodes a second from scene files to published tables, inline and with Ray.
+"""Estimates of first runs and their measured cost, then episodes per second from scene files to tables, inline and with
+Ray.
 
 Estimates: the real scenes of each family (CONDVLN_REAL_DATA, or ``shared/data`` beside the checkout; all of them, or
 CONDVLN_BENCH_REAL_SCENES of each) run inline from an empty store, kernels warm. CPU seconds of the whole process are
@@ -34,7 +35,7 @@ from jobs.workspace import file_hashes, hasher
 from schemas.config import Config, SourceConfig
 
 EPISODES_A_CATEGORY = 12
-"""As the configurations that are shipped ask for."""
+"""Episodes per category in the shipped configurations."""
 
 
 def _configuration(folder: Path) -> Config:
@@ -76,7 +77,7 @@ def estimates(console: Console) -> None:
 
 
 def main() -> None:
-    """Print the estimates, one row a way of running, and the ratios."""
+    """Print the estimates, one row per way of running, and the ratios."""
     console = Console(width=160)
     estimates(console)
     with tempfile.TemporaryDirectory() as name:

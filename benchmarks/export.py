@@ -1,4 +1,5 @@
-"""Export: episodes a second of one core with all variants and ground truth, peak memory, and coders of gzip compared.
+"""Export: episodes per second and core with all variants and ground truth, peak memory, and a comparison of gzip
+coders.
 
 ``python -c "from benchmarks.export import main; main()" 1000000`` exports a million.
 """
@@ -33,14 +34,14 @@ from tests.made_snapshot import made_scene, made_snapshot
 
 EPISODES = 20_000
 PER_SCENE = 600
-"""Episodes of a made scene, repeated under other names for as many scenes as it takes."""
+"""Number of episodes of one made scene, which is repeated under other names."""
 LOOPED = 600
-"""Episodes of the plain-library loop."""
+"""Number of episodes of the loop with plain libraries."""
 
 
 @dataclass(frozen=True)
 class Repeated:
-    """A snapshot as large as one likes, of one scene's rows under ever new ids; nothing of it is kept."""
+    """A snapshot of any size, from one scene's rows under new ids; it holds no copies."""
 
     scene: MemoryTables
     scenes: int
@@ -77,7 +78,7 @@ class Repeated:
 
 
 def linear_text(episode: dict[str, Any], instruction: dict[str, Any]) -> str:
-    """A twin's text."""
+    """Return the text of an oracle twin."""
     moves = instruction["leaves"][instruction["gold_leaf"]]["moves"]
     return "Walk to the " + ", then to the ".join(move["label"] for move in moves) + "."
 
@@ -139,7 +140,7 @@ def _compare_coders(scene: MemoryTables) -> None:
 
 
 def _plain_rate(scene: MemoryTables) -> float:
-    """The same files by the plain library, from rows already decoded."""
+    """Return the episodes per second of plain libraries that write the same files, from decoded rows."""
     documents = _documents(scene)[:LOOPED]
     rows = scene.tables["procthor"]["episodes"].slice(0, len(documents))
     began = time.process_time()

@@ -1,4 +1,4 @@
-"""What the factory itself costs: planning and publishing from 10^3 to 10^6 units, and handing work to Ray.
+"""Overhead of the factory: planning and publishing for 10^3 to 10^6 units, and handing work to Ray.
 
 Scale is simulated: the driver plans, queues, takes receipts in, composes and publishes as ever, on a real store, while
 an executor makes up the receipts; so the numbers are the driver's own. Each size runs in a fresh process, for its
@@ -62,12 +62,12 @@ from schemas.snapshot import PartRecord
 ROWS: Final = pa.schema([pa.field("unit", pa.string(), nullable=False), pa.field("digest", pa.string())])
 
 UNIT_SECONDS: Final = 0.25
-"""Work of one unit of the overhead measurement, about that of a small room."""
+"""CPU seconds of work per unit of the overhead measurement, about those of a small room."""
 
 
 @dataclass(frozen=True)
 class Burn(Stage):
-    """Hashes for a number of rounds; one row."""
+    """A stage that hashes for a number of rounds and gives one row."""
 
     name: str = "burn"
     version: int = 1
@@ -85,7 +85,7 @@ class Burn(Stage):
 
 
 class Simulated:
-    """Makes up what workers would hand back."""
+    """An executor that makes up the receipts that workers would return."""
 
     workers = 2
 
@@ -119,12 +119,12 @@ class Simulated:
 
 
 def pipeline(rounds: int = 0) -> Pipeline:
-    """One stage, one table."""
+    """Build a pipeline with one stage and one table."""
     return Pipeline("bench", (Burn(rounds=rounds),), {"rows": TableSpec(ROWS, ("unit",), "burn")})
 
 
 def units(count: int, cost: float = 0.001) -> Iterator[Unit]:
-    """Units as a corpus lists them: one file each, a payload, costs that vary."""
+    """Yield units as a corpus lists them: one file each, a payload, varying costs."""
     for at in range(count):
         name = f"{at:08d}"
         file = InputFile(f"scenes/{name}.json", 1000 + at % 77, f"{at:064x}")
@@ -145,7 +145,7 @@ class Scale:
 
 
 def measure_scale(count: int, store: Store | None = None) -> Scale:
-    """A first run; a plan, a rebuild and a glance (``rebuild --if-changed``) of the unchanged corpus."""
+    """Measure a first run, and a plan, a rebuild and a glance (``rebuild --if-changed``) of the unchanged corpus."""
     with tempfile.TemporaryDirectory() as folder:
         kept = store or LocalStore(folder)
         first = _timed(lambda: run(pipeline(), units(count), kept, executor=Simulated()))
@@ -162,14 +162,14 @@ def _refuse() -> None:
 
 
 def _timed(work: Callable[[], object]) -> tuple[float, float]:
-    """(seconds by the clock, CPU seconds)."""
+    """Return (wall-clock seconds, CPU seconds) of a call."""
     began, cpu = time.perf_counter(), time.process_time()
     work()
     return time.perf_counter() - began, time.process_time() - cpu
 
 
 def _fill(store: Store, count: int) -> None:
-    """Write what the made up receipts speak of: a plan looks whether it is there."""
+    """Write the files that the made-up receipts name, since a plan checks that they exist."""
     snapshot = Snapshot.open(store)
     for path in snapshot.paths("rows"):
         store.write(path, b"1")
@@ -185,11 +185,11 @@ def _fill(store: Store, count: int) -> None:
 
 
 AWAY: Final = 10**4
-"""Units of the measurement on an object store."""
+"""Number of units of the measurement on an object store."""
 
 
 def scale(console: Console) -> None:
-    """Print the curve."""
+    """Print the table of sizes and times."""
     most = int(os.environ.get("CONDVLN_BENCH_UNITS", 10**6))
     columns = (
         "store",
@@ -228,7 +228,7 @@ def _row(count: int, found: Scale) -> tuple[str, ...]:
 
 @contextlib.contextmanager
 def object_store() -> Iterator[Store]:
-    """An empty store on a server of its own process that speaks the S3 protocol."""
+    """Yield an empty store on a server in its own process that speaks the S3 protocol."""
     for name, value in {"ACCESS_KEY_ID": "test", "SECRET_ACCESS_KEY": "test", "DEFAULT_REGION": "us-east-1"}.items():
         os.environ.setdefault(f"AWS_{name}", value)
     with socket.socket() as free:
@@ -253,7 +253,7 @@ def object_store() -> Iterator[Store]:
 
 
 def calibrate() -> int:
-    """Rounds of hashing that make ``UNIT_SECONDS`` of CPU here."""
+    """Return the rounds of hashing that take ``UNIT_SECONDS`` of CPU on this machine."""
     rounds = 200_000
     started = time.process_time()
     Burn(rounds=rounds).run(next(units(1)), {}, {})
@@ -274,7 +274,7 @@ def cpu_seconds() -> float:
 
 
 def measure_overhead(executor: Executor, count: int, rounds: int) -> tuple[float, float]:
-    """(seconds by the clock, CPU seconds) of ``count`` units."""
+    """Return (wall-clock seconds, CPU seconds) of ``count`` units."""
     with tempfile.TemporaryDirectory() as folder:
         # Workers start, and import what they need, on a few units of another store.
         run(pipeline(rounds // 10), units(8), LocalStore(Path(folder) / "warm"), executor=executor)

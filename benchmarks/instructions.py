@@ -1,4 +1,4 @@
-"""Instructions per second of one core: sampling, wording, and reading each text back as its proof.
+"""Instructions per second and core: sampling, wording, and reading each text back as its proof.
 
 On ProcTHOR houses where they are at hand (``CONDVLN_REAL_DATA``, or ``shared/data`` beside the checkout), else on made
 houses of the same size. Processor time counts, so that other work on the machine does not. Facts are made before;
@@ -60,7 +60,7 @@ def made_house(seed: int) -> Scene:
 
 
 def houses() -> tuple[str, list[Scene]]:
-    """What to measure on, and its name."""
+    """Return the scenes to measure, and a name for them."""
     shared = Path(__file__).resolve().parents[2] / "shared" / "data"
     folder = Path(os.environ.get("CONDVLN_REAL_DATA", shared)) / "procthor"
     if not folder.is_dir():

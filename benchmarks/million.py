@@ -1,4 +1,4 @@
-"""What a million episodes cost: CPU seconds, memory and disk, measured on some scenes of each family and scaled.
+"""Cost of a million episodes (CPU seconds, memory, disk), scaled from measurements on some scenes of each family.
 
 Each family's real scenes (CONDVLN_REAL_DATA, or ``shared/data`` beside the checkout; made apartments where there are
 none) run inline from an empty store, kernels warm; CONDVLN_BENCH_SCENES bounds them (12, spread evenly). They are then
@@ -38,7 +38,7 @@ MILLION = 1_000_000
 
 @dataclass(frozen=True)
 class Cost:
-    """One family's scenes, measured.
+    """Measurements on the scenes of one family.
 
     generate, export, verify : CPU seconds
     units, snapshot, files : bytes of the kept stages, of the published tables, and of the export
@@ -67,7 +67,7 @@ def _cpu(work: Callable[[], object]) -> float:
 
 
 def cost_of(family: str, root: Path, folder: Path, scenes: int) -> Cost:
-    """Run `scenes` scenes of a family, spread evenly, from an empty store in `folder` to proven episodes."""
+    """Run `scenes` scenes of a family, spread evenly, from an empty store in `folder` to verified episodes."""
     source = SourceConfig(family=family, root=root)
     # The gate judges whole datasets; a few scenes may fail it.
     config = Config(
@@ -94,7 +94,7 @@ def cost_of(family: str, root: Path, folder: Path, scenes: int) -> Cost:
 
 
 def main() -> None:
-    """Print a row for each family: what was measured, and what a million episodes would take."""
+    """Print a row for each family: the measurements, and what a million episodes would take."""
     console = Console(width=170)
     scenes = int(os.environ.get("CONDVLN_BENCH_SCENES", "12"))
     warm_up(lambda message: None)

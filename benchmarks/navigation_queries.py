@@ -1,4 +1,4 @@
-"""Navmesh queries: microseconds each, alone and in batches, beside Detour's in C++; and what compiling costs.
+"""Navmesh queries: microseconds alone and in batches, compared with Detour in C++, and the cost of compiling.
 
 Run as ``python -m benchmarks.navigation_queries``. The queries are those of the golden files where the real data is
 there (CONDVLN_REAL_DATA, or ``shared/data`` beside the checkout), else random ones on a made floor.
@@ -27,31 +27,32 @@ from condvln.navigation.polygon_tile import tile_of_polygons
 from condvln.navigation.tile import Floats
 
 CPP_MICROSECONDS = (9.0, 29.0)
-"""Detour in C++, one find_path, least and most over navmeshes like these (measured on another machine)."""
+"""Microseconds of one find_path by Detour in C++, least and most over similar navmeshes (measured on another
+machine)."""
 
 AIM = 1.5
-"""Batched queries are to take at most this many times the C++ figure."""
+"""Target: batched queries take at most this many times the C++ figure."""
 
 SECONDS = 0.2
-"""Least time each measurement runs."""
+"""Least duration of each measurement, seconds."""
 
 ROUNDS = 5
-"""Measurements of each; the best counts, since other work on the machine only ever slows one down."""
+"""Number of measurements of each kind; the best counts, since other work on the machine only slows them down."""
 
 SINGLES = 200
-"""Queries asked one at a time in a round."""
+"""Number of single queries in a round."""
 
 START = "from condvln.compiled import warm_up; from condvln.navigation import follower, pathfinder; warm_up()"
-"""What a fresh process does to be ready for any query."""
+"""Code that a fresh process runs to be ready for any query."""
 
 FIRST_QUERY = "from condvln.navigation import Pathfinder; Pathfinder.load({path!r}).find_path([1, 0, 1], [5, 0, 5])"
 INFO = "import sys; sys.argv = ['condvln', 'navmesh', 'info', {path!r}]; from jobs.command import main; main()"
-"""What a user waits for: the first answer of a library, and of the command."""
+"""Code whose time a user waits for: the first answer of the library, and of the command."""
 
 
 @dataclass(frozen=True)
 class Queries:
-    """n pairs of points on one navmesh."""
+    """Pairs of points (n, 3) on one navmesh."""
 
     name: str
     pathfinder: Pathfinder
@@ -60,7 +61,7 @@ class Queries:
 
 
 def golden_queries() -> Iterator[Queries]:
-    """The path queries of each golden file, or of a made floor where there are none."""
+    """Return the path queries of each golden file, or of a made floor if there are none."""
     checkout = Path(__file__).resolve().parents[1]
     data = Path(os.environ.get("CONDVLN_REAL_DATA", checkout.parent / "shared" / "data"))
     files = sorted((data / "navmesh_golden" / "queries").glob("*.json.gz"))
@@ -76,7 +77,7 @@ def golden_queries() -> Iterator[Queries]:
 
 
 def made_queries(side: int = 14, count: int = 200) -> Queries:
-    """Random pairs on a floor of squares with every third one missing along a diagonal."""
+    """Return random pairs on a floor of squares that lacks every third one along a diagonal."""
     grid = [[x, 0.0, z] for z in range(side + 1) for x in range(side + 1)]
     cells = [(x, z) for z in range(side) for x in range(side) if (x + 2 * z) % 5]
     row = side + 1
@@ -87,7 +88,7 @@ def made_queries(side: int = 14, count: int = 200) -> Queries:
 
 
 def microseconds(run: Callable[[], object], per_run: int) -> float:
-    """Best processor time of one of the ``per_run`` queries that ``run`` makes."""
+    """Return the best processor time per query, where ``run`` makes ``per_run`` queries."""
     best = float("inf")
     for _ in range(ROUNDS):
         runs, begun = 0, time.process_time()
@@ -100,7 +101,7 @@ def microseconds(run: Callable[[], object], per_run: int) -> float:
 
 
 def measure(queries: Queries) -> dict[str, float]:
-    """Microseconds of each kind of query."""
+    """Return the microseconds of each kind of query."""
     paths, starts, ends = queries.pathfinder, queries.starts, queries.ends
     count = len(starts)
     pairs = list(zip(starts[:SINGLES], ends[:SINGLES], strict=True))
@@ -122,7 +123,7 @@ def measure(queries: Queries) -> dict[str, float]:
 
 
 def start_seconds(code: str, cache: str) -> tuple[float, float]:
-    """Seconds on the clock and of processor time that a fresh Python takes for ``code``."""
+    """Return (wall-clock seconds, CPU seconds) that a fresh Python takes for ``code``."""
     spent, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     environment = os.environ | {"NUMBA_CACHE_DIR": cache}
     quiet = subprocess.DEVNULL

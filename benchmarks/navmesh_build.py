@@ -1,4 +1,4 @@
-"""Navmesh builds: seconds each, beside Recast & Detour in C++; where the time goes; and what compiling costs.
+"""Navmesh builds: seconds compared with Recast & Detour in C++, time by stage, and the cost of compiling.
 
 Times are processor seconds of the one thread that builds, as the machine may be shared. Run as
 ``python -m benchmarks navmesh_build``. The meshes are those of the golden builds where the real data is there
@@ -28,13 +28,14 @@ from condvln.navigation.recast.stages import build_stages
 from condvln.navigation.settings import NavMeshSettings
 
 CPP_SECONDS = (0.01, 0.08)
-"""Recast & Detour in C++, one build, least and most over the golden meshes (measured on another machine)."""
+"""Seconds of one build by Recast & Detour in C++, least and most over the golden meshes (measured on another
+machine)."""
 
 AIM = 3.0
-"""A build is to take at most this many times the C++ figure."""
+"""Target: a build takes at most this many times the C++ figure."""
 
 ROUNDS = 5
-"""Builds of each mesh; the fastest counts, since other work on the machine only ever slows them down."""
+"""Number of builds of each mesh; the fastest counts, since other work on the machine only slows them down."""
 
 MADE_ROOMS = 8
 
@@ -43,12 +44,13 @@ START = (
     "from condvln.navigation.recast import builder; a = time.process_time();"
     "builder._warm_up(); print(a - t, time.process_time() - a)"
 )
-"""What a fresh process does to be ready for any build: seconds of importing, seconds of compiling or loading."""
+"""Code that a fresh process runs to be ready for any build; prints seconds of importing, and of compiling or
+loading."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """A mesh to build; ``golden`` is what Habitat made of it."""
+    """A mesh to build; ``golden`` is the navmesh that Habitat built of it."""
 
     name: str
     vertices: npt.NDArray[np.float32]
@@ -58,7 +60,7 @@ class Case:
 
 
 def cases() -> Iterator[Case]:
-    """The golden meshes, or made ones."""
+    """Return the golden meshes, or made ones."""
     data = os.environ.get("CONDVLN_REAL_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")
     meshes = sorted((Path(data) / "navmesh_golden" / "build").glob("*.npz"))
     for file in meshes:
@@ -85,7 +87,7 @@ def made_room(seed: int) -> Case:
 
 
 def measure(case: Case) -> tuple[float, dict[str, float], str]:
-    """Seconds of the fastest of ROUNDS builds, the fastest of each stage, and what was built."""
+    """Return the seconds of the fastest of ROUNDS builds, the fastest of each stage, and the result."""
     best, stages = np.inf, dict[str, float]()
     note = ""
     for _ in range(ROUNDS):
@@ -109,7 +111,7 @@ def measure(case: Case) -> tuple[float, dict[str, float], str]:
 
 
 def start_times() -> tuple[list[float], list[float]]:
-    """(import, kernels) seconds of a fresh process, with an empty cache of kernels and with a full one."""
+    """Return (import, kernels) seconds of a fresh process, with an empty cache of kernels and with a full one."""
     with tempfile.TemporaryDirectory() as folder:
         environment = {**os.environ, "NUMBA_CACHE_DIR": folder}
         times = []

@@ -1,4 +1,5 @@
-"""Rooms of AI2-THOR drawn from metadata: precision and recall of the 0.25 m grid against the simulator's positions.
+"""AI2-THOR rooms drawn from metadata: precision and recall of the 0.25 m grid against the simulator's reachable
+positions.
 
 Run as ``python benchmarks/reachability.py [FOLDER]``; a line per floor plan, with room for the hand and without, for
 the real floor plans of the folder (else of ``CONDVLN_REAL_DATA``), or for made ones where there are none.
@@ -33,7 +34,7 @@ def main() -> None:
 
 
 def compare(folder: Path) -> None:
-    """One line per floor plan of a folder that has its reachable positions beside it."""
+    """Print one line per floor plan of a folder that also holds its reachable positions."""
     source = open_source("ithor", folder)
     print(f"{'plan':14s} {'reachable':>9s}   body only: P     R      with hand: P     R      seconds")
     for handle in source.handles():

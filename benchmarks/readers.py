@@ -1,4 +1,4 @@
-"""Readers of all families: scenes and MB a second, and the memory that files of 100 MB take.
+"""Readers of all families: scenes and MB per second, and the memory that files of 100 MB take.
 
 Speed is measured on made scenes (CONDVLN_BENCH_SCENES of them a family, 20 by default) and, where CONDVLN_REAL_DATA (or
 ``shared/data`` beside the checkout) names real ones, on those. Listing hashes what a scene reads and looks into it;
@@ -28,7 +28,7 @@ from schemas.errors import InputError
 
 BIG: Final = 100 << 20
 LIMIT: Final = 5.0
-"""Most bytes of memory a byte of file, the interpreter and its libraries included."""
+"""Target: most bytes of memory per byte of file, including the interpreter and its libraries."""
 
 MB: Final = 1 << 20
 
@@ -40,7 +40,7 @@ FLAGS: Final = dict.fromkeys(
     ),
     False,
 )
-"""What real metadata says of every object besides what is read; it has 1.9 kB an object."""
+"""Fields that real metadata has for every object and that are not read; an object has 1.9 kB there."""
 
 
 def main() -> None:
@@ -63,7 +63,7 @@ def main() -> None:
 
 
 def _speed(label: str, family: str, root: Path) -> None:
-    """One line: all scenes of a dataset; those that can't be read count as scenes and are named."""
+    """Print one line for all scenes of a dataset; those that can't be read count as scenes and are named."""
     begun = time.perf_counter()
     handles = open_source(family, root).handles()
     listed = time.perf_counter() - begun
@@ -85,7 +85,7 @@ def _speed(label: str, family: str, root: Path) -> None:
 
 
 def _memory(kind: str, folder: Path) -> float:
-    """One line: a large file of a kind, read in a process of its own. Returns peak memory by the size of the file."""
+    """Print one line for a large file, read in its own process. Return peak memory divided by the size of the file."""
     folder.mkdir()
     family, scene_id, path = BIG_FILES[kind](folder)
     size = path.stat().st_size
@@ -120,7 +120,8 @@ def child(family: str, root: str, scene_id: str) -> None:
 
 
 def _peak() -> int:
-    """Most bytes of memory that this process held. Of Linux's two counts, the other one goes on from the parent's."""
+    """Return the peak memory of this process in bytes. Linux has another count, which a child inherits from its
+    parent."""
     status = Path("/proc/self/status")
     if status.is_file():
         return next(int(line.split()[1]) << 10 for line in status.read_text().splitlines() if line[:6] == "VmHWM:")
@@ -128,7 +129,7 @@ def _peak() -> int:
 
 
 def _house(folder: Path) -> tuple[str, str, Path]:
-    """A ``.house`` that is nine tenths segments, as real ones are."""
+    """Write a ``.house`` file of which nine tenths are segments, as in real ones."""
     make_samples(folder, "mp3d", 1)
     (path,) = folder.glob("*/house_segmentations/*.house")
     lines = path.read_text().splitlines()
@@ -144,7 +145,7 @@ def _house(folder: Path) -> tuple[str, str, Path]:
 
 
 def _house_of_objects(folder: Path) -> tuple[str, str, Path]:
-    """A ``.house`` of nothing but objects, which no building has so many of."""
+    """Write a ``.house`` file with only objects; no building has so many."""
     family, scene_id, path = _house(folder)
     lines = [line for line in path.read_text().splitlines()[:2000] if not line.startswith("E ")]
     first = next(line for line in lines if line.startswith("O ")).split(" ", 2)[2]
@@ -155,7 +156,7 @@ def _house_of_objects(folder: Path) -> tuple[str, str, Path]:
 
 
 def _lines(folder: Path, packed: bool = False) -> tuple[str, str, Path]:
-    """ProcTHOR houses, one a line; the last one is read."""
+    """Write ProcTHOR houses, one per line; the last one is read."""
     make_samples(folder, "procthor", 20)
     (made,) = folder.glob("houses*")
     data = gzip.decompress(made.read_bytes()) if made.suffix == ".gz" else made.read_bytes()
@@ -169,7 +170,7 @@ def _lines(folder: Path, packed: bool = False) -> tuple[str, str, Path]:
 
 
 def _metadata(family: str, folder: Path) -> tuple[str, str, Path]:
-    """Controller metadata of many thousand objects, each with all that the simulator says of one."""
+    """Write controller metadata of many thousand objects, each with all fields of the simulator."""
     make_samples(folder, family, 1)
     path = sorted(folder.glob("FloorPlan*.json"))[0]
     document = json.loads(path.read_text())
@@ -190,7 +191,7 @@ def _metadata(family: str, folder: Path) -> tuple[str, str, Path]:
 
 
 def _graph(folder: Path) -> tuple[str, str, Path]:
-    """Gibson as JSON: an object has 300 bytes, and no building has 300,000."""
+    """Write a Gibson graph as JSON with 300,000 objects of 300 bytes, more than any building has."""
     make_samples(folder, "gibson", 1)
     (path,) = folder.glob("verified/*.scn")
     document = json.loads(path.read_text())
@@ -204,7 +205,7 @@ def _graph(folder: Path) -> tuple[str, str, Path]:
 
 
 def _arrays(folder: Path) -> tuple[str, str, Path]:
-    """Gibson's original form, whose bulk are numbers by face and by voxel."""
+    """Write a graph in Gibson's original form, which consists mostly of numbers by face and by voxel."""
     make_samples(folder, "gibson", 2)
     (path,) = folder.glob("verified/*.npz")
     with np.load(path, allow_pickle=True) as archive:  # our own file

@@ -1,4 +1,4 @@
-"""Relations of a room: whole arrays against one pair at a time in plain Python, over the same maths.
+"""Relations of a room: arrays compared with a loop over pairs in plain Python, with the same formulas.
 
 Both compute every metric, the canonical predicate, the semantic predicates and the facts fit for text of all ordered
 pairs. Run as ``python benchmarks/relations.py``; it prints pairs per second and the ratio, measured in one run.
@@ -30,16 +30,16 @@ from condvln.scene.meshes import WorldMesh
 from schemas.config import Thresholds
 
 SECONDS = 0.25
-"""Least time each measurement runs."""
+"""Least duration of each measurement, seconds."""
 
 ROUNDS = 6
-"""Measurements of each; the best counts, since other work on the machine only ever slows one down."""
+"""Number of measurements; the best counts, since other work on the machine only slows them down."""
 
 T = Thresholds()
 
 
 def furnished_room(count: int, seed: int = 0) -> RoomArrays:
-    """`count` boxes in a room of ReplicaCAD's density: its apartments hold 24 things on 70 m²."""
+    """Make a room of `count` boxes with ReplicaCAD's density: its apartments hold 24 objects on 70 m²."""
     rng = np.random.default_rng(seed)
     side = math.sqrt(70.0 * count / 24)
     objects = []
@@ -53,7 +53,7 @@ def furnished_room(count: int, seed: int = 0) -> RoomArrays:
 
 
 def meshes_of(room: RoomArrays) -> Callable[[SceneObject], WorldMesh]:
-    """A ball of 320 triangles in each box, as a stand-in for furniture."""
+    """Return a ball of 320 triangles in each box, as a stand-in for furniture."""
     ball = trimesh.creation.icosphere(2, 1.0)
     faces = np.asarray(ball.faces, np.int32)
 
@@ -65,20 +65,20 @@ def meshes_of(room: RoomArrays) -> Callable[[SceneObject], WorldMesh]:
 
 
 def vectorised(room: RoomArrays) -> tuple[RoomRelations, TextFacts]:
-    """The product's way."""
+    """Compute relations as the product does."""
     relations = relate_room(room, T)
     return relations, text_facts(relations, T)
 
 
 def with_meshes(room: RoomArrays) -> tuple[RoomRelations, TextFacts]:
-    """The product's way, surfaces by FCL on meshes."""
+    """Compute relations as the product does, with surface distances by FCL on meshes."""
     relations = relate_room(room, T, meshes_of(room))
     return relations, text_facts(relations, T)
 
 
 @dataclass(slots=True)
 class Edge:
-    """All that is known of one ordered pair."""
+    """Everything that is known of one ordered pair."""
 
     delta: tuple[float, float, float]
     centre: float
@@ -99,7 +99,7 @@ class Edge:
 
 
 def one_pair_at_a_time(room: RoomArrays) -> list[Edge]:
-    """The same in plain Python, one ordered pair after the other."""
+    """Compute the same relations in plain Python, one ordered pair after the other."""
     boxes = [
         (c.tolist(), low.tolist(), high.tolist(), float(radius))
         for c, low, high, radius in zip(room.centers, room.aabb_min, room.aabb_max, room.radius, strict=True)
@@ -108,7 +108,7 @@ def one_pair_at_a_time(room: RoomArrays) -> list[Edge]:
 
 
 def one_pair_at_a_time_with_meshes(room: RoomArrays) -> list[Edge]:
-    """The same, each pair within reach asking FCL; the meshes' hierarchies are built once."""
+    """Compute the same relations in plain Python; each pair within reach asks FCL, and hierarchies are built once."""
     mesh = meshes_of(room)
     solids = [MeshSolid(mesh(item)) for item in room.objects]
     boxes = [
@@ -240,7 +240,7 @@ def _rising(value: float, emitted: float, text: float) -> float:
 
 
 def check_same(room: RoomArrays) -> None:
-    """Both ways find the same relations; else the comparison would mean nothing."""
+    """Check that both ways find the same relations; otherwise the comparison would mean nothing."""
     relations, facts = vectorised(room)
     pairs = [(i, j) for i in range(len(room)) for j in range(len(room)) if i != j]
     for (i, j), edge in zip(pairs, one_pair_at_a_time(room), strict=True):
@@ -255,7 +255,7 @@ def check_same(room: RoomArrays) -> None:
 
 
 def pairs_per_second(ways: Sequence[Callable[[RoomArrays], object]], room: RoomArrays) -> list[float]:
-    """Ordered pairs a second of each way, its best of some rounds; the ways take turns under one load."""
+    """Return ordered pairs per second of each way, the best of some rounds; the ways alternate under the same load."""
     pairs = len(room) * (len(room) - 1)
     best = [0.0] * len(ways)
     for _ in range(ROUNDS):

@@ -1,4 +1,4 @@
-"""How many statements each predicate of text has, true and false, in each source.
+"""Number of true and false statements of each predicate of text, by source.
 
 Counts (label, anchors' labels) pairs over the scenes of a folder per family, as conditions are asked: anchors alone in
 their label, larger or fixed, and every rival decided. A predicate may be a condition of a source where both truths
@@ -35,7 +35,8 @@ Counts = dict[tuple[Predicate, bool], tuple[set[tuple[str, str]], set[str]]]
 
 
 def count(root: Path, family: str) -> tuple[int, Counts, dict[Predicate, int]]:
-    """Scenes; pairs and scenes by (predicate, truth); ways to tell a thing from its rivals by predicate."""
+    """Return scenes, (pairs, scenes) by (predicate, truth), and by predicate the number of ways to tell an object from
+    its rivals."""
     thresholds, size = Thresholds(), SamplingConfig().anchor_size
     found: Counts = defaultdict(lambda: (set(), set()))
     qualifiers: dict[Predicate, int] = defaultdict(int)
@@ -67,7 +68,7 @@ def count(root: Path, family: str) -> tuple[int, Counts, dict[Predicate, int]]:
 
 
 def may_be_a_condition(found: Counts, predicate: Predicate) -> bool:
-    """Whether both truths vary enough that neither the words nor the scene give them away."""
+    """Whether both truths vary enough that neither the words nor the scene reveal them."""
     return all(
         len(found[predicate, truth][0]) >= LEAST_PAIRS and len(found[predicate, truth][1]) >= LEAST_SCENES
         for truth in (True, False)

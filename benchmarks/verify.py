@@ -1,4 +1,4 @@
-"""Episodes proven a second by one core, and where the time goes.
+"""Episodes verified per second and core, and the time of each part.
 
 ``python -m benchmarks verify`` makes an export of sample apartments and proves it. With ``CONDVLN_REAL_EXPORT`` and
 ``CONDVLN_REAL_ROOT`` (an export of ReplicaCAD and the dataset's folder) it proves that one. Times are of the processor.
@@ -38,9 +38,9 @@ __all__ = ["main"]
 SCENES: Final = 6
 PER_CATEGORY: Final = 20
 ROUNDS: Final = 5
-"""Proofs of the whole export."""
+"""Number of verifications of the whole export."""
 TARGET: Final = 1000
-"""Episodes a second and core, apart from navmesh work."""
+"""Target: episodes per second and core, without navmesh work."""
 
 NAVMESH: Final[tuple[tuple[Any, str], ...]] = (
     (Geodesics, "ask"),
@@ -49,11 +49,12 @@ NAVMESH: Final[tuple[tuple[Any, str], ...]] = (
     (placement, "_check_budget"),
     (proof, "check_truth"),
 )
-"""What asks the navmesh: paths and distances, loading, the floor below furniture, and the walks with discrete steps."""
+"""Functions that query the navmesh: paths and distances, loading, the floor below furniture, and walks with discrete
+steps."""
 SIGHT: Final[tuple[tuple[Any, str], ...]] = ((proof, "sight_of"), (proof, "check_observability"))
-"""What asks for sights: a scene's surfaces, what hides in them, floors, and the looks themselves."""
+"""Functions that compute visibility: a scene's surfaces, occluders, floors, and the ray casts themselves."""
 ASIDE: Final = ("navmesh", "sight")
-"""Work with a line of its own."""
+"""Work that has its own line in the output."""
 
 
 def main() -> None:
@@ -116,7 +117,7 @@ def _reader(source: Source, read: Callable[[str], Scene]) -> SceneReader:
 
 @dataclass
 class _Part:
-    """What the proof of one scene took."""
+    """Time that the verification of one scene took, by part."""
 
     proven: int
     seconds: float
@@ -124,12 +125,12 @@ class _Part:
 
     @property
     def own(self) -> float:
-        """Seconds apart from the work with lines of its own."""
+        """Return the seconds without the work that has its own lines."""
         return self.seconds - sum(self.spent[kind] for kind in ASIDE)
 
 
 def _round(export: Path, read: SceneReader, spent: Counter[str]) -> list[_Part]:
-    """One proof of the whole export, by scene."""
+    """Verify the whole export once; return the parts by scene."""
     parts: list[_Part] = []
     spent.clear()
     began, before, scene = time.process_time(), Counter[str](), ""

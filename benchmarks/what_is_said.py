@@ -1,4 +1,4 @@
-"""What the texts of a published snapshot speak of, looked up in its raw tables by plain loops.
+"""Checks the texts of a published snapshot against its raw tables, by plain loops.
 
 Counts faults of four kinds, each of which should be 0: text that names what is hidden or can't be seen; absence of a
 label that something hidden or nameless in the room may bear; "above" and "below" of what rests on the other; and goal
@@ -22,14 +22,14 @@ from jobs.configuration import load_config
 from jobs.workspace import published
 
 AIR: Final = 0.10
-"""Metres between what is above and what is below."""
+"""Least vertical gap between an object that is above and the one below, metres."""
 SCANS: Final = ("mp3d", "gibson")
 
 Row = Mapping[str, Any]
 
 
 def check(snapshot: Snapshot, reach: float) -> tuple[Counter[str], Counter[str]]:
-    """How often each kind of claim was looked at, and how often it is at fault."""
+    """Count how often each kind of claim was checked, and how often it is wrong."""
     seen: Counter[str] = Counter()
     faults: Counter[str] = Counter()
     for family in sorted(snapshot.manifest.tables["instructions"].partitions):
@@ -66,12 +66,12 @@ def check(snapshot: Snapshot, reach: float) -> tuple[Counter[str], Counter[str]]
 
 
 def has_episodes(snapshot: Snapshot, family: str) -> bool:
-    """Whether a family has episodes at all; scenes without a navmesh have instructions only."""
+    """Whether a family has episodes; scenes without a navmesh have instructions only."""
     return "episodes" in snapshot.manifest.tables and family in snapshot.manifest.tables["episodes"].partitions
 
 
 def named(row: Row) -> Iterator[str]:
-    """Targets, anchors, witnesses and what rooms are named by."""
+    """Yield targets, anchors, witnesses, and the objects that rooms are named by."""
     for one in (*row["conditions"], *(move for leaf in row["leaves"] for move in leaf["moves"])):
         yield from one.get("witnesses") or ()
         yield from (anchor["object_id"] for anchor in (one["qualifier"] or {"anchors": ()})["anchors"])
@@ -79,7 +79,7 @@ def named(row: Row) -> Iterator[str]:
 
 
 def stacked(row: Row) -> Iterator[tuple[str, str, str]]:
-    """(subject, "above" or "below", anchor) of all that the text says is so."""
+    """Yield (subject, "above" or "below", anchor) of everything that the text says is so."""
     for one in (*row["conditions"], *(move for leaf in row["leaves"] for move in leaf["moves"])):
         qualifier = one["qualifier"]
         if qualifier is not None and qualifier["predicate"] in ("above", "below"):
@@ -88,7 +88,7 @@ def stacked(row: Row) -> Iterator[tuple[str, str, str]]:
 
 
 def shut_in(name: str, things: Mapping[str, Row], family: str) -> bool:
-    """Whether the source says that it is in something shut, or in or on what is; or that the table says so."""
+    """Whether the source or the table says that the object is in something closed, or in or on something that is."""
     if things[name]["hidden"]:
         return True
     ahead, met = [name], set()
@@ -104,18 +104,18 @@ def shut_in(name: str, things: Mapping[str, Row], family: str) -> bool:
 
 
 def below_the_top(item: Row, holder: Row) -> bool:
-    """Whether it is in the holder, not on its top; without boxes it is in it."""
+    """Whether the object is in the holder rather than on its top; without boxes it counts as in it."""
     low, high = item["aabb_min"], holder["aabb_max"]
     return low is None or high is None or bool(low["y"] <= high["y"] - 0.05 and size(item) <= 2.0 * size(holder))
 
 
 def size(item: Row) -> float:
-    """Its longest side."""
+    """Return the longest side of an object."""
     return max(item["aabb_max"][k] - item["aabb_min"][k] for k in "xyz")
 
 
 def in_doubt(condition: Row, things: Mapping[str, Row], family: str) -> bool:
-    """Whether something in the room bears the label or may bear it."""
+    """Whether some object in the room has the label or may have it."""
     words = vocabulary.overlapping(condition["label"])
     for item in things.values():
         if item["room_id"] == condition["room"]["room_id"]:
@@ -126,7 +126,8 @@ def in_doubt(condition: Row, things: Mapping[str, Row], family: str) -> bool:
 
 
 def rests(upper: Row, lower: Row, things: Mapping[str, Row]) -> bool:
-    """Whether one is on the other by the source's word, by the tables, or with less than a hand of air between."""
+    """Whether one object is on the other according to the source or the tables, or with less than 0.1 m of air
+    between."""
     ahead, met = [upper], set()
     while ahead:
         item = ahead.pop()
@@ -140,7 +141,7 @@ def rests(upper: Row, lower: Row, things: Mapping[str, Row]) -> bool:
 
 
 def to_part(point: Row, part: Row) -> float:
-    """Horizontal metres from a point to an upright box that is turned about the vertical axis."""
+    """Return the horizontal distance from a point to an upright box that is rotated about the vertical axis, metres."""
     turn = part["rotation"]
     angle = 2.0 * math.atan2(turn["y"], turn["w"])
     x, z = point["x"] - part["center"]["x"], point["z"] - part["center"]["z"]

@@ -1,4 +1,4 @@
-"""Writes ``examples/tutorial.ipynb`` from ``docs/tutorial.md``: ``python examples/make_notebook.py``.
+"""Write ``examples/tutorial.ipynb`` from ``docs/tutorial.md``: ``python examples/make_notebook.py``.
 
 Prose and code are the tutorial's, a cell each.
 """
@@ -15,7 +15,7 @@ _FENCE = re.compile(r"```python\n(.*?)```\n?", re.DOTALL)
 
 
 def notebook(tutorial: str) -> str:
-    """The notebook's JSON."""
+    """Return the notebook's JSON."""
     cells: list[dict[str, Any]] = []
     for number, part in enumerate(_FENCE.split(tutorial)):
         text = part.strip("\n")

@@ -1,4 +1,4 @@
-"""An agent of one's own on an exported split, without a simulator: ``python examples/own_agent.py EXPORT SPLIT``.
+"""Your own agent on an exported split, without a simulator: ``python examples/own_agent.py EXPORT SPLIT``.
 
 The agent turns towards a random side whenever it bumps into something and stops after 60 steps. Put a model in ``act``.
 """
@@ -14,15 +14,15 @@ STOP, FORWARD, LEFT, RIGHT = range(4)
 
 
 class Wanderer:
-    """Keeps nothing between episodes."""
+    """An agent that keeps no state between episodes."""
 
     def begin(self, observation: cv.Observation) -> None:
-        """Called once an episode, with the first observation: read ``observation.instruction`` here."""
+        """Begin an episode. Read ``observation.instruction`` here."""
         self.random = random.Random(observation.episode_id)
         self.turns: list[int] = []
 
     def act(self, observation: cv.Observation) -> int:
-        """One of VLN-CE's four actions."""
+        """Return one of VLN-CE's four actions."""
         if observation.step >= 60:
             return STOP
         if observation.collided and not self.turns:
@@ -31,7 +31,7 @@ class Wanderer:
 
 
 def main(folder: str, split: str, *roots: str) -> None:
-    """Walk a split and print means; ``roots`` are the folders of the datasets, where their navmeshes are."""
+    """Walk a split and print mean scores. ``roots`` are the folders of the datasets, which hold their navmeshes."""
     export = cv.open_export(folder, roots)
     predictions = export.run(split, Wanderer())
     cv.write_predictions("wanderer.json", predictions)  # condvln evaluate reads it too

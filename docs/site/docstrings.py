@@ -1,4 +1,4 @@
-"""Extension of Griffe: the docstrings of this project, made into what its parser of numpydoc reads.
+"""Extension of Griffe that converts the docstrings of this project to numpydoc.
 
 We write ``name : what it is`` in a section, since the types are in the signature; numpydoc has a type after the colon.
 """
@@ -17,7 +17,7 @@ _CODE = re.compile(r"``([^`]+)``")
 
 
 def numpydoc(text: str) -> str:
-    """A docstring with each item's description on lines of its own, and without roles of Sphinx."""
+    """Return a docstring with each item's description on its own lines, and without Sphinx roles."""
     text = _CODE.sub(r"`\1`", _ROLE.sub(lambda found: f"`{found.group(1).rpartition('.')[2]}`", text))
     pieces = _SECTION.split(text)
     out = [pieces[0]]
@@ -31,7 +31,7 @@ def numpydoc(text: str) -> str:
 
 
 class HouseStyle(Extension):
-    """Rewrites each docstring as it is loaded."""
+    """Converts each docstring when it is loaded."""
 
     def on_object(self, *, obj: Object, **kwargs: Any) -> None:
         """Called once for each module, class, function and attribute."""

@@ -40,12 +40,12 @@ _CODE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 
 
 def anchor(name: str) -> str:
-    """Anchor of a heading, as Python-Markdown makes it."""
+    """Return the anchor of a heading, as Python-Markdown makes it."""
     return re.sub(r"[-\s]+", "-", re.sub(r"[^\w\s-]", "", name).strip().lower())
 
 
 def page_of(path: str) -> str:
-    """Page (and anchor) of the site that shows a file or folder of the repository; paths are relative to its root.
+    """Return the page (and anchor) that shows a file or folder of the repository; paths are relative to its root.
 
     Raises
     ------
@@ -69,12 +69,13 @@ def page_of(path: str) -> str:
 
 
 def links(markdown: str) -> Iterator[str]:
-    """Targets of the links in a text, those in blocks of code left out."""
+    """Yield the targets of the links in a text, except those in blocks of code."""
     yield from _LINK.findall(_CODE.sub("", markdown))
 
 
 def with_page_links(markdown: str, source: str, page: str) -> str:
-    """The text of the file `source` with its links turned into links from `page`; others stay as they are."""
+    """Return the text of the file `source` with its links turned into links from `page`; other links stay as they
+    are."""
 
     def moved(found: re.Match[str]) -> str:
         target, _, fragment = found.group().partition("#")
@@ -92,7 +93,7 @@ def with_page_links(markdown: str, source: str, page: str) -> str:
 
 
 def decisions() -> list[tuple[str, str]]:
-    """(title, page) of each decision record, in their order."""
+    """Return (title, page) of each decision record, in order."""
     found = []
     for path in sorted((ROOT / "docs" / "decisions").glob("[0-9]*.md")):
         heading = path.read_text(encoding="utf-8").partition("\n")[0]
@@ -101,7 +102,7 @@ def decisions() -> list[tuple[str, str]]:
 
 
 def examples_page() -> str:
-    """Text of the page of examples."""
+    """Return the text of the page of examples."""
     parts = [
         "# Examples\n\nThe [tutorial](docs/tutorial.md) as a notebook: [tutorial.ipynb](examples/tutorial.ipynb). "
         "The files below are in the repository, and the tests run them.\n"
@@ -113,13 +114,13 @@ def examples_page() -> str:
 
 
 def decisions_page() -> str:
-    """Text of the list of decisions."""
+    """Return the text of the list of decisions."""
     lines = [f"* [{title}](docs/{page})" for title, page in decisions()]
     return "# Decisions\n\nShort records of why things are as they are.\n\n" + "\n".join(lines) + "\n"
 
 
 def generated() -> dict[str, tuple[str, str]]:
-    """By page, (the file that its links are relative to, its text), of the pages that are not files of ``docs/``."""
+    """Return, by page, (file that its links are relative to, text) of the pages that are not files of ``docs/``."""
     found = {page: (name, (ROOT / name).read_text(encoding="utf-8")) for name, page in PAGES.items()}
     found["examples.md"] = ("README.md", examples_page())
     found["decisions/index.md"] = ("README.md", decisions_page())

@@ -1,4 +1,4 @@
-"""Draws ``docs/pipeline.svg``, the one figure of the pipeline: ``python docs/site/pipeline.py``.
+"""Draw ``docs/pipeline.svg``, the figure of the pipeline: ``python docs/site/pipeline.py``.
 
 Stages and tables are those of ``jobs.pipeline``, so that a test finds the figure out of date when they change.
 """
@@ -21,13 +21,13 @@ WORK = {
     "episodes": ("condvln/episodes", "starts, goals, paths"),
     "text": ("condvln/instructions", "words"),
 }
-"""Of each stage, the folder of its code and what it finds."""
+"""The folder of each stage's code, and what the stage finds."""
 
 WIDTH, BOX, GAP, LEFT = 1180, 150, 30, 65
 
 
 def box(x: float, y: float, width: float, height: float, lines: list[str], colour: str) -> str:
-    """A rounded box; the first line is its title."""
+    """Return a rounded box; the first line is its title."""
     parts = [f'<rect x="{x}" y="{y}" width="{width}" height="{height}" rx="6" fill="{colour}" stroke="#37474f"/>']
     for number, line in enumerate(lines):
         style = 'font-weight="bold" font-size="15"' if number == 0 else 'font-size="12"'
@@ -37,7 +37,7 @@ def box(x: float, y: float, width: float, height: float, lines: list[str], colou
 
 
 def arrow(*points: tuple[float, float], dashed: bool = False) -> str:
-    """A line through points with a head at its end."""
+    """Return a line through points with an arrow head at its end."""
     path = " ".join(f"{x},{y}" for x, y in points)
     dashes = ' stroke-dasharray="5 4"' if dashed else ""
     return (
@@ -46,12 +46,12 @@ def arrow(*points: tuple[float, float], dashed: bool = False) -> str:
 
 
 def label(x: float, y: float, text: str, anchor: str = "middle") -> str:
-    """A line of small text."""
+    """Return a line of small text."""
     return f'<text x="{x}" y="{y}" font-size="12" text-anchor="{anchor}">{escape(text)}</text>'
 
 
 def figure() -> str:
-    """The SVG: dataset files, the stages of one scene, the store, and what reads it."""
+    """Return the SVG: dataset files, the stages of one scene, the store, and its readers."""
     root = Path("data")
     pipeline = build_pipeline(
         Config(name="figure", store=root, sources=(SourceConfig(family="replicacad", root=root),))
