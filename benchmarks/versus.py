@@ -1,4 +1,5 @@
-"""``python -m benchmarks versus COMMIT``: CPU seconds of this tree beside those of an earlier commit, in one run.
+"""CPU seconds of this tree compared with those of an earlier commit, in one run: ``python -m benchmarks versus
+COMMIT``.
 
 Each round runs both trees one after the other, each in a process of its own: real scenes of a family from an empty
 store to published tables, then export with the bias gate, then proof. Medians over the rounds are printed, and whether
@@ -110,7 +111,7 @@ print("FOUND " + json.dumps(found))
 
 
 def measured(tree: Path, arguments: Sequence[object]) -> dict[str, Any]:
-    """What the child found in `tree`."""
+    """Return the figures that the child process found in `tree`."""
     environment = {**os.environ, "PYTHONPATH": str(tree)}
     command = [
         sys.executable,
@@ -127,7 +128,7 @@ def measured(tree: Path, arguments: Sequence[object]) -> dict[str, Any]:
 
 
 def _worktree(commit: str, folder: Path) -> Path:
-    """A tree of that commit: `commit` itself where it is a folder."""
+    """Yield a work tree of that commit; `commit` itself if it is a folder."""
     if Path(commit).is_dir():
         return Path(commit).resolve()
     tree = folder / "tree"
@@ -136,7 +137,7 @@ def _worktree(commit: str, folder: Path) -> Path:
 
 
 def _figures(found: dict[str, Any]) -> dict[str, float]:
-    """CPU milliseconds an episode."""
+    """Return CPU milliseconds per episode."""
     made, exported = max(1, found["episodes"]), max(1, found.get("exported", 0))
     rows = {f"stage {name}": 1e3 * spent / made for name, spent in found["stages"].items()}
     rows["all stages"] = sum(rows.values())
@@ -148,7 +149,7 @@ def _figures(found: dict[str, Any]) -> dict[str, float]:
 
 
 def main(arguments: Sequence[str] = ()) -> None:
-    """Print a table a family."""
+    """Print a table for each family."""
     given = list(arguments)
     if len(given) != 1:
         raise SystemExit("usage: python -m benchmarks versus COMMIT (or the folder of a tree)")

@@ -1,4 +1,4 @@
-"""``condvln bias``: the bias gate by itself, on an export or on files that others wrote."""
+"""``condvln bias``: the bias gate alone, on an export or on files from elsewhere."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["report_bias"]
 
 
 def report_bias(targets: Sequence[Path]) -> Report:
-    """Judge one export by its manifests, or files of any VLN dataset by their texts and paths.
+    """Test one export by its manifests, or files of any VLN dataset by their texts and paths.
 
     The exit code is 3 where a guess beats chance.
 

@@ -1,4 +1,4 @@
-"""The agent that looks, for ``condvln walk``: its keys, and the datasets that it sees."""
+"""The reference agent ``looker`` for ``condvln walk``: its configuration, and the datasets that it sees."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LOOKER: Final = "looker"
 
 
 def looking_agent(datasets: Sequence[str], keys: Sequence[str]) -> LookingAgent:
-    """The agent with eyes for some datasets.
+    """Create the agent with sensors for some datasets.
 
     Parameters
     ----------
@@ -35,13 +35,13 @@ def looking_agent(datasets: Sequence[str], keys: Sequence[str]) -> LookingAgent:
     roots = datasets_of(datasets)
     if not roots:
         raise UsageError(
-            f"{LOOKER} sees nothing, since no dataset was named", place="--scenes", remedy="Say --scenes FAMILY=FOLDER."
+            f"{LOOKER} sees nothing, since no dataset was named", place="--scenes", remedy="Add --scenes FAMILY=FOLDER."
         )
     return LookingAgent(SceneViews(roots), looker_config(keys))
 
 
 def datasets_of(texts: Sequence[str]) -> dict[str, Path]:
-    """Folders by family.
+    """Parse the folders by family.
 
     Raises
     ------
@@ -57,7 +57,7 @@ def datasets_of(texts: Sequence[str]) -> dict[str, Path]:
 
 
 def looker_config(texts: Sequence[str]) -> LookerConfig:
-    """The agent's configuration with some keys set.
+    """Return the agent's configuration with some keys set.
 
     Raises
     ------
