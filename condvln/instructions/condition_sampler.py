@@ -7,11 +7,11 @@ one of the opposite truth could stand in its place.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from condvln.instructions.conditions import ConditionPool, Question
+from condvln.instructions.conditions import ConditionPool, PresencePool, Question, RelationPool
 from condvln.instructions.degeneracy import Claim, Presupposed, clash, repeats_anchor
 from condvln.instructions.predicates import PREDICATE_GROUPS
 from condvln.instructions.referents import Referents, qualifier_of
@@ -23,8 +23,16 @@ from schemas.program import BEARINGS, Condition, ObjectRef, Predicate, Program, 
 
 __all__ = ["ConditionSampler"]
 
-Statements = tuple[Callable[[bool, int], Question], Mapping[bool, Sequence[float]]]
-"""The statement of a truth at a place, and weights of the places, summed up, by truth."""
+Statements = PresencePool | RelationPool
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Asked:
+    """A statement about a room by one of its names; `clumsy`: it repeats the thing that names the room."""
+
+    condition: Condition
+    claim: Claim
+    clumsy: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +80,7 @@ class ConditionSampler:
         self.rooms = tuple(self._rooms)
         self.clashes: Counter[str] = Counter()
         self._made: dict[tuple[RoomRef, Question], Condition] = {}
+        self._asked: dict[tuple[RoomRef, int], dict[tuple[bool, int], _Asked]] = {}
 
     def _room(self, referents: Referents, pool: ConditionPool) -> _Room:
         return _Room(referents, pool, self._groups(pool), any(bearing in pool.relations for bearing in BEARINGS))
@@ -158,16 +167,23 @@ class ConditionSampler:
         self, room: RoomRef, statements: Statements, claims: Sequence[Claim], given: Presupposed, draws: Draws
     ) -> dict[bool, Condition] | None:
         """A true and a false condition of one kind and predicate, each of them usable."""
-        question, sums = statements
+        # The pools live as long as this sampler, so each is known by its id.
+        asked = self._asked.setdefault((room, id(statements)), {})
         found: dict[bool, Condition] = {}
         for truth in (True, False):
+            sums = statements.sums[truth]
             for attempt in range(self._sampling.attempts):
-                condition = self._condition(room, question(truth, draws.cumulative(sums[truth])))
-                if 2 * attempt < self._sampling.attempts and repeats_anchor(condition, self._vocabulary):
-                    continue  # clumsy: taken only where nothing else is found
-                rule = clash(Claim.of(condition), claims, given, self._vocabulary)
+                place = draws.cumulative(sums)
+                one = asked.get((truth, place))
+                if one is None:
+                    condition = self._condition(room, statements.question(truth, place))
+                    one = _Asked(condition, Claim.of(condition), repeats_anchor(condition, self._vocabulary))
+                    asked[truth, place] = one
+                if one.clumsy and 2 * attempt < self._sampling.attempts:
+                    continue  # taken only where nothing else is found
+                rule = clash(one.claim, claims, given, self._vocabulary)
                 if rule is None:
-                    found[truth] = condition
+                    found[truth] = one.condition
                     break
                 self.clashes[rule] += 1
             else:
@@ -183,12 +199,11 @@ class ConditionSampler:
             # Where hardly anything that varies can be asked, it is asked hardly ever.
             share = self._label_only * min(1.0, *(sums[-1] for sums in presence.sums.values()))
             if draws.uniform() < share or not groups:
-                return presence.question, presence.sums
+                return presence
         if not groups:
             return None
         predicates = draws.weighted(groups, [weight for _, weight in groups])[0]
-        relation = part.pool.relations[draws.weighted(predicates, [part.pool.relations[p].mass for p in predicates])]
-        return relation.question, relation.sums
+        return part.pool.relations[draws.weighted(predicates, [part.pool.relations[p].mass for p in predicates])]
 
     def _condition(self, room: RoomRef, question: Question) -> Condition:
         key = (room, question)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from itertools import groupby, product
 from typing import Final
 
@@ -65,7 +65,7 @@ class Claim:
         )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Presupposed:
     """Presuppositions of the stops' phrases, by room id.
 
@@ -76,6 +76,22 @@ class Presupposed:
     stops: frozenset[tuple[str, str]]
     things: frozenset[tuple[str, str]]
     pairs: frozenset[tuple[str, str, str]]
+
+    @cached_property
+    def stop_labels(self) -> frozenset[str]:
+        """Labels of stops, whatever the room."""
+        return frozenset(label for _, label in self.stops)
+
+    @cached_property
+    def thing_labels(self) -> frozenset[str]:
+        """Labels of all that is presupposed, whatever the room."""
+        return frozenset(label for _, label in self.things)
+
+    @cached_property
+    def stop_labels_in(self) -> dict[str, frozenset[str]]:
+        """Labels of stops by room id."""
+        rooms = {room for room, _ in self.stops}
+        return {one: frozenset(label for room, label in self.stops if room == one) for one in rooms}
 
     @classmethod
     def by(cls, stops: Iterable[ObjectRef]) -> Presupposed:
@@ -97,9 +113,10 @@ def clash(claim: Claim, others: Sequence[Claim], given: Presupposed, vocabulary:
         return "tautology"
     # What is absent here can be a stop only elsewhere; asking presence of no stop anywhere keeps the two truths alike.
     everywhere = claim.presence
-    if any((everywhere or room == claim.room_id) and label in words for room, label in given.stops):
+    named = given.stop_labels if everywhere else given.stop_labels_in.get(claim.room_id, frozenset())
+    if not words.isdisjoint(named):
         return "names_stop"
-    if everywhere and any(label in words for _, label in given.things):
+    if everywhere and not words.isdisjoint(given.thing_labels):
         return "given_away"
     for claimed in claim.anchors:
         anchor_words = vocabulary.overlapping(claimed)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from condvln.episodes.candidates import Candidate, candidates_from_table, unplaced_programs, unplaced_table
+from condvln.episodes.candidates import Candidate, unplaced_programs, unplaced_table
 from condvln.episodes.pool import EpisodePool
 from condvln.episodes.steps import place_programs
 from condvln.episodes.table import (
@@ -18,7 +18,7 @@ from condvln.episodes.visibility import sightings_from_table
 from condvln.scene import Scene
 from factory.stage import Stage, StageOutput
 from factory.unit import Unit
-from jobs.stages.inputs import Tables, asked_of, dump, scene_of, walkable_of
+from jobs.stages.inputs import Tables, asked_of, candidates_of, dump, scene_of, walkable_of
 from schemas.canonical import JSON
 from schemas.config import (
     EpisodeConfig,
@@ -64,7 +64,7 @@ class EpisodeStage(Stage):
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
         scene = scene_of(unit, upstream)
         wanted, groups = self.instructions.wanted, self.instructions.counterfactual_groups
-        candidates = candidates_from_table(upstream["candidates"], wanted)
+        candidates = candidates_of(upstream["candidates"], wanted)
         if scene.navmesh is None:
             return self._without_navmesh(scene, candidates)
         walkable = walkable_of(unit, scene, upstream, self.max_climb)

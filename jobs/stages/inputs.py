@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Final, Generic, TypeVar
 
 import pyarrow as pa
 
+from condvln.episodes.candidates import Candidate, candidates_from_table
 from condvln.episodes.steps import Walkable
 from condvln.episodes.view import SceneView
 from condvln.navigation.navmesh_file import parse_navmesh
@@ -21,6 +22,7 @@ from condvln.sources.source import Source
 from factory.unit import Unit
 from schemas.canonical import JSON
 from schemas.config import (
+    InstructionCell,
     InstructionsConfig,
     LimitsConfig,
     Section,
@@ -31,7 +33,9 @@ __all__ = [
     "NAVMESHES",
     "Tables",
     "asked_of",
+    "candidates_of",
     "dump",
+    "keep_candidates",
     "navmeshes_table",
     "pathfinder_of",
     "scene_of",
@@ -102,7 +106,7 @@ class _Latest(Generic[V]):
         self._kept: tuple[tuple[object, ...], V] | None = None
 
     def get(self, parts: tuple[object, ...], make: Callable[[], V]) -> V:
-        """What `make` makes; the last one where each of `parts` is the same object as then, or equal text."""
+        """What `make` makes; the last one where each of `parts` is the same object as then, or equal to it."""
         kept = self._kept
         if kept is not None and len(kept[0]) == len(parts) and all(map(_same, kept[0], parts)):
             return kept[1]
@@ -113,11 +117,16 @@ class _Latest(Generic[V]):
 
 
 def _same(one: object, other: object) -> bool:
-    return one is other or (isinstance(one, (str, float)) and one == other)
+    if one is other:
+        return True
+    if isinstance(one, pa.Table):  # the factory makes a table anew; equal rows make equal things
+        return isinstance(other, pa.Table) and one.equals(other)
+    return isinstance(one, (str, float, InstructionCell)) and one == other
 
 
 _scenes: Final[_Latest[Scene]] = _Latest()
 _walkables: Final[_Latest[Walkable]] = _Latest()
+_candidates: Final[_Latest[list[Candidate]]] = _Latest()
 
 
 def scene_of(unit: Unit, tables: Tables) -> Scene:
@@ -145,6 +154,16 @@ def walkable_of(unit: Unit, scene: Scene, tables: Tables, max_climb: float) -> W
         return Walkable(pathfinder_of(scene, tables), view, max_climb)
 
     return _walkables.get((scene, unit, tables["navmeshes"], max_climb), make)
+
+
+def keep_candidates(table: pa.Table, wanted: Sequence[InstructionCell], candidates: list[Candidate]) -> None:
+    """Keep the candidates that `table` was made of for the next stages of the scene, so that they need not parse it."""
+    _candidates.get((table, *wanted), lambda: candidates)
+
+
+def candidates_of(table: pa.Table, wanted: Sequence[InstructionCell]) -> list[Candidate]:
+    """The candidates in a table, in its order; `wanted` are the cells that were drawn for."""
+    return _candidates.get((table, *wanted), lambda: candidates_from_table(table, wanted))
 
 
 def dump(section: Section) -> dict[str, JSON]:

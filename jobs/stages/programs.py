@@ -23,7 +23,7 @@ from condvln.relations import RoomRelations, text_facts
 from condvln.scene import Scene
 from factory.stage import Aggregate, Stage, StageOutput
 from factory.unit import Unit
-from jobs.stages.inputs import Tables, asked_of, dump, scene_of, source_of, walkable_of
+from jobs.stages.inputs import Tables, asked_of, dump, keep_candidates, scene_of, source_of, walkable_of
 from jobs.stages.text import TextStage
 from schemas.canonical import JSON
 from schemas.config import (
@@ -121,10 +121,12 @@ class ProgramStage(Stage):
             seed=self.seed,
             graph=self._graph(unit, scene),
         )
+        candidates = candidates_table(scene.scene_id, drawn.candidates)
+        keep_candidates(candidates, self.instructions.wanted, drawn.candidates)
         return StageOutput(
             tables={
                 "stops": stops_table(scene.scene_id, drawn.goals),
-                "candidates": candidates_table(scene.scene_id, drawn.candidates),
+                "candidates": candidates,
                 "rejections": rejections_table(scene.scene_id, self.name, drawn.rejections),
             },
             measures={"candidates": float(len(drawn.candidates))},
