@@ -13,6 +13,7 @@ from typing import Any, Final
 import pyarrow as pa
 from pydantic import BaseModel
 
+from schemas.benchmark import BenchmarkFile, BenchmarkRecord, Leaderboard
 from schemas.config import Config
 from schemas.episode import EpisodeRecord
 from schemas.evaluation import ManifestEpisode
@@ -32,10 +33,13 @@ FOLDER: Final = Path(__file__).parent / "json"
 DATA_PAGE: Final = Path(__file__).parents[1] / "docs" / "data.md"
 
 DOCUMENTS: Final[dict[str, type[BaseModel]]] = {
+    "benchmark": BenchmarkFile,
+    "benchmark-record": BenchmarkRecord,
     "config": Config,
     "episode": EpisodeRecord,
     "evaluation-manifest": ManifestEpisode,
     "ground-truth": GroundTruth,
+    "leaderboard": Leaderboard,
     "program": Program,
     "relation": RelationRecord,
     "scene": SceneRecord,

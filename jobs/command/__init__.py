@@ -10,7 +10,7 @@ from typing import Final
 import typer
 from rich.console import Console
 
-from jobs.command import build_verbs, evaluation_verbs, export_verbs, navmesh, query_verbs, submit_verb
+from jobs.command import benchmark, build_verbs, evaluation_verbs, export_verbs, navmesh, query_verbs, submit_verb
 from jobs.command.options import EXIT_CODES
 from schemas.errors import CondVLNError
 
@@ -46,6 +46,7 @@ app.command()(evaluation_verbs.walk)
 app.command()(evaluation_verbs.evaluate)
 app.command()(evaluation_verbs.language)
 app.command(epilog=EXIT_CODES)(evaluation_verbs.bias)
+app.add_typer(benchmark.group, name="benchmark")
 app.add_typer(navmesh.group, name="navmesh")
 
 CLICK_USAGE: Final = 2

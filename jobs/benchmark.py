@@ -1,0 +1,275 @@
+"""``condvln benchmark build`` and ``check``: a version of a benchmark, made from one's own copies of the datasets.
+
+What a version is made of is frozen in one file. A build writes ``benchmark.json`` into its export: the snapshot's id,
+the versions, and for each scene the hash of its source files and of its rows. `check` makes the rows from other copies
+and compares: equal ids, or the scenes that differ and why.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import orjson
+import yaml
+from pydantic import ValidationError
+from rich.console import Console
+
+from condvln.export.contents import read_index
+from condvln.formats.streams import atomic_stream
+from factory.index import Index
+from factory.snapshot import Snapshot
+from jobs.configuration import load_config
+from jobs.generate import run_generate
+from jobs.report import Report, Section
+from jobs.workspace import published
+from schemas.benchmark import BenchmarkCell, BenchmarkFile, BenchmarkRecord, BenchmarkScene
+from schemas.config import Config
+from schemas.errors import ConfigError, FormatError, MissingFileError, ProofError, UsageError
+
+__all__ = ["RECORD", "Benchmark", "build_benchmark", "check_benchmark", "read_record"]
+
+RECORD: Final = "benchmark.json"
+"""Name of the record in the export's folder."""
+
+_OF_THIS_MACHINE: Final = {"store", "export", "ray", "keep", "limits"}
+_PATHS: Final = {"root", "regions", "houses", "connectivity"}
+_SHOWN: Final = 20
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """A benchmark's file and the configuration of its run."""
+
+    file: BenchmarkFile
+    config: Config
+
+    @classmethod
+    def read(cls, path: Path, overrides: Sequence[str] = (), *, check_roots: bool = True) -> Benchmark:
+        """Read the file and the configuration that it names.
+
+        Raises
+        ------
+        ConfigError : one of them is missing or faulty, or the run names no export
+        """
+        if not path.is_file():
+            raise ConfigError("no such benchmark file", where=path, remedy="Take configs/benchmark-v1.yaml.")
+        try:
+            file = BenchmarkFile.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
+        except (yaml.YAMLError, UnicodeDecodeError, ValidationError) as error:
+            raise ConfigError(
+                f"not a benchmark file: {error}", where=path, remedy="Compare it with configs/."
+            ) from None
+        config = load_config(path.parent / file.run, overrides, check_roots=check_roots)
+        if config.export is None:
+            raise ConfigError(
+                "a benchmark needs an export folder", where=path.parent / file.run, place="export", remedy="Set export:"
+            )
+        return cls(file, config)
+
+
+def build_benchmark(
+    path: Path, overrides: Sequence[str] = (), *, inline: bool = False, console: Console | None = None
+) -> Report:
+    """Generate, export, and write the record into the export.
+
+    Raises
+    ------
+    CondVLNError : from the run
+    """
+    benchmark = Benchmark.read(path, overrides)
+    report = run_generate(benchmark.config, inline=inline, console=console)
+    if report.exit_code not in (0, ProofError.exit_code):
+        return report
+    record = _record(benchmark)
+    export = benchmark.config.export
+    assert export is not None
+    with atomic_stream(export / RECORD) as stream:
+        stream.write(_encoded(record))
+    short = [cell for cell in record.cells if cell.shortfall]
+    lines = [
+        f"{record.benchmark} {record.version}{' (draft: it may still change)' if record.draft else ''}: snapshot "
+        f"{record.snapshot_id}, {record.instructions:,} instructions, record in {export / RECORD}",
+        *_version_lines(benchmark.file.stages, record.stages),
+    ]
+    if record.instructions < benchmark.file.instructions:
+        lines.append(
+            f"SHORT: {record.instructions:,} instructions of {benchmark.file.instructions:,}; sources of this copy: "
+            f"{', '.join(sorted({scene.split('/')[0] for scene in record.scenes}))}"
+        )
+    if short:
+        lines.append(f"SHORT: {len(short)} cells have fewer than {benchmark.file.floor} episodes")
+    rows = [(c.split, c.source, c.category, c.episodes, c.shortfall) for c in record.cells]
+    cells = Section("Cells", ("split", "source", "category", "episodes", "below the floor"), [*rows])
+    document = record.model_dump(mode="json", exclude={"scenes"})
+    return Report(document, [*lines, *report.lines], [cells, *report.sections], report.exit_code)
+
+
+def check_benchmark(
+    path: Path,
+    record_path: Path,
+    overrides: Sequence[str] = (),
+    *,
+    inline: bool = False,
+    console: Console | None = None,
+) -> Report:
+    """Make the rows from the copies that the configuration names, and compare them with a published record.
+
+    The exit code is 3 where the snapshot has another id.
+
+    Raises
+    ------
+    InputError : the record can't be read
+    """
+    theirs = read_record(record_path)
+    benchmark = Benchmark.read(path, overrides)
+    if (benchmark.file.benchmark, benchmark.file.version) != (theirs.benchmark, theirs.version):
+        raise UsageError(
+            f"the record is of {theirs.benchmark} {theirs.version}, and the file of {benchmark.file.benchmark} "
+            f"{benchmark.file.version}",
+            where=str(record_path),
+            remedy="Take both from one release.",
+        )
+    run = run_generate(benchmark.config.model_copy(update={"export": None}), inline=inline, console=console)
+    if run.exit_code not in (0, ProofError.exit_code):
+        return run
+    snapshot = published(benchmark.config)
+    differences = list(_differences(theirs, snapshot))
+    stages = {name: totals.version for name, totals in snapshot.manifest.stages.items()}
+    same = snapshot.snapshot_id == theirs.snapshot_id
+    lines = [
+        f"the same snapshot as published: {theirs.snapshot_id}"
+        if same
+        else f"ANOTHER SNAPSHOT: {snapshot.snapshot_id} here, {theirs.snapshot_id} published",
+        *_version_lines(theirs.stages, stages),
+        *_key_lines(theirs.configuration, _portable(benchmark.config)),
+    ]
+    if differences:
+        lines.append(f"{len(differences)} scenes differ")
+    report = Report(
+        {
+            "same": same,
+            "snapshot_id": snapshot.snapshot_id,
+            "published": theirs.snapshot_id,
+            "notes": lines[1:],
+            "scenes": [{"scene": scene, "difference": what} for scene, what in differences],
+        },
+        lines,
+        [Section("Scenes that differ", ("scene", "difference"), [*differences[:_SHOWN]])],
+    )
+    report.exit_code = 0 if same else ProofError.exit_code
+    return report
+
+
+def read_record(path: Path) -> BenchmarkRecord:
+    """Read a record, or that of an export's folder.
+
+    Raises
+    ------
+    MissingFileError, FormatError : there is none, or it is not one
+    """
+    file = path / RECORD if path.is_dir() else path
+    try:
+        return BenchmarkRecord.model_validate_json(file.read_bytes())
+    except FileNotFoundError:
+        raise MissingFileError("there is no such record", where=file, remedy="Run condvln benchmark build.") from None
+    except ValidationError as error:
+        raise FormatError(
+            f"not the record of a benchmark: {error.errors()[0]['msg']}", where=file, remedy="Take it from its release."
+        ) from None
+
+
+def _encoded(record: BenchmarkRecord) -> bytes:
+    options = orjson.OPT_INDENT_2 | orjson.OPT_SORT_KEYS
+    return orjson.dumps(record.model_dump(mode="json"), option=options) + b"\n"
+
+
+def _record(benchmark: Benchmark) -> BenchmarkRecord:
+    snapshot, file = published(benchmark.config), benchmark.file
+    assert benchmark.config.export is not None
+    index = read_index(benchmark.config.export) or {}
+    if index.get("snapshot") != snapshot.snapshot_id:
+        raise UsageError(
+            "the export is not of the published snapshot", where=str(benchmark.config.export), remedy="Build again."
+        )
+    counts: Counter[tuple[str, str, str]] = Counter()
+    for cell in index["cells"]:
+        counts[cell["split"], cell["source"], cell["category"]] += cell["selected"]
+    return BenchmarkRecord(
+        benchmark=file.benchmark,
+        version=file.version,
+        draft=file.draft,
+        snapshot_id=snapshot.snapshot_id,
+        export_digest=index["digest"],
+        stages={name: totals.version for name, totals in snapshot.manifest.stages.items()},
+        configuration=_portable(benchmark.config),
+        instructions=snapshot.manifest.tables["instructions"].rows,
+        episodes=index["episodes"],
+        cells=[
+            BenchmarkCell(split=s, source=f, category=c, episodes=n, shortfall=max(0, file.floor - n))
+            for (s, f, c), n in counts.items()
+        ],
+        scenes=dict(_scenes(snapshot)),
+    )
+
+
+def _scenes(snapshot: Snapshot) -> Iterator[tuple[str, BenchmarkScene]]:
+    """Each scene by its name, from the index of units."""
+    table = Index.read(snapshot.store, snapshot.index_hash).table
+    stages = list(snapshot.manifest.stages)
+    hashes = [
+        f"{stage}/{name}.hash"
+        for name, listed in snapshot.manifest.tables.items()
+        for stage in listed.stages
+        if f"{stage}/{name}.hash" in table.column_names
+    ]
+    first = f"{stages[0]}.inputs"
+    for row in table.select(["unit_id", "status", "reason", first, *hashes]).to_pylist():
+        found = {name.removesuffix(".hash"): row[name].hex() for name in sorted(hashes) if row[name] is not None}
+        inputs = None if row[first] is None else row[first].hex()
+        yield (
+            row["unit_id"],
+            BenchmarkScene(status=row["status"], reason=row["reason"] or "", inputs=inputs, tables=found),
+        )
+
+
+def _portable(config: Config) -> dict[str, Any]:
+    """The keys that decide rows, without paths of this machine."""
+    document = config.model_dump(mode="json", exclude=_OF_THIS_MACHINE)
+    document["sources"] = [
+        {key: value for key, value in source.items() if key not in _PATHS} for source in document["sources"]
+    ]
+    return document
+
+
+def _differences(theirs: BenchmarkRecord, snapshot: Snapshot) -> Iterator[tuple[str, str]]:
+    ours = dict(_scenes(snapshot))
+    for scene in sorted(theirs.scenes.keys() | ours.keys()):
+        here, there = ours.get(scene), theirs.scenes.get(scene)
+        if here is None:
+            yield scene, "it is not among these copies"
+        elif there is None:
+            yield scene, "it is not in the published benchmark"
+        elif here.status != there.status:
+            why = f" ({here.reason})" if here.reason else ""
+            yield scene, f"it is {here.status} here{why} and was {there.status}"
+        else:
+            names = here.tables.keys() | there.tables.keys()
+            tables = sorted(name for name in names if here.tables.get(name) != there.tables.get(name))
+            files = "" if here.inputs == there.inputs else "its files differ"
+            rows = f"other rows in {', '.join(tables)}" if tables else ""
+            if rows:
+                yield scene, "; ".join(filter(None, (files or "its files are the same", rows)))
+
+
+def _version_lines(frozen: Mapping[str, int], here: Mapping[str, int]) -> list[str]:
+    other = [f"{name} {here.get(name)} (frozen: {frozen.get(name)})" for name in here if here[name] != frozen.get(name)]
+    return [f"other versions of stages: {', '.join(other)}"] if other else []
+
+
+def _key_lines(theirs: Mapping[str, Any], ours: Mapping[str, Any]) -> list[str]:
+    other = sorted(key for key in theirs.keys() | ours.keys() if theirs.get(key) != ours.get(key))
+    return [f"the configuration differs in: {', '.join(other)}"] if other else []

@@ -1,0 +1,67 @@
+"""The group of verbs for a benchmark with a name and a version."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from jobs.command.answers import answer, console, leave
+from jobs.command.options import EXIT_CODES, AsJson, ExportPath, Inline, NavmeshRoots, Overrides, SplitName
+
+__all__ = ["group"]
+
+
+group = typer.Typer(
+    help="Build, check and score a version of a benchmark.", no_args_is_help=True, rich_markup_mode=None
+)
+
+BenchmarkPath = Annotated[Path, typer.Argument(metavar="BENCHMARK", help="benchmark file, configs/benchmark-v1.yaml")]
+
+
+@group.command("build", epilog=EXIT_CODES)
+def benchmark_build(
+    benchmark: BenchmarkPath, overrides: Overrides = None, inline: Inline = False, as_json: AsJson = False
+) -> None:
+    """Generate and export the benchmark from your copies, and write its record, benchmark.json."""
+    from jobs.benchmark import build_benchmark
+
+    report = build_benchmark(benchmark, overrides or (), inline=inline, console=console(quiet=as_json))
+    answer(report, as_json)
+    leave(report.exit_code)
+
+
+@group.command("check", epilog=EXIT_CODES)
+def benchmark_check(
+    benchmark: BenchmarkPath,
+    record: Annotated[Path, typer.Argument(metavar="RECORD", help="published benchmark.json, or the export with it")],
+    overrides: Overrides = None,
+    inline: Inline = False,
+    as_json: AsJson = False,
+) -> None:
+    """Say whether your copies give the published snapshot; else name the scenes that differ (exit code 3)."""
+    from jobs.benchmark import check_benchmark
+
+    report = check_benchmark(benchmark, record, overrides or (), inline=inline, console=console(quiet=as_json))
+    answer(report, as_json)
+    leave(report.exit_code)
+
+
+@group.command("score")
+def benchmark_score(
+    export: ExportPath,
+    split: SplitName,
+    predictions: Annotated[
+        list[Path] | None, typer.Argument(metavar="[P...]", help="one file for each agent, named after it")
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="file for the leaderboard, as JSON")] = None,
+    navmesh_root: NavmeshRoots = None,
+    references: Annotated[bool, typer.Option(help="also walk the oracle and the guessers")] = True,
+    as_json: AsJson = False,
+) -> None:
+    """Rank agents by their predictions, with intervals and the significance against the row above."""
+    from jobs.leaderboard import score_benchmark
+
+    found = score_benchmark(export, split, predictions or (), out=out, roots=navmesh_root or (), references=references)
+    answer(found, as_json)

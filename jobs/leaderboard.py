@@ -1,0 +1,161 @@
+"""``condvln benchmark score``: a leaderboard of a split, from predictions alone, with reference rows."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import orjson
+
+from condvln.evaluation.agents import agent_named, predict_all
+from condvln.evaluation.aggregate import compare, summary
+from condvln.evaluation.evaluate import Evaluation, evaluate
+from condvln.evaluation.split import SplitOptions, evaluate_split, split_tasks
+from condvln.evaluation.statistics import Estimate
+from condvln.export.contents import exported_snapshot
+from condvln.formats.streams import atomic_stream
+from condvln.navigation.navmesh_folder import NavmeshFolder
+from jobs.benchmark import read_record
+from jobs.report import Report, Section
+from schemas.benchmark import BenchmarkRecord, Leaderboard, LeaderboardRow, MeasuredMean, PairedDifference
+from schemas.errors import UsageError
+
+__all__ = ["REFERENCES", "score_benchmark"]
+
+REFERENCES: Final = ("oracle", "always-then", "always-else", "nearest", "random-leaf", "stop-at-start")
+"""Reference agents of every board: one that knows the branch, and guessers that see nothing."""
+
+_MEASURES: Final = ("success", "spl_route", "csr_all", "bsa_all", "leaf_correct", "wrong_branch", "no_commit", "ndtw")
+_SEED: Final = 0
+_COLUMNS: Final = (
+    "agent",
+    "kind",
+    "SR",
+    "95 %",
+    "SPL (route)",
+    "CSR-all",
+    "right leaf",
+    "missing",
+    "p to the row above",
+)
+
+
+def score_benchmark(
+    export: Path,
+    split: str,
+    predictions: Sequence[Path],
+    *,
+    out: Path | None = None,
+    roots: Sequence[Path] = (),
+    references: bool = True,
+) -> Report:
+    """Score every file of predictions, walk the references, and rank all by success.
+
+    out : file for the board as JSON
+
+    Raises
+    ------
+    UsageError : the export is not the one that its record is of, or an agent has the name of a reference
+    InputError : from the readers
+    """
+    record = read_record(export)
+    if exported_snapshot(export) != record.snapshot_id:
+        raise UsageError(
+            "the export was changed after the benchmark was built", where=str(export), remedy="Build it again."
+        )
+    found: list[tuple[Evaluation, LeaderboardRow]] = []
+    if predictions:
+        evaluations, _ = evaluate_split(export, split, predictions, SplitOptions(navmesh_roots=tuple(roots)))
+        for path, evaluation in zip(predictions, evaluations, strict=True):
+            if evaluation.agent in REFERENCES:
+                raise UsageError(
+                    f"{evaluation.agent!r} is the name of a reference", where=str(path), remedy="Rename the file."
+                )
+            found.append((evaluation, _row(evaluation, path)))
+    if references:
+        found += [(evaluation, _row(evaluation, None)) for evaluation in _references(export, split, roots)]
+    board = _board(record, split, found)
+    if out is not None:
+        with atomic_stream(out) as stream:
+            stream.write(orjson.dumps(board.model_dump(mode="json"), option=orjson.OPT_INDENT_2) + b"\n")
+    return _report(board, out)
+
+
+def _references(export: Path, split: str, roots: Sequence[Path]) -> list[Evaluation]:
+    tasks, navmeshes = split_tasks(export, split), NavmeshFolder((export, *roots))
+    return [
+        evaluate(tasks, predict_all(agent_named(name), tasks, navmeshes, seed=_SEED), navmeshes, agent=name)
+        for name in REFERENCES
+    ]
+
+
+def _row(evaluation: Evaluation, path: Path | None) -> LeaderboardRow:
+    found = summary(evaluation, seed=_SEED, measures=_MEASURES)
+    return LeaderboardRow(
+        agent=evaluation.agent,
+        kind="reference" if path is None else "submission",
+        predictions_sha256=None if path is None or path.is_dir() else hashlib.sha256(path.read_bytes()).hexdigest(),
+        episodes=len(evaluation),
+        missing=int((evaluation.scores["missing"] == 1).sum()),
+        measures={name: _mean(one) for name, one in found.estimates.items()},
+        against_above=None,
+    )
+
+
+def _mean(one: Estimate) -> MeasuredMean:
+    return MeasuredMean(mean=_known(one.mean), low=_known(one.low), high=_known(one.high), n=one.n)
+
+
+def _known(value: float) -> float | None:
+    return round(value, 6) if math.isfinite(value) else None
+
+
+def _board(record: BenchmarkRecord, split: str, found: list[tuple[Evaluation, LeaderboardRow]]) -> Leaderboard:
+    def place(item: tuple[Evaluation, LeaderboardRow]) -> tuple[float, float, str]:
+        measures = item[1].measures
+        return -(measures["success"].mean or 0.0), -(measures["spl_route"].mean or 0.0), item[1].agent
+
+    ranked = sorted(found, key=place)
+    rows = []
+    for at, (evaluation, row) in enumerate(ranked):
+        against = None
+        if at:
+            above = ranked[at - 1][0]
+            test = compare(evaluation, above, seed=_SEED)
+            if math.isfinite(test.difference):
+                against = PairedDifference(
+                    above=above.agent,
+                    difference=round(test.difference, 6),
+                    p_value=round(test.p_value, 6),
+                    scenes=test.scenes,
+                )
+        rows.append(row.model_copy(update={"against_above": against}))
+    return Leaderboard(
+        benchmark=record.benchmark,
+        version=record.version,
+        draft=record.draft,
+        snapshot_id=record.snapshot_id,
+        split=split,
+        seed=_SEED,
+        rows=rows,
+    )
+
+
+def _report(board: Leaderboard, out: Path | None) -> Report:
+    lines = [f"{board.benchmark} {board.version}, split {board.split}, snapshot {board.snapshot_id}"]
+    if board.draft:
+        lines.append("this version is a draft: do not publish these numbers as results")
+    if out is not None:
+        lines.append(f"written to {out}")
+    rows: list[tuple[Any, ...]] = []
+    for row in board.rows:
+        success = row.measures["success"]
+        spread = "–" if success.low is None else f"{100 * success.low:.1f}–{100 * (success.high or 0):.1f}"
+        rest = [row.measures[name].mean for name in ("spl_route", "csr_all", "leaf_correct")]
+        percent = [None if value is None else round(100 * value, 1) for value in (success.mean, *rest)]
+        p_value = None if row.against_above is None else row.against_above.p_value
+        rows.append((row.agent, row.kind, percent[0], spread, *percent[1:], row.missing, p_value))
+    return Report(board.model_dump(mode="json"), lines, [Section("Leaderboard", _COLUMNS, [*rows])])

@@ -1,0 +1,113 @@
+"""Documents of a benchmark: the file that freezes it, the record of a build, and a leaderboard."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from schemas.base import Document, Finite, VersionedDocument
+from schemas.unit import Hash32, Hash64
+
+__all__ = [
+    "BenchmarkCell",
+    "BenchmarkFile",
+    "BenchmarkRecord",
+    "BenchmarkScene",
+    "Leaderboard",
+    "LeaderboardRow",
+    "MeasuredMean",
+    "PairedDifference",
+]
+
+Count = Annotated[int, Field(ge=0)]
+
+
+class BenchmarkFile(Document):
+    """``configs/benchmark-v1.yaml``: what a version of a benchmark is made of."""
+
+    benchmark: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=100)]
+    version: str = Field(min_length=1, max_length=100)
+    draft: bool = Field(description="a draft may still change; results on it are not comparable with those on others")
+    run: Path = Field(description="configuration of the run: sources, seeds, counts and splits; relative to this file")
+    floor: int = Field(ge=1, description="fewest episodes of a split × source × category; cells below it are reported")
+    instructions: Count = Field(description="fewest instructions over all sources; a smaller build says so")
+    stages: dict[str, int] = Field(description="version of each stage")
+
+
+class BenchmarkCell(Document):
+    """Episodes of one split, source and category."""
+
+    split: str
+    source: str
+    category: str
+    episodes: Count
+    shortfall: Count = Field(description="episodes below the floor")
+
+
+class BenchmarkScene(Document):
+    """What one scene was read from, and what came of it."""
+
+    status: Literal["ok", "skipped", "quarantined"]
+    reason: str = ""
+    inputs: Hash32 | None = Field(description="hash of its source files, with their paths below the dataset")
+    tables: dict[str, Hash32] = Field(description="hash of its rows, by <stage>/<table>")
+
+
+class BenchmarkRecord(VersionedDocument):
+    """``benchmark.json``: one build. Equal sources and versions give equal bytes."""
+
+    benchmark: str
+    version: str
+    draft: bool
+    snapshot_id: Hash32
+    export_digest: Hash64
+    stages: dict[str, int]
+    configuration: dict[str, Any] = Field(description="keys of the run that decide rows; no paths of this machine")
+    instructions: Count
+    episodes: dict[str, Count]
+    cells: list[BenchmarkCell]
+    scenes: dict[str, BenchmarkScene]
+
+
+class MeasuredMean(Document):
+    """A mean with its 95 % interval over scenes; null where it is not defined."""
+
+    mean: Finite | None
+    low: Finite | None
+    high: Finite | None
+    n: Count
+
+
+class PairedDifference(Document):
+    """The success of a row less that of the row above; p-value of a paired permutation test by scene."""
+
+    above: str
+    difference: Finite
+    p_value: Finite
+    scenes: Count
+
+
+class LeaderboardRow(Document):
+    """One agent."""
+
+    agent: str
+    kind: Literal["reference", "submission"]
+    predictions_sha256: Hash64 | None = Field(description="of the file; null for references, which are walked again")
+    episodes: Count
+    missing: Count
+    measures: dict[str, MeasuredMean]
+    against_above: PairedDifference | None = Field(description="null in the first row")
+
+
+class Leaderboard(VersionedDocument):
+    """Agents on one split of one version, the best first."""
+
+    benchmark: str
+    version: str
+    draft: bool
+    snapshot_id: Hash32
+    split: str
+    seed: int = Field(description="of the references that act at random, and of the intervals")
+    rows: list[LeaderboardRow]

@@ -1,0 +1,207 @@
+"""A benchmark over made scenes: one id however it is built, differences named, boards ranked and tested."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import time
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from condvln.samples import make_samples
+from jobs.benchmark import RECORD, Benchmark, build_benchmark, check_benchmark, read_record
+from jobs.evaluate import walk_split
+from jobs.leaderboard import REFERENCES, score_benchmark
+from jobs.pipeline import build_pipeline
+from schemas.errors import ConfigError, FormatError, MissingFileError, UsageError
+from tests.ending import kill_driver
+
+STAGES = {"scene": 8, "relations": 3, "visibility": 2, "programs": 21, "episodes": 15, "text": 14}
+
+
+def written(folder: Path, root: Path, **changes: Any) -> Path:
+    """A benchmark of one category over the dataset `root`; its store and export are in `folder`."""
+    folder.mkdir(exist_ok=True)
+    run = {
+        "name": "small",
+        "store": "store",
+        "export": "export",
+        "sources": [{"family": "replicacad", "root": str(root)}],
+        "instructions": {"per_category": {"simple": 6}, "counterfactual_groups": 0},
+        "splits": {"scenes": {"val_unseen": ["replicacad/*"]}, "bias": "off"},
+        **changes.pop("run", {}),
+    }
+    (folder / "run.yaml").write_text(yaml.safe_dump(run))
+    document = {"benchmark": "small", "version": "v0", "draft": True, "run": "run.yaml", "floor": 5}
+    document |= {"instructions": 100, "stages": STAGES, **changes}
+    (folder / "benchmark.yaml").write_text(yaml.safe_dump(document))
+    return folder / "benchmark.yaml"
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("dataset")
+    make_samples(folder, family="replicacad", scenes=2, seed=5)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def built(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
+    """The benchmark's file and the report of its build; read only."""
+    path = written(tmp_path_factory.mktemp("built"), dataset)
+    return path, build_benchmark(path, inline=True)
+
+
+def test_a_build_says_what_it_is_and_what_it_lacks(built: tuple[Path, Any]) -> None:
+    path, report = built
+    assert report.exit_code == 0
+    record = read_record(path.parent / "export")
+    assert "v0 (draft: it may still change)" in report.lines[0]
+    assert any(line.startswith(f"SHORT: {record.instructions} instructions of 100") for line in report.lines)
+    assert record.draft
+    assert set(record.scenes) == {f"replicacad/made_00{k}" for k in range(2)}
+    exported = json.loads((path.parent / "export" / "export.json").read_text())
+    assert record.export_digest == exported["digest"]
+    assert sum(cell.episodes for cell in record.cells) == sum(exported["episodes"].values())
+    for cell in record.cells:
+        assert cell.shortfall == max(0, 5 - cell.episodes)
+    short = [cell for cell in record.cells if cell.shortfall]
+    assert any("cells have fewer than 5 episodes" in line for line in report.lines) == bool(short)
+    text = (path.parent / "export" / RECORD).read_text()
+    assert str(path.parent) not in text, "a record holds no path of the machine"
+
+
+def test_other_copies_of_the_same_scenes_give_the_same_record(
+    built: tuple[Path, Any], dataset: Path, tmp_path: Path
+) -> None:
+    copy = shutil.copytree(dataset, tmp_path / "elsewhere" / "copy")
+    path = written(tmp_path / "again", copy)
+    build_benchmark(path, inline=True)
+    assert (path.parent / "export" / RECORD).read_bytes() == (built[0].parent / "export" / RECORD).read_bytes()
+    report = check_benchmark(path, built[0].parent / "export", inline=True)
+    assert (report.exit_code, report.document["same"], report.document["scenes"]) == (0, True, [])
+
+
+def test_a_check_names_the_scene_whose_files_differ(built: tuple[Path, Any], dataset: Path, tmp_path: Path) -> None:
+    copy = shutil.copytree(dataset, tmp_path / "copy")
+    scene = copy / "configs" / "scenes" / "made_001.scene_instance.json"
+    document = json.loads(scene.read_text())
+    document["object_instances"][0]["translation"][0] += 0.05
+    scene.write_text(json.dumps(document))
+    report = check_benchmark(written(tmp_path / "mine", copy), built[0].parent / "export" / RECORD, inline=True)
+    assert report.exit_code == 3
+    (found,) = [one for one in report.document["scenes"] if one["scene"] == "replicacad/made_001"]
+    assert found["difference"].startswith("its files differ; other rows in ")
+    others = [one["difference"] for one in report.document["scenes"] if one["scene"] != "replicacad/made_001"]
+    # The priors are counted over all scenes, so that rows of others may follow; never their files.
+    assert all(what.startswith("its files are the same") for what in others)
+    assert "ANOTHER SNAPSHOT" in report.lines[0]
+
+
+def test_a_check_names_missing_scenes_versions_and_keys(built: tuple[Path, Any], dataset: Path, tmp_path: Path) -> None:
+    record = json.loads((built[0].parent / "export" / RECORD).read_text())
+    record["stages"]["text"] += 1
+    (tmp_path / RECORD).write_text(json.dumps(record))
+    run = {"sources": [{"family": "replicacad", "root": str(dataset), "scenes": ["made_000"]}], "seed": 4}
+    report = check_benchmark(written(tmp_path / "mine", dataset, run=run), tmp_path / RECORD, inline=True)
+    assert report.exit_code == 3
+    assert {"scene": "replicacad/made_001", "difference": "it is not among these copies"} in report.document["scenes"]
+    assert any(line.startswith("other versions of stages: text") for line in report.lines)
+    assert "the configuration differs in: seed, sources" in report.lines
+
+
+def test_records_that_are_none_are_refused(built: tuple[Path, Any], tmp_path: Path) -> None:
+    (tmp_path / RECORD).write_text("{}")
+    with pytest.raises(FormatError, match="not the record of a benchmark"):
+        read_record(tmp_path)
+    with pytest.raises(MissingFileError):
+        read_record(tmp_path / "gone.json")
+    record = json.loads((built[0].parent / "export" / RECORD).read_text())
+    (tmp_path / RECORD).write_text(json.dumps({**record, "version": "v9"}))
+    with pytest.raises(UsageError, match="v9"):
+        check_benchmark(built[0], tmp_path / RECORD)
+    with pytest.raises(ConfigError, match="no such benchmark file"):
+        Benchmark.read(tmp_path / "none.yaml")
+
+
+def test_a_board_ranks_references_and_submissions(built: tuple[Path, Any], dataset: Path, tmp_path: Path) -> None:
+    export = built[0].parent / "export"
+    walk_split(export, "val_unseen", "coin-flip", tmp_path / "mine.json", [dataset], seed=2)
+    mine = [tmp_path / "mine.json"]
+    report = score_benchmark(export, "val_unseen", mine, out=tmp_path / "board.json", roots=[dataset])
+    board = json.loads((tmp_path / "board.json").read_text())
+    assert board == report.document
+    rows = board["rows"]
+    assert {row["agent"] for row in rows} == {*REFERENCES, "mine"}
+    assert rows[0]["agent"] == "oracle"
+    success = [row["measures"]["success"]["mean"] for row in rows]
+    assert success == sorted(success, reverse=True)
+    assert success[0] == 1.0
+    assert rows[0]["against_above"] is None
+    for above, row in pairwise(rows):
+        against = row["against_above"]
+        assert against["above"] == above["agent"]
+        assert against["difference"] == pytest.approx(
+            row["measures"]["success"]["mean"] - above["measures"]["success"]["mean"], abs=2e-6
+        )
+        assert 0 < against["p_value"] <= 1
+    (mine,) = [row for row in rows if row["agent"] == "mine"]
+    assert (mine["kind"], mine["missing"]) == ("submission", 0)
+    assert len(mine["predictions_sha256"]) == 64
+    assert board["draft"]
+    assert "draft" in report.lines[1]
+
+
+def test_a_board_needs_the_export_of_its_record(built: tuple[Path, Any], tmp_path: Path) -> None:
+    export = shutil.copytree(built[0].parent / "export", tmp_path / "export")
+    index = json.loads((export / "export.json").read_text())
+    (export / "export.json").write_text(json.dumps({**index, "snapshot": "0" * 32}))
+    with pytest.raises(UsageError, match="changed after the benchmark was built"):
+        score_benchmark(export, "val_unseen", [], references=False)
+
+
+def test_the_shipped_benchmark_names_every_stage_and_is_a_draft(pytestconfig: pytest.Config) -> None:
+    """Stages may still move on while it is a draft; a final version is of the stages that it names."""
+    benchmark = Benchmark.read(pytestconfig.rootpath / "configs" / "benchmark-v1.yaml", check_roots=False)
+    stages = {stage.name: stage.version for stage in build_pipeline(benchmark.config).stages}
+    assert benchmark.file.stages.keys() == stages.keys()
+    assert benchmark.file.draft == benchmark.file.version.endswith("-draft")
+    assert benchmark.file.draft or benchmark.file.stages == stages
+    assert benchmark.file.instructions == 11_500
+
+
+@pytest.mark.ray
+@pytest.mark.soak
+def test_one_and_two_workers_and_a_killed_build_give_one_record(
+    built: tuple[Path, Any], dataset: Path, tmp_path: Path
+) -> None:
+    records = [(built[0].parent / "export" / RECORD).read_bytes()]
+    for workers in (1, 2):
+        path = written(tmp_path / f"workers-{workers}", dataset, run={"ray": {"workers": workers}})
+        assert build_benchmark(path).exit_code == 0
+        records.append((path.parent / "export" / RECORD).read_bytes())
+    path = written(tmp_path / "killed", dataset)
+    command = [
+        sys.executable,
+        "-c",
+        "from jobs.command import main; main()",
+        "benchmark",
+        "build",
+        str(path),
+        "--inline",
+    ]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as driver:
+        deadline = time.monotonic() + 120
+        while not [*tmp_path.glob("killed/store/units/scene/*/*/unit.json")] and time.monotonic() < deadline:
+            time.sleep(0.005)
+        kill_driver(driver)
+    assert not (tmp_path / "killed" / "export" / RECORD).exists()
+    assert build_benchmark(path, inline=True).exit_code == 0
+    records.append((path.parent / "export" / RECORD).read_bytes())
+    assert len(set(records)) == 1
