@@ -1,4 +1,4 @@
-"""Relation graph → typed conditional programs → text, and text → reading."""
+"""Instructions: from the relation graph to typed conditional programs and text, and from text back to its meaning."""
 
 from condvln.instructions.counterfactuals import counterfactual_group, group_id
 from condvln.instructions.parsing import parse

@@ -1,7 +1,7 @@
-"""Draws conditions of wanted truths about the rooms of one scene.
+"""Sample conditions with given truths about the rooms of one scene.
 
-Kind, predicate and room of a condition are drawn without regard to the truth it must have, and it is asked only where
-one of the opposite truth could stand in its place.
+Kind, predicate and room of a condition are drawn independently of its truth, and a condition is used only if one with
+the opposite truth would be possible in its place.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class _Room:
     bearings: bool = False
 
     def here(self, start: bool) -> tuple[tuple[tuple[Predicate, ...], float], ...]:
-        """The groups of predicates that it may be asked for; bearings only in the room of the start."""
+        """Return the groups of predicates that conditions may use; egocentric ones only in the room of the start."""
         if start or not self.bearings:
             return self.groups
         rest = [(predicates, weight) for predicates, weight in self.groups if predicates[0] not in BEARINGS]
@@ -51,17 +51,17 @@ class _Room:
 
 
 class ConditionSampler:
-    """Draws conditions.
+    """Samples conditions about the rooms of one scene.
 
     Parameters
     ----------
-    rooms : per room id its referents and what can be asked of it
+    rooms : by room id, its referents and possible statements
 
     Attributes
     ----------
-    rooms : ids of the rooms where something can be asked with either truth
-    start_rooms : ids of the rooms where bearings can be asked, if the start is in them
-    clashes : how often each rule of ``degeneracy`` cost a condition another try
+    rooms : ids of the rooms that have true and false statements
+    start_rooms : ids of the rooms where egocentric conditions are possible, if the start is there
+    clashes : number of conditions that were drawn again because of each rule of ``degeneracy``
     """
 
     def __init__(
@@ -92,7 +92,7 @@ class ConditionSampler:
             for group, predicates in PREDICATE_GROUPS.items()
         ]
         there = [(predicates, weight) for predicates, weight in groups if predicates]
-        # A group of weight 0 serves where nothing else does.
+        # A group of weight 0 is used only if no other group is possible.
         return tuple(there if any(weight for _, weight in there) else [(predicates, 1.0) for predicates, _ in there])
 
     def conditions(
@@ -104,17 +104,17 @@ class ConditionSampler:
         start_room: str | None = None,
         bearings: int = 0,
     ) -> tuple[Condition, ...]:
-        """Conditions of these truths, in their order, that break no rule beside each other and the stops.
+        """Draw conditions with the given truths, in order, that violate no rule together with each other and the stops.
 
         Parameters
         ----------
-        names : the rooms to ask about, by id, as the text calls them
-        start_room : the one in which bearings may be asked for; bearings : how many at most
+        names : the rooms that conditions may be about: their names in the text, by room id
+        start_room : the room in which egocentric conditions are possible; bearings : their largest number
 
         Raises
         ------
         GivenUp
-            No statement is left for one of them.
+            For one condition no statement is left.
         """
         rooms = [room for room in names if room in self._rooms]
         given = Presupposed.by(stops)
@@ -134,9 +134,9 @@ class ConditionSampler:
         return tuple(asked)
 
     def twin(self, program: Program, index: int, draws: Draws) -> Condition | None:
-        """A condition of the opposite truth that can take the place of one of `program`'s; None where there is none.
+        """Return a condition of the opposite truth that can replace one of `program`'s; None if there is none.
 
-        Of the same room, kind and predicate, and where it can be of the same label.
+        It is about the same room, of the same kind and predicate and, if possible, of the same label.
         """
         old = program.conditions[index]
         if old.room.room_id not in self._rooms:
@@ -148,7 +148,7 @@ class ConditionSampler:
         statements = part.pool.presence if old.qualifier is None else part.pool.relations.get(old.qualifier.predicate)
         if statements is None:
             return None
-        # Weighted as conditions are that are drawn, so that a twin's words tell no more of its truth than theirs.
+        # The same weights as for drawn conditions, so that a twin's words predict its truth no better than theirs.
         sums = statements.sums[truth]
         weights = [sums[0], *(after - before for before, after in pairwise(sums))]
         made = [self._condition(old.room, statements.question(truth, k)) for k in range(len(sums))]
@@ -158,7 +158,7 @@ class ConditionSampler:
             if clash(Claim.of(condition), claims, given, self._vocabulary) is None
         ]
         if old.is_bearing:
-            # From one start a thing can't both lie in a direction and not.
+            # From one start pose an object can't both be in a direction and not.
             sound = [(condition, weight) for condition, weight in sound if condition.label != old.label]
         alike = [(condition, weight) for condition, weight in sound if condition.label == old.label]
         return draws.weighted(*zip(*(alike or sound), strict=True)) if sound else None
@@ -191,12 +191,14 @@ class ConditionSampler:
         return found
 
     def _statements(self, room: str, draws: Draws, start: bool) -> Statements | None:
-        """Statements of one kind and predicate; None where there are none unless the start is in the room."""
+        """Return the statements of one kind and predicate; None if there are none, or only for a start in another
+        room.
+        """
         part = self._rooms[room]
         groups = part.here(start)
         presence = part.pool.presence
         if presence is not None:
-            # Where hardly anything that varies can be asked, it is asked hardly ever.
+            # If a room has few statements whose truth varies, it is rarely used.
             share = self._label_only * min(1.0, *(sums[-1] for sums in presence.sums.values()))
             if draws.uniform() < share or not groups:
                 return presence

@@ -1,10 +1,10 @@
-"""Statements about a room that a condition can ask: known true or known false, each with a margin.
+"""The statements about a room that a condition can use: known to be true or false, with a margin.
 
-Presence: "there is a lamp in the bedroom". Relation: "there is a lamp near the bed", its false twins asking for the
-same lamps near something else, or for something else that is there but not near the bed. Presence claims absence when
-false, and so does a relation of an indefinite thing ("a lamp near the bed"). A relation of a definite one ("the lamp is
-near the bed") claims none: the lamp is seen, and is elsewhere. So a room whose annotation is not complete is asked of
-definite things only, with either truth; a truth only ever claimed there would give itself away.
+Presence: "there is a lamp in the bedroom". Relation: "there is a lamp near the bed"; its false twins are about the same
+label near another anchor, or about another label that is in the room but not near the bed. A false presence claims
+absence, and so does a false relation of an indefinite object ("a lamp near the bed"). A definite relation ("the lamp is
+near the bed") claims no absence: the lamp is visible, only elsewhere. So conditions about incompletely annotated rooms
+are always definite, with either truth; otherwise their form would reveal the truth.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from schemas.program import BEARINGS, Predicate
 __all__ = ["ConditionPool", "Question", "RelationPool", "balanced_weights", "informative_weights"]
 
 BALANCING_ROUNDS: Final = 30
-"""Rounds of proportional fitting; the marginals of real rooms settle to 1e-3 within about ten."""
+"""Iterations of proportional fitting; the marginals of real rooms converge to 1e-3 within about ten."""
 
 LEAST_WEIGHT: Final = 1e-6
-"""A cell whose weight has fallen below this share of the largest counts as ruled out by the fitting."""
+"""A cell whose weight falls below this share of the largest counts as excluded by the fitting."""
 
 PSEUDOCOUNT: Final = 0.5
-"""Added to both truths of a statement, so that few rooms don't count as certainty (Jeffreys' prior)."""
+"""Added to both counts of a statement, so that few rooms don't count as certainty (Jeffreys' prior)."""
 
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -53,10 +53,10 @@ class Question:
 
 @dataclass(frozen=True, eq=False)
 class RelationPool:
-    """Statements with one predicate about one room.
+    """The statements with one predicate about one room.
 
-    cells[truth] : (row, column) of the statements' tables; sums[truth] : their weights, summed up for drawing;
-    mass : geometric mean of the two truths' total weights, how much there is to ask
+    cells[truth] : (row, column) of the statements' tables; sums[truth] : their cumulative weights
+    mass : geometric mean of the total weights of true and of false statements
     """
 
     truths: StatementTruths
@@ -66,7 +66,7 @@ class RelationPool:
     mass: float
 
     def question(self, truth: bool, cell: int) -> Question:
-        """The statement of one cell."""
+        """Return the statement of one cell."""
         row, column = self.cells[truth][cell]
         witnesses = np.flatnonzero(self.truths.exact[row] & self.truths.held[:, column]) if truth else ()
         return Question(
@@ -80,19 +80,19 @@ class RelationPool:
 
 @dataclass(frozen=True, eq=False)
 class PresencePool:
-    """Statements of presence about one room, and their weights, summed up for drawing."""
+    """The statements of presence about one room, and their cumulative weights."""
 
     questions: Mapping[bool, tuple[Question, ...]]
     sums: Mapping[bool, tuple[float, ...]]
 
     def question(self, truth: bool, place: int) -> Question:
-        """One statement."""
+        """Return the statement at an index."""
         return self.questions[truth][place]
 
 
 @dataclass(frozen=True, eq=False)
 class ConditionPool:
-    """All statements about one room; a kind or predicate is in it only if some of it is true and some is false."""
+    """All statements about one room, by kind and predicate; only those with both true and false statements."""
 
     presence: PresencePool | None
     relations: Mapping[Predicate, RelationPool]
@@ -106,13 +106,13 @@ class ConditionPool:
         vocabulary: Vocabulary,
         asked: Container[str] = ASKED,
     ) -> ConditionPool:
-        """The statements about one room.
+        """Return the statements about one room.
 
         Parameters
         ----------
         bits : which labels are plausible in this type of room, and how often its statements are true
-        elsewhere : labels that may be claimed absent: those of the scene's other rooms, or of other scenes
-        asked : predicates that may be asked for
+        elsewhere : labels that may be claimed absent, because other rooms of the scene or other scenes have them
+        asked : predicates that conditions may use
         """
         if not referents.room.asked:
             return cls(None, {})
@@ -169,9 +169,9 @@ def _relations(
 
 
 def _bearings(referents: Referents, asked: Container[str]) -> dict[Predicate, RelationPool]:
-    """Bearings at the start, of objects that are unique in their label and not small.
+    """Return the egocentric statements, about objects that are not small and whose label is unique.
 
-    The start is chosen by the truths that are wanted, so that each thing can be asked with either.
+    The start pose is chosen to give the wanted truths, so each object can be used with either truth.
     """
     own = referents.arrays.labels
     labels = tuple(sorted({own[i] for i in np.flatnonzero(referents.unique & referents.sized & ~referents.small)}))
@@ -203,11 +203,11 @@ def _bearings(referents: Referents, asked: Container[str]) -> dict[Predicate, Re
 
 
 def informative_weights(n_true: int, n_false: int, evidence: int = EVIDENCE) -> dict[bool, float]:
-    """Weights with which to ask a statement where it is true and where it is false, from how often it is either.
+    """Return the sampling weights of a statement where it is true and where it is false, from the counts of both.
 
-    Asked in its true rooms with the share of false ones and the other way round, a statement comes up as often true
-    as false over all rooms, and one that hardly varies hardly comes up. Both are 0 where it never varied in as many
-    rooms as are `evidence` enough.
+    True occurrences are weighted by the share of false ones and vice versa, so that over all rooms a statement is
+    sampled as often true as false, and rarely if its truth hardly varies. Both weights are 0 if it did not vary in at
+    least `evidence` rooms.
     """
     if n_true + n_false >= evidence and min(n_true, n_false) == 0:
         return {True: 0.0, False: 0.0}
@@ -216,7 +216,7 @@ def informative_weights(n_true: int, n_false: int, evidence: int = EVIDENCE) -> 
 
 
 def _informative_tables(referents: Referents, truths: StatementTruths, bits: PriorBits) -> dict[bool, F64] | None:
-    """Weights of all statements by how they divide the rooms of this type; None where too little is known to."""
+    """Return weights of all statements from their counts in rooms of this type; None if there is too little data."""
     room_type, own = referents.room.label, referents.arrays.labels
     tables = {True: np.zeros(truths.true.shape), False: np.zeros(truths.true.shape)}
     known, evidence = False, bits.evidence(room_type)
@@ -230,12 +230,12 @@ def _informative_tables(referents: Referents, truths: StatementTruths, bits: Pri
 
 
 def balanced_weights(true: Bools, false: Bools) -> dict[bool, F64] | None:
-    """Weights over the true and over the false cells of a (labels, anchors) table, with like marginals.
+    """Return weights over the true and the false cells of a (labels, anchors) table, with equal marginals.
 
-    For rooms of a type too rare for priors. Drawn with these, neither the label nor the anchor tells whether the
-    statement is true. Iterative proportional fitting (Deming & Stephan 1940) of both tables towards the geometric mean
-    of their marginals; labels and anchors that have only one of the truths drop out. Where nothing is left so, the
-    labels alone are balanced; None where not even one label has both truths.
+    For room types that are too rare for priors. With these weights neither the label nor the anchor predicts whether
+    the statement is true. Method: iterative proportional fitting (Deming & Stephan 1940) of both tables towards the
+    geometric mean of their marginals; labels and anchors with only one truth are dropped. If nothing is left, only the
+    labels are balanced; None if no label has both truths.
     """
     for axes in ((0, 1), (1,)):
         tables = [true.astype(np.float64), false.astype(np.float64)]

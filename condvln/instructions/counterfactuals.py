@@ -1,7 +1,7 @@
-"""Counterfactual groups: one skeleton, a condition's truth flipped, two leaves' stops exchanged.
+"""Counterfactual groups: four programs of one skeleton, with a condition's truth flipped and two leaves exchanged.
 
-Of the four programs of a group, a reader who ignores the condition gets at most half right, and one who always prefers
-some object too. They share one start: each has the stops of all the others, so that where one can be placed, all can.
+A guesser that ignores the condition gets at most half of the four right, and so does one that always prefers some
+object. All four share one start. Each has the stops of all others, so if one can be placed, all can.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from schemas.program import Condition, Program
 __all__ = ["Group", "counterfactual_group", "flipped", "group_id", "swapped"]
 
 Group = tuple[Program, Program, Program, Program]
-"""The program; its condition flipped; its leaves exchanged; both."""
+"""The program; with the condition flipped; with the leaves exchanged; with both."""
 
 
 def counterfactual_group(
     program: Program, condition_sampler: ConditionSampler, draws: Draws, vocabulary: Vocabulary
 ) -> Group | None:
-    """The group of `program`; None where no condition on its route has a twin.
+    """Return the group of `program`; None if no condition on its gold path has a twin.
 
-    The condition is one that the gold route asks and whose flip changes the gold leaf, the last such first: it decides
-    between the fewest leaves. The leaves exchanged are the gold ones before and after the flip.
+    The flipped condition is on the gold path, and its flip changes the gold leaf. The last such condition is preferred,
+    since it decides between the fewest leaves. The exchanged leaves are the gold ones before and after the flip.
     """
     for index, leaf in _decisive(program):
         twin = condition_sampler.twin(program, index, draws)
@@ -46,7 +46,7 @@ def counterfactual_group(
 
 
 def _decisive(program: Program) -> Iterator[tuple[int, int]]:
-    """Conditions on the gold route, last first, with the leaf that their flip leads to."""
+    """Yield conditions on the gold path, last first, with the leaf to which their flip leads."""
     truths = [condition.truth for condition in program.conditions]
     for index in reversed(program.route()[0]):
         turned = [*truths[:index], not truths[index], *truths[index + 1 :]]
@@ -56,13 +56,13 @@ def _decisive(program: Program) -> Iterator[tuple[int, int]]:
 
 
 def flipped(program: Program, index: int, twin: Condition) -> Program:
-    """`program` with one condition replaced by its twin of the opposite truth."""
+    """Return `program` with one condition replaced by its twin of the opposite truth."""
     conditions = (*program.conditions[:index], twin, *program.conditions[index + 1 :])
     return Program(category=program.category, conditions=conditions, branches=program.branches, leaves=program.leaves)
 
 
 def swapped(program: Program, one: int, other: int) -> Program:
-    """`program` with two leaves exchanged."""
+    """Return `program` with two leaves exchanged."""
     leaves = list(program.leaves)
     leaves[one], leaves[other] = leaves[other], leaves[one]
     return Program(
@@ -74,6 +74,6 @@ def swapped(program: Program, one: int, other: int) -> Program:
 
 
 def group_id(family: str, scene_id: str, group: Group) -> str:
-    """Id of a group; the same whichever of its programs it was made from in this order."""
+    """Return the id of a group, which is the same for each of its programs."""
     keys = "\x1f".join(sorted(program_key(program) for program in group))
     return hashlib.sha256(f"{family}\x1f{scene_id}\x1f{keys}".encode()).hexdigest()[:ID_LENGTH]

@@ -1,7 +1,7 @@
-"""Rules against degenerate instructions. Each has a name, is counted by the sampler, and holds for whole programs.
+"""Rules against degenerate instructions. Each has a name, is counted by the sampler, and applies to whole programs.
 
-All rules work on what the text says, not on what is true, except that rooms and objects are distinguished by id. Two
-labels clash where a speaker might use one word for both (``Vocabulary.overlapping``).
+Rules consider what the text says, not what is true, except that rooms and objects are distinguished by id. Two labels
+clash if a speaker might use one word for both (``Vocabulary.overlapping``).
 """
 
 from __future__ import annotations
@@ -29,25 +29,25 @@ __all__ = [
 ]
 
 REASONS: Final[dict[str, str]] = {
-    "tautology": "a condition is settled by its own words: by its room's name, or by its own anchor",
-    "implied": "one condition's truth follows from another, or from what another takes for granted",
-    "one_label": "two conditions ask about things that may have one name, so that 'if there is one' may mean either",
-    "given_away": "what the stops or room names take for granted tells a condition's truth",
-    "names_stop": "a condition asks for something that is also a stop in that room, so that 'the lamp' may mean either",
+    "tautology": "a condition's own words decide its truth: by its room's name, or by its anchor",
+    "implied": "one condition's truth follows from another one, or from what that one presupposes",
+    "one_label": "two conditions are about objects that may have the same name, so 'if there is one' is ambiguous",
+    "given_away": "the presuppositions of stops or room names reveal a condition's truth",
+    "names_stop": "a condition is about something that is also a stop in that room, so 'the lamp' is ambiguous",
     "circular": "a phrase names an object by its room and that room by the same object",
     "one_target": "two leaves have the same goal",
     "repeated_stop": "an object is visited twice in one leaf",
-    "zigzag": "a leaf's stops leave a room and come back to it",
-    "idle_condition": "under no assignment of the others does this condition change the goal",
+    "zigzag": "a leaf's stops leave a room and return to it",
+    "idle_condition": "a condition never changes the goal, whatever the other conditions' truths",
 }
-"""Every rule and what it forbids."""
+"""Every rule by name, and what it forbids."""
 
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """What a condition's text asks: a label in a room, perhaps in relation to one or two anchors.
+    """What a condition's text states: a label in a room, perhaps in relation to one or two anchors.
 
-    presence : it asks nothing but whether such a thing is there
+    presence : it only states that such an object exists
     """
 
     room_id: str
@@ -58,7 +58,7 @@ class Claim:
 
     @classmethod
     def of(cls, condition: Condition) -> Claim:
-        """The claim a condition makes."""
+        """Return the claim that a condition makes."""
         anchors = condition.qualifier.anchor_labels if condition.qualifier else ()
         return cls(
             condition.room.room_id, condition.room.anchor_label, condition.label, anchors, condition.qualifier is None
@@ -67,10 +67,11 @@ class Claim:
 
 @dataclass(frozen=True)
 class Presupposed:
-    """Presuppositions of the stops' phrases, by room id.
+    """The presuppositions of the stops' phrases, by room id.
 
-    stops : labels of stops; things : those, the anchors of their qualifiers and of room names ("the … with the piano");
-    pairs : (label, anchor) that a qualifier states
+    stops : labels of stops
+    things : those, and the anchors of their qualifiers and of room names ("the … with the piano")
+    pairs : (label, anchor) stated by a qualifier
     """
 
     stops: frozenset[tuple[str, str]]
@@ -95,7 +96,7 @@ class Presupposed:
 
     @classmethod
     def by(cls, stops: Iterable[ObjectRef]) -> Presupposed:
-        """Presuppositions of all phrases of `stops` together."""
+        """Return the presuppositions of all phrases of `stops` together."""
         stops = tuple(stops)
         named = {(s.room.room_id, s.label) for s in stops}
         qualified = [
@@ -107,11 +108,12 @@ class Presupposed:
 
 
 def clash(claim: Claim, others: Sequence[Claim], given: Presupposed, vocabulary: Vocabulary) -> str | None:
-    """The first rule that a condition breaks beside the `others` and the stops' phrases; None if it breaks none."""
+    """Return the first rule that a condition violates together with `others` and the stops' phrases; None if none."""
     words = vocabulary.overlapping(claim.label)
     if words.intersection(claim.anchors) or claim.room_anchor in words:
         return "tautology"
-    # What is absent here can be a stop only elsewhere; asking presence of no stop anywhere keeps the two truths alike.
+    # A label that is absent here can be a stop only elsewhere. If presence is never asked of any stop's label, true and
+    # false conditions look alike.
     everywhere = claim.presence
     named = given.stop_labels if everywhere else given.stop_labels_in.get(claim.room_id, frozenset())
     if not words.isdisjoint(named):
@@ -129,7 +131,7 @@ def clash(claim: Claim, others: Sequence[Claim], given: Presupposed, vocabulary:
     for other in same_room:
         if other.label in words:
             return "implied"
-        # "a lamp near the bed" takes the bed for granted.
+        # "a lamp near the bed" presupposes the bed.
         if claim.presence and words.intersection(other.anchors):
             return "implied"
         if other.presence and vocabulary.overlapping(other.label).intersection(claim.anchors):
@@ -140,7 +142,7 @@ def clash(claim: Claim, others: Sequence[Claim], given: Presupposed, vocabulary:
 
 
 def _closes_cycle(claim: Claim, others: Sequence[Claim], vocabulary: Vocabulary) -> bool:
-    """Whether relations form a ring of labels: a north of b, b north of c settles c against a."""
+    """Return whether relations form a cycle of labels: a north of b and b north of c decide c against a."""
     reached, grown = set(vocabulary.overlapping(claim.label)), True
     edges = [(o.label, anchor) for o in others for anchor in o.anchors]
     while grown:
@@ -153,26 +155,26 @@ def _closes_cycle(claim: Claim, others: Sequence[Claim], vocabulary: Vocabulary)
 
 
 def is_circular(ref: ObjectRef, vocabulary: Vocabulary) -> bool:
-    """Whether a phrase is like "the desk in the bedroom with the desk"."""
+    """Return whether a phrase is circular, like "the desk in the bedroom with the desk"."""
     return ref.room.anchor_label is not None and ref.label in vocabulary.overlapping(ref.room.anchor_label)
 
 
 def repeats_anchor(named: ObjectRef | Condition, vocabulary: Vocabulary) -> bool:
-    """Whether a phrase is like "the chair near the desk in the bedroom with the desk": sound, but clumsy."""
+    """Return whether a phrase is like "the chair near the desk in the bedroom with the desk": valid, but clumsy."""
     if named.qualifier is None or named.room.anchor_label is None:
         return False
     return not vocabulary.overlapping(named.room.anchor_label).isdisjoint(named.qualifier.anchor_labels)
 
 
 def returns_to_room(moves: Sequence[ObjectRef]) -> bool:
-    """Whether the stops of a leaf leave a room and come back to it: bedroom, kitchen, bedroom."""
+    """Return whether the stops of a leaf leave a room and return to it: bedroom, kitchen, bedroom."""
     visited = [room for room, _ in groupby(move.room.room_id for move in moves)]
     return len(set(visited)) < len(visited)
 
 
 @cache
 def outcomes(category: Category) -> dict[tuple[bool, ...], int]:
-    """The leaf that each assignment of truths leads to."""
+    """Return the leaf to which each assignment of truths leads."""
     shape = SHAPES[category]
     table = {}
     for truths in product((True, False), repeat=len(shape.branches)):
@@ -185,7 +187,9 @@ def outcomes(category: Category) -> dict[tuple[bool, ...], int]:
 
 
 def idle_conditions(category: Category, goals: Sequence[str]) -> tuple[int, ...]:
-    """Conditions that never matter: negating them leaves the goal the same under every assignment of the others."""
+    """Return conditions that never matter: negating them leaves the goal the same for every assignment of the
+    others.
+    """
     table = outcomes(category)
     return tuple(
         k
@@ -198,7 +202,7 @@ def idle_conditions(category: Category, goals: Sequence[str]) -> tuple[int, ...]
 
 
 def degeneracies(program: Program, vocabulary: Vocabulary) -> tuple[str, ...]:
-    """Every rule that a whole program breaks, sorted; empty for a sound one."""
+    """Return every rule that a whole program violates, sorted; empty for a valid one."""
     found = set()
     goals = [leaf.goal.object_id for leaf in program.leaves]
     if len(set(goals)) < len(goals):

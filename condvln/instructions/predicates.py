@@ -1,4 +1,4 @@
-"""The predicates that text can use, and how they read."""
+"""The predicates that text can use, and their groups."""
 
 from __future__ import annotations
 
@@ -35,24 +35,24 @@ PREDICATE_GROUPS: Final[Mapping[str, tuple[Predicate, ...]]] = {
     "height": ("higher than", "lower than"),
     "far": ("far from",),
 }
-"""Predicates that read alike, in the order in which text prefers them; named as the keys of ``sampling.predicates``."""
+"""Groups of predicates with similar wording, in order of preference; named as the keys of ``sampling.predicates``."""
 
 PREDICATES: Final[tuple[Predicate, ...]] = tuple(p for group in PREDICATE_GROUPS.values() for p in group)
 
 OF_THINGS: Final[tuple[Predicate, ...]] = tuple(p for p in PREDICATES if p not in BEARINGS)
-"""Predicates that a scene decides, wherever the start is."""
+"""Predicates that the scene alone decides, independent of the start."""
 
 GROUP_OF: Final[Mapping[Predicate, str]] = {p: group for group, those in PREDICATE_GROUPS.items() for p in those}
 """Group of each predicate."""
 
 ASKED: Final[tuple[Predicate, ...]] = tuple(p for p in OF_THINGS if p not in QUALIFIER_ONLY)
-"""Predicates of things and their anchors that a condition may ask for; it may ask for bearings too."""
+"""Predicates with anchors that a condition may use; it may also use egocentric ones."""
 
 
 def sayable(directions: str, *, placed: bool = True) -> frozenset[Predicate]:
-    """Predicates that text may use under a value of ``instructions.directions``.
+    """Return the predicates that text may use under a value of ``instructions.directions``.
 
-    placed : programs are placed on a navmesh, so that the start can be chosen by what is said of it
+    placed : programs are placed on a navmesh, so that the start can be chosen for egocentric statements
     """
     allowed = {"compass": COMPASS, "egocentric": BEARINGS if placed else ()}.get(directions, ())
     return frozenset(p for p in PREDICATES if p in allowed or p not in (*COMPASS, *BEARINGS))

@@ -1,10 +1,10 @@
-"""What is usual in a room: label priors, and how often a statement about such a room is true, pooled over all sources.
+"""Priors over rooms: which labels are usual, and how often a statement is true, pooled over all sources.
 
-They are a unit of their own, made in a first pass and pinned. Of the labels a scene reads yes/no bits; of the
-statements, how evenly they divide the rooms of its types, so that a statement whose truth the words alone foretell
-("a pillow near the bed") is asked rarely, and as often where it is false as where it is true. Where a scene is one of
-many stagings of a layout, only those are counted: a statement that is true throughout one layout and false throughout
-another divides the pool evenly, and is foretold by whoever knows the layout.
+They are a separate unit, made in a first pass and pinned. A scene reads yes/no bits of labels, and of statements how
+evenly they are true and false in rooms of its types. A statement whose truth is predictable from its words ("a pillow
+near the bed") is then rarely used, and as often where it is false as where it is true. If the scene is one of many
+variants of a layout, only variants of this layout count: a statement that is true throughout one layout and false
+throughout another looks balanced in the pool, but is predictable for a guesser that knows the layout.
 """
 
 from __future__ import annotations
@@ -47,27 +47,29 @@ PRIORS: Final = pa.schema(
         pa.field("n_false", pa.int64(), nullable=False),
     ]
 )
-"""In how many rooms of a type a statement is usable as true and as false, by layout (empty: of scenes that
-are not stagings).
+"""The number of rooms of a type in which a statement is usable as true and as false, by layout (empty for scenes that
+are not variants).
 
-A row with an empty label counts the rooms of a type. One with an empty predicate is the presence of a label, false in
-rooms where it can be claimed: another room of the same scene has it, and no word for it fits anything here.
+A row with an empty label counts the rooms of a type. A row with an empty predicate is the presence of a label, counted
+as false in rooms where absence can be claimed: another room of the same scene has the label, and no word for it fits
+anything in this room.
 """
 
 MERGE_ROWS: Final = 200_000
-"""Rows gathered before they are summed up: bounds memory without summing for every scene."""
+"""Number of rows collected before they are summed: limits memory without summing for every scene."""
 
 _KEYS: Final = ("layout", "room_type", "label", "predicate", "anchor")
 
 
 @dataclass(frozen=True, slots=True)
 class PriorBits:
-    """What one scene reads of the priors: of its room types, and of the labels it holds (all where it is one room).
+    """The part of the priors that one scene reads: for its room types, and for its labels (all labels if it is one
+    room).
 
-    plausible : per room type, labels seen in enough rooms of that type
-    varies : those of them that enough rooms of the type lack as well, so that their presence says something
-    counts : rooms in which a statement is true and in which it is false, of the scene's layout where there are enough
-        of them; statements never seen are not there
+    plausible : by room type, labels found in enough rooms of that type
+    varies : those of them that are also absent from enough rooms of the type, so that their presence is informative
+    counts : number of rooms in which a statement is true and in which it is false, of the scene's layout if there are
+        enough; statements never found are missing
     staged : room types whose counts are those of the layout
     """
 
@@ -77,11 +79,11 @@ class PriorBits:
     staged: frozenset[str] = frozenset()
 
     def evidence(self, room_type: str) -> int:
-        """Rooms of a type in which a statement must have been seen for its counts to say whether it varies."""
+        """Return the number of rooms of a type that a statement's counts need before they say whether it varies."""
         return STAGINGS if room_type in self.staged else EVIDENCE
 
     def document(self) -> dict[str, JSON]:
-        """The bits as JSON with everything sorted, and the rates as a hash: equal bits, equal bytes."""
+        """Return the bits as sorted JSON, and the rates as a hash: equal bits give equal bytes."""
         rates = [(*key, round(RATE_STEPS * t / (t + f))) for key, (t, f) in sorted(self.counts.items())]
         return {
             "plausible": {room_type: sorted(labels) for room_type, labels in sorted(self.plausible.items())},
@@ -93,7 +95,7 @@ class PriorBits:
 
 @dataclass(frozen=True, eq=False)
 class LabelPriors:
-    """Counts that merge by addition, so that their order and grouping never matter.
+    """Counts that are merged by addition, independent of order and grouping.
 
     parts : tables of schema `PRIORS`, to be summed
     """
@@ -102,16 +104,18 @@ class LabelPriors:
 
     @classmethod
     def of_scene(cls, scene: Scene, thresholds: Thresholds, anchor_size: float) -> LabelPriors:
-        """Counts of one scene, its objects taken as boxes.
+        """Return the counts of one scene, with boxes for its objects.
 
-        thresholds, anchor_size : those that conditions are drawn with, so that what is counted is what is asked
+        thresholds, anchor_size : those used for drawing conditions, so that exactly the possible statements are counted
         """
         boxes = [(room, scene.arrays(room.room_id)) for room in scene.rooms]
         return cls(_of_rooms(layout_of(scene.scene_id), boxes, thresholds, anchor_size))
 
     @classmethod
     def of_tables(cls, rooms: pa.Table, objects: pa.Table, thresholds: Thresholds, anchor_size: float) -> LabelPriors:
-        """Counts of the ``rooms`` and ``objects`` tables of any number of scenes of one family; see `of_scene`."""
+        """Return the counts of any number of scenes of one family, from their ``rooms`` and ``objects`` tables; see
+        `of_scene`.
+        """
         scenes = _boxes(rooms, objects)
         return cls(
             tuple(part for name, boxes in scenes for part in _of_rooms(layout_of(name), boxes, thresholds, anchor_size))
@@ -119,7 +123,7 @@ class LabelPriors:
 
     @classmethod
     def merged(cls, parts: Iterable[LabelPriors]) -> LabelPriors:
-        """Sum of all `parts`, in whatever order they come."""
+        """Return the sum of all `parts`, in any order."""
         pending: list[pa.Table] = []
         rows = 0
         for part in parts:
@@ -134,16 +138,18 @@ class LabelPriors:
         return _summed(self.parts)
 
     def table(self) -> pa.Table:
-        """The sums as a table of schema `PRIORS`, sorted."""
+        """Return the sums as a table of schema `PRIORS`, sorted."""
         return self._counts
 
     @classmethod
     def from_table(cls, table: pa.Table) -> LabelPriors:
-        """The counts back from `table`."""
+        """Return the counts from a table of schema `PRIORS`."""
         return cls((table,))
 
     def bits(self, scene: Scene, plausible_share: float) -> PriorBits:
-        """The bits that `scene` reads; a label is plausible in a room type seen in `plausible_share` of its rooms."""
+        """Return the bits that `scene` reads; a label is plausible in a room type if `plausible_share` of its rooms
+        have it.
+        """
         types = sorted({room.label for room in scene.rooms})
         seen = sorted({o.label for o in scene.objects})
         held = pc.is_in(self._counts["label"], pa.array([*seen, ""], pa.string()))
@@ -167,7 +173,7 @@ class LabelPriors:
             counts = {key: seen for key, seen in pooled.items() if key[0] not in staged}
             counts.update({key: seen for key, seen in own.items() if key[0] in staged})
         if scene.single_room:
-            # Absence can then be claimed of whatever other scenes have.
+            # In a single-room scene, absence can be claimed of labels of other scenes.
             for t, x in presence:
                 there = counts.get((t, x, "", ""), (0, 0))[0]
                 counts[t, x, "", ""] = (there, (stagings if t in staged else rooms)[t] - there)
@@ -180,7 +186,7 @@ class LabelPriors:
 
 
 def _by_statement(rows: pa.Table) -> dict[Statement, tuple[int, int]]:
-    """Counts of each statement, summed over layouts."""
+    """Return the counts of each statement, summed over layouts."""
     found: dict[Statement, tuple[int, int]] = {}
     for _, t, label, predicate, anchor, n, m in zip(*rows.to_pydict().values(), strict=True):
         key = (t, label, predicate, anchor)
@@ -200,7 +206,7 @@ def _summed(parts: Sequence[pa.Table]) -> pa.Table:
 def _of_rooms(
     layout: str, boxes: Sequence[tuple[Room, RoomArrays]], thresholds: Thresholds, anchor_size: float
 ) -> tuple[pa.Table, ...]:
-    """Counts of each room of one scene."""
+    """Return the counts of each room of one scene."""
     labels = [_seen(arrays) for _, arrays in boxes]
     return tuple(
         _of_room(layout, room, arrays, set().union(*labels[:k], *labels[k + 1 :]), thresholds, anchor_size)
@@ -235,7 +241,7 @@ def _seen(arrays: RoomArrays) -> set[str]:
 
 
 def _rows(labels: Any, predicate: str, anchors: Any, true: Any, false: Any) -> pa.Table:
-    """Rows of counts, their layout and room type left open; a single value stands for a column of it."""
+    """Return rows of counts, without layout and room type; a single value fills its whole column."""
     n = len(labels)
 
     def column(values: Any, kind: pa.DataType) -> pa.Array:
@@ -248,7 +254,7 @@ def _rows(labels: Any, predicate: str, anchors: Any, true: Any, false: Any) -> p
 
 
 def _boxes(rooms: pa.Table, objects: pa.Table) -> Iterator[tuple[str, list[tuple[Room, RoomArrays]]]]:
-    """(scene id, rooms and their objects as boxes), scene by scene, from their tables."""
+    """Yield (scene id, rooms and their objects as boxes) for each scene, from their tables."""
     held: dict[tuple[str, str], list[SceneObject]] = {}
     wanted = [
         "scene_id",

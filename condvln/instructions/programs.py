@@ -1,4 +1,4 @@
-"""What follows from a program alone: its ids, its place on the composition axis, its gold branch."""
+"""Properties of a program alone: its ids, its composition class, its gold branch."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ ID_LENGTH = 20
 
 
 def program_key(program: Program) -> str:
-    """SHA-256 of the program's canonical JSON, truths and witnesses included: what makes two programs distinct.
+    """Return the SHA-256 of the program's canonical JSON, truths and witnesses included: equal keys mean equal
+    programs.
 
     Whether a condition is definite follows from the scene, and is left out.
     """
@@ -26,13 +27,13 @@ def program_key(program: Program) -> str:
 
 
 def instruction_id(family: str, scene_id: str, program: Program) -> str:
-    """Id of one program in one scene."""
+    """Return the id of one program in one scene."""
     key = f"{family}\x1f{scene_id}\x1f{program_key(program)}"
     return hashlib.sha256(key.encode()).hexdigest()[:ID_LENGTH]
 
 
 def leaves_below(program: Program, target: int) -> tuple[int, ...]:
-    """Indices of the leaves under a branch's target (a branch if ≥ 0, else the leaf ``-1 - target``)."""
+    """Return the indices of the leaves under a branch's target (a branch if ≥ 0, else the leaf ``-1 - target``)."""
     if target < 0:
         return (-1 - target,)
     branch = program.branches[target]
@@ -40,8 +41,11 @@ def leaves_below(program: Program, target: int) -> tuple[int, ...]:
 
 
 def composition(program: Program) -> Composition:
-    """C0: every room named is the same. C2: for some branch, the room of its condition, the rooms of the goals below
-    its THEN and those below its ELSE are disjoint. C1: all else."""
+    """Return the composition class.
+
+    C0: only one room is named. C2: for some branch, the room of its condition, the rooms of the goals below THEN and
+    those below ELSE are disjoint. C1: everything else.
+    """
     if len(program.rooms) == 1:
         return "C0"
     for branch in program.branches:
@@ -56,5 +60,5 @@ def composition(program: Program) -> Composition:
 
 
 def oracle_linear(program: Program) -> tuple[ObjectRef, ...]:
-    """The moves of the gold leaf alone, waypoints in their order; the last is the goal."""
+    """Return the moves of the gold leaf only, waypoints in order; the last is the goal."""
     return program.leaves[program.gold_leaf()].moves

@@ -1,13 +1,13 @@
-"""What text may call an object: by its label where that is unique in the room, else by label and qualifier.
+"""How text may name an object: by its label if that is unique in the room, else by label and qualifier.
 
-A qualifier is *necessary* (without it the phrase fits a rival too) and *sufficient* (every rival fails the predicate
-at the loose threshold, so that none lies in the dead zone). A rival is an object of the room whose label a speaker
-might use for this one as well: same label, synonym, hypernym or hyponym, or a thing of no label that may bear it. What
-may be anything at all ("unknown") is nobody's rival: it only keeps the room from being said to lack something.
+A qualifier must be *necessary* (without it the phrase fits a rival too) and *sufficient* (every rival fails the
+predicate at the loose threshold, so that none is in the dead zone). A rival is an object of the room whose label a
+speaker might also use for this one: same label, synonym, hypernym or hyponym, or an unlabelled object that may have the
+label. An object that could be anything ("unknown") is no rival; it only prevents claims of absence in its room.
 
-What nobody can see is unknown: text never names it, and it is not a rival of what is seen. It may still be there, so
-that nothing that a word for it might mean is said to be absent. Where it is in doubt whether one can be seen, no word
-that might mean it is used.
+Invisible objects count as unknown: text never names them, and they are no rivals of visible ones. They may still exist,
+so absence is never claimed of a label that they might have. If it is uncertain whether an object is visible, text uses
+no word that might mean it.
 """
 
 from __future__ import annotations
@@ -40,21 +40,21 @@ __all__ = [
 ]
 
 ALTERNATIVES: Final = 2
-"""Qualifiers kept per object and predicate group, those of largest margin; enough for texts to differ."""
+"""Number of qualifiers kept per object and predicate group, those of largest margin; enough for varied texts."""
 
 ROOM_NAMES: Final = 6
-"""Names kept per room: some of them may rest on what a program visits there."""
+"""Number of names kept per room: some of them may rely on objects that a program visits there."""
 
 Bools = NDArray[np.bool_]
 
 
 class Facts(Protocol):
-    """Which predicates text may use of the objects of one room, in the order of ``RoomArrays.object_ids``.
+    """The facts that text may use about the objects of one room, in the order of ``RoomArrays.object_ids``.
 
-    A status is +1 where a fact holds with margin, −1 where it fails with margin, 0 in the dead zone.
+    A status is +1 where a fact is true with margin, −1 where it is false with margin, 0 in the dead zone.
 
     status[p][i, j] : of "i p j", for predicates with one anchor
-    margin[p][i, j] : how far it is from its threshold, comparable within one predicate
+    margin[p][i, j] : distance from the threshold, comparable within one predicate
     """
 
     @property
@@ -64,15 +64,15 @@ class Facts(Protocol):
     def margin(self) -> Mapping[str, NDArray[np.float64]]: ...
 
     def between(self, pairs: NDArray[np.intp]) -> tuple[NDArray[np.int8], NDArray[np.float64]]:
-        """Status and margin (n, p) of "between a and b" for pairs (p, 2) of indices."""
+        """Return status and margin (n, p) of "between a and b" for pairs (p, 2) of indices."""
         ...
 
     def closest(self, rival: NDArray[np.bool_]) -> tuple[NDArray[np.int8], NDArray[np.float64]]:
-        """Status and margin (n, n) of "closest to", among each thing and its rivals."""
+        """Return status and margin (n, n) of "closest to", among each object and its rivals."""
         ...
 
     def sizes(self, rival: NDArray[np.bool_]) -> Mapping[str, NDArray[np.int8]]:
-        """Status (n,) of "the bigger" and "the smaller", of a thing and its one rival."""
+        """Return the status (n,) of "the bigger" and "the smaller", for an object and its only rival."""
         ...
 
 
@@ -87,18 +87,18 @@ class Qualification:
 
 @dataclass(frozen=True, eq=False)
 class Referents:
-    """The names that one room's objects may go by.
+    """The possible names of one room's objects.
 
-    rival (n, n) : j can be seen and could be meant by i's label
-    nameable (n,) : can be seen, the label is fit for text, and no word for it might mean a thing in doubt
+    rival (n, n) : j is visible and could be meant by i's label
+    nameable (n,) : visible, the label is fit for text, and no word for it might mean a doubtful object
     unique (n,) : nameable without rivals; small (n,) : shorter than the anchor size
-    anchors (a,) : indices of what something may be found by: unique, of known extent, neither small nor portable
+    anchors (a,) : indices of possible anchors: unique, of known extent, neither small nor portable
     suits (n, n) : j may be the anchor of i: it is fixed, or the larger of the two
-    may_be (n,) : labels that a thing may bear without being called so, of those that may be some things only
-    open (n,) : the same of all things whose extent is known, also of those that may be anything
-    sayable : predicates that a qualifier may have
-    blocked : labels that can't be said to be absent, since something nameless may bear them
-    unplaced : those among them that something of unknown extent may bear, so that it may be near to anything
+    may_be (n,) : labels that an object may have besides its own, for objects that can only have some labels
+    open (n,) : the same for all objects of known extent, including those that could be anything
+    sayable : predicates that a qualifier may use
+    blocked : labels whose absence can't be claimed, since an unlabelled object may have them
+    unplaced : those among them that an object of unknown extent may have, so that it may be near to anything
     """
 
     room: Room
@@ -117,15 +117,15 @@ class Referents:
     unplaced: frozenset[str]
 
     def lacks(self, label: str, vocabulary: Vocabulary) -> bool:
-        """Whether text may claim that the room has no `label`."""
+        """Return whether text may claim that the room has no `label`."""
         meant = vocabulary.overlapping(label)
         return self.room.complete and not meant & self.blocked and meant.isdisjoint(self.arrays.labels)
 
     def decides(self, label: str, vocabulary: Vocabulary) -> bool:
-        """Whether "a `label` near …" can be said to be false.
+        """Return whether "a `label` near …" can be claimed to be false.
 
-        It is where the one thing that the label fits is elsewhere, which claims no absence; else only where all that
-        may bear the label, nameless things among it, is known and is elsewhere.
+        This is so if the only object that the label fits is elsewhere, which claims no absence; otherwise only if
+        everything that may have the label, unlabelled objects included, is known and elsewhere.
         """
         if label in self.unique_labels:
             return True
@@ -133,17 +133,19 @@ class Referents:
 
     @cached_property
     def qualifications(self) -> tuple[tuple[Qualification, ...], ...]:
-        """Per object the ways to make it unique, best first; none where it needs none or has none."""
+        """For each object the qualifiers that make it unique, best first; empty if it needs none or has none."""
         return _qualifications(self)
 
     @cached_property
     def anchor_pairs(self) -> NDArray[np.intp]:
-        """(p, 2) all pairs of anchors, in the order of their ids."""
+        """All pairs of anchors (p, 2), in the order of their ids."""
         one, other = np.triu_indices(len(self.anchors), k=1)
         return np.stack([self.anchors[one], self.anchors[other]], axis=1).astype(np.intp)
 
     def related(self, predicate: Predicate) -> tuple[NDArray[np.intp], NDArray[np.int8], NDArray[np.float64], Bools]:
-        """Facts of a predicate with anchors: anchors (a, k), and status, margin and `suits` (n, a) of all objects."""
+        """Return the facts of a predicate with anchors: anchors (a, k); status, margin and `suits` (n, a) of all
+        objects.
+        """
         columns = self.anchor_pairs if predicate == "between" else self.anchors[:, None]
         if predicate == "between":
             status, margin = self.facts.between(columns)
@@ -160,23 +162,23 @@ class Referents:
 
     @cached_property
     def unique_labels(self) -> frozenset[str]:
-        """Labels that fit one object of the room alone, under any word for them."""
+        """Labels that fit exactly one object of the room, under any word for them."""
         return frozenset(self.arrays.labels[i] for i in np.flatnonzero(self.unique))
 
     @cached_property
     def usable(self) -> Bools:
-        """(n,) objects that text can name."""
+        """Mask (n,) of objects that text can name."""
         return np.asarray(self.unique | np.array([bool(q) for q in self.qualifications], dtype=bool))
 
     @cached_property
     def usable_anywhere(self) -> Bools:
-        """(n,) objects that text can name wherever the start is."""
+        """Mask (n,) of objects that text can name independent of the start."""
         told = [any(q.predicate not in BEARINGS for q in found) for found in self.qualifications]
         return np.asarray(self.unique | np.array(told, dtype=bool))
 
     @cached_property
     def sized(self) -> Bools:
-        """(n,) objects whose extent is known."""
+        """Mask (n,) of objects whose extent is known."""
         return np.asarray(~np.isnan(self.arrays.aabb_max - self.arrays.aabb_min).any(axis=1))
 
     @classmethod
@@ -191,9 +193,9 @@ class Referents:
         sightings: Sightings = EVERYTHING_SEEN,
         sayable: Container[str] = OF_THINGS,
     ) -> Referents:
-        """Names of all objects of a room.
+        """Return the names of all objects of a room.
 
-        family : whose labels they are; None where each is what its label says and nothing else
+        family : family whose labels they are; None if each object is only what its label says
         """
         seen = ~sightings.hidden(arrays)
         may_be, open_, blocked, unplaced = _nameless(arrays, vocabulary, family)
@@ -231,11 +233,11 @@ class Referents:
 def meant_by(
     words: Sequence[str], labels: Sequence[str], may_be: Sequence[frozenset[str]], vocabulary: Vocabulary
 ) -> Bools:
-    """(w, n): a word for label i might mean thing j, by its label or by what it may be.
+    """(w, n): whether a word for label i might mean object j, by its label or by one it may have.
 
     Parameters
     ----------
-    labels, may_be : of the things, (n,) each
+    labels, may_be : of the objects, (n,) each
     """
     meant = {word: vocabulary.overlapping(word) for word in words}
     found = [
@@ -250,7 +252,7 @@ def meant_by(
 def things_meant(
     scene: Scene, room_id: str, label: str, vocabulary: Vocabulary, sightings: Sightings = EVERYTHING_SEEN
 ) -> tuple[str, ...]:
-    """Ids of the things of a room that can be seen and that a word for `label` might mean, nameless ones among them."""
+    """Return the ids of visible objects of a room that a word for `label` might mean, unlabelled ones included."""
     arrays = scene.arrays(room_id)
     meant = meant_by((label,), arrays.labels, _nameless(arrays, vocabulary, scene.family)[0], vocabulary)[0]
     return tuple(arrays.object_ids[i] for i in np.flatnonzero(meant & ~sightings.hidden(arrays)))
@@ -259,7 +261,9 @@ def things_meant(
 def _nameless(
     arrays: RoomArrays, vocabulary: Vocabulary, family: str | None
 ) -> tuple[tuple[frozenset[str], ...], tuple[frozenset[str], ...], frozenset[str], frozenset[str]]:
-    """Labels that objects may have beside their own: `may_be`, `open`, `blocked` and `unplaced` of `Referents`."""
+    """Return labels that objects may have besides their own: `may_be`, `open`, `blocked` and `unplaced` of
+    `Referents`.
+    """
     none: frozenset[str] = frozenset()
     if family is None:
         return (none,) * len(arrays), (none,) * len(arrays), none, none
@@ -279,7 +283,7 @@ def _nameless(
 
 
 def _suits(sizes: NDArray[np.float64], fixed: Bools) -> Bools:
-    """(n, n) whether j may be the anchor of i, by sizes (n, 3): the larger on the ground or in volume, or the fixed."""
+    """Return (n, n): whether j may be the anchor of i: larger in ground area or volume (sizes (n, 3)), or fixed."""
     area, volume = sizes[:, 0] * sizes[:, 2], sizes.prod(axis=1)
     suits = fixed[None, :] | (area[None, :] >= area[:, None]) | (volume[None, :] >= volume[:, None])
     np.fill_diagonal(suits, False)
@@ -287,7 +291,9 @@ def _suits(sizes: NDArray[np.float64], fixed: Bools) -> Bools:
 
 
 def _longest_side(arrays: RoomArrays) -> NDArray[np.float64]:
-    """(n,) longest side in metres; infinite where no extent is known, so that it counts as large."""
+    """Return the longest sides (n,) in metres; infinite if the extent is unknown, so that the object counts as
+    large.
+    """
     sides = np.max(arrays.aabb_max - arrays.aabb_min, axis=1, initial=-np.inf)
     sides = np.where(np.isnan(sides), 2.0 * arrays.radius, sides)
     return np.where(np.isnan(sides), np.inf, sides)
@@ -304,7 +310,7 @@ def _qualifications(referents: Referents) -> tuple[tuple[Qualification, ...], ..
             if predicate not in referents.sayable:
                 continue
             if predicate in BEARINGS:
-                # Whether it can be so is found when the start is chosen.
+                # Whether the egocentric statement is possible is found when the start is chosen.
                 for k in np.flatnonzero(located[rows]).tolist():
                     ways[k].append((0.0, (), predicate))
                 continue
@@ -313,7 +319,7 @@ def _qualifications(referents: Referents) -> tuple[tuple[Qualification, ...], ..
                     ways[k].append((0.0, (), predicate))
                 continue
             anchors, status, margin, suits = referents.related(predicate)
-            # Rivals that the loose threshold does not exclude; a matrix product counts them for all anchors at once.
+            # Rivals that the loose threshold does not exclude, counted for all anchors at once by a matrix product.
             left = rivals @ (status != -1).astype(np.float32)
             for r, a in zip(*np.nonzero((status[rows] == 1) & (left == 0) & suits[rows]), strict=True):
                 ways[r].append((-float(margin[rows[r], a]), tuple(anchors[a].tolist()), predicate))
@@ -329,11 +335,11 @@ def _qualifications(referents: Referents) -> tuple[tuple[Qualification, ...], ..
 
 
 def room_refs(referents: Sequence[Referents], vocabulary: Vocabulary) -> dict[str, tuple[RoomRef, ...]]:
-    """Names of the rooms that have a unique one, with all alternatives, by room id.
+    """Return all alternative names of each room that has a unique one, by room id.
 
-    A room's label alone serves where no other room could be meant by it; else an object that is unique in the room
-    and that each of those others is known to lack under any word ("the bedroom with the piano"). The one room of a
-    single-room scene needs no name of its own.
+    A room's label suffices if no other room could be meant by it. Otherwise the name includes an object that is unique
+    in the room and known to be absent from each of those others ("the bedroom with the piano"). The only room of a
+    single-room scene needs no name.
     """
     if len(referents) == 1:
         room = referents[0].room
@@ -355,7 +361,7 @@ def _anchored(one: Referents, others: Sequence[Referents], vocabulary: Vocabular
     anchors = [
         i for i in one.anchors.tolist() if all(other.lacks(one.arrays.labels[i], vocabulary) for other in others)
     ]
-    # The largest first: what tells a room apart should be seen from its door.
+    # The largest first, since the distinguishing object should be visible from the room's door.
     anchors.sort(key=lambda i: (-size[i], one.arrays.object_ids[i]))
     return tuple(
         RoomRef(
@@ -369,7 +375,7 @@ def _anchored(one: Referents, others: Sequence[Referents], vocabulary: Vocabular
 
 
 def object_refs(referents: Referents, index: int, room: RoomRef) -> tuple[ObjectRef, ...]:
-    """All ways to name one object of a room named `room`, best first; empty if there is none."""
+    """Return all ways to name one object of a room named `room`, best first; empty if there are none."""
     arrays = referents.arrays
     name, label = arrays.object_ids[index], arrays.labels[index]
     if referents.unique[index]:
@@ -386,7 +392,7 @@ def object_refs(referents: Referents, index: int, room: RoomRef) -> tuple[Object
 
 
 def qualifier_of(arrays: RoomArrays, predicate: Predicate, anchors: Sequence[int]) -> Qualifier:
-    """A qualifier from the indices of its anchors."""
+    """Return a qualifier from the indices of its anchors."""
     return Qualifier(
         predicate=predicate,
         anchors=tuple(Anchor(object_id=arrays.object_ids[a], label=arrays.labels[a]) for a in anchors),

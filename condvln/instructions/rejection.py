@@ -1,4 +1,4 @@
-"""Why a draw is given up."""
+"""The reasons for which a draw of a program is rejected."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from condvln.instructions.degeneracy import REASONS as RULES
 __all__ = ["REASONS", "GivenUp"]
 
 REASONS: Final[dict[str, str]] = {
-    "nothing_to_ask": "no room that can be named has statements of both truths: it is not annotated completely, "
-    "too bare, or what is in it can't be seen from where an agent can stand",
-    "no_targets": "too few objects that can be named, stood at and told apart in place",
-    "no_waypoint": "no further stop lies apart from the leaf's other stops and the other leaves' goals",
-    "no_condition": "no statement of the wanted truth is left that breaks no rule",
-    "composition_missed": "the draw is not of the composition asked for",
+    "nothing_to_ask": "no nameable room has both true and false statements: its annotation is incomplete, "
+    "it has too few objects, or they are not visible from where an agent can stand",
+    "no_targets": "too few objects can be named, reached and distinguished",
+    "no_waypoint": "no further stop is far enough from the leaf's other stops and the other leaves' goals",
+    "no_condition": "every statement of the wanted truth violates a rule",
+    "composition_missed": "the draw does not have the composition that the cell asks for",
     "words_missed": "the text has fewer or more words than the cell asks for",
     "no_twin": "no condition that decides the gold leaf has a counterpart of the opposite truth",
     "duplicate": "the same program was drawn before",
-    "label_over_cap": "every label that could be a target has its share of the scene's leaves",
+    "label_over_cap": "every possible target label already has its share of the scene's leaves",
     **RULES,
 }
-"""Every reason counted in the rejections table by this stage."""
+"""All reasons that the program stage counts in the rejections table."""
 
 
 class GivenUp(Exception):
-    """A draw that leads nowhere; `reason` is a key of `REASONS`."""
+    """A draw that can't be completed; `reason` is a key of `REASONS`."""
 
     def __init__(self, reason: str) -> None:
         self.reason = reason

@@ -1,7 +1,8 @@
-"""Candidate programs of one scene: leaves first, then the gold leaf, then conditions of the truths that lead there.
+"""Sample candidate programs of one scene: leaves first, then the gold leaf, then conditions with the truths that lead
+there.
 
-So nothing about a leaf tells that it is gold, and nothing about a statement's label, anchor, kind or predicate tells
-whether it is true. Every draw is seeded by (dataset seed, family, scene, category) alone.
+Therefore nothing about a leaf reveals that it is gold, and neither label, anchor, kind nor predicate of a statement
+reveals its truth. Every draw is seeded by (dataset seed, family, scene, category) only.
 """
 
 from __future__ import annotations
@@ -37,17 +38,20 @@ from schemas.program import CATEGORIES, SHAPES, Category, Leaf, ObjectRef, Progr
 __all__ = ["ProgramSampler"]
 
 TRIES_PER_CANDIDATE: Final = 2
-"""Shapes tried for each candidate wanted, so that a scene that can't fulfil some of them still fills its number."""
+"""Number of shapes tried per wanted candidate, so that a scene reaches its number although some shapes are
+impossible.
+"""
 
 VAIN_TRIES: Final = 100
-"""Shapes in a row, each drawn many times, after which a cell has given all that it can."""
+"""Number of consecutive shapes, each tried many times, after which a cell counts as exhausted."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Shape:
-    """What a candidate should be: its composition (None where no room allows any) and the moves of each leaf.
+    """The requested form of a candidate: its composition (None if rooms allow any) and the number of moves of each
+    leaf.
 
-    bearings : it may say where things lie at the start
+    bearings : it may have egocentric statements
     """
 
     composition: str | None
@@ -56,21 +60,22 @@ class _Shape:
 
 
 class ProgramSampler:
-    """Draws candidate programs of one scene.
+    """Samples candidate programs of one scene.
 
     Parameters
     ----------
-    facts : facts fit for text, per room id
+    facts : facts that text may use, by room id
     bits : the priors' bits that this scene reads (``LabelPriors.bits``)
-    stops : what the navigation knows; ``apart_by_centres`` where there is no navmesh
-    sightings : which objects nobody can see; without them all can be seen that are in no shut container
-    preamble : whether texts that use compass words open with the start heading; cells may bound the number of words
-    placed : programs are placed on a navmesh, so that a start can be chosen by what is said of it
+    stops : reachable objects and their distances; ``apart_by_centres`` without a navmesh
+    sightings : which objects are invisible; by default only those in shut containers
+    preamble : whether texts that use compass words begin with the start heading; matters for cells with bounds on the
+        number of words
+    placed : programs are placed on a navmesh, so that a start can be chosen for egocentric statements
 
     Attributes
     ----------
-    rejections : how often, for each cell (None: counterfactual groups), each reason ended a draw or cost a part of one
-        another try
+    rejections : by cell (None for counterfactual groups) and reason, the number of draws, or parts of draws, that were
+        rejected
     """
 
     def __init__(
@@ -123,7 +128,7 @@ class ProgramSampler:
 
     @cached_property
     def _held(self) -> dict[str, int]:
-        """Targets per nameable room, as bits."""
+        """Targets of each nameable room, as bits."""
         held = dict.fromkeys(sorted(self._names), 0)
         for target in self.targets:
             held[target.room_id] |= 1 << target.position
@@ -131,7 +136,7 @@ class ProgramSampler:
 
     @cached_property
     def _members(self) -> dict[str, int]:
-        """Targets per label, as bits."""
+        """Targets of each label, as bits."""
         members: dict[str, int] = {}
         for k, target in enumerate(self.targets):
             members[target.label] = members.get(target.label, 0) | 1 << k
@@ -144,22 +149,24 @@ class ProgramSampler:
 
     @cached_property
     def label_cap(self) -> float:
-        """Largest share of leaf targets a label may have; an equal share where the scene has too few labels."""
+        """Largest share of leaf targets that a label may have; an equal share if the scene has too few labels."""
         return max(self.wanted.label_cap, 1.0 / max(1, len(self._members)))
 
     def _target_pool(self, category: Category, used: Counter[str]) -> TargetPool:
-        """Goals: labels by weight and rarity, none beyond its share."""
+        """Return the pool of goals: labels by weight and rarity, none above its share."""
         candidates = sum(self.sampling.candidates(cell) for cell in self.wanted.cells_of(category))
         most = max(1.0, self.label_cap * candidates * SHAPES[category].leaves)
         weights = {t.label: t.weight / (1 + used[t.label]) for t in self.targets if used[t.label] + 1 <= most}
         return TargetPool(self._members, weights)
 
     def candidates(self, category: Category) -> Iterator[Program]:
-        """Distinct programs of all that is wanted of a category, in a seeded order."""
+        """Yield distinct programs of everything wanted of a category, in a seeded order."""
         return (program for _, program in self.drawn(category))
 
     def drawn(self, category: Category) -> Iterator[tuple[InstructionCell, Program]]:
-        """Up to ``sampling.candidates(cell)`` programs of each cell of a category, all distinct, each with its cell."""
+        """Yield up to ``sampling.candidates(cell)`` programs of each cell of a category, all distinct, with their
+        cells.
+        """
         seen: set[Program] = set()
         used: Counter[str] = Counter()
         for cell in self.wanted.cells_of(category):
@@ -179,7 +186,7 @@ class ProgramSampler:
             if found >= wanted or failed >= VAIN_TRIES:
                 return
             failed += 1
-            # What is hard to draw is not given up for what is easy: a shape stands until it is met.
+            # A shape that is hard to draw is not replaced by an easy one; it is tried until it succeeds.
             shape = self._shape(cell, draws)
             for _ in range(self.sampling.draws_per_candidate):
                 program = None
@@ -195,7 +202,7 @@ class ProgramSampler:
                 break
 
     def _worded(self, cell: InstructionCell, program: Program) -> Program:
-        """`program`, if its text has as many words as the cell asks for."""
+        """Return `program` if its text has the number of words that the cell asks for; otherwise raise GivenUp."""
         if cell.words is not None:
             name = instruction_id(self.scene.family, self.scene.scene_id, program)
             least, most = cell.words
@@ -205,7 +212,9 @@ class ProgramSampler:
         return program
 
     def groups(self) -> Iterator[Group]:
-        """Counterfactual groups, as many candidates as for so many episodes, their categories in turn; all distinct."""
+        """Yield distinct counterfactual groups, as many candidates as for the same number of episodes, cycling
+        through categories.
+        """
         wanted = self.wanted.counterfactual_groups * self.sampling.candidates_per_episode
         cells = [cells for cells in map(self.wanted.cells_of, CATEGORIES) if cells]
         if not wanted or not cells or not self.condition_sampler.rooms:
@@ -230,7 +239,7 @@ class ProgramSampler:
 
     @contextmanager
     def _counted(self, cell: InstructionCell | None) -> Iterator[None]:
-        """Counts why a draw was given up, and the conditions that clashed with others."""
+        """Count why a draw was rejected, and the conditions that clashed with others."""
         try:
             yield
         except GivenUp as given_up:
@@ -258,7 +267,7 @@ class ProgramSampler:
             if any(options.values()):
                 wanted = draws.weighted(tuple(options), tuple(options.values()))
         n_leaves = SHAPES[category].leaves
-        # What must be in the first view is never behind, which would tell.
+        # Evidence that must be in the first view is never behind, so "behind" would reveal the truth.
         bearings = cell.observability != "O0f"
         if cell.moves is not None:
             return _Shape(wanted, (cell.moves,) * n_leaves, bearings)
@@ -266,7 +275,7 @@ class ProgramSampler:
         return _Shape(wanted, tuple(1 + draws.cumulative(shares) for _ in range(n_leaves)), bearings)
 
     def _roomy(self, category: Category) -> tuple[str, ...]:
-        """Rooms that can hold a whole program."""
+        """Return the rooms that can hold a whole program."""
         n = SHAPES[category].leaves
         return tuple(room for room in self.condition_sampler.rooms if self._held[room].bit_count() >= n)
 
@@ -281,7 +290,7 @@ class ProgramSampler:
         names = {room_id: draws.choice(self._room_names(room_id, visited)) for room_id in rooms}
         near = [room for room in self.condition_sampler.start_rooms if room in names] if shape.bearings else []
         start_room = draws.choice(near) if near else None
-        # Each bearing more leaves fewer starts. One at least is left for a condition.
+        # Each additional egocentric statement leaves fewer starts. At least one is left for a condition.
         bearings = self.sampling.bearings
         leaves = []
         for targets_of_leaf in stops:
@@ -291,7 +300,7 @@ class ProgramSampler:
                 named.append(self._named(target, names[target.room_id], draws, here))
                 bearings -= named[-1].is_bearing
             leaves.append(Leaf(moves=tuple(named)))
-        # A leaf drawn evenly; truths that don't matter on the way to it are fair coins.
+        # The gold leaf is drawn uniformly; truths that don't matter on the way to it are fair coins.
         gold = draws.index(len(leaves))
         truths = draws.choice([assignment for assignment, leaf in outcomes(category).items() if leaf == gold])
         moves = [move for leaf in leaves for move in leaf.moves]
@@ -306,8 +315,11 @@ class ProgramSampler:
         return program
 
     def _spread(self, category: Category, wanted: str | None, draws: Draws) -> Sequence[str]:
-        """The rooms to draw a composition from, no two of one type: a listener mixes up "the bedroom with the desk" and
-        "the bedroom with the plant", and needs no thing in it where the text has one bedroom."""
+        """Return the rooms for a composition, all of different types.
+
+        A listener would confuse "the bedroom with the desk" and "the bedroom with the plant", and a text with only one
+        bedroom needs no distinguishing object.
+        """
         roomy = self._roomy(category)
         types = len(self._rooms_of_type)
         if wanted is None or (wanted == "C0" and not roomy) or types < {"C0": 1, "C1": 2, "C2": 3}[wanted]:
@@ -317,7 +329,9 @@ class ProgramSampler:
         return self._few(2 if wanted == "C1" else MOST_ROOMS, draws)
 
     def _few(self, most: int, draws: Draws) -> list[str]:
-        """Some rooms, one to ask about among them; rather those that have a name without a thing in it."""
+        """Return some rooms, at least one with conditions; preferably rooms whose name needs no distinguishing
+        object.
+        """
         few = [draws.choice(self.condition_sampler.rooms)]
         while len(few) < most:
             left = [room for rooms in self._rooms_of_type.values() if not {*rooms} & {*few} for room in rooms]
@@ -328,18 +342,18 @@ class ProgramSampler:
 
     @cached_property
     def _rooms_of_type(self) -> dict[str, list[str]]:
-        """Rooms by their type."""
+        """The rooms by their type."""
         found: dict[str, list[str]] = {}
         for room_id in self._held:
             found.setdefault(self.referents[room_id].room.label, []).append(room_id)
         return found
 
     def _is_plain(self, room_id: str) -> bool:
-        """Whether a room's label alone names it."""
+        """Return whether a room's label alone names it."""
         return self._names[room_id][0].anchor_label is None
 
     def _goals(self, category: Category, allowed: int, draws: Draws, pool: TargetPool) -> list[Target]:
-        """One goal a leaf, of different labels, pairwise apart; rarely used labels first in line."""
+        """Return one goal for each leaf, of different labels, pairwise apart; rarely used labels are preferred."""
         n = SHAPES[category].leaves
         goals: list[Target] = []
         while len(goals) < n:
@@ -356,7 +370,7 @@ class ProgramSampler:
         return goals
 
     def _moves(self, goal: Target, goals: Sequence[Target], count: int, allowed: int, draws: Draws) -> list[Target]:
-        """The stops of one leaf: waypoints apart from each other and from every leaf's goal, then the goal."""
+        """Return the stops of one leaf: waypoints apart from each other and from every leaf's goal, then the goal."""
         allowed &= ~self._members[goal.label]
         for other in goals:
             allowed &= other.apart
@@ -368,11 +382,11 @@ class ProgramSampler:
             stops.append(self.targets[position])
             allowed &= stops[-1].apart & ~self._members[stops[-1].label]
         if len(stops) == 2 and stops[0].room_id == goal.room_id != stops[1].room_id:
-            stops.reverse()  # a room is left once
+            stops.reverse()  # stops never return to a room
         return [*stops, goal]
 
     def _room_names(self, room_id: str, visited: Sequence[Target]) -> Sequence[RoomRef]:
-        """The names of a room that don't rest on something that is visited there."""
+        """Return the names of a room that don't rely on an object that is visited there."""
         labels = {target.label for target in visited if target.room_id == room_id}
         names = [
             name
@@ -384,7 +398,7 @@ class ProgramSampler:
         return names[:ALTERNATIVES]
 
     def _named(self, target: Target, room: RoomRef, draws: Draws, start: bool) -> ObjectRef:
-        """One of the names of a target; by its bearing only where the start is in its room."""
+        """Return one of the names of a target; an egocentric one only if the start is in its room."""
         key = (room, target.object_id)
         if key not in self._refs:
             refs = object_refs(self.referents[target.room_id], target.index, room)
@@ -396,7 +410,9 @@ class ProgramSampler:
         return draws.weighted(refs, self._preferences(refs))
 
     def _preferences(self, refs: Sequence[ObjectRef]) -> list[float]:
-        """Weights of the ways to name an object, those of its predicates; one of weight 0 serves where it is alone."""
+        """Return weights of the names of an object, by predicate; a name of weight 0 is used only if it is the only
+        one.
+        """
         groups = ["" if ref.qualifier is None else GROUP_OF[ref.qualifier.predicate] for ref in refs]
         weights = [getattr(self.sampling.predicates, group, 1.0) / groups.count(group) for group in groups]
         return weights if any(weights) else [1.0] * len(refs)

@@ -1,4 +1,6 @@
-"""Which statements about a room are true and which false, each with a margin, as tables over labels and anchors."""
+"""Tables over labels and anchors of the statements about a room that are true, and those that are false, with
+margin.
+"""
 
 from __future__ import annotations
 
@@ -21,14 +23,14 @@ Bools = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class StatementTruths:
-    """The statements "there is a <label> <predicate> the <anchor>" of one room and one predicate.
+    """The statements "there is a <label> <predicate> the <anchor>" for one room and one predicate.
 
     labels (l,) : nameable labels of the room; anchors (a, k) : indices of the k anchors of each column
-    exact (l, n) : which objects that can be seen bear a label; held (n, a) : which objects are related with margin
-    true (l, a) : an object that can be seen of exactly this label is in the relation
-    false (l, a) : every object that the label might mean, seen or not, or that has no name and may bear the label,
+    exact (l, n) : which visible objects have a label; held (n, a) : which objects are in the relation, with margin
+    true (l, a) : a visible object of exactly this label is in the relation
+    false (l, a) : every object that the label might mean, visible or not, and every unlabelled one that may have it,
         fails the relation at the loose threshold
-    Neither where an anchor is not the larger or the fixed one beside each object of the label.
+    Neither is true unless the anchor is fixed or larger than each object of the label.
     """
 
     predicate: Predicate
@@ -50,25 +52,25 @@ def anchor_key(labels: Iterable[str]) -> str:
 
 
 def statement_truths(referents: Referents, vocabulary: Vocabulary) -> Iterator[StatementTruths]:
-    """All statements of relation about one room, a table per predicate."""
+    """Yield all statements of relation about one room, one table per predicate."""
     own = referents.arrays.labels
     labels = tuple(sorted({label for label, fit in zip(own, referents.nameable, strict=True) if fit}))
     if not labels or not len(referents.anchors):
         return
     exact = np.array([[x == label for x in own] for label in labels], dtype=bool) & referents.nameable
     overlap = meant_by(labels, own, referents.may_be, vocabulary)
-    # A label that something unseen may bear is asked with neither truth.
+    # A label that an invisible object may have is used with neither truth.
     decided = np.array([referents.decides(label, vocabulary) for label in labels], dtype=bool)
-    # "A lamp near the bed" is false only where no nameless thing that may be a lamp is near it. "The lamp" is seen.
+    # "A lamp near the bed" is false only if no unlabelled object that may be a lamp is near it. "The lamp" is visible.
     definite = np.array([label in referents.unique_labels for label in labels], dtype=bool)
     possible = overlap | (meant_by(labels, own, referents.open, vocabulary) & ~definite[:, None])
     for predicate in ASKED:
         anchors, status, _, suits = referents.related(predicate)
-        # "a bed near the bed" says nothing; neither does any word for it.
+        # "a bed near the bed" is pointless, and so is any other word for the bed.
         sayable = ~overlap[:, anchors].any(axis=2) & decided[:, None]
         sayable &= exact.astype(np.float32) @ (~suits).astype(np.float32) == 0
         if predicate == "on":
-            # Nobody asks whether the faucet is on the painting, or the side table on the sink.
+            # Nobody would ask whether the faucet is on the painting, or the side table on the sink.
             surfaces = labels_with_role("surface")
             sayable &= np.array([own[a] in surfaces for a in anchors[:, 0].tolist()], dtype=bool)
             sayable &= np.array([label not in surfaces for label in labels], dtype=bool)[:, None]

@@ -1,4 +1,4 @@
-"""Where a program may send the agent: objects that can be named and stood at, and which of them lie apart."""
+"""The possible stops of a program: objects that can be named and reached, and which of them are far enough apart."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ __all__ = ["Stops", "Target", "TargetPool", "apart_by_centres", "targets"]
 
 @dataclass(frozen=True, eq=False)
 class Stops:
-    """Navigation data of objects as stops.
+    """The reachable objects of a scene, and which of them are far enough apart.
 
-    object_ids (n,) : objects that can be stood at; an object not listed is never a stop
-    apart (n, n) : two stops lie far enough from each other to be leaves of one program, or two moves of one leaf
+    object_ids (n,) : objects with goal points; other objects are never stops
+    apart (n, n) : two stops are far enough apart to be leaves of one program, or two moves of one leaf
     """
 
     object_ids: tuple[str, ...]
@@ -34,7 +34,7 @@ class Stops:
 class Target:
     """An object that may be a stop.
 
-    position : its place among all targets; index : its place among the room's objects
+    position : its index among all targets; index : its index among the room's objects
     apart : the targets far enough from this one, as bits of an integer
     """
 
@@ -48,16 +48,18 @@ class Target:
 
 
 class TargetPool:
-    """Draws targets: first a label by its weight, then one of its objects evenly.
+    """Draws targets: first a label by its weight, then one of its objects uniformly.
 
     Parameters
     ----------
-    members : per label its targets as bits
-    weights : per label; labels without one are not drawn
+    members : by label, its targets as bits
+    weights : by label; labels without a weight are not drawn
     """
 
     REJECTIONS: Final = 6
-    """Labels drawn blindly before those that are left are counted; rejection draws from the same distribution."""
+    """Number of labels drawn without checking before the remaining ones are counted; both give the same
+    distribution.
+    """
 
     def __init__(self, members: Mapping[str, int], weights: Mapping[str, float]) -> None:
         self._bits = [members[label] for label in weights]
@@ -65,7 +67,7 @@ class TargetPool:
         self._sums = list(accumulate(self._weights))
 
     def draw(self, allowed: int, draws: Draws) -> int | None:
-        """Position of one of the `allowed` targets (bits); None where there is none left to draw."""
+        """Return the position of one of the `allowed` targets (bits); None if none is left."""
         if not self._bits or not allowed:
             return None
         for _ in range(self.REJECTIONS):
@@ -78,7 +80,7 @@ class TargetPool:
         return draws.choice(_positions(self._bits[draws.weighted(left, [self._weights[k] for k in left])] & allowed))
 
     def holds_nothing_back(self, allowed: int) -> bool:
-        """Whether every allowed target could be drawn: nothing is held back by its label."""
+        """Return whether every allowed target could be drawn, i.e. no label has reached its share."""
         drawable = 0
         for bits in self._bits:
             drawable |= bits
@@ -86,7 +88,7 @@ class TargetPool:
 
 
 def apart_by_centres(scene: Scene, places: PlacesConfig) -> Stops:
-    """Stops of a scene without geodesics: objects are apart by the horizontal distance of their centres."""
+    """Return the stops of a scene without geodesics: objects are apart by the horizontal distance of their centres."""
     ordered = sorted(scene.objects, key=lambda o: o.object_id)
     least = places.leaf_separation(scene.single_room)
     ground = np.array([o.center[[0, 2]] for o in ordered], dtype=np.float64).reshape(-1, 2)
@@ -97,7 +99,7 @@ def apart_by_centres(scene: Scene, places: PlacesConfig) -> Stops:
 def targets(
     referents: Mapping[str, Referents], rooms: Iterable[str], stops: Stops, sampling: SamplingConfig
 ) -> tuple[Target, ...]:
-    """The usable objects of the named `rooms` that can be stood at, in order of room and object id."""
+    """Return the usable, reachable objects of the named `rooms`, in order of room and object id."""
     alone = len(referents) == 1
     row_of = {name: k for k, name in enumerate(stops.object_ids)}
     chosen = [
@@ -128,7 +130,7 @@ def _bits(row: NDArray[np.bool_]) -> int:
 
 
 def _positions(bits: int) -> list[int]:
-    """Positions of the set bits, ascending."""
+    """Return the positions of the set bits, ascending."""
     found = []
     while bits:
         lowest = bits & -bits

@@ -1,4 +1,4 @@
-"""Programs to rows of the ``instructions`` table and back, without loss."""
+"""Convert programs to rows of the ``instructions`` table and back, without loss."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ def instruction_table(
     texts: Mapping[str, str] | None = None,
     groups: Mapping[str, str | None] | None = None,
 ) -> pa.Table:
-    """INSTRUCTIONS rows in the order given.
+    """Return INSTRUCTIONS rows in the given order.
 
     Parameters
     ----------
     programs : (instruction id, program)
-    texts, groups : text and counterfactual group by instruction id; null where there is none
+    texts, groups : text and counterfactual group by instruction id; null if missing
     """
     rows = [
         _row(scene_id, name, program, (texts or {}).get(name), (groups or {}).get(name)) for name, program in programs
@@ -58,7 +58,7 @@ def _row(scene_id: str, name: str, program: Program, text: str | None, group: st
 
 
 def programs_from_table(table: pa.Table) -> list[tuple[str, Program]]:
-    """(instruction id, program) of each row, in the table's order."""
+    """Return (instruction id, program) of each row, in the table's order."""
     columns = ["instruction_id", "category", "conditions", "branches", "leaves"]
     return [
         (row["instruction_id"], Program.model_validate({name: row[name] for name in columns[1:]}))

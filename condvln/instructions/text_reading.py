@@ -1,6 +1,6 @@
-"""What a text says, by words alone: the program without ids, truths and witnesses.
+"""The meaning of a text in words only: the program without ids, truths and witnesses.
 
-A text and its program agree when ``reading_of(program, …) == parse(text, …)``.
+Text and program agree if ``reading_of(program, …) == parse(text, …)``.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Phrase:
-    """A noun phrase: label, qualifier as (predicate, anchors' labels), and the room; None where the text names none.
+    """A noun phrase: label, qualifier as (predicate, anchors' labels), and the room; None if the text does not name it.
 
-    definite : of a condition, whether it is about one definite thing ("the lamp is near the bed")
+    definite : for a condition, whether it is about one definite object ("the lamp is near the bed")
     """
 
     label: str
@@ -36,7 +36,7 @@ class Phrase:
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """The tree of a text: conditions in program order and leaves as sequences of stops."""
+    """The meaning of a text: conditions in program order and leaves as sequences of stops."""
 
     category: Category
     conditions: tuple[Phrase, ...]
@@ -45,9 +45,9 @@ class Reading:
 
 
 def reading_of(program: Program, heading: str | None = None) -> Reading:
-    """The reading that every rendering of `program` must have.
+    """Return the reading that every rendering of `program` must have.
 
-    Rooms that text doesn't name (a whole apartment as one room) are None, as the parser leaves them.
+    Rooms that text does not name (an apartment as a single room) are None, as the parser returns them.
     """
     return Reading(
         category=program.category,
@@ -60,11 +60,11 @@ def reading_of(program: Program, heading: str | None = None) -> Reading:
 def _phrase(named: Condition | ObjectRef) -> Phrase:
     qualifier = named.qualifier
     stated = None if qualifier is None else (qualifier.predicate, qualifier.anchor_labels)
-    # A stop that goes by its bearing is in the room of the start, which text does not name.
+    # A stop with an egocentric direction is in the room of the start, which text does not name.
     place = None if isinstance(named, ObjectRef) and named.is_bearing else _place(named.room)
     return Phrase(named.label, stated, place, isinstance(named, Condition) and named.definite)
 
 
 def _place(room: RoomRef) -> Place | None:
-    # Whether a room has a name fit for text doesn't depend on the language.
+    # Whether a room's name is fit for text does not depend on the language.
     return Place(room.label, room.anchor_label) if room.label in language().rooms else None

@@ -1,4 +1,4 @@
-"""An instruction's decision tree as lines of text, with truths, witnesses and the gold branch marked."""
+"""Print an instruction's decision tree as text, with truths, witnesses and the gold branch marked."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["program_tree"]
 
 
 def program_tree(program: Program) -> str:
-    """The tree of `program`; ✔/✘ is a condition's truth, ★ the gold leaf."""
+    """Return the tree of `program` as text; ✔/✘ is a condition's truth, ★ the gold leaf."""
     return "\n".join(_branch(program, 0, "", program.gold_leaf()))
 
 
