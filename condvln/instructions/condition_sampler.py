@@ -28,7 +28,9 @@ Statements = PresencePool | RelationPool
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Asked:
-    """A statement about a room by one of its names; `clumsy`: it repeats the thing that names the room."""
+    """A condition about a room under one of the room's names; `clumsy` : it repeats the object that distinguishes
+    the room.
+    """
 
     condition: Condition
     claim: Claim
@@ -166,8 +168,8 @@ class ConditionSampler:
     def _pair(
         self, room: RoomRef, statements: Statements, claims: Sequence[Claim], given: Presupposed, draws: Draws
     ) -> dict[bool, Condition] | None:
-        """A true and a false condition of one kind and predicate, each of them usable."""
-        # The pools live as long as this sampler, so each is known by its id.
+        """Return a true and a false condition of one kind and predicate, both usable; None if there are none."""
+        # Pools live as long as this sampler, so their ids are valid cache keys.
         asked = self._asked.setdefault((room, id(statements)), {})
         found: dict[bool, Condition] = {}
         for truth in (True, False):
@@ -180,7 +182,7 @@ class ConditionSampler:
                     one = _Asked(condition, Claim.of(condition), repeats_anchor(condition, self._vocabulary))
                     asked[truth, place] = one
                 if one.clumsy and 2 * attempt < self._sampling.attempts:
-                    continue  # taken only where nothing else is found
+                    continue  # used only if nothing else is found
                 rule = clash(one.claim, claims, given, self._vocabulary)
                 if rule is None:
                     found[truth] = one.condition

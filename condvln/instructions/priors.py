@@ -236,7 +236,7 @@ def _of_room(
 
 
 def _seen(arrays: RoomArrays) -> set[str]:
-    """Labels of the objects that are not hidden."""
+    """Return the labels of the objects that are not hidden."""
     return {label for label, hidden in zip(arrays.labels, arrays.hidden, strict=True) if not hidden}
 
 
