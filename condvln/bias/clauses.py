@@ -1,7 +1,7 @@
-"""A tolerant reader of conditional texts that others wrote: what is asked, and what to do either way.
+"""A tolerant reader of other people's conditional texts: the condition, and what to do in either case.
 
 English and Spanish. It reads "if …, …; otherwise, …", the same with "then", "… if …, otherwise …" and "check if ….
-If so, … . If not, …". A text with more conditions than one is conditional but is not taken apart.
+If so, … . If not, …". A text with several conditions counts as conditional but is not split.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Final, Literal
 __all__ = ["Clauses", "Motion", "is_conditional", "motion", "read_clauses"]
 
 Motion = Literal["stays", "changes floor", "walks"]
-"""How a clause ends: where it starts, on another floor, or elsewhere."""
+"""Where a clause ends: at its start, on another floor, or elsewhere."""
 
 _IF: Final = re.compile(
     r"(?<!as )(?<!even )\b(?:if|unless|in case|provided that)\b(?! so\b| not\b| yes\b| no\b)"
@@ -43,10 +43,10 @@ _FLOOR: Final = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Clauses:
-    """A text with one condition, lower case.
+    """A text with one condition, split into lower-case parts.
 
-    before : what is said ahead of it; start : the room that it starts from, empty where that is not said
-    then, otherwise : what to do; `otherwise` is empty where nothing is said
+    before : the part ahead of the condition; start : the room of the start, empty if not stated
+    then, otherwise : what to do; `otherwise` is empty if not stated
     """
 
     before: str
@@ -57,12 +57,14 @@ class Clauses:
 
 
 def is_conditional(text: str) -> bool:
-    """Whether the text asks for something."""
+    """Return whether the text contains a condition."""
     return _IF.search(text.lower()) is not None
 
 
 def read_clauses(text: str) -> Clauses | None:
-    """The parts of a text with one condition; None where there is none, or more, or they can't be told apart."""
+    """Return the parts of a text with exactly one condition; None if there are none or several, or they can't be
+    split.
+    """
     low = " ".join(text.lower().split())
     asked = list(_IF.finditer(low))
     if len(asked) != 1 or len(_ELSE.findall(low)) > 1:
@@ -81,10 +83,10 @@ def read_clauses(text: str) -> Clauses | None:
 
 
 def motion(clause: str, clauses: Clauses) -> Motion:
-    """How a clause of a text ends."""
+    """Return where a clause of a text ends."""
     if _NO_MOVE.search(clause) or _BACK.search(clause) or _returns(clause, clauses.start):
         return "stays"
-    ahead = _WALK.search(_START.sub("", clauses.before))  # what all do first leads away from the start
+    ahead = _WALK.search(_START.sub("", clauses.before))  # the shared beginning leads away from the start
     resting = not ahead and not _WALK.search(clause) and _REST.search(clause)
     if resting and (_HERE.search(clause) or _IN_ROOM.search(clause) or _ALONE.fullmatch(clause)):
         return "stays"
@@ -92,13 +94,13 @@ def motion(clause: str, clauses: Clauses) -> Motion:
 
 
 def _returns(clause: str, start: str) -> bool:
-    """Whether it leads back to the room that the text starts from."""
+    """Return whether a clause leads back to the room of the start."""
     back = rf"\b(?:return|go back|head back|come back)\b.* (?:the |your )?{re.escape(start)}\b"
     return bool(start) and re.search(back, clause) is not None
 
 
 def _parted(main: str) -> tuple[str, str]:
-    """Condition and what follows it."""
+    """Return the condition and what follows it."""
     so = _SO.search(main)
     comma = main.find(",")
     stop = re.search(r"[.;:] ", main)

@@ -1,9 +1,8 @@
-"""Episodes of files that others wrote: their text, their scene, and how far their own path leads.
+"""Read other people's episode files: text, scene, and how far each episode's path leads.
 
-Read are VLN-CE and RxR-VLN-CE (``episodes``), NavSpace (the same, and the ``balance_variants`` of its training set),
-R2R (a list of paths with ``instructions``) and RxR (one a line). A path is told by its reference path, else by its
-goal, else by its actions, else by its viewpoints. Where a file withholds all of them, as test splits do, an episode has
-no path.
+Supported: VLN-CE and RxR-VLN-CE (``episodes``), NavSpace (the same, and the ``balance_variants`` of its training set),
+R2R (a list of paths with ``instructions``) and RxR (one per line). The path is taken from the reference path, else the
+goal, else the actions, else the viewpoints. If a file withholds all of them, as test splits do, an episode has no path.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ __all__ = ["ForeignEpisode", "read_foreign"]
 
 _REMEDY: Final = "Name an export, or a file of R2R, VLN-CE, RxR or NavSpace (.json, .jsonl, each also .gz)"
 _STEP: Final = 0.25
-"""Metres of a forward action."""
+"""Length of a forward action in metres."""
 _FORWARD: Final = 1
 
 
@@ -32,7 +31,7 @@ _FORWARD: Final = 1
 class ForeignEpisode:
     """One text with its own path.
 
-    displacement : metres from its start to its end in the ground plane; rise : metres that the end lies higher
+    displacement : horizontal metres from its start to its end; rise : height in metres of the end above the start
     """
 
     episode_id: str
@@ -43,11 +42,11 @@ class ForeignEpisode:
 
 
 def read_foreign(path: str | os.PathLike[str]) -> Iterator[ForeignEpisode]:
-    """The episodes of a file in their order, one for each text.
+    """Yield the episodes of a file in order, one for each text.
 
     Raises
     ------
-    InputError : there is nothing to read, or it holds no instructions
+    InputError : the file does not exist, or it holds no instructions
     """
     path = Path(path)
     data, where = read_unpacked(path, LARGEST_FILE), str(path)
@@ -97,7 +96,7 @@ def _episodes(item: JsonNode) -> Iterator[ForeignEpisode]:
 
 
 def _path(value: dict[str, Any]) -> tuple[float | None, float | None]:
-    """Displacement and rise of an item's own path, None where it has none."""
+    """Return displacement and rise of an item's path in metres, None if it has none."""
     points = value.get("reference_path")
     goals = value.get("goals")
     start = value.get("start_position")

@@ -1,9 +1,9 @@
-"""The gate on files that others wrote: does a guess that sees nothing find how a conditional text ends?
+"""The bias gate on other people's files: can a guesser that sees only the text predict how a conditional episode ends?
 
-Two questions are asked of each file. *Which clause*: of texts in which one clause ends at the start (or on another
-floor) and the other does not, the file's own path says which clause was right; chance is a half. *Stays or goes*: of
-these texts and of conditional ones that could not be taken apart, whether the path ends within `STAYS_WITHIN` of its
-start; chance is the share of the commoner answer. Guessers learn from other scenes only, as in the gate on exports.
+Two questions are asked of each file. *Which clause*: if one clause of a text ends at the start (or on another floor)
+and the other does not, the file's own path shows which clause was right; chance is a half. *Stays or goes*: of these
+texts, and of conditional ones that could not be split, whether the path ends within `STAYS_WITHIN` of its start; chance
+is the share of the more frequent answer. Guessers learn from other scenes only, as in the gate on exports.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from condvln.language.measures import words
 __all__ = ["LEAST_GUESSES", "STAYS_WITHIN", "ForeignReport", "judge_files"]
 
 STAYS_WITHIN: Final = 2.0
-"""Metres in the ground plane from the start within which a path ends where it began."""
+"""Largest horizontal distance in metres from start to end of a path that "stays"."""
 FLOOR_HEIGHT: Final = 1.5
-"""Metres of height from which a path ends on another floor; below a third of it, it does not."""
+"""Least height difference in metres of a path that changes floor; below a third of it, it does not."""
 LEAST_GUESSES: Final = 30
-"""Texts of a question from which it is tested."""
+"""Smallest number of texts for which a question is tested."""
 CLAUSE: Final = "which clause"
 STAYS: Final = "stays or goes"
 _WORDS_A_CLASS: Final = 5
@@ -42,7 +42,7 @@ Guesses = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class _View:
-    """What a guesser sees of a text, and the answer. `scene` is only a name that texts of one scene share."""
+    """What a guesser sees of a text, and the answer. `scene` only says which texts share a scene."""
 
     scene: str
     text: str
@@ -52,8 +52,9 @@ class _View:
 
 @dataclass(frozen=True)
 class FileCounts:
-    """Texts of a file: all, those with a condition, those taken apart, and those whose path says which clause was
-    right; `mean_words` of all."""
+    """Numbers of texts in a file: all, those with a condition, those that could be split, and those whose path shows
+    the right clause. `mean_words` is the mean length of all.
+    """
 
     texts: int
     conditional: int
@@ -65,7 +66,7 @@ class FileCounts:
 
 @dataclass(frozen=True)
 class ForeignReport:
-    """What was read of each file, by its path, and all tests together."""
+    """The counts of each file by its path, and all tests together."""
 
     files: Mapping[str, FileCounts]
     bias: BiasReport
@@ -89,7 +90,7 @@ class ForeignReport:
 
 
 def judge_files(paths: Sequence[Path]) -> ForeignReport:
-    """Judge each file by itself; the tests of all are corrected for their number together.
+    """Test each file separately; the p-values of all tests are corrected together.
 
     Raises
     ------
@@ -136,14 +137,16 @@ def _questions(episodes: Iterable[ForeignEpisode]) -> tuple[FileCounts, dict[str
 
 
 def _ends(clauses: Clauses | None) -> tuple[Motion, ...]:
-    """How the two clauses end; empty where the text has not two."""
+    """Return where the two clauses end; empty if the text does not have two."""
     if clauses is None or not clauses.otherwise:
         return ()
     return motion(clauses.then, clauses), motion(clauses.otherwise, clauses)
 
 
 def _clause(ends: tuple[Motion, ...], episode: ForeignEpisode) -> int | None:
-    """0 where the path is that of the first clause, 1 where it is that of "otherwise", None where it does not say."""
+    """Return 0 if the path is that of the first clause, 1 if it is that of "otherwise", None if it does not show
+    which.
+    """
     if len(set(ends)) < 2 or episode.displacement is None:
         return None
     if "stays" in ends:
@@ -171,7 +174,8 @@ def _findings(question: str, views: Sequence[_View], of_clauses: bool) -> Iterat
             continue
         right, own = guess[inside] == gold[inside], scene[inside]
         share = float(gold[inside].mean())
-        # What the commoner answer is, is no secret of a text; that one of two clauses is right oftener, is one.
+        # A text does not reveal which answer is more frequent overall, so that is the chance level; for two clauses it
+        # is a half.
         chance = 0.5 if of_clauses else max(share, 1.0 - share)
         low, high = interval(right, own)
         tail = binomial_tail(int(right.sum()), {chance: len(right)})
@@ -197,7 +201,7 @@ def _majority(views: Sequence[_View]) -> Guesses:
 
 
 def _stays(view: _View) -> int:
-    """The clause that ends at the start, else the first."""
+    """Return the clause that ends at the start, else the first."""
     ends = _ends(view.clauses)
     return ends.index("stays") if "stays" in ends else 0
 
@@ -225,27 +229,27 @@ def _parts(view: _View) -> tuple[tuple[str, str], ...]:
 
 
 def _bag(view: _View) -> Iterator[str]:
-    """Words and pairs of words of the whole text."""
+    """Yield the words and word pairs of the whole text."""
     said = words(view.text)
     yield from said
     yield from (f"{one} {other}" for one, other in pairwise(said))
 
 
 def _asked(view: _View) -> Iterator[str]:
-    """What is asked for: the words of the condition."""
+    """Yield the words of the condition."""
     for name, text in _parts(view):
         if name != "otherwise" and name != "then":
             yield from words(text)
 
 
 def _in_place(view: _View) -> Iterator[str]:
-    """Words with the clause that they are in."""
+    """Yield words with the clause in which they occur."""
     for name, text in _parts(view):
         yield from (f"{name} {word}" for word in words(text))
 
 
 def _form(view: _View) -> Iterator[str]:
-    """The wording without its things and rooms, and in which clause it is said."""
+    """Yield the wording without nouns of objects and rooms, with the clause in which it occurs."""
     content = content_words()
     for name, text in _parts(view):
         said = [word if word not in content else "_" for word in words(text)]
@@ -253,7 +257,7 @@ def _form(view: _View) -> Iterator[str]:
 
 
 def _length(view: _View) -> Iterator[str]:
-    """How long the text and its clauses are."""
+    """Yield the lengths of the text and its clauses."""
     yield f"{len(words(view.text)) // _WORDS_A_CLASS} fives"
     for name, text in _parts(view):
         yield f"{name} {len(words(text)) // _WORDS_A_CLASS} fives"

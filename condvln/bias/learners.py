@@ -69,16 +69,16 @@ Words = Callable[[GuesserView], Iterable[str]]
 
 
 class Labelled(Protocol):
-    """What a regression learns from: the scene that it belongs to, and what was right."""
+    """An example for a regression: its scene and its right answer."""
 
     @property
     def scene(self) -> str:
-        """Name that episodes of one scene share."""
+        """Name shared by the episodes of one scene."""
         ...
 
     @property
     def gold(self) -> int:
-        """The class to find."""
+        """The class to predict."""
         ...
 
 
@@ -207,7 +207,9 @@ def _regression(words: Words) -> Learner:
 
 
 def regressed(views: Sequence[_Labelled], words: Callable[[_Labelled], Iterable[str]]) -> Guesses:
-    """Guesses of a multinomial logistic regression on which words a text has, learned from scenes that come before."""
+    """Return the guesses of a multinomial logistic regression on the words of each text, learned from earlier blocks
+    of scenes.
+    """
     # Imported here because the import takes a second, and most exports in tests are too small to need it.
     from sklearn.linear_model import LogisticRegression
 

@@ -131,7 +131,7 @@ class Footprints:
         return len(self._first)
 
     def stand_in(self, path: F64) -> bool:
-        """Whether a way (n, 3) passes through the inside of any footprint."""
+        """Return whether a path (n, 3) crosses the interior of any footprint."""
         return len(self._center) > 0 and passes_through(path, *self._boxes)
 
     def crossings(self, starts: F64, ends: F64) -> NDArray[np.bool_]:

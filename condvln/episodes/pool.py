@@ -247,7 +247,7 @@ class _Filling:
         part = cell.count / self._free[cell.category]
         wanted = cell.count * SHAPES[cell.category].leaves + part * grouped.total()
         shares, taken = self._move_shares(cell.category), self._moves[cell]
-        # Rounded, so that of few leaves no number of moves has one more than its share at the cost of another.
+        # Rounded, so that with few leaves no number of moves gets one more than its share at the cost of another.
         over = any(
             taken[n] + count > math.floor(shares[n - 1] * wanted - part * grouped[n] + 0.5)
             for n, count in one.moves.items()

@@ -38,7 +38,7 @@ class Route:
 
 
 _GAPS: Final[WeakKeyDictionary[PathfinderProtocol, dict[tuple[float, bytes, bytes], F64]]] = WeakKeyDictionary()
-"""The last gaps of each pathfinder in use."""
+"""Cache of the latest gaps of each pathfinder in use."""
 
 
 class GoalField:
@@ -100,7 +100,7 @@ class GoalField:
         key = (enough, self._points.tobytes(), self._owner.tobytes())
         known = _GAPS.setdefault(self.pathfinder, {})
         if key not in known:
-            known.clear()  # drawing and placing ask for the same
+            known.clear()  # drawing and placing need the same gaps
             known[key] = self._gaps(enough)
         return known[key]
 

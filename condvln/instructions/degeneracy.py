@@ -80,12 +80,12 @@ class Presupposed:
 
     @cached_property
     def stop_labels(self) -> frozenset[str]:
-        """Labels of stops, whatever the room."""
+        """Labels of stops in all rooms."""
         return frozenset(label for _, label in self.stops)
 
     @cached_property
     def thing_labels(self) -> frozenset[str]:
-        """Labels of all that is presupposed, whatever the room."""
+        """Labels of everything presupposed, in all rooms."""
         return frozenset(label for _, label in self.things)
 
     @cached_property

@@ -233,7 +233,7 @@ class Referents:
 def meant_by(
     words: Sequence[str], labels: Sequence[str], may_be: Sequence[frozenset[str]], vocabulary: Vocabulary
 ) -> Bools:
-    """(w, n): whether a word for label i might mean object j, by its label or by one it may have.
+    """Return (w, n): whether a word for label i might mean object j, by its label or by one that it may have.
 
     Parameters
     ----------

@@ -49,7 +49,7 @@ _WINDING_CHUNK: Final = 1 << 20
 
 
 ASSETS_KEPT: Final = 256
-"""Assets whose bounding volume hierarchies are kept: of real assets 1 MB each and less."""
+"""Number of assets whose bounding volume hierarchies are cached; real assets have 1 MB each or less."""
 
 
 def _bvh(vertices: F64, faces: NDArray[np.int32]) -> Any:
@@ -62,7 +62,7 @@ def _bvh(vertices: F64, faces: NDArray[np.int32]) -> Any:
 
 @lru_cache(maxsize=ASSETS_KEPT)
 def _bvh_of(asset: GlbGeometry) -> Any:
-    """The hierarchy of an asset in its own frame: one for all scenes that it is in."""
+    """Return the hierarchy of an asset in its own frame, shared by all scenes that contain it."""
     return _bvh(asset.vertices, asset.faces)
 
 

@@ -22,7 +22,7 @@ CACHE_BYTES: Final = 192 << 20
 """Size limit of the cache of decoded geometry; all of ReplicaCAD's objects take 40 MB, and a worker has 1 GiB."""
 
 RIGID_TOLERANCE: Final = 1e-12
-"""Entries of R·Rᵀ so near to the identity's leave lengths as they are: 10 m by 0.01 nm."""
+"""Tolerance of R·Rᵀ against the identity for rotations that keep lengths: 0.01 nm at 10 m."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -102,5 +102,5 @@ def _bytes(geometry: GlbGeometry) -> int:
 
 @lru_cache(maxsize=4)
 def shared_library(root: Path) -> MeshLibrary:
-    """The library of a dataset's meshes that all work of this process shares, so that a file is read once."""
+    """Return the library of a dataset's meshes, shared within this process so that each file is read once."""
     return MeshLibrary(root)

@@ -1,4 +1,4 @@
-"""What a way passes through and what it comes near, a segment at a time, until something is met."""
+"""Tests of a path against rectangles and points, one segment at a time, until the first hit."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Doubles = npt.NDArray[np.float64]
 
 @compiled
 def passes_through(path: Doubles, center: Doubles, half: Doubles, axes: Doubles) -> bool:
-    """Whether a segment of a way passes through the inside of a rectangle in the XZ plane (the slab test).
+    """Return whether a segment of a path crosses the interior of a rectangle in the XZ plane (slab test).
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def passes_through(path: Doubles, center: Doubles, half: Doubles, axes: Doubles)
                     first = max(first, min(one, other))
                     last = min(last, max(one, other))
                 elif not abs(begin) < half[b, i]:
-                    last = -math.inf  # beside the rectangle all the way
+                    last = -math.inf  # the segment is beside the rectangle for its whole length
             if first < last:
                 return True
     return False
@@ -68,5 +68,5 @@ def least_distance(path: Doubles, points: Doubles, enough: float) -> float:
 
 @compiled
 def comes_within(path: Doubles, points: Doubles, limit: float) -> bool:
-    """Whether a polyline (n, 3) comes nearer than ``limit`` metres to one of the points (k, 3)."""
+    """Return whether a polyline (n, 3) comes within ``limit`` metres of one of the points (k, 3)."""
     return least_distance(path, points, limit) < limit

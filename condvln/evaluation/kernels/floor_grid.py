@@ -1,4 +1,4 @@
-"""The loops of an agent's own map: what one view shows of the floor, the cheapest ways over it, and straight lines."""
+"""Kernels of an agent's own map: enter one view of the floor, find cheapest paths, test straight lines."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ def chart(
     near: F32,
     region: I16,
 ) -> None:
-    """Enter one view into the grid: cells where something stands in the way, and cells whose floor is open.
+    """Enter one view into the grid: cells with obstacles, and cells whose floor is open.
 
     Parameters
     ----------
     depth (h, w) : metres along the optical axis, 0 where nothing is seen; the camera is level
-    regions (h, w) : number of the room of each pixel's point, -1 where unknown
+    regions (h, w) : room number of each pixel's point, -1 if unknown
     columns (w,), rows (h,) : see `condvln.sensors.camera.pixel_rays`
-    place (2,) : x and z of the agent, metres; its `eye` is so high above its feet
-    climb, height : what is higher than the one and lower than the other, metres above the feet, is in the way
-    hit, clear, near, region (n, n) : results; the grid's middle is the origin, rows along x
+    place (2,) : x and z of the agent in metres; `eye` : height in metres of the eye above the feet
+    climb, height : points between these heights in metres above the feet are obstacles
+    hit, clear, near, region (n, n) : outputs; the grid's middle is the origin, rows along x
     """
     h, w = depth.shape
     n = hit.shape[0]
@@ -78,7 +78,7 @@ def chart(
                 clear[a, b] = True
                 region[a, b] = regions[i, j]
                 near[a, b] = min(near[a, b], ground)
-        # The camera does not see the floor around the agent's feet; it is taken for open up to what stands there.
+        # The camera does not see the floor around the agent's feet; it is assumed open up to the next obstacle.
         stop = min(wall - cell, max(far, blind))
         walked = 0.0
         while walked <= stop:
@@ -93,16 +93,16 @@ def chart(
 
 @compiled
 def ways(cost: F32, start: int) -> tuple[F32, I32]:
-    """Least costs from one cell to all others over a grid of eight neighbours, by Dijkstra's algorithm.
+    """Return the least costs from one cell to all others on a grid of eight neighbours, by Dijkstra's algorithm.
 
     Parameters
     ----------
-    cost (n, m) : of a cell's width walked in it; infinite where it can't be entered
-    start : flat index; it may be left whatever its own cost
+    cost (n, m) : cost of walking the width of a cell in it; infinite if it can't be entered
+    start : flat index; it may be left even if its own cost is infinite
 
     Returns
     -------
-    (n·m,) costs in cells, infinite where there is no way; (n·m,) flat index of the cell before, -1 at the start
+    (n·m,) costs in cells, infinite if there is no path; (n·m,) flat index of the previous cell, -1 at the start
     """
     n, m = cost.shape
     distance = np.full(n * m, np.inf, np.float32)
@@ -140,7 +140,7 @@ def ways(cost: F32, start: int) -> tuple[F32, I32]:
                 if (da == 0 and db == 0) or p < 0 or q < 0 or p >= n or q >= m or not np.isfinite(cost[p, q]):
                     continue
                 if da != 0 and db != 0 and here != start:
-                    # No corner is cut.
+                    # Diagonal steps do not cut corners.
                     if not (np.isfinite(cost[a, q]) and np.isfinite(cost[p, b])):
                         continue
                     step = np.float32(1.41421356) * cost[p, q]
@@ -168,7 +168,9 @@ def ways(cost: F32, start: int) -> tuple[F32, I32]:
 
 @compiled
 def line_is_open(shut: Bools, a: float, b: float, p: float, q: float, ignored: float) -> bool:
-    """Whether no shut cell lies on the line from (a, b) to (p, q), in cells, but for its last part, `ignored` long."""
+    """Return whether no shut cell is on the line from (a, b) to (p, q), in cells, except in its last `ignored`
+    cells.
+    """
     length = np.sqrt((p - a) * (p - a) + (q - b) * (q - b))
     steps = int(np.ceil(2 * (length - ignored)))
     for k in range(steps + 1):

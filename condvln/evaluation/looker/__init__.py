@@ -1,4 +1,6 @@
-"""An agent that looks: the grammar's reader, eyes, a map of its own, and no oracle."""
+"""The agent `looker`: reads the text with the grammar, sees with cameras, builds its own map; it uses no ground
+truth.
+"""
 
 from condvln.evaluation.looker.looker import Looker, read_text
 from condvln.evaluation.looker.walking import LookerWalk, LookingAgent

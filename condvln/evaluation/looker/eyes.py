@@ -1,4 +1,4 @@
-"""What an agent that looks is given: depth, the outlines of things, and the rooms that they are in."""
+"""The perception of the looker agent: depth, instance masks of objects, and their rooms."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ __all__ = ["GHOST", "Eyes", "Look", "RoomLookup", "SeenView"]
 F64 = NDArray[np.float64]
 
 GHOST: Final = 1_000_000
-"""Numbers from here on are those of things that are not there."""
+"""First instance number of false detections."""
 LOOKUP_CELL: Final = 0.1
-"""Metres; edge of a cell of the table of rooms."""
+"""Cell size of the room table in metres."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SeenView:
-    """One of the cameras around the agent.
+    """The view of one of the cameras around the agent.
 
     depth (h, w) : metres along the optical axis, 0 where nothing is seen
-    regions (h, w) : number of the room of each pixel's point, -1 where unknown
-    turn : radians to the left of where the agent looks; eye : metres above its feet
+    regions (h, w) : room number of each pixel's point, -1 if unknown
+    turn : radians to the left of the agent's heading; eye : metres above its feet
     """
 
     depth: NDArray[np.float32]
@@ -49,11 +49,12 @@ class SeenView:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Look:
-    """What is seen all around from one pose.
+    """The view in all directions from one pose.
 
-    points (n, 3) : metres to the right of the agent, above its feet, and ahead of it, on things; owner (n,) whose
-    things : label and number of the room of each thing in view, by its number
-    rooms : labels of rooms by number; here : number of the room that the agent is in, -1 where unknown
+    points (n, 3) : points on objects, in metres to the right of the agent, above its feet, and ahead of it
+    owner (n,) : number of each point's object
+    things : label and room number of each object in view, by its number
+    rooms : room labels by number; here : number of the agent's room, -1 if unknown
     """
 
     views: tuple[SeenView, ...]
@@ -65,7 +66,7 @@ class Look:
 
 
 class RoomLookup:
-    """Numbers of rooms by place, from a table; what lies in no polygon belongs to none."""
+    """Room numbers by position, from a table; -1 outside all room polygons."""
 
     def __init__(self, scene: Scene) -> None:
         self.labels = {k: room.label for k, room in enumerate(scene.rooms)}
@@ -88,7 +89,9 @@ class RoomLookup:
             self._tables.append((floor, table))
 
     def __call__(self, points: F64, feet: float) -> NDArray[np.int16]:
-        """Numbers (n,) of the rooms of points (n, 3) of a storey; `feet` is the height of the agent's feet."""
+        """Return the room numbers (n,) of points (n, 3) on the agent's storey; `feet` is the height of its feet in
+        metres.
+        """
         if self._single:
             return np.zeros(len(points), np.int16)
         if not self._tables:
@@ -101,10 +104,10 @@ class RoomLookup:
 
 
 class Eyes:
-    """Cameras all around an agent in one scene, and a detector that may err.
+    """Cameras in all directions for an agent in one scene, with simulated detector errors.
 
-    A detector's errors are of things, not of looks: a thing that is missed is missed in the whole episode. Each thing
-    has draws of its own, so that with greater shares the same errors occur, and more.
+    Errors belong to objects, not to views: an object that is missed is missed in the whole episode. Each object has its
+    own random draws, so that a higher error rate keeps all errors of a lower one.
     """
 
     def __init__(self, scene: Scene, renderer: Renderer, config: LookerConfig, words: Vocabulary = vocabulary) -> None:
@@ -128,12 +131,14 @@ class Eyes:
         self._errors = cache(self._error)
 
     def begin(self, seed: int, episode: str) -> None:
-        """The errors of another episode."""
+        """Draw the detector errors of a new episode."""
         self._seed, self._names = seed, (episode,)
         self._errors = cache(self._error)
 
     def __call__(self, position: npt.ArrayLike, heading: float) -> Look:
-        """What is seen from a position (3,) of the feet with a heading, radians counter-clockwise from −Z."""
+        """Return the view from the feet's position (3,) in metres, with a heading in radians counter-clockwise from
+        −Z.
+        """
         feet = np.asarray(position, np.float64)
         views, points, owners = [], [], []
         for camera in self._cameras:
@@ -178,7 +183,9 @@ class Eyes:
         return Look(views, np.concatenate(ghosts), np.concatenate(ghost_owner), things, rooms, here)
 
     def _error(self, number: int) -> tuple[str | None, str | None]:
-        """The label that a thing is given, None if it is missed, and the label of a false detection at its place."""
+        """Return the label that an object is given (None if missed), and the label of a false detection at its
+        place, if any.
+        """
         noise, label = self._config.noise, self._label[number]
         if noise == NoiseConfig():
             return label, None
@@ -193,7 +200,7 @@ class Eyes:
 
 
 def _turned(points: F64, turn: float) -> F64:
-    """Points as (right, up, ahead) of a body, in the frame of one that it is turned to the left of, by radians."""
+    """Return points (right, up, ahead) in the frame of a body from which theirs is turned left by `turn` radians."""
     c, s = math.cos(turn), math.sin(turn)
     right, up, ahead = points[..., 0], points[..., 1], points[..., 2]
     return np.stack([c * right - s * ahead, up, s * right + c * ahead], axis=-1)

@@ -1,4 +1,4 @@
-"""The map that an agent makes for itself: a grid of floor, of what stands in the way, and of what it has not seen."""
+"""The looker agent's own map: a grid of free floor, obstacles and unseen cells."""
 
 from __future__ import annotations
 
@@ -19,36 +19,36 @@ F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 CELL: Final = 0.1
-"""Metres; edge of a cell, the radius of the agent."""
+"""Cell size and agent radius in metres."""
 HALF: Final = 320
 """Cells from the start to the map's edge."""
 CLIMB: Final = 0.2
-"""Metres; what is no higher is stepped over."""
+"""Metres above the floor up to which obstacles can be stepped over."""
 HEIGHT: Final = 1.5
-"""Metres; what begins higher is walked under. Both are those of VLN-CE's agent."""
+"""Metres above the floor from which obstacles can be walked under. Both values are those of VLN-CE's agent."""
 SURE: Final = 2
-"""What one look that finds something in the way counts; an open look counts −1."""
+"""Evidence added by a view of an obstacle; a view of open floor adds −1."""
 MOST: Final = 6
-"""What all such looks count at most."""
+"""Largest accumulated evidence for an obstacle."""
 CLEARANCE: Final = 0.15
-"""Metres to what is in the way, below which the agent goes only where there is no other way."""
+"""Distance in metres to obstacles below which the agent goes only if there is no other path."""
 WIDE: Final = 0.3
-"""Metres to what is in the way, beyond which a place is as good as any."""
+"""Distance in metres to obstacles beyond which the cost no longer decreases."""
 FLOOR_SPAN: Final = (-0.5, 0.2)
-"""Metres above the feet between which the floor lies: a navmesh is up to a voxel above it."""
+"""Range of heights in metres above the feet in which the floor is expected: a navmesh is up to a voxel above it."""
 FLOOR_BIN: Final = 0.02
-"""Metres by which the floor's height is told."""
+"""Resolution in metres of the estimated floor height."""
 LEAST_FRONTIER: Final = 3
-"""Cells of a border of the known floor that is worth going to."""
+"""Least number of cells of a frontier that is worth exploring."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Ground:
-    """The map as it is between two looks; all arrays (n, m), rows along x, from the cell `corner` on.
+    """The map between two views; all arrays (n, m), rows along x, from the cell `corner` on.
 
-    passable : cells that the agent can be in; cost : of walking in them, infinite elsewhere
-    frontier : passable cells beside floor that was never seen
-    region : number of the room, -1 where unknown; near : metres from which the cell was seen at best
+    passable : cells that the agent can enter; cost : cost of walking in them, infinite elsewhere
+    frontier : passable cells next to unseen floor
+    region : room number, -1 if unknown; near : least distance in metres from which the cell was seen
     """
 
     corner: tuple[int, int]
@@ -60,25 +60,25 @@ class Ground:
     near: NDArray[np.float32]
 
     def cell(self, x: float, z: float) -> tuple[int, int]:
-        """The cell of a place, kept inside of the map."""
+        """Return the cell of a position, clamped to the map."""
         a, b = math.floor(x / CELL) + HALF - self.corner[0], math.floor(z / CELL) + HALF - self.corner[1]
         return min(max(a, 0), self.cost.shape[0] - 1), min(max(b, 0), self.cost.shape[1] - 1)
 
     def places(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> F64:
-        """Middles (k, 2) of cells, x and z in metres."""
+        """Return the centres (k, 2) of cells, x and z in metres."""
         return np.stack([rows + self.corner[0] - HALF + 0.5, columns + self.corner[1] - HALF + 0.5], axis=1) * CELL
 
     def ways_from(self, x: float, z: float) -> Ways:
-        """The cheapest ways from a place to all others."""
+        """Return the cheapest paths from a position to all others."""
         a, b = self.cell(x, z)
         start = a * self.cost.shape[1] + b
         distance, before = ways(self.cost, start)
         return Ways(self, distance.reshape(self.cost.shape), before, start)
 
     def open_between(self, one: F64, other: F64, ignored: float = 0.0, *, tight: bool = True) -> bool:
-        """Whether nothing is in the way between two places (2,), but for the last `ignored` metres.
+        """Return whether there is no obstacle between two positions (2,), ignoring the last `ignored` metres.
 
-        tight : whether places that the agent can't be in are in the way too
+        tight : whether cells that the agent can't enter count as obstacles, too
         """
         offset = np.array(self.corner) - HALF
         a, b = one / CELL - offset
@@ -89,7 +89,7 @@ class Ground:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Ways:
-    """Ways from one place: `distance` (n, m) in cells, dearer near what is in the way."""
+    """The cheapest paths from one position: `distance` (n, m) in cells, with higher cost near obstacles."""
 
     ground: Ground
     distance: NDArray[np.float32]
@@ -97,7 +97,7 @@ class Ways:
     start: int
 
     def nearest(self, targets: Bools) -> tuple[int, int] | None:
-        """The cell among `targets` (n, m) that is reached first; None where none is."""
+        """Return the cell among `targets` (n, m) with the least cost; None if none is reachable."""
         rows, columns = np.nonzero(targets & np.isfinite(self.distance))
         if not len(rows):
             return None
@@ -105,7 +105,7 @@ class Ways:
         return int(rows[best]), int(columns[best])
 
     def to(self, cell: tuple[int, int]) -> F64:
-        """Places (k, 2) on the way to a cell, the start first."""
+        """Return the positions (k, 2) on the path to a cell, the start first."""
         width = self.distance.shape[1]
         at, found = cell[0] * width + cell[1], []
         while at >= 0:
@@ -116,7 +116,7 @@ class Ways:
 
 
 class FloorMap:
-    """The grid; the start is its middle, and x and z are those of the agent's own poses."""
+    """The grid map; its centre is the start, and x and z are in the frame of the agent's own pose estimates."""
 
     def __init__(self) -> None:
         size = 2 * HALF
@@ -128,7 +128,7 @@ class FloorMap:
         self._floor = 0.0
 
     def add(self, look: Look, x: float, z: float, heading: float, reach: float) -> None:
-        """Enter what is seen from a place with a heading, radians counter-clockwise from −z."""
+        """Add a view from a position with a heading in radians counter-clockwise from −z."""
         hit, clear = np.zeros_like(self._seen), np.zeros_like(self._seen)
         place = np.array([x, z])
         self._floor = _floor_below(look, self._floor)
@@ -155,7 +155,7 @@ class FloorMap:
         self._seen |= hit | clear
 
     def reveal(self, places: F64, regions: NDArray[np.int16]) -> None:
-        """Make open floor known at places (k, 2) that nobody has seen yet, each of a room."""
+        """Mark unseen cells at positions (k, 2) as open floor, each of a room."""
         cells = np.floor(places / CELL).astype(np.intp) + HALF
         fits = ((cells >= 0) & (cells < 2 * HALF)).all(axis=1)
         a, b = cells[fits].T
@@ -163,13 +163,13 @@ class FloorMap:
         self._region[a, b] = regions[fits]
 
     def bump(self, x: float, z: float) -> None:
-        """Remember that the agent could not go to a place."""
+        """Record that the agent was blocked at a position."""
         a, b = math.floor(x / CELL) + HALF, math.floor(z / CELL) + HALF
         if 0 <= a < 2 * HALF and 0 <= b < 2 * HALF:
             self._bumped[a, b] = self._seen[a, b] = True
 
     def ground(self, x: float, z: float) -> Ground:
-        """The map around everything seen; the place where the agent is can always be left."""
+        """Return the map around everything seen; the agent's own cell can always be left."""
         known = np.nonzero(self._seen)
         low = [max(int(axis.min()) - 2, 0) for axis in known]
         high = [min(int(axis.max()) + 3, 2 * HALF) for axis in known]
@@ -198,7 +198,7 @@ class FloorMap:
 
 
 def _floor_below(look: Look, before: float) -> float:
-    """Height of the floor above the feet, metres: the one that most of what is seen around has."""
+    """Return the height in metres of the floor relative to the feet: the most frequent one in the view."""
     heights = [
         (view.eye + view.rows[:, None] * view.depth)[(view.depth > 0) & (view.depth <= 4)] for view in look.views
     ]

@@ -1,7 +1,7 @@
-"""Whether a relation holds between things as far as they were seen: one number, positive where it does.
+"""Decide whether a relation holds between objects as far as they were seen: a score that is positive if it holds.
 
-The limits lie between those by which text uses a relation as true and as false (`Thresholds`), since what was seen of a
-thing is never all of it: distances can only shrink when more is seen.
+The limits are between those at which text uses a relation as true and as false (`Thresholds`), since an object is never
+seen completely: distances can only shrink as more is seen.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ __all__ = ["Compared", "gap", "holds", "ranked"]
 F64 = NDArray[np.float64]
 
 Compared: Final = ("closest to", "bigger", "smaller")
-"""Relations that compare a thing with the others of its label."""
+"""Relations that compare an object with others of its label."""
 
 TOUCH: Final = 0.1
-"""Metres within which surfaces that were seen from one side count as touching."""
+"""Distance in metres below which surfaces seen from one side count as touching."""
 
 
 def gap(one: Thing, other: Thing) -> float:
-    """Least distance in metres between what was seen of two things."""
+    """Return the least distance in metres between the seen points of two objects."""
     return float(cKDTree(other.points).query(one.points)[0].min())
 
 
 def holds(predicate: Predicate, thing: Thing, anchors: Sequence[Thing], north: float | None, t: Thresholds) -> float:
-    """How surely a thing is in a relation to its anchors; not for the relations of `Compared`.
+    """Return the score of a relation between an object and its anchors; not for the relations of `Compared`.
 
-    north : degrees clockwise from north that the agent faced at the start; None where nothing said so
+    north : agent's heading at the start in degrees clockwise from north; None if the text does not state it
     """
     if predicate in BEARING_DEGREES:
         return 45.0 - abs(_turn(_bearing(thing.middle[[0, 2]]) - BEARING_DEGREES[predicate]))
@@ -71,7 +71,7 @@ def holds(predicate: Predicate, thing: Thing, anchors: Sequence[Thing], north: f
 
 
 def ranked(predicate: Predicate, things: Sequence[Thing], anchors: Sequence[Thing]) -> list[Thing]:
-    """Things of one label, the one that a relation of `Compared` means first."""
+    """Return the objects of one label, ordered by a relation of `Compared`; the first is the one it refers to."""
     if predicate == "closest to":
         return sorted(things, key=lambda thing: gap(thing, anchors[0]))
     sign = -1.0 if predicate == "bigger" else 1.0
@@ -79,7 +79,7 @@ def ranked(predicate: Predicate, things: Sequence[Thing], anchors: Sequence[Thin
 
 
 def _centre(thing: Thing, north: float | None) -> F64:
-    """Middle (2,) on the ground of the box along the directions of the compass, where they are known."""
+    """Return the centre (2,) on the ground of the object's box, aligned with the compass if north is known."""
     angle = math.radians(north or 0.0)
     turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
     flat = thing.points[:, [0, 2]] @ turn.T
@@ -87,7 +87,7 @@ def _centre(thing: Thing, north: float | None) -> F64:
 
 
 def _bearing(away: F64) -> float:
-    """Degrees clockwise from where the agent faced at the start."""
+    """Return the direction in degrees clockwise from the agent's heading at the start."""
     return math.degrees(math.atan2(away[0], -away[1]))
 
 
@@ -107,7 +107,7 @@ def _between(thing: Thing, one: Thing, other: Thing) -> float:
 
 
 def _covered(thing: Thing, anchor: Thing) -> float:
-    """Share of a thing's footprint that lies over that of another, both as the hulls of what was seen."""
+    """Return the share of an object's footprint that overlaps another's, both as convex hulls of the seen points."""
     own = MultiPoint(thing.points[:, [0, 2]]).convex_hull.buffer(GRAIN / 2)
     return float(own.intersection(MultiPoint(anchor.points[:, [0, 2]]).convex_hull.buffer(GRAIN)).area / own.area)
 
@@ -119,9 +119,10 @@ def _inside(thing: Thing, anchor: Thing) -> float:
 
 
 def _on(thing: Thing, anchor: Thing) -> float:
-    """Over the anchor, and no higher than its top: headboards and arm rests are higher than what a bed or sofa carries.
+    """Return the score of "on": above the anchor's footprint, and not above its top, since headboards and arm rests are
+    higher than what a bed or sofa carries.
 
-    Text never denies "on" of what is so.
+    Text never denies a true "on".
     """
     if thing.middle[1] <= anchor.box[0, 1] + TOUCH:
         return -1.0

@@ -1,4 +1,6 @@
-"""An agent that reads the text, looks around, decides every condition by what it has seen, and walks to the leaf."""
+"""The looker agent: reads the text, looks around, decides each condition from what it has seen, and walks to the
+leaf.
+"""
 
 from __future__ import annotations
 
@@ -31,26 +33,26 @@ Bools = NDArray[np.bool_]
 
 HEADINGS: Final = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 LOOK_EVERY: Final = 0.5
-"""Metres that it goes before it looks again."""
+"""Metres that it walks between two views."""
 ARRIVED: Final = 0.2
-"""Metres from a place at which it has come there."""
+"""Distance in metres at which a position counts as reached."""
 REACH: Final = 0.5
-"""Metres from a thing at which one is at it."""
+"""Distance in metres at which an object counts as reached."""
 FAR_REACH: Final = 1.5
-"""Metres from a thing that nobody can come nearer to."""
+"""Largest distance in metres at which an object counts as reached if it can't be approached further."""
 AHEAD: Final = 2.0
-"""Metres of its way that it cuts short at most where nothing is in between."""
+"""Largest length in metres of a shortcut along its path, if the straight line is free."""
 HALF_TURN: Final = math.radians(VLN_CE.turn) / 2
 PATIENT: Final = 12
-"""Steps in which it must come nearer to where it goes; then it goes elsewhere."""
+"""Number of steps without progress after which it chooses another target."""
 
 
 def read_text(text: str) -> Reading:
-    """What an instruction says, in any of the languages that texts are in.
+    """Parse an instruction in any of the shipped languages.
 
     Raises
     ------
-    FormatError : in none of them
+    FormatError : no language's grammar parses the text
     """
     fault: FormatError | None = None
     for code in LANGUAGES:
@@ -63,15 +65,15 @@ def read_text(text: str) -> Reading:
 
 
 class Looker:
-    """One episode of the agent. It knows the text, its own steps, and what it sees.
+    """One episode of the agent. Its inputs are the text, its own steps, and what it sees.
 
-    Poses are its own reckoning: metres from where it started, x to the right and z behind as it faced there, and
-    radians counter-clockwise from then.
+    Poses are its own estimates in the frame of the start: metres, x to the right and z backwards, and headings in
+    radians counter-clockwise from the start's.
 
     Attributes
     ----------
-    verdicts : its answers so far, by the condition's place in the text; leaf : the branch it picked, None until then
-    forced : conditions that it answered without having seen enough
+    verdicts : its answers so far, by the condition's index in the text; leaf : the chosen leaf, None before the choice
+    forced : conditions that it answered without sufficient evidence
     """
 
     def __init__(self, text: str, max_steps: int, config: LookerConfig, seed: int = 0, episode: str = "") -> None:
@@ -92,7 +94,7 @@ class Looker:
         self._ground: Ground | None = None
         self._ways: Ways | None = None
         self._aim: F64 | None = None
-        self._last: F64 = np.zeros(2)  # the stop before: the start at first
+        self._last: F64 = np.zeros(2)  # the previous stop, at first the start
         self._moves_done = 0
         self._start_room = -1
         self._given_up: list[F64] = []
@@ -100,13 +102,13 @@ class Looker:
         self._best, self._since = math.inf, 0
 
     def act(self, place: F64, heading: float, look: Callable[[], Look], bumped: bool) -> int:
-        """The next action.
+        """Return the next action.
 
         Parameters
         ----------
-        place (3,), heading : where it believes to be
-        look : gives what it sees from there
-        bumped : the last step forward was cut short
+        place (3,), heading : its estimated pose
+        look : returns the view from there
+        bumped : the last forward step collided
         """
         self._place, self._heading = place, heading
         if bumped:
@@ -132,7 +134,7 @@ class Looker:
 
     @property
     def picked(self) -> int:
-        """The leaf that its answers lead to; what it has not decided yet counts as it looks by now."""
+        """Return the leaf that its answers lead to; undecided conditions are answered by the current evidence."""
         if self.leaf is not None:
             return self.leaf
         shape = SHAPES[self.reading.category]
@@ -146,7 +148,7 @@ class Looker:
             at = branch.then if answer else branch.otherwise
         return -1 - at
 
-    # What it sees
+    # Perception
 
     def _take_in(self, look: Look) -> None:
         place = self._place
@@ -166,10 +168,10 @@ class Looker:
             self._ways = self._ground.ways_from(x, z)
         return self._ground, self._ways
 
-    # What it wants
+    # Decisions
 
     def _decide(self) -> None:
-        """Choose where to go; nowhere at the end."""
+        """Choose the next target; None at the end."""
         shape = SHAPES[self.reading.category]
         at = 0
         while at >= 0:
@@ -187,7 +189,7 @@ class Looker:
                 if target is not None:
                     self._set_aim(target)
                     return
-                self._moves_done += 1  # it is nowhere: go on with what can be found
+                self._moves_done += 1  # not found anywhere: continue with what can be found
                 continue
             place = self._stop_at(thing)
             if place is None:
@@ -198,7 +200,7 @@ class Looker:
         self._aim = None
 
     def _verdict(self, number: int) -> bool | None:
-        """The answer to a condition; None where it must be looked for, and the aim is then set."""
+        """Return the answer to a condition; None if more must be seen, with the target set accordingly."""
         if number in self.verdicts:
             return self.verdicts[number]
         phrase = self.reading.conditions[number]
@@ -217,7 +219,7 @@ class Looker:
         return answer
 
     def _judge(self, phrase: Phrase) -> tuple[bool | None, bool]:
-        """The answer that is sure by now, if there is one; and the answer if nothing more is seen."""
+        """Return the answer that is certain now, if any, and the answer to give if nothing more is seen."""
         rooms = self._rooms(phrase)
         things = self._known(phrase.label, rooms)
         if phrase.qualifier is None:
@@ -240,7 +242,7 @@ class Looker:
         return (False if sure and phrase.definite else None), False
 
     def _found(self, move: Phrase) -> tuple[Thing | None, F64 | None]:
-        """The thing that a stop means; else where to look for it."""
+        """Return the object of a stop, or else a position from which to look for it."""
         rooms = self._rooms(move)
         things = self._known(move.label, rooms)
         target = None
@@ -275,16 +277,16 @@ class Looker:
         return best or (things[0] if things else self._fallback(move, None)), None
 
     def _fallback(self, move: Phrase, target: F64 | None) -> Thing | None:
-        """A thing of the label in any room, where nothing is left to look at."""
+        """Return an object of the label in any room, for when there is nothing left to explore."""
         if target is not None:
             return None
         things = self._known(move.label, None)
         return things[0] if things else None
 
-    # Rooms and things as the text names them
+    # Rooms and objects as named in the text
 
     def _rooms(self, phrase: Phrase) -> set[int] | None:
-        """Numbers of the rooms that a phrase may mean, as far as they are known; None for anywhere."""
+        """Return the numbers of the known rooms that a phrase may mean; None for any room."""
         if phrase.room is None:
             at_start = phrase.qualifier is not None and phrase.qualifier[0] in BEARINGS
             return {self._start_room} if at_start and self._start_room >= 0 else None
@@ -298,7 +300,7 @@ class Looker:
         return rooms
 
     def _room_is_sure(self, phrase: Phrase) -> bool:
-        """Whether the room that a phrase means is known, and not just one of its kind."""
+        """Return whether the room that a phrase means is known for certain, not just a room of its type."""
         place = phrase.room
         if place is None or place.anchor is None:
             return True
@@ -326,7 +328,9 @@ class Looker:
     # Where to go
 
     def _unseen(self, phrase: Phrase) -> F64 | None:
-        """A place from which something new is seen of the rooms that a phrase may mean; None where there is none."""
+        """Return a position from which something new of the phrase's possible rooms is visible; None if there is
+        none.
+        """
         ground, ways = self._now()
         rooms = self._rooms(phrase)
         targets = ground.passable & (ground.frontier | (ground.near > self.config.close))
@@ -346,7 +350,7 @@ class Looker:
         places, cost = ground.places(rows, columns), CELL * ways.distance[rows, columns]
         beyond = [thing.middle[[0, 2]] for thing in self.memory if thing.room in rooms]
         if beyond and not (inside & reached).any():
-            # The room was seen, and no way into it.
+            # The room was seen, but no path into it is known.
             cost = cost + np.hypot(*(places - np.mean(beyond, axis=0)).T)
         return np.asarray(places[int(np.argmin(cost))], np.float64)
 
@@ -355,7 +359,7 @@ class Looker:
         return None if cell is None else ways.ground.places(np.array([cell[0]]), np.array([cell[1]]))[0]
 
     def _stop_at(self, thing: Thing) -> F64 | None:
-        """The place at a thing that is nearest from the stop before."""
+        """Return the position at an object that is nearest to the previous stop."""
         ground, ways = self._now()
         rows, columns = np.nonzero(ground.passable & np.isfinite(ways.distance))
         if not len(rows):
@@ -368,7 +372,7 @@ class Looker:
         rows, columns, places, away = rows[near], columns[near], places[near], away[near]
         if not len(rows):
             return None
-        # Those on the side of the thing where one comes nearest to it.
+        # Only positions on the side of the object that can be approached most closely.
         best = ground.ways_from(*places[int(np.argmin(away))].tolist())
         around = float(np.ptp(flat, axis=0).sum()) + WALL_DETOUR
         same = best.distance[rows, columns] * CELL <= around
@@ -389,7 +393,7 @@ class Looker:
         self._best, self._since = math.inf, self._step
 
     def _come_there(self, look: Callable[[], Look]) -> None:
-        """The aim is reached, or can't be."""
+        """Handle a target that was reached, or that can't be reached."""
         assert self._aim is not None
         aim, self._aim = self._aim, None
         if self._stopping:
@@ -399,16 +403,16 @@ class Looker:
         self._given_up.append(aim)
         self._take_in(look())
 
-    # How it gets there
+    # Movement
 
     def _towards(self, aim: F64) -> int | None:
-        """The action that leads towards a place; None where it is reached or can't be."""
+        """Return the action that leads towards a position; None if it is reached or unreachable."""
         here = self._place[[0, 2]]
         left = float(np.hypot(*(aim - here)))
         if left <= ARRIVED:
             return None
         ground, ways = self._now()
-        self._ways = None  # the next step starts elsewhere
+        self._ways = None  # the next step starts from another position
         path = ways.to(ground.cell(float(aim[0]), float(aim[1])))
         length = float(ways.distance[ground.cell(float(aim[0]), float(aim[1]))])
         if not np.isfinite(length) or len(path) < 2:

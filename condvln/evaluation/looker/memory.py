@@ -1,4 +1,4 @@
-"""The things that an agent has seen: where their surfaces are, by its own reckoning."""
+"""The looker agent's memory of objects: the positions of their surfaces, in its own frame."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ __all__ = ["GRAIN", "Memory", "Thing"]
 F64 = NDArray[np.float64]
 
 GRAIN: Final = 0.05
-"""Metres; edge of the cubes by which a thing's surface is remembered."""
+"""Edge in metres of the voxels that store an object's surface."""
 _SPAN: Final = 1 << 14
 _MOST: Final = 600
-"""Cubes of a thing at most when distances are measured; of a larger one every so-manieth is taken."""
+"""Largest number of voxels of an object used for distances; larger objects are subsampled."""
 
 
 @dataclass(eq=False, slots=True)
 class Thing:
-    """A thing: its label, the number of its room, and its surface as far as it was seen.
+    """An object: its label, the number of its room, and the seen part of its surface.
 
-    nearest : metres along the ground from which it was seen at best; seen : the step when it was seen last
+    nearest : least horizontal distance in metres from which it was seen; seen : step at which it was last seen
     """
 
     number: int
@@ -40,7 +40,7 @@ class Thing:
 
     @property
     def points(self) -> F64:
-        """Middles (n, 3) of the cubes of its surface: x, height above the feet at the start, z, in metres."""
+        """Centres (n, 3) of its surface voxels in metres: x, height above the feet at the start, z."""
         if self._points is None:
             keys = self.cubes
             keys = keys[:: max(1, -(-len(keys) // _MOST))] if len(keys) > 4 * _MOST else keys
@@ -50,20 +50,20 @@ class Thing:
 
     @property
     def box(self) -> F64:
-        """[min, max] (2, 3) of what was seen of it."""
+        """[min, max] (2, 3) of the seen points, in metres."""
         points = self.points
         return np.array([points.min(axis=0) - GRAIN / 2, points.max(axis=0) + GRAIN / 2])
 
     @property
     def middle(self) -> F64:
-        """(3,) of that."""
+        """Centre (3,) of that box."""
         return np.asarray(self.box.mean(axis=0), np.float64)
 
 
 class Memory:
-    """All things seen so far, by their numbers, in the order in which they were seen first.
+    """All objects seen so far, by number, in the order in which they were first seen.
 
-    span : steps after which a thing is forgotten that is not seen again; None for never
+    span : number of steps after which an object is forgotten if not seen again; None for never
     """
 
     def __init__(self, span: int | None = None) -> None:
@@ -75,7 +75,7 @@ class Memory:
         return iter(self._things.values())
 
     def add(self, look: Look, place: F64, heading: float, step: int) -> None:
-        """Take in what is seen from a place (3,) with a heading, radians counter-clockwise from −z."""
+        """Add a view from a position (3,) with a heading in radians counter-clockwise from −z."""
         self.rooms.update(look.rooms)
         right, up, ahead = look.points.T
         c, s = math.cos(heading), math.sin(heading)

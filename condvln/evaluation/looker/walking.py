@@ -1,4 +1,4 @@
-"""Lets an agent that looks walk through episodes."""
+"""Run the looker agent on episodes."""
 
 from __future__ import annotations
 
@@ -26,8 +26,9 @@ F64 = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LookerWalk:
-    """A walk, and what the agent thought: the leaf it picked (its guess where it never came to pick one), its answers
-    by condition, and those that it gave without having seen enough."""
+    """A walk of the looker agent: its prediction, the chosen leaf (or its guess if it never chose one), its answers by
+    condition, and which of them it gave without sufficient evidence.
+    """
 
     prediction: Prediction
     leaf: int
@@ -36,11 +37,11 @@ class LookerWalk:
 
 
 class LookingAgent:
-    """The agent ``looker`` of ``condvln walk``: eyes, a map of its own, and the grammar's reader.
+    """The agent ``looker`` of ``condvln walk``: cameras, its own map, and the grammar's parser.
 
     Parameters
     ----------
-    views : the scenes of the datasets that the episodes are of
+    views : the opened scenes of the episodes
     """
 
     def __init__(self, views: SceneViews, config: LookerConfig | None = None) -> None:
@@ -52,7 +53,7 @@ class LookingAgent:
         return self.walk(task, pathfinder, seed).prediction
 
     def walk(self, task: Task, pathfinder: Pathfinder, seed: int = 0) -> LookerWalk:
-        """One episode. The agent gets the text, the budget, its steps from the start and what it sees.
+        """Walk one episode. The agent gets the text, the budget, its steps from the start and what it sees.
 
         Raises
         ------
@@ -81,14 +82,14 @@ class LookingAgent:
 
 
 def _from_start(position: F64, heading: float, start: F64, first: float) -> tuple[F64, float]:
-    """A pose in the frame of the start, which faces −z there."""
+    """Return a pose in the frame of the start, whose heading becomes −z."""
     east, up, south = position - start
     c, s = math.cos(first), math.sin(first)
     return np.array([c * east - s * south, up, s * east + c * south]), (heading - first) % (2 * math.pi)
 
 
 def _reveal(looker: Looker, eyes: Eyes, pathfinder: Pathfinder, start: F64, first: float) -> None:
-    """All floor that can be walked on from the start, as a map that the agent is given."""
+    """Reveal all walkable floor connected to the start, as a given map."""
     reach = np.arange(-15.0, 15.0, 0.1) + 0.05
     x, z = (axis.ravel() for axis in np.meshgrid(reach, reach, indexing="ij"))
     c, s = math.cos(first), math.sin(first)
