@@ -3,7 +3,8 @@
 A qualifier must be *necessary* (without it the phrase fits a rival too) and *sufficient* (every rival fails the
 predicate at the loose threshold, so that none is in the dead zone). A rival is an object of the room whose label a
 speaker might also use for this one: same label, synonym, hypernym or hyponym, or an unlabelled object that may have the
-label. An object that could be anything ("unknown") is no rival; it only prevents claims of absence in its room.
+label. An object that could be anything ("unknown") is a rival only of what has its size and height; elsewhere it only
+prevents claims of absence in its room. Boxes of a scan that may be one object are never distinguished from each other.
 
 Invisible objects count as unknown: text never names them, and they are no rivals of visible ones. They may still exist,
 so absence is never claimed of a label that they might have. If it is uncertain whether an object is visible, text uses
@@ -20,6 +21,7 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.instructions.likeness import SCANS, called_counters, doubles, fallen, look_alikes
 from condvln.instructions.predicates import OF_THINGS, PREDICATE_GROUPS
 from condvln.labels import Vocabulary
 from condvln.labels.roles import labels_with_role
@@ -55,6 +57,7 @@ class Facts(Protocol):
 
     status[p][i, j] : of "i p j", for predicates with one anchor
     margin[p][i, j] : distance from the threshold, comparable within one predicate
+    denied[p][i, j] : a condition may use it as false, where that takes more than a status of −1
     """
 
     @property
@@ -62,6 +65,9 @@ class Facts(Protocol):
 
     @property
     def margin(self) -> Mapping[str, NDArray[np.float64]]: ...
+
+    @property
+    def denied(self) -> Mapping[str, NDArray[np.bool_]]: ...
 
     def between(self, pairs: NDArray[np.intp]) -> tuple[NDArray[np.int8], NDArray[np.float64]]:
         """Return status and margin (n, p) of "between a and b" for pairs (p, 2) of indices."""
@@ -92,6 +98,7 @@ class Referents:
     rival (n, n) : j is visible and could be meant by i's label
     nameable (n,) : visible, the label is fit for text, and no word for it might mean a doubtful object
     unique (n,) : nameable without rivals; small (n,) : shorter than the anchor size
+    double (n,) : may be the same object as a rival, so that no qualifier distinguishes them
     anchors (a,) : indices of possible anchors: unique, of known extent, neither small nor portable
     suits (n, n) : j may be the anchor of i: it is fixed, or the larger of the two
     may_be (n,) : labels that an object may have besides its own, for objects that can only have some labels
@@ -107,6 +114,7 @@ class Referents:
     rival: Bools
     nameable: Bools
     unique: Bools
+    double: Bools
     small: Bools
     anchors: NDArray[np.intp]
     suits: Bools
@@ -156,6 +164,11 @@ class Referents:
             margin = self.facts.margin[predicate][:, self.anchors]
         return columns, status, margin, np.asarray(self.suits[:, columns].all(axis=2))
 
+    def denied(self, predicate: Predicate, status: NDArray[np.int8]) -> Bools:
+        """(n, a) whether a condition may say that a predicate fails, from its status as `related` gives it."""
+        found = self.facts.denied.get(predicate)
+        return np.asarray(status == -1) if found is None else np.asarray(found[:, self.anchors])
+
     @cached_property
     def _closest(self) -> tuple[NDArray[np.int8], NDArray[np.float64]]:
         return self.facts.closest(self.rival)
@@ -202,6 +215,7 @@ class Referents:
         meant = meant_by(arrays.labels, arrays.labels, may_be, vocabulary)
         nameable = np.array([vocabulary.fit_for_text(label) for label in arrays.labels], dtype=bool) & seen
         nameable &= ~meant[:, sightings.in_doubt(arrays)].any(axis=1)
+        nameable &= ~fallen(arrays)
         rival = meant & seen & seen[:, None]
         np.fill_diagonal(rival, False)
         unique = nameable & ~rival.any(axis=1)
@@ -219,6 +233,7 @@ class Referents:
             rival=rival,
             nameable=nameable,
             unique=unique,
+            double=doubles(arrays, meant) if family in SCANS else np.zeros(len(arrays), dtype=bool),
             small=small,
             anchors=anchors,
             suits=_suits(sizes, np.asarray(fixed)),
@@ -273,9 +288,13 @@ def _nameless(
         vocabulary.may_be(label, family, float(side) if there else None)
         for label, side, there in zip(arrays.labels, longest, known, strict=True)
     ]
+    found = [
+        labels | {"counter"} if tall else labels for labels, tall in zip(found, called_counters(arrays), strict=True)
+    ]
+    vague = np.array([vocabulary.is_vague(label, family) for label in arrays.labels], dtype=bool)
     may_be = tuple(
-        none if vocabulary.is_vague(label, family) else labels
-        for label, labels in zip(arrays.labels, found, strict=True)
+        like if anything else labels
+        for labels, anything, like in zip(found, vague, look_alikes(arrays, vague), strict=True)
     )
     placed = tuple(labels if there else none for labels, there in zip(found, known, strict=True))
     unplaced = none.union(*(labels for labels, there in zip(found, known, strict=True) if not there))
@@ -300,7 +319,8 @@ def _longest_side(arrays: RoomArrays) -> NDArray[np.float64]:
 
 
 def _qualifications(referents: Referents) -> tuple[tuple[Qualification, ...], ...]:
-    sizes, rows = referents.facts.sizes(referents.rival), np.flatnonzero(referents.nameable & ~referents.unique)
+    sizes = referents.facts.sizes(referents.rival)
+    rows = np.flatnonzero(referents.nameable & ~referents.unique & ~referents.double)
     found: list[list[Qualification]] = [[] for _ in referents.nameable]
     rivals = referents.rival[rows].astype(np.float32)
     located = referents.sized & ~(referents.rival & ~referents.sized).any(axis=1)

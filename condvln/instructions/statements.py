@@ -29,7 +29,7 @@ class StatementTruths:
     exact (l, n) : which visible objects have a label; held (n, a) : which objects are in the relation, with margin
     true (l, a) : a visible object of exactly this label is in the relation
     false (l, a) : every object that the label might mean, visible or not, and every unlabelled one that may have it,
-        fails the relation at the loose threshold
+        fails the relation at the loose threshold, for compass words at `sector_denied`
     Neither is true unless the anchor is fixed or larger than each object of the label.
     """
 
@@ -75,7 +75,7 @@ def statement_truths(referents: Referents, vocabulary: Vocabulary) -> Iterator[S
             sayable &= np.array([own[a] in surfaces for a in anchors[:, 0].tolist()], dtype=bool)
             sayable &= np.array([label not in surfaces for label in labels], dtype=bool)[:, None]
         held = np.asarray(status == 1)
-        left = possible.astype(np.float32) @ (status != -1).astype(np.float32)
+        left = possible.astype(np.float32) @ (~referents.denied(predicate, status)).astype(np.float32)
         yield StatementTruths(
             predicate=predicate,
             labels=labels,

@@ -9,7 +9,7 @@ from typing import Literal
 
 __all__ = ["Role", "labels_with_role"]
 
-Role = Literal["fixed", "landmark", "portable", "surface"]
+Role = Literal["fixed", "landmark", "portable", "surface", "worktop"]
 
 
 @cache
@@ -20,6 +20,7 @@ def labels_with_role(role: Role) -> frozenset[str]:
     landmark : like fixed, if the object is at least `LANDMARK_SIZE` large: a statue, not a figurine
     portable : often carried about, so that text never uses it as an anchor
     surface : things are put on it, so that text may ask whether something is on it
+    worktop : called a counter where it is as high as one (`COUNTER_HEIGHT`) and as large
     """
     text = files("condvln.labels").joinpath("roles.csv").read_text(encoding="utf-8")
     return frozenset(row["label"] for row in csv.DictReader(text.splitlines()) if row["role"] == role)

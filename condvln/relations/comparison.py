@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,11 +19,11 @@ Mask = NDArray[np.bool_]
 Status = NDArray[np.int8]
 
 
-def closest_facts(distance: F64, rival: Mask, t: Thresholds) -> tuple[Status, F64]:
+def closest_facts(distance: F64, labels: Sequence[str], rival: Mask, t: Thresholds) -> tuple[Status, F64]:
     """Return status and margin (n, n) of "closest to": the subject against all objects that its label might mean.
 
     distance (n, n) : of the boxes, or of their nearest pieces, in millimetres; NaN where one is unknown
-    rival (n, n) : j could be meant by i's label; an object without rivals gets status 0
+    rival (n, n) : j could be meant by i's label; an object without a rival of its own label gets status 0
     """
     n = len(rival)
     nearest, all_known = np.full((n, n), np.nan), np.zeros((n, n), dtype=np.bool_)
@@ -34,6 +36,8 @@ def closest_facts(distance: F64, rival: Mask, t: Thresholds) -> tuple[Status, F6
     true = all_known & (nearest >= t.closest_ratio * own) & (nearest >= own + gap)
     false = (own >= t.closest_ratio * nearest) & (own >= nearest + gap)
     status = true.astype(np.int8) - false.astype(np.int8)
+    named = np.array(labels, dtype=object)
+    status[~(rival & (named[:, None] == named[None, :])).any(axis=1)] = 0
     status[rival] = 0
     np.fill_diagonal(status, 0)
     margin: F64 = np.abs(nearest - own) / gap

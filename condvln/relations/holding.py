@@ -24,6 +24,7 @@ class Holding:
     on, inside : (n, n) the source says that the row rests on the column, or is contained in it
     named : (n, n) the source names the column as the row's receptacle, however the statement is interpreted
     denied : (n, n) the source names the row's receptacles, and none of them is the column or in or on it
+    container : (n,) objects that others are put into
     open : (n,) containers that one can look into
     """
 
@@ -31,6 +32,7 @@ class Holding:
     inside: Mask
     named: Mask
     denied: Mask
+    container: Mask
     open: Mask
 
 
@@ -49,7 +51,8 @@ def holding_of(arrays: RoomArrays) -> Holding:
     said_open = [item.openness is not None and item.openness >= OPEN_SHARE for item in arrays.objects]
     opened = [kind == "open" or (kind == "shut" and said) for kind, said in zip(kinds, said_open, strict=True)]
     denied = placed[:, None] & ~closure(named) & ~np.eye(n, dtype=np.bool_)
-    return Holding(on, inside, named, denied, np.array(opened, dtype=np.bool_))
+    containers = np.array([kind is not None for kind in kinds], dtype=np.bool_)
+    return Holding(on, inside, named, denied, containers, np.array(opened, dtype=np.bool_))
 
 
 def closure(direct: Mask) -> Mask:

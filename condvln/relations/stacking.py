@@ -17,7 +17,7 @@ from condvln.relations.metrics import millimetres
 from condvln.relations.pieces import Pieces
 from schemas.config import Thresholds
 
-__all__ = ["Stacking", "exact_mm", "stacking_of"]
+__all__ = ["Stacking", "exact_mm", "held_by", "stacking_of"]
 
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -37,6 +37,8 @@ class Stacking:
     rise, top_rise : (n, n) height of the subject's centre, and of its top, above the target's
     gap : (n, n) height of the subject's bottom above the target's top
     apart : (n, n) horizontal distance of the footprints, 0 where they overlap
+    bottom_rise : (n, n) height of the subject's bottom above the target's bottom
+    over : (n, n) the subject's centre is within the target's footprint, or the other way round
     distance : (n, n) distance of the boxes
     shared : (n, n) ground area that both footprints cover, mm²
     covered : (n, n) shared area divided by the subject's footprint area
@@ -50,7 +52,9 @@ class Stacking:
     rise: F64
     top_rise: F64
     gap: F64
+    bottom_rise: F64
     apart: F64
+    over: Mask
     distance: F64
     shared: F64
     covered: F64
@@ -79,6 +83,9 @@ def stacking_of(pieces: Pieces, holding: Holding, thresholds: Thresholds) -> Sta
     gap = low[:, None, 1] - high[None, :, 1]
     bottom_rise = low[:, None, 1] - low[None, :, 1]
     own = area[:, None]
+    within = np.logical_and.reduce(
+        [(centre[:, None, k] >= low[None, :, k]) & (centre[:, None, k] <= high[None, :, k]) for k in _GROUND]
+    )
     known = ~np.isnan(gap)
     may_rest = (
         (apart == 0.0) & (bottom_rise > exact_mm(thresholds.on_gap_true)) & (gap < exact_mm(thresholds.on_gap_false))
@@ -89,7 +96,9 @@ def stacking_of(pieces: Pieces, holding: Holding, thresholds: Thresholds) -> Sta
         rise=centre[:, None, 1] - centre[None, :, 1],
         top_rise=high[:, None, 1] - high[None, :, 1],
         gap=gap,
+        bottom_rise=bottom_rise,
         apart=apart,
+        over=within | within.T,
         distance=np.sqrt(sum(gap * gap for gap in beyond)),
         shared=shared,
         covered=_parts(shared, np.broadcast_to(own, shared.shape)),
@@ -100,6 +109,23 @@ def stacking_of(pieces: Pieces, holding: Holding, thresholds: Thresholds) -> Sta
         known=known,
         carries=pieces.spread(closure(rests)),
     )
+
+
+def held_by(pieces: Pieces, holding: Holding, s: Stacking, thresholds: Thresholds) -> tuple[Mask, Mask]:
+    """(n, n) whether the target holds the subject, perhaps with things in between; and whether it is around most of it.
+
+    Stricter than `Stacking.carries`, for which footprints need only meet: things that touch side by side are near.
+    """
+    t = thresholds
+    ends = (s.bottom_rise > exact_mm(t.on_gap_true)) | (s.gap >= -exact_mm(t.on_gap_true))
+    carried = ends & (s.gap < exact_mm(t.on_gap_false)) & (s.covered >= t.held_footprint)
+    around = pieces.any(s.inside > t.held_inside) | holding.inside
+    direct = pieces.any(carried) | holding.named | around
+    for mask in (direct, around):
+        np.fill_diagonal(mask, False)
+    held = closure(direct)
+    np.fill_diagonal(held, False)
+    return held, around
 
 
 def _parts(some: F64, whole: F64) -> F64:

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from condvln.relations.comparison import between_facts, closest_facts, size_facts
 from condvln.relations.compass import COMPASS, sector_deviation
 from condvln.relations.holding import Holding, holding_of
-from condvln.relations.metrics import CENTRE, PairMetrics, pair_metrics
+from condvln.relations.metrics import AABB, SPHERE, PairMetrics, pair_metrics
 from condvln.relations.pieces import Pieces
 from condvln.relations.room import RoomRelations
-from condvln.relations.stacking import Stacking, exact_mm, stacking_of
+from condvln.relations.stacking import Stacking, exact_mm, held_by, stacking_of
 from condvln.scene import RoomArrays
 from schemas.config import SECTOR_HALF_WIDTH, Thresholds
 
@@ -56,10 +56,13 @@ class TextFacts:
     status : for each predicate of `PAIR_PREDICATES` (n, n), the subject by row and the anchor by column
     margin : for each such predicate (n, n) the distance from the threshold: at least 1 where status is not 0, and
         larger where it is safer; comparable within one predicate only
+    denied : for each predicate of `COMPASS` (n, n) whether a condition may ask for it as false, which takes more than
+        telling rivals apart
     """
 
     status: Mapping[str, Status]
     margin: Mapping[str, F64]
+    denied: Mapping[str, Mask]
     _arrays: RoomArrays
     _whole: Stacking
     _distance: F64
@@ -72,7 +75,7 @@ class TextFacts:
 
     def closest(self, rival: Mask) -> tuple[Status, F64]:
         """Return status and margin (n, n) of "closest to"; `rival` (n, n) : j could be meant by i's label."""
-        return closest_facts(self._distance, rival, self._thresholds)
+        return closest_facts(self._distance, self._arrays.labels, rival, self._thresholds)
 
     def sizes(self, rival: Mask) -> dict[str, Status]:
         """Return the status (n,) of each predicate of `SIZE_PREDICATES`, with the same `rival` as `closest`."""
@@ -98,7 +101,11 @@ def text_facts(relations: RoomRelations, thresholds: Thresholds) -> TextFacts:
         "on": _said_on(_some(pieces, _on(stacking, t)), holding),
         "under": _some(pieces, _under(stacking, t)),
         "in": _said_in(_some(pieces, _in(stacking, holding.open[pieces.owner], t)), holding),
-        "near": _some(pieces, _near(metrics, pieces.spread(relations.surface), t)),
+        "near": _unheld(
+            _some(pieces, _near(stacking, metrics, parts.radius, pieces.spread(relations.surface), t)),
+            *held_by(pieces, holding, stacking, t),
+            holding,
+        ),
         "far from": _far_of(pieces, _far(metrics.used, t)),
         "higher than": _each(pieces, _higher(stacking, t)),
         "above": _some(pieces, _above(stacking, metrics.horizontal, metrics.footprint_overlap, t)),
@@ -106,14 +113,17 @@ def text_facts(relations: RoomRelations, thresholds: Thresholds) -> TextFacts:
     facts["lower than"] = _turned(facts["higher than"])
     facts["below"] = _turned(facts["above"])
     clear = (np.abs(metrics.elevation) < t.level) & (metrics.horizontal >= t.sector_horizontal_true)
+    beside, denied = ~stacking.over, {}
     clearance = _rising(metrics.horizontal, 0.0, t.sector_horizontal_true)
     for sector, predicate in enumerate(COMPASS):
-        fact = _compass(sector_deviation(metrics.azimuth, sector), clear, clearance, t)
+        fact = _compass(sector_deviation(metrics.azimuth, sector), beside, clear, clearance, t)
         facts[predicate] = _each(pieces, fact)
+        denied[predicate] = pieces.all((sector_deviation(metrics.azimuth, sector) > t.sector_denied) & beside)
 
     return TextFacts(
         status={predicate: facts[predicate][0] for predicate in PAIR_PREDICATES},
         margin={predicate: facts[predicate][1] for predicate in PAIR_PREDICATES},
+        denied=denied,
         _arrays=arrays,
         _whole=stacking_of(Pieces(arrays, arrays, np.arange(len(arrays))), holding, t) if pieces.several else stacking,
         _distance=pieces.least(stacking.distance),
@@ -183,17 +193,31 @@ def _rising(value: F64, emitted: float, text: float) -> F64:
     return scaled
 
 
-def _near(metrics: PairMetrics, surface: F64, t: Thresholds) -> _Fact:
+def _near(s: Stacking, metrics: PairMetrics, radius: F64, surface: F64, t: Thresholds) -> _Fact:
+    """Close in space and not far above each other; it is denied by the distance along the ground.
+
+    Footprints, and circles around things, hold those: along the ground the things are no closer. Centres say nothing.
+    """
     used = metrics.used
     true = (used <= t.near_true) & (surface <= t.near_true)
-    # Without measured surfaces, the distance of boxes or bounding spheres is still a lower bound; that of centres is
-    # not.
-    bound = np.where(metrics.used_metric == CENTRE, np.nan, used)
-    least = np.where(np.isnan(surface), bound, surface)
-    false = (used >= t.near_false) & (least >= t.near_false)
+    true &= np.fmax(s.gap, s.gap.T) <= exact_mm(t.near_over)
+    round_ones = np.maximum(metrics.horizontal - (radius[:, None] + radius[None, :]), 0.0)
+    ground = np.where(metrics.used_metric == AABB, s.apart / 1000.0, np.nan)
+    ground = np.where(metrics.used_metric == SPHERE, round_ones, ground)
     when_true = np.minimum(_rising(used, t.near, t.near_true), _rising(surface, t.near, t.near_true))
-    when_false = np.minimum(_rising(used, t.near, t.near_false), _rising(least, t.near, t.near_false))
-    return _fact(true, false, when_true, when_false)
+    return _fact(true, ground >= t.near_false, when_true, _rising(ground, t.near, t.near_false))
+
+
+def _unheld(fact: _Fact, held: Mask, around: Mask, holding: Holding) -> _Fact:
+    """Of what is on or in the other, nobody says that it is near, nor that it is not.
+
+    What lies in a container is found by that, and is near to nothing else.
+    """
+    status, margin = fact
+    boxed = np.asarray((around & holding.container[None, :]).any(axis=1))
+    decided = ~(held | held.T)
+    true = (status == 1) & decided & ~boxed[:, None] & ~boxed[None, :]
+    return _fact(true, (status == -1) & decided, margin, margin)
 
 
 def _far(used: F64, t: Thresholds) -> _Fact:
@@ -270,8 +294,10 @@ def _above(s: Stacking, horizontal: F64, footprint_overlap: F64, t: Thresholds) 
     return _fact(true, false, when_true, np.maximum(_rising(s.rise, exact_mm(t.height), low), s.apart / apart))
 
 
-def _compass(deviation: F64, clear: Mask, clearance: F64, t: Thresholds) -> _Fact:
-    beside = deviation - SECTOR_HALF_WIDTH
-    when_true = np.minimum(beside * (1.0 / (t.sector_true - SECTOR_HALF_WIDTH)), clearance)
-    when_false = beside * (1.0 / (t.sector_false - SECTOR_HALF_WIDTH))
-    return _fact((deviation <= t.sector_true) & clear, deviation > t.sector_false, when_true, when_false)
+def _compass(deviation: F64, beside: Mask, clear: Mask, clearance: F64, t: Thresholds) -> _Fact:
+    """By centres, of things that lie beside each other: what is over, on or partly in another lies in no direction."""
+    off = deviation - SECTOR_HALF_WIDTH
+    when_true = np.minimum(off * (1.0 / (t.sector_true - SECTOR_HALF_WIDTH)), clearance)
+    when_false = off * (1.0 / (t.sector_false - SECTOR_HALF_WIDTH))
+    true, false = (deviation <= t.sector_true) & clear, deviation > t.sector_false
+    return _fact(true & beside, false & beside, when_true, when_false)

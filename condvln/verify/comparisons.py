@@ -14,9 +14,9 @@ __all__ = ["compare_sizes", "is_closest", "lies_between"]
 
 def is_closest(subject: Thing, anchor: Thing, rivals: Sequence[Thing], t: Thresholds) -> Judgement:
     """Return whether the subject is closest: all rivals are much farther from the anchor (true), or one is much
-    nearer (false).
+    nearer (false). One of them at least must have the subject's label.
     """
-    if subject.box is None or anchor.box is None or anchor in rivals:
+    if subject.box is None or anchor.box is None or anchor in rivals or all(x.label != subject.label for x in rivals):
         return Judgement(UNDECIDED, {"box": None})
     own, gap = _nearest(subject, anchor), whole_mm(t.closest_gap)
     others = [None if rival.box is None else _nearest(rival, anchor) for rival in rivals]

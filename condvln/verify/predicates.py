@@ -14,7 +14,8 @@ from condvln.verify.comparisons import compare_sizes, is_closest, lies_between
 from condvln.verify.judgement import FALSE, TRUE, UNDECIDED, Judgement, judged
 from condvln.verify.supports import as_said_in, as_said_on, is_above, is_higher, is_in, is_on, is_under
 from condvln.verify.surfaces import SurfaceGauge
-from condvln.verify.surroundings import Surroundings, Thing, whole_mm
+from condvln.verify.surroundings import Surroundings, Thing, footprint_gap, whole_mm
+from condvln.verify.words import words
 from schemas.config import Thresholds
 
 __all__ = ["DIRECTIONS", "FALSE", "TRUE", "UNDECIDED", "Judge", "Judgement", "Thing"]
@@ -41,7 +42,6 @@ class Judge:
     def __init__(self, thresholds: Thresholds, gauge: SurfaceGauge) -> None:
         self._t = thresholds
         self._gauge = gauge
-        self._within = whole_mm(thresholds.surface_within)
 
     def __call__(
         self,
@@ -50,10 +50,12 @@ class Judge:
         anchors: Sequence[Thing],
         room: Surroundings,
         rivals: Sequence[Thing] = (),
+        asked: bool = False,
     ) -> Judgement:
         """Return whether "`subject` `predicate` `anchors`" holds.
 
         rivals : the other objects that the subject's label might mean; "closest to" and "the bigger" compare with them
+        asked : a condition asks for it, which is false of a direction only where another is clearly meant
         """
         if predicate in ("bigger", "smaller"):
             return compare_sizes(subject, rivals, self._t, 1 if predicate == "bigger" else -1)
@@ -62,14 +64,16 @@ class Judge:
         (anchor,) = anchors
         if predicate == "closest to":
             return is_closest(subject, anchor, rivals, self._t)
-        found = self._of_pieces(predicate, subject, anchor, room)
+        found = self._of_pieces(predicate, subject, anchor, room, asked)
+        if predicate == "near":
+            return _beside_each_other(found, subject, anchor, room)
         if predicate == "on":
             return as_said_on(found, subject, anchor, room)
         return as_said_in(found, subject, anchor, room) if predicate == "in" else found
 
-    def _of_pieces(self, predicate: str, subject: Thing, anchor: Thing, room: Surroundings) -> Judgement:
+    def _of_pieces(self, predicate: str, subject: Thing, anchor: Thing, room: Surroundings, asked: bool) -> Judgement:
         """Return the judgement for objects of several pieces, from the judgements of each pair of pieces."""
-        found = [self._of_one(predicate, a, b, room) for a in subject.solids() for b in anchor.solids()]
+        found = [self._of_one(predicate, a, b, room, asked) for a in subject.solids() for b in anchor.solids()]
         when_true, when_false = (
             (any, all) if predicate in SOME else (all, any) if predicate == "far from" else (all, all)
         )
@@ -79,7 +83,7 @@ class Judge:
             return next(how for how in found if how.verdict == FALSE)
         return found[0]._replace(verdict=UNDECIDED)
 
-    def _of_one(self, predicate: str, subject: Thing, anchor: Thing, room: Surroundings) -> Judgement:
+    def _of_one(self, predicate: str, subject: Thing, anchor: Thing, room: Surroundings, asked: bool) -> Judgement:
         if predicate in ("near", "far from"):
             return self._near(subject, anchor) if predicate == "near" else self._far(subject, anchor)
         if predicate in ("on", "under", "in"):
@@ -91,50 +95,73 @@ class Judge:
             return is_higher(subject, anchor, room, self._t)
         if predicate in ("above", "below"):
             return is_above(subject, anchor, room, self._t)
-        return self._beside(predicate, subject.centre[1] - anchor.centre[1], subject, anchor)
+        return self._beside(predicate, subject, anchor, self._t.sector_denied if asked else self._t.sector_false)
 
     def _near(self, one: Thing, other: Thing) -> Judgement:
-        used, is_bound = _used(one, other)
-        close, far = used <= whole_mm(self._t.near_true), used >= whole_mm(self._t.near_false)
+        used, along_ground = _used(one, other), _along_ground(one, other)
         surface = None
-        # Between the two thresholds, surfaces can't decide either.
-        if one.box is not None and other.box is not None and (close or (far and used <= self._within)):
-            surface = self._gauge.millimetres(one.item, other.item)
-        # Boxes and bounding spheres enclose their objects, so their distance is a lower bound; that of centres is not.
-        least = surface if surface is not None else used if is_bound else None
-        true = close and surface is not None and surface <= whole_mm(self._t.near_true)
-        false = far and least is not None and least >= whole_mm(self._t.near_false)
-        return judged(true, false, distance=used, surface=surface)
+        if one.box is not None and other.box is not None:
+            air = max(one.box[0][1] - other.box[1][1], other.box[0][1] - one.box[1][1])
+            if used <= whole_mm(self._t.near_true) and air <= whole_mm(self._t.near_over):
+                surface = self._gauge.millimetres(one.item, other.item)
+        true = surface is not None and surface <= whole_mm(self._t.near_true)
+        false = along_ground is not None and along_ground >= whole_mm(self._t.near_false)
+        return judged(true, false, distance=used, surface=surface, footprints_apart=along_ground)
 
     def _far(self, one: Thing, other: Thing) -> Judgement:
-        used, _ = _used(one, other)
+        used = _used(one, other)
         return judged(used >= whole_mm(self._t.far_true), used <= whole_mm(self._t.far_false), distance=used)
 
-    def _beside(self, predicate: str, up: int, one: Thing, other: Thing) -> Judgement:
+    def _beside(self, predicate: str, one: Thing, other: Thing, elsewhere: float) -> Judgement:
         east, north = one.centre[0] - other.centre[0], other.centre[2] - one.centre[2]
         towards = DIRECTIONS[predicate]
         apart = math.hypot(east, north)
-        if not apart:
-            return Judgement(UNDECIDED, {"horizontal": 0.0})
+        if not apart or _is_over(one, other) or _is_over(other, one):
+            return Judgement(UNDECIDED, {"horizontal": apart / 1000.0})
         cross = east * towards[1] - north * towards[0]
         off = math.degrees(math.atan2(abs(cross), east * towards[0] + north * towards[1]))
-        elevation = math.degrees(math.atan2(abs(up), apart))
+        elevation = math.degrees(math.atan2(abs(one.centre[1] - other.centre[1]), apart))
         clear = elevation < self._t.level and apart >= whole_mm(self._t.sector_horizontal_true)
         true = off <= self._t.sector_true and clear
-        judgement = judged(true, off > self._t.sector_false, horizontal=apart)
+        judgement = judged(true, off > elsewhere, horizontal=apart)
         return judgement._replace(
             numbers={**judgement.numbers, "degrees_off": round(off, 3), "elevation": round(elevation, 3)}
         )
 
 
-def _used(one: Thing, other: Thing) -> tuple[float, bool]:
-    """Return millimetres between boxes, else bounding spheres, else centres; and whether this is a lower bound of the
-    surface distance.
-    """
+def _beside_each_other(found: Judgement, subject: Thing, anchor: Thing, room: Surroundings) -> Judgement:
+    """Nobody says of what is on or in the other that it is near; what is put away is near to nothing."""
+    if room.holds(anchor, subject) or room.holds(subject, anchor):
+        return found._replace(verdict=UNDECIDED)
+    containers = words().containers
+    if found.verdict == TRUE and any(room.is_put_away(thing, containers) for thing in (subject, anchor)):
+        return found._replace(verdict=UNDECIDED)
+    return found
+
+
+def _used(one: Thing, other: Thing) -> float:
+    """Return millimetres between boxes, else bounding spheres, else centres."""
     if one.box is not None and other.box is not None:
         gaps = [max(one.box[0][k] - other.box[1][k], other.box[0][k] - one.box[1][k], 0) for k in range(3)]
-        return math.sqrt(sum(gap * gap for gap in gaps)), True
+        return math.sqrt(sum(gap * gap for gap in gaps))
     centres = math.dist(one.centre, other.centre)
     if one.item.radius is not None and other.item.radius is not None:
-        return max(centres - 1000.0 * (one.item.radius + other.item.radius), 0.0), True
-    return centres, False
+        return max(centres - 1000.0 * (one.item.radius + other.item.radius), 0.0)
+    return centres
+
+
+def _along_ground(one: Thing, other: Thing) -> float | None:
+    """Horizontal millimetres that two things are apart at least; None where only their centres are known."""
+    if one.box is not None and other.box is not None:
+        return footprint_gap(one, other)
+    if one.item.radius is None or other.item.radius is None:
+        return None
+    centres = math.hypot(one.centre[0] - other.centre[0], one.centre[2] - other.centre[2])
+    return max(centres - 1000.0 * (one.item.radius + other.item.radius), 0.0)
+
+
+def _is_over(one: Thing, other: Thing) -> bool:
+    """Whether the centre of one is within the footprint of the other."""
+    if other.box is None:
+        return False
+    return all(other.box[0][k] <= one.centre[k] <= other.box[1][k] for k in (0, 2))

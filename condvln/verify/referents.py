@@ -94,7 +94,7 @@ class SceneReferents:
         self._rooms: dict[Named | None, tuple[RoomView, str | None] | Problem] = {}
         self._things: dict[Phrase, Referent | Problem] = {}
         self._claims: dict[Phrase, Answer | Problem] = {}
-        self._related: dict[tuple[str, str, str, tuple[str, ...]], list[tuple[Thing, Judgement]]] = {}
+        self._related: dict[tuple[str, str, str, tuple[str, ...], bool], list[tuple[Thing, Judgement]]] = {}
 
     @property
     def single_room(self) -> bool:
@@ -221,17 +221,22 @@ class SceneReferents:
         return True
 
     def _relations(
-        self, view: RoomView, label: str, predicate: str, anchors: tuple[Thing, ...]
+        self, view: RoomView, label: str, predicate: str, anchors: tuple[Thing, ...], asked: bool
     ) -> list[tuple[Thing, Judgement]]:
         """Return each object that `label` might mean, visible or not, and whether it has the relation to the
         anchors.
         """
-        key = (view.room.room_id, label, predicate, tuple(anchor.object_id for anchor in anchors))
+        key = (view.room.room_id, label, predicate, tuple(anchor.object_id for anchor in anchors), asked)
         if key not in self._related:
             meant = view.meant(label)
             others = [thing for thing in (*meant, *view.unknown(label)) if thing not in anchors]
             self._related[key] = [
-                (x, self.judge(predicate, x, anchors, view.surroundings, [rival for rival in meant if rival is not x]))
+                (
+                    x,
+                    self.judge(
+                        predicate, x, anchors, view.surroundings, [rival for rival in meant if rival is not x], asked
+                    ),
+                )
                 for x in others
             ]
         return self._related[key]
@@ -253,11 +258,13 @@ class SceneReferents:
             return anchors
         if len(meant) < 2:
             return Problem("qualifier_needed", f"several things like a {phrase.label}", len(meant))
-        related = [(x, how) for x, how in self._relations(view, phrase.label, predicate, anchors) if x in meant]
+        related = [(x, how) for x, how in self._relations(view, phrase.label, predicate, anchors, False) if x in meant]
         fitting = [thing for thing, how in related if how.verdict == TRUE and thing.label == phrase.label]
         open_ones = [thing.object_id for thing, how in related if how.verdict != FALSE]
         if len(fitting) != 1 or len(open_ones) != 1:
             return Problem("qualifier_sufficient", f"one {phrase}", open_ones)
+        if (fault := _not_one(view, fitting[0])) is not None:
+            return fault
         if not self._carries_the_phrase(anchors, fitting):
             return Problem("anchor_fit", f"an anchor larger than {fitting[0].object_id}", _ids(anchors))
         return Referent(fitting[0].object_id, view.room.room_id, _ids(anchors), room_anchor)
@@ -273,16 +280,19 @@ class SceneReferents:
             possible = (*view.meant(phrase.label), *view.unknown(phrase.label))
             sure = [thing for thing in view.meant(phrase.label) if thing.label == phrase.label]
             found: Any = [thing.object_id for thing in possible]
+            sure = [thing for thing in sure if view.is_itself(thing)]
         else:
             predicate, labels = phrase.qualifier
             anchored = self._anchors(view, labels)
             if isinstance(anchored, Problem):
                 return anchored
-            if not self._carries_the_phrase(anchored, [x for x in view.meant(phrase.label) if x.label == phrase.label]):
+            called = [x for x in view.meant(phrase.label) if x.label == phrase.label and view.is_itself(x)]
+            if not self._carries_the_phrase(anchored, called):
                 return Problem("anchor_fit", f"an anchor larger than any {phrase.label}", _ids(anchored))
-            related = self._relations(view, phrase.label, predicate, anchored)
+            related = self._relations(view, phrase.label, predicate, anchored, True)
             seen = [(thing, how) for thing, how in related if view.is_seen(thing)]
             sure = [thing for thing, how in seen if how.verdict == TRUE and thing.label == phrase.label]
+            sure = [thing for thing in sure if view.is_itself(thing)]
             possible = tuple(thing for thing, how in related if how.verdict != FALSE)
             anchors, numbers = anchored, _deciding(seen, sure)
             found = {thing.object_id: dict(how.numbers) for thing, how in related}
@@ -320,6 +330,8 @@ class SceneReferents:
         open_ones = [thing.object_id for thing, how in related if how.verdict != FALSE]
         if len(fitting) != 1 or len(open_ones) != 1:
             return Problem("qualifier_sufficient", f"one {phrase}", open_ones)
+        if (fault := _not_one(view, fitting[0])) is not None:
+            return fault
         return Referent(fitting[0].object_id, view.room.room_id, (), None)
 
     def _claim_at(self, phrase: Phrase, start: Standpoint | None) -> Answer | Problem:
@@ -352,7 +364,7 @@ class SceneReferents:
         for thing in view.nameless(phrase.label):
             if phrase.qualifier is None or thing.box is None:
                 return thing.object_id
-            if self.judge(phrase.qualifier[0], thing, anchors, view.surroundings).verdict != FALSE:
+            if self.judge(phrase.qualifier[0], thing, anchors, view.surroundings, asked=True).verdict != FALSE:
                 return thing.object_id
         return None
 
@@ -366,6 +378,16 @@ def _deciding(related: list[tuple[Thing, Judgement]], sure: list[Thing]) -> Mapp
         if not sure or thing is sure[0]:
             return how.numbers
     return {}
+
+
+def _not_one(view: RoomView, thing: Thing) -> Problem | None:
+    """Why a thing that is told from its rivals is not surely one thing, and the one of that name."""
+    if not view.is_itself(thing):
+        return Problem("referent_upright", f"a {thing.label} in its place", thing.object_id)
+    other = view.double(thing)
+    if other is not None:
+        return Problem("referent_single", f"one box of one {thing.label}", sorted((thing.object_id, other.object_id)))
+    return None
 
 
 def _ids(things: Iterable[Thing]) -> tuple[str, ...]:

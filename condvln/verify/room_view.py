@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Set
 from functools import cached_property
 
 from condvln.scene import Room, SceneObject
+from condvln.verify.likeness import has_fallen, looks_like, may_be_one, passes_for_a_counter
 from condvln.verify.surroundings import Said, Surroundings, Thing
 from condvln.verify.words import Words
 from schemas.config import Thresholds
@@ -41,14 +42,18 @@ class RoomView:
         self.things = tuple(thing for thing in things if thing.object_id not in hidden)
         self._all = tuple(things)
         self.surroundings = Surroundings(things, room.floor_y, thresholds, said)
-        self._meaning = meaning
+        self._meaning, self._family = meaning, family
         self._meant: dict[str, tuple[Thing, ...]] = {}
         self._open: dict[str, frozenset[str]] = {}
         self._vague: dict[str, frozenset[str]] = {}
         for thing in things:
             labels, anything = meaning.may_be(thing.label, family, longest_side(thing))
-            self._open[thing.object_id] = frozenset() if anything else labels
+            if passes_for_a_counter(thing, meaning.roles["worktop"], things, room.floor_y):
+                labels |= {"counter"}
+            alike = (x.label for x in things if anything and self._is_named(x) and looks_like(thing, x))
+            self._open[thing.object_id] = frozenset(alike) if anything else labels
             self._vague[thing.object_id] = labels
+        self._fallen = frozenset(thing.object_id for thing in things if has_fallen(thing, room.floor_y))
 
     @cached_property
     def labels(self) -> frozenset[str]:
@@ -69,9 +74,28 @@ class RoomView:
         """Return whether an object is visible: not in something shut, and in view from where an agent can stand."""
         return thing.object_id not in self._hidden and self._can_be_seen(thing.object_id)
 
-    def _called(self, label: str) -> Iterable[Thing]:
+    def is_itself(self, thing: Thing) -> bool:
+        """Whether a thing is what people expect under its name: it has not fallen over."""
+        return thing.object_id not in self._fallen
+
+    def double(self, thing: Thing) -> Thing | None:
+        """Another box that may be of the same thing."""
+        for other in self._all:
+            if other is thing or not may_be_one(thing, other, self._family):
+                continue
+            if self._could_call(thing.label, other) or self._could_call(other.label, thing):
+                return other
+        return None
+
+    def _is_named(self, thing: Thing) -> bool:
+        return not self._meaning.may_be(thing.label, self._family, None)[1]
+
+    def _could_call(self, label: str, thing: Thing) -> bool:
         own = self._meaning.meant_by(label)
-        return (thing for thing in self._all if thing.label in own or own & self._open[thing.object_id])
+        return thing.label in own or bool(own & self._open[thing.object_id])
+
+    def _called(self, label: str) -> Iterable[Thing]:
+        return (thing for thing in self._all if self._could_call(label, thing))
 
     def nameless(self, label: str) -> list[Thing]:
         """Return the unlabelled objects that might be a `label`, as far as is known."""
@@ -87,7 +111,7 @@ class RoomView:
     def only(self, label: str) -> Thing | None:
         """Return the object with this label if no other object could be meant, else None."""
         found = self.meant(label)
-        return found[0] if len(found) == 1 and found[0].label == label else None
+        return found[0] if len(found) == 1 and found[0].label == label and self.is_itself(found[0]) else None
 
 
 def longest_side(thing: Thing) -> float | None:

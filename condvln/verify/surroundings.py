@@ -84,6 +84,8 @@ class Surroundings:
         self._floor = None if math.isnan(floor) else round(floor * 1000.0)
         self._lift, self._slack = whole_mm(thresholds.on_gap_true), whole_mm(thresholds.on_gap_false)
         self._carriers: dict[str, frozenset[str]] = {}
+        self._holders: dict[str, frozenset[str]] = {}
+        self._share, self._most = thresholds.held_footprint, thresholds.held_inside
         self._said = said or {}
 
     def off_floor(self, thing: Thing) -> int | None:
@@ -133,6 +135,57 @@ class Surroundings:
     def may_carry(self, lower: Thing, upper: Thing) -> bool:
         """Return whether `upper` may rest on `lower`, directly or through other objects."""
         return lower.object_id in self._carriers_of(upper)
+
+    def holds(self, outer: Thing, thing: Thing) -> bool:
+        """Whether `outer` carries a thing or is around most of it, perhaps with things in between.
+
+        Footprints must overlap for that: what only touches another is beside it.
+        """
+        if thing.object_id not in self._holders:
+            found: set[str] = set()
+            ahead = [thing]
+            while ahead:
+                inner = ahead.pop()
+                new = [x for x in self._things if x.object_id not in found and self._has(x, inner)]
+                found.update(x.object_id for x in new)
+                ahead += new
+            self._holders[thing.object_id] = frozenset(found)
+        return outer.object_id in self._holders[thing.object_id]
+
+    def is_put_away(self, thing: Thing, containers: Mapping[str, str]) -> bool:
+        """Whether a thing is in something that things are put into."""
+        return any(
+            bool(containers.get(x.label)) and (self.is_said_in(thing, x) or self._surrounds(x, thing))
+            for x in self._things
+            if x.object_id != thing.object_id
+        )
+
+    def _has(self, outer: Thing, inner: Thing) -> bool:
+        if outer.object_id == inner.object_id:
+            return False
+        if outer.object_id in (inner.item.receptacles or ()) or self._surrounds(outer, inner):
+            return True
+        return any(self._bears(below, above) for above in inner.solids() for below in outer.solids())
+
+    def _bears(self, lower: Thing, upper: Thing) -> bool:
+        """Whether the bottom of `upper` is at the top of `lower`, or within its height, and enough of it over it."""
+        area = 0 if upper.box is None else math.prod(upper.ground_sides())
+        if upper.box is None or lower.box is None or not area:
+            return False
+        bottom, (x, _, z) = upper.box[0][1], shared_sides(upper, lower)
+        at_height = bottom - lower.box[0][1] > self._lift or bottom - lower.box[1][1] >= -self._lift
+        return at_height and bottom - lower.box[1][1] < self._slack and x * z / area >= self._share
+
+    def _surrounds(self, outer: Thing, inner: Thing) -> bool:
+        """Whether most of a piece of `inner` is in a piece of `outer`."""
+        for a in inner.solids():
+            for b in outer.solids():
+                if a.box is None or b.box is None:
+                    continue
+                volume = math.prod(high - low for low, high in zip(*a.box, strict=True))
+                if volume > 0 and math.prod(shared_sides(a, b)) / volume > self._most:
+                    return True
+        return False
 
     def _carriers_of(self, thing: Thing) -> frozenset[str]:
         if thing.object_id not in self._carriers:

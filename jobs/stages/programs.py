@@ -45,7 +45,7 @@ class PriorsAggregate(Aggregate):
     thresholds: Thresholds
     anchor_size: float
     name: str = "priors"
-    version: int = 6
+    version: int = 7
     after: str = "scene"
     tables: tuple[str, ...] = ("rooms", "objects")
 
@@ -71,7 +71,7 @@ class ProgramStage(Stage):
     preamble: bool
     seed: int
     name: str = "programs"
-    version: int = 21
+    version: int = 22
     tables: tuple[str, ...] = ("stops", "candidates", "rejections")
     reads_inputs: bool = True
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "relations", "visibility")

@@ -8,8 +8,16 @@ from __future__ import annotations
 from typing import Final
 
 __all__ = [
+    "COUNTER_HEIGHT",
+    "COUNTER_LENGTH",
+    "DOUBLE_CENTRES",
+    "DOUBLE_FOOTPRINT",
+    "DOUBLE_GAP",
     "EVIDENCE",
     "EYE_SPACING",
+    "FALLEN_DEGREES",
+    "FALLEN_OFF_FLOOR",
+    "FALLEN_SUNK",
     "FAR_RING_GAP",
     "FEW_LABELS_SLACK",
     "FIRST_VIEW_DEGREES",
@@ -25,6 +33,8 @@ __all__ = [
     "KEPT_AT_LEAST",
     "LANDMARK_SIZE",
     "LARGER_THAN_RECEPTACLE",
+    "LIKE_HEIGHT",
+    "LIKE_SIZE",
     "LOW_EYE",
     "MOST_MOVES_OF_FOUR_LEAVES",
     "MOST_OBJECTS_PER_ROOM",
@@ -187,3 +197,33 @@ the piano")."""
 
 MOST_OBJECTS_PER_ROOM: Final = 5000
 """Upper bound of ``limits.objects_per_room``: a room of that size has 65 million rows of relations."""
+
+COUNTER_LENGTH: Final = 1.2
+"""Length of the longer side of a table from which it may be called a counter, metres."""
+
+DOUBLE_FOOTPRINT: Final = 0.5
+"""Share of the smaller footprint over the other from which two boxes of a scan, of one kind of thing, may be one."""
+
+DOUBLE_GAP: Final = 0.15
+"""Metres of air that there may be between two such boxes."""
+
+DOUBLE_CENTRES: Final = 0.2
+"""Metres between the centres of two boxes of a scan up to which they may be one thing, wherever their sides are."""
+
+LIKE_SIZE: Final = 1.35
+"""How many times longer or shorter each side of a nameless thing may be than that of the thing it may be another of."""
+
+LIKE_HEIGHT: Final = 0.25
+"""Metres between the bottoms of a nameless thing and the thing it may be another of."""
+
+COUNTER_HEIGHT: Final = 0.85
+"""Metres above the floor from which the top of a table as large as the room's counter may be called one too."""
+
+FALLEN_DEGREES: Final = 20.0
+"""Degrees of tilt from which a model on the floor has fallen over."""
+
+FALLEN_OFF_FLOOR: Final = 0.1
+"""Metres above the floor up to which the bottom of a tilted model counts as on it."""
+
+FALLEN_SUNK: Final = 0.1
+"""Metres that a model may reach below the floor."""

@@ -23,8 +23,19 @@ class Thresholds(Section):
     """
 
     near: Metres = Field(1.0, description="“near” is emitted up to this distance of boxes")
-    near_true: Metres = Field(0.85, description="text may say “near” up to this distance of boxes and of surfaces")
-    near_false: Metres = Field(1.15, description="text may deny “near” from this distance of boxes and of surfaces")
+    near_true: Metres = Field(0.5, description="text may say “near” up to this distance of boxes and of surfaces")
+    near_over: Metres = Field(
+        0.25, description="and where the bottom of one is at most this far above the top of the other"
+    )
+    near_false: Metres = Field(1.75, description="text may deny “near” from this distance of footprints")
+    held_footprint: Share = Field(
+        0.25,
+        description="a thing at whose height another ends carries that where this share of its footprint is over it: "
+        "“near” is not decided between them",
+    )
+    held_inside: Share = Field(
+        0.5, description="“near” is not decided either where more than this share of one box is inside the other"
+    )
     far: Metres = Field(3.0, description="“far from” is emitted from this distance of boxes")
     far_true: Metres = Field(3.45, description="text may say “far from” from this distance of boxes")
     far_false: Metres = Field(2.55, description="text may deny “far from” up to this distance of boxes")
@@ -91,7 +102,12 @@ class Thresholds(Section):
         1.5, gt=1, description="text may say “the bigger” of two where the volume of its box is this many times larger"
     )
     sector_true: Degrees = Field(15.0, description="text may use a compass word up to this angle off its direction")
-    sector_false: Degrees = Field(30.0, description="text may deny a compass word beyond this angle off its direction")
+    sector_false: Degrees = Field(
+        30.0, description="a compass word tells a thing from rivals that are beyond this angle off its direction"
+    )
+    sector_denied: Degrees = Field(
+        60.0, description="a condition with a compass word is false beyond this angle off its direction"
+    )
     sector_horizontal_true: Metres = Field(
         0.5, description="text may use a compass word from this horizontal distance of centres"
     )
@@ -135,11 +151,10 @@ class Thresholds(Section):
             (self.between_false, self.between_true, "between"),
             (self.between_true, 0.5, "between_true"),
             (self.between_off_true, self.between_off_false, "between_off"),
+            (self.sector_false, self.sector_denied, "sector_denied"),
         ):
             if not true < false:
                 raise ValueError(f"{name}: {true:g} must be below {false:g}")
-        if self.surface_within < self.near_false:
-            raise ValueError(
-                f"surface_within: {self.surface_within:g} must be at least near_false, {self.near_false:g}"
-            )
+        if self.surface_within < self.near_true:
+            raise ValueError(f"surface_within: {self.surface_within:g} must be at least near_true, {self.near_true:g}")
         return self

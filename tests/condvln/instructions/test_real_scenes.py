@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -55,8 +56,8 @@ def test_programs_of_real_scenes_are_proven(real_data: Path, facts_maker, prove,
 
 
 @pytest.mark.soak
-def test_the_church_scan_has_instructions(real_data: Path, facts_maker, prove) -> None:
-    """Rooms of no type, slices, nameless things and few anchors: only a podium and a statue tell its chairs apart."""
+def test_the_church_scan_says_nothing_of_the_one_statue_that_may_be_two(real_data: Path, facts_maker, prove) -> None:
+    """Across the altar a nameless "object" has the size of the statue: people see two, and the scan names one."""
     if not (real_data / "mp3d").is_dir():
         pytest.skip(f"no mp3d in {real_data}")
     scene = open_source("mp3d", real_data / "mp3d").read("YmJkqBEsHnH")
@@ -65,7 +66,7 @@ def test_the_church_scan_has_instructions(real_data: Path, facts_maker, prove) -
     programs = [*sampler.candidates("simple"), *(program for group in sampler.groups() for program in group)]
     for program in programs:
         prove(program, scene, facts)
-    assert len(programs) >= 20
+        assert "the sculpture" not in re.sub(r"the sculpture (south|east)", "", render(program, 0, "church"))
 
 
 def cues(program: Program) -> dict[str, int]:

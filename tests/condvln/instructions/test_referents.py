@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
@@ -30,6 +31,7 @@ class MadeFacts:
     margin: dict[str, NDArray[np.float64]]
     size: dict[str, NDArray[np.int8]] | None = None
     middle: NDArray[np.int8] | None = None  # (n, n, n): i between a and b
+    denied: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
 
     def closest(self, rival: NDArray[np.bool_]) -> tuple[NDArray[np.int8], NDArray[np.float64]]:
         return self.status["closest to"], self.margin["closest to"]

@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 from fractions import Fraction
 from typing import NamedTuple
 
+import shapely
+
 from condvln.scene import OrientedBox, SceneObject
 
 
@@ -23,6 +25,8 @@ class Box(NamedTuple):
     parts: tuple[Box, ...] = ()
     named: tuple[str, ...] = ()
     opened: bool = False
+    radius: int | None = None
+    solids: tuple[tuple[shapely.Polygon, float, float], ...] = ()  # ground, bottom and top in millimetres
 
     @property
     def pieces(self) -> tuple[Box, ...]:
@@ -43,7 +47,23 @@ def box_of(item: SceneObject) -> Box:
         parts=tuple(whole._replace(at=at, lo=lo, hi=hi) for lo, hi, at in map(arm_of, item.parts)),
         named=item.receptacles or (),
         opened=item.openness is not None and item.openness >= 0.5,
+        radius=None if item.radius is None else round(item.radius * 1000),
+        solids=tuple(solids_of(item)),
     )
+
+
+def solids_of(item: SceneObject) -> list[tuple[shapely.Polygon, float, float]]:
+    """The oriented boxes of an object, upright all of them, as prisms."""
+    found = []
+    for part in item.parts or (() if item.obb is None else (item.obb,)):
+        across, along = (part.rotation[:, k] * part.half_extents[k] * 1000 for k in (0, 2))
+        ring = [part.center * 1000 + u * across + v * along for u, v in ((1, 1), (1, -1), (-1, -1), (-1, 1))]
+        middle, half = part.center[1] * 1000, part.half_extents[1] * 1000
+        found.append((shapely.Polygon([(p[0], p[2]) for p in ring]), middle - half, middle + half))
+    if not found and item.box is not None:
+        (x0, y0, z0), (x1, y1, z1) = (item.box * 1000).tolist()
+        found.append((shapely.box(x0, z0, x1, z1), y0, y1))
+    return found
 
 
 def arm_of(part: OrientedBox) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:
@@ -194,6 +214,70 @@ def _inside(a: Box, b: Box) -> int:
     return verdict(volume > 0 and 10 * shared >= 8 * volume, squared(a, b, (0, 1, 2)) > 0)
 
 
+def has(a: Box, b: Box) -> bool:
+    """Whether b carries a, or is around most of it, with nothing in between."""
+    if a.name == b.name:
+        return False
+    if b.name in a.named:
+        return True
+    if a.lo is None or b.lo is None:
+        return False
+    for p in a.pieces:
+        for q in b.pieces:
+            over = 4 * meet(p, q, 0) * meet(p, q, 2) >= ground(p) > 0
+            if over and p.lo[1] < q.hi[1] + 150 and (p.lo[1] > q.lo[1] + 30 or p.lo[1] >= q.hi[1] - 30):
+                return True
+    return mostly_in(a, b)
+
+
+def mostly_in(a: Box, b: Box) -> bool:
+    if a.lo is None or b.lo is None:
+        return False
+    return any(
+        2 * meet(p, q, 0) * meet(p, q, 1) * meet(p, q, 2) > ground(p) * (p.hi[1] - p.lo[1]) > 0
+        for p in a.pieces
+        for q in b.pieces
+    )
+
+
+def held(boxes: Sequence[Box]) -> set[tuple[str, str]]:
+    """(thing, holder) of all that hold each other, by Warshall's three loops."""
+    found = {(a.name, b.name) for a in boxes for b in boxes if has(a, b)}
+    names = [b.name for b in boxes]
+    for middle in names:
+        for a in names:
+            for b in names:
+                if (a, middle) in found and (middle, b) in found:
+                    found.add((a, b))
+    return found
+
+
+def put_away(a: Box, boxes: Sequence[Box]) -> bool:
+    holders = [b for b in boxes if b.name != a.name and b.label in OPEN_ONES | SHUT_ONES]
+    return any(said(a, b) == "in" or mostly_in(a, b) for b in holders)
+
+
+def near(a: Box, b: Box, boxes: Sequence[Box], holders: set[tuple[str, str]]) -> int | None:
+    """None where the surfaces are within a millimetre of the threshold, where rounding decides."""
+    if (a.name, b.name) in holders or (b.name, a.name) in holders:
+        return 0
+    if a.lo is None or b.lo is None:
+        if a.radius is None or b.radius is None:
+            return 0
+        return -1 if math.hypot(a.at[0] - b.at[0], a.at[2] - b.at[2]) - a.radius - b.radius >= 1750 else 0
+    if all(squared(p, q, (0, 2)) >= 1750 * 1750 for p in a.pieces for q in b.pieces):
+        return -1
+    close = any(squared(p, q, (0, 1, 2)) <= 500 * 500 and gap(p, q, 1) <= 250 for p in a.pieces for q in b.pieces)
+    if not close or put_away(a, boxes) or put_away(b, boxes):
+        return 0
+    surface = min(
+        math.hypot(p.distance(q), max(low - top, bottom - high, 0.0))
+        for p, low, high in a.solids
+        for q, bottom, top in b.solids
+    )
+    return None if abs(surface - 500) <= 1 else int(surface < 500)
+
+
 def above(a: Box, b: Box, chain: set[tuple[str, str]]) -> int:
     return 0 if (a.name, b.name) in chain else some(_above, a, b)
 
@@ -249,7 +333,7 @@ def between(a: Box, b: Box, c: Box, floor: int) -> int:
 
 
 def closest(a: Box, b: Box, rivals: Sequence[Box]) -> int:
-    if a.lo is None or b.lo is None or not rivals or b in rivals:
+    if a.lo is None or b.lo is None or a.label not in [r.label for r in rivals] or b in rivals:
         return 0
     own = apart(a, b)
     far = [r.lo is not None and _clearly(apart(r, b), own) for r in rivals]
@@ -288,18 +372,21 @@ NORTH = {"east of": (1, 0), "north-west of": (-1, 1), "south of": (0, -1)}
 """(east, north) of some sectors."""
 
 
-def beside(a: Box, b: Box, predicate: str) -> int:
-    return each(lambda p, q: _beside(p, q, NORTH[predicate]), a, b)
+def beside(a: Box, b: Box, predicate: str, loose: int = 30) -> int:
+    return each(lambda p, q: _beside(p, q, NORTH[predicate], loose), a, b)
 
 
-def _beside(a: Box, b: Box, towards: tuple[int, int]) -> int:
+def _beside(a: Box, b: Box, towards: tuple[int, int], loose: int) -> int:
     east, north, up = a.at[0] - b.at[0], b.at[2] - a.at[2], a.at[1] - b.at[1]
     ground_way = math.hypot(east, north)
+    for one, other in ((a, b), (b, a)):
+        if other.lo is not None and all(other.lo[k] <= one.at[k] <= other.hi[k] for k in (0, 2)):
+            return 0
     if not ground_way:
         return 0
     off = abs(math.remainder(math.atan2(north, east) - math.atan2(towards[1], towards[0]), 2 * math.pi))
     level = abs(up) < ground_way * math.tan(math.radians(22.5))
-    return verdict(off <= math.radians(15) and level and ground_way >= 500, off > math.radians(30))
+    return verdict(off <= math.radians(15) and level and ground_way >= 500, off > math.radians(loose))
 
 
 def far(a: Box, b: Box) -> int:

@@ -184,7 +184,7 @@ def test_small_rooms_have_no_pairs(make: Maker, room_of: RoomOf, count: int) -> 
         {"height_true": 0.2},
         {"over_horizontal_true": 0.0},
         {"sector_true": 22.5},
-        {"near_false": 1.3},
+        {"surface_within": 0.4},
         {"sector_true": float("nan")},
     ],
 )

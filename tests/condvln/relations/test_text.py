@@ -51,10 +51,20 @@ GAP = 2 * HALF  # of centres of touching boxes
 @pytest.mark.parametrize(
     ("predicate", "center", "status"),
     [
-        ("near", (0.85 + GAP, 0, 0), 1),
-        ("near", (0.851 + GAP, 0, 0), 0),
-        ("near", (1.149 + GAP, 0, 0), 0),
-        ("near", (1.150 + GAP, 0, 0), -1),
+        ("near", (0.5 + GAP, 0, 0), 1),
+        ("near", (0.501 + GAP, 0, 0), 0),
+        ("near", (1.749 + GAP, 0, 0), 0),
+        ("near", (1.750 + GAP, 0, 0), -1),
+        ("near", (0.3 + GAP, 0.25 + GAP, 0), 1),
+        ("near", (0.3 + GAP, 0.251 + GAP, 0), 0),  # too far above
+        ("near", (1.749 + GAP, 3, 0), 0),  # denied by the distance along the ground
+        ("near", (0, 9, 0), 0),
+        ("near", (0, 0.2 + GAP, 0), 1),
+        ("near", (0, 0.149 + GAP, 0), 0),  # it may rest there
+        ("near", (0.151, 0.1 + GAP, 0), 1),
+        ("near", (0.150, 0.1 + GAP, 0), 0),  # a quarter of it over the other, which may carry it
+        ("near", (0.1, 0, 0), 1),  # half in the other
+        ("near", (0.099, 0, 0), 0),
         ("near", (9, 0, 0), -1),
         ("far from", (3.45 + GAP, 0, 0), 1),
         ("far from", (3.449 + GAP, 0, 0), 0),
@@ -118,9 +128,9 @@ def test_thresholds(
 
 
 def test_near_needs_the_surface_too(make: Maker, room_of: RoomOf) -> None:
-    """Boxes that touch while the surfaces are 0.5, 0.9 and 1.2 m apart."""
+    """Boxes that touch while the surfaces are 0.4, 0.6 and 0.9 m apart."""
     room = room_of([make("a", (0, 0, 0), (1, 1, 1)), make("b", (1.5, 0, 0), (0.5, 0.5, 0.5))])
-    for gap, status in ((0.5, 1), (0.9, 0), (1.2, 0)):
+    for gap, status in ((0.4, 1), (0.6, 0), (0.9, 0)):
         x = 1.0 - gap
         plate = WorldMesh(np.array([[x, -1, -1], [x, 1, -1], [x, 0, 1]], float), np.array([[0, 1, 2]], np.int32), False)
         relations = relate_room(room, T, meshes=lambda o, plate=plate: plate if o.object_id == "a" else None)
@@ -135,7 +145,7 @@ def test_unknown_extent_proves_no_nearness(make: Maker, room_of: RoomOf) -> None
         assert facts_of(make, room_of, (distance, 0, 0), None).status["near"][0, 1] == 0
     balls = [make("a", (0, 0, 0), None, radius=0.5), make("b", (1.0, 0, 0), None, radius=0.5)]
     assert text_facts(relate_room(room_of(balls), T), T).status["near"][0, 1] == 0
-    apart = [balls[0], make("b", (2.15, 0, 0), None, radius=0.5)]
+    apart = [balls[0], make("b", (2.75, 0, 0), None, radius=0.5)]
     assert text_facts(relate_room(room_of(apart), T), T).status["near"][0, 1] == -1
     assert facts_of(make, room_of, (0, 1, 0), None).status["above"][0, 1] == 0
     assert facts_of(make, room_of, (0, 0.1, 0), None).status["above"][0, 1] == 0
@@ -173,7 +183,7 @@ def test_opposites_are_usable_together(furnished: list[SceneObject], room_of: Ro
 
 def test_a_larger_margin_is_safer(make: Maker, room_of: RoomOf) -> None:
     for predicate, steps in {
-        "near": [(0.85, 0, 0), (0.6, 0, 0), (0.3, 0, 0)],
+        "near": [(0.7, 0, 0), (0.5, 0, 0), (0.3, 0, 0)],
         "far from": [(3.8, 0, 0), (5, 0, 0), (9, 0, 0)],
         "above": [(0.05, 0.45, 0), (0.05, 0.5, 0), (0, 0.6, 0)],
         "on": [(0.5, 0, 0), (0.7, 0, 0), (1.5, 0, 0)],
@@ -202,10 +212,10 @@ def counter(make: Maker) -> SceneObject:
     [
         # In the free corner: 2.05 m from either arm, and not within the counter's box for anybody who stands there.
         ((-1.2, 0.2, 1.2), {"near": -1, "on": -1, "in": 0, "south-west of": 0, "far from": -1, "above": -1}),
-        # 0.60 and 0.30 m from an arm.
-        ((0.2, 0.2, 0.2), {"near": 1, "on": -1}),
+        # 0.40 m from the east arm, 1.20 m from the other.
+        ((0.4, 0.2, 0.4), {"near": 1, "on": -1}),
         # On an arm, on both where they cross, and in the air of the free corner at the height of the top.
-        ((0.0, 1.0, -1.2), {"on": 1, "near": 1, "above": 0}),
+        ((0.0, 1.0, -1.2), {"on": 1, "near": 0, "above": 0}),
         ((1.2, 1.0, -1.2), {"on": 1}),
         ((-0.5, 1.0, 0.5), {"on": -1}),
         # Over an arm's middle, and over the middle of the box, where nothing is.
@@ -254,3 +264,72 @@ def test_inside_what_is_said_to_be_open(make: Maker, room_of: RoomOf, openness: 
     apple = make("apple", (0, 0.9, 0), (0.05, 0.05, 0.05))
     facts = text_facts(relate_room(room_of([apple, fridge]), T), T)
     assert facts.status["in"][0, 1] == expected
+
+
+def near_of(room_of: RoomOf, things: Sequence[SceneObject], one: str, other: str) -> int:
+    room = replace(room_of(things), floor_y=0.0)
+    order = {name: k for k, name in enumerate(room.object_ids)}
+    status = text_facts(relate_room(room, T), T).status["near"]
+    assert status[order[one], order[other]] == status[order[other], order[one]]
+    return int(status[order[one], order[other]])
+
+
+def test_nobody_says_near_of_what_is_on_or_in_the_other(make: Maker, room_of: RoomOf) -> None:
+    """Neither is it denied, however far below or beside the thing the middle of what holds it lies."""
+    table, rug = make("table", (0, 0.4, 0), (1.0, 0.4, 0.5)), make("rug", (0, 0.01, 0), (2, 0.01, 2))
+    book, card = make("book", (0.3, 0.82, 0), (0.1, 0.02, 0.1)), make("card", (0.3, 0.845, 0), (0.05, 0.005, 0.05))
+    chair = make("chair", (0, 0.45, 0.8), (0.2, 0.45, 0.2))
+    things = [table, rug, book, card, chair]
+    assert near_of(room_of, things, "book", "table") == 0
+    assert near_of(room_of, things, "card", "table") == 0  # on what is on it
+    assert near_of(room_of, things, "chair", "rug") == 0  # though both stand on the floor
+    assert near_of(room_of, things, "chair", "table") == 1
+    shelf, low = make("shelf", (5, 1, 0), (0.5, 1, 0.2)), make("low", (5, 0.02, 0), (0.1, 0.02, 0.1))
+    assert near_of(room_of, [shelf, low], "low", "shelf") == 0  # inside, on the floor
+    fridge = make("fridge", (0, 0.9, 0), (0.4, 0.9, 0.4))
+    touching = make("case", (0.8, 1.1, 0), (0.4, 0.9, 0.4))
+    assert near_of(room_of, [fridge, touching], "fridge", "case") == 1  # side by side, of other heights
+    said = replace(make("far", (3, 0.9, 0), (0.1, 0.1, 0.1)), receptacles=("table",))
+    assert near_of(room_of, [table, said], "far", "table") == 0  # its source says that it is on it
+
+
+def test_what_lies_in_a_container_is_near_to_nothing_else(make: Maker, room_of: RoomOf) -> None:
+    sink, table = make("sink", (0, 0.8, 0), (0.3, 0.1, 0.2)), make("table", (1.2, 0.4, 0), (0.6, 0.45, 0.5))
+    tomato, mug = make("tomato", (0.2, 0.8, 0), (0.05, 0.05, 0.05)), make("mug", (0.4, 0.85, 0), (0.05, 0.05, 0.05))
+    assert near_of(room_of, [sink, table, tomato, mug], "mug", "table") == 1
+    assert near_of(room_of, [sink, table, tomato, mug], "tomato", "table") == 0
+    far = make("bed", (5, 0.4, 0), (0.6, 0.4, 0.5))
+    assert near_of(room_of, [sink, far, tomato], "tomato", "bed") == -1
+
+
+def test_what_is_over_another_lies_in_no_direction(make: Maker, room_of: RoomOf) -> None:
+    table, apple = make("table", (0, 0.4, 0), (1.0, 0.4, 0.5)), make("apple", (0.8, 0.85, 0), (0.05, 0.05, 0.05))
+    aside = make("aside", (1.001, 0.5, 0), (0.05, 0.05, 0.05))
+    facts = text_facts(relate_room(room_of([table, apple, aside]), T), T)
+    order = {"apple": 0, "aside": 1, "table": 2}
+    for predicate in COMPASS:
+        assert facts.status[predicate][order["apple"], order["table"]] == 0
+        assert facts.status[predicate][order["table"], order["apple"]] == 0
+    assert facts.status["east of"][order["aside"], order["table"]] == 1
+    assert facts.status["north of"][order["aside"], order["table"]] == -1
+
+
+def test_a_superlative_needs_another_thing_of_its_label(make: Maker, room_of: RoomOf) -> None:
+    """Nobody says "the mug closest to the sink" of the only mug, though a cup might be called one."""
+    sink = make("z", (0, 0.5, 0), (0.3, 0.1, 0.3))
+    two = [replace(make(name, (x, 0.5, 0), BALL), label=label) for name, x, label in (("a", 1, "mug"), ("b", 4, "cup"))]
+    rival = np.array([[False, True, False], [True, False, False], [False, False, False]])
+    for label, expected in (("cup", 0), ("mug", 1)):
+        room = room_of([two[0], replace(two[1], label=label), sink])
+        assert text_facts(relate_room(room, T), T).closest(rival)[0][0, 2] == expected
+
+
+@pytest.mark.parametrize(("z", "denied"), [(5.774, False), (17.320, False), (17.321, True), (-17.321, True)])
+def test_a_condition_denies_a_direction_where_another_is_meant(
+    make: Maker, room_of: RoomOf, z: float, denied: bool
+) -> None:
+    """From 30° off a word tells rivals apart; a condition is false from 60° off. tan 60° = 1.73205."""
+    facts = facts_of(make, room_of, (10, 0, z))
+    assert facts.status["east of"][0, 1] == -1
+    assert facts.denied["east of"][0, 1] == denied
+    assert facts.denied["west of"][0, 1]

@@ -24,6 +24,7 @@ PREDICATES = (
     "on",
     "under",
     "in",
+    "near",
     "above",
     "below",
     "higher than",
@@ -42,7 +43,7 @@ def check_room(seed: int, tally: Counter[tuple[str, int]]) -> None:
     arrays = RoomArrays.of("room", layered_room(rng), 0.0)
     facts = text_facts(relate_room(arrays, T), T)
     boxes = [plain.box_of(item) for item in arrays.objects]
-    chain = plain.carried(boxes)
+    chain, holders = plain.carried(boxes), plain.held(boxes)
 
     def rivals(a: plain.Box) -> list[plain.Box]:
         words = vocabulary.overlapping(a.label)
@@ -60,6 +61,7 @@ def check_room(seed: int, tally: Counter[tuple[str, int]]) -> None:
                 "on": plain.on(a, b, boxes),
                 "under": plain.under(a, b, 0),
                 "in": plain.inside(a, b),
+                "near": plain.near(a, b, boxes, holders),
                 "above": plain.above(a, b, chain),
                 "below": plain.above(b, a, chain),
                 "higher than": plain.higher(a, b, 0, chain),
@@ -71,7 +73,14 @@ def check_room(seed: int, tally: Counter[tuple[str, int]]) -> None:
             nearest = plain.closest(a, b, rivals(a))
             assert closest[i, j] == nearest, (seed, a, b)
             tally["closest to", nearest] += 1
+            for predicate in plain.NORTH:
+                denied = facts.denied[predicate][i, j]
+                assert denied == (plain.beside(a, b, predicate, loose=60) == -1), (seed, predicate, a, b)
+                tally["denied", int(denied)] += 1
+            tally["near, of what holds the other", facts.status["near"][i, j]] += (a.name, b.name) in holders
             for predicate, status in expected.items():
+                if status is None:
+                    continue
                 assert facts.status[predicate][i, j] == status, (seed, predicate, a, b)
                 tally[predicate, status] += 1
                 tally[f"{predicate}, of arms", status] += bool(a.parts or b.parts)

@@ -59,6 +59,9 @@ def compare(objects: list[SceneObject], floor: float = 0.0) -> int:
         decided += found.verdict != UNDECIDED
 
     for i, j in permutations(range(len(things)), 2):
+        for predicate, denied in facts.denied.items():
+            asked = decide(predicate, things[i], [things[j]], room, asked=True)
+            assert (asked.verdict == FALSE) == denied[i, j], (predicate, things[i], things[j])
         for predicate in PAIR_PREDICATES:
             check(predicate, i, [j], facts.status[predicate][i, j])
         check("closest to", i, [j], closest[i, j])
@@ -129,10 +132,10 @@ def test_equal_on_turned_boxes() -> None:
     compare(objects)
 
 
-@pytest.mark.parametrize("millimetres", [0, 849, 850, 851, 1000, 1149, 1150, 1151])
+@pytest.mark.parametrize("millimetres", [0, 499, 500, 501, 1000, 1749, 1750, 1751])
 def test_near_at_its_margins(millimetres: int) -> None:
     one, other = made("a", [0, 0.5, 0], [0.5, 0.5, 0.5]), made("b", [1 + millimetres / 1000, 0.5, 0], [0.5, 0.5, 0.5])
-    expected = TRUE if millimetres <= 850 else FALSE if millimetres >= 1150 else UNDECIDED
+    expected = TRUE if millimetres <= 500 else FALSE if millimetres >= 1750 else UNDECIDED
     assert verdict("near", one, other) == verdict("near", other, one) == expected
 
 
