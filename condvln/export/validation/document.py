@@ -25,6 +25,8 @@ class Document:
 
     kind: Kind
     vocabulary: Vocabulary | None = None
+    bert: bool = False
+    """Whether its vocabulary is BERT's, so that its tokens are word pieces between [CLS] and [SEP]."""
     scenes: set[str] = field(default_factory=set)
     starts: dict[str, list[float]] = field(default_factory=dict)
     goals: dict[str, list[tuple[list[float], float]]] = field(default_factory=dict)
@@ -34,6 +36,7 @@ class Document:
     def merge(self, other: Document) -> None:
         """Merge another document of the same split, such as a shard."""
         self.vocabulary = self.vocabulary or other.vocabulary
+        self.bert |= other.bert
         self.scenes |= other.scenes
         self.starts |= other.starts
         self.goals |= other.goals

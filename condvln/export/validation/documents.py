@@ -11,6 +11,9 @@ from condvln.export.validation.findings import LintReport
 
 __all__ = ["check_document"]
 
+_BERT_PAD, _BERT_UNK = "[PAD]", "[UNK]"
+"""Words of BERT's own vocabulary, which ``<split>_bertidx`` files hold in place of R2R's."""
+
 _TOP: Final = frozenset({"episodes", "instruction_vocab"})
 
 
@@ -25,7 +28,7 @@ def check_document(report: LintReport, content: dict[str, Any], pathfinder_of: P
     if not episodes:
         report.add("episodes", "no-episodes", "there is none")
     document = Document(_kind(report.file, episodes))
-    document.vocabulary = _vocabulary(report, content.get("instruction_vocab"), document.kind)
+    document.vocabulary = _vocabulary(report, content.get("instruction_vocab"), document)
     withheld = all(isinstance(one, dict) and not one.keys() & WITHHELD for one in episodes)
     checks = EpisodeChecks(report, document, pathfinder_of, withheld=bool(episodes) and withheld)
     if episodes and withheld:
@@ -50,8 +53,8 @@ def _kind(file: str, episodes: list[Any]) -> Kind:
     return "vlnce"
 
 
-def _vocabulary(report: LintReport, found: Any, kind: Kind) -> Vocabulary | None:
-    if found is None and kind == "rxr":
+def _vocabulary(report: LintReport, found: Any, document: Document) -> Vocabulary | None:
+    if found is None and document.kind == "rxr":
         return None
     if not isinstance(found, dict) or not isinstance(found.get("word_list"), list):
         report.add("instruction_vocab", "missing-vocabulary", "no instruction_vocab.word_list")
@@ -61,7 +64,8 @@ def _vocabulary(report: LintReport, found: Any, kind: Kind) -> Vocabulary | None
     if not all(isinstance(word, str) for word in words):
         report.add(f"{place}.word_list", "wrong-type", "not a list of words")
         return None
-    if len(set(words)) != len(words) or words[:2] != ["<pad>", "<unk>"]:
+    document.bert = words[:1] == [_BERT_PAD] and _BERT_UNK in words
+    if len(set(words)) != len(words) or not (document.bert or words[:2] == ["<pad>", "<unk>"]):
         report.add(f"{place}.word_list", "vocabulary-inconsistent", "does not begin <pad>, <unk>, or repeats a word")
         return None
     index = {word: number for number, word in enumerate(words)}
@@ -70,10 +74,10 @@ def _vocabulary(report: LintReport, found: Any, kind: Kind) -> Vocabulary | None
         "stoi": index,
         "itos": words,
         "num_vocab": len(words),
-        "UNK_INDEX": UNK_INDEX,
+        "UNK_INDEX": words.index(_BERT_UNK) if document.bert else UNK_INDEX,
         "PAD_INDEX": PAD_INDEX,
     }
     for key, value in wanted.items():
         if key in found and found[key] != value:
             report.add(f"{place}.{key}", "vocabulary-inconsistent", f"{key} does not agree with word_list")
-    return Vocabulary(tuple(words))
+    return None if document.bert else Vocabulary(tuple(words))

@@ -265,6 +265,8 @@ class EpisodeChecks:
         if len(tokens) != self._length and PAD_INDEX in tokens:
             self._report.add(place, "token-length", f"{len(tokens)} tokens, {self._length} before")
         vocabulary = self._document.vocabulary
+        if self._document.bert and not _is_bert(tokens):
+            self._report.add(place, "token-range", "not word pieces of BERT between [CLS] and [SEP]")
         if vocabulary is None or _is_bert(tokens):
             return
         outside = [token for token in tokens if not 0 <= token < len(vocabulary.words)]

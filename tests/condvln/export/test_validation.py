@@ -110,6 +110,31 @@ def test_files_indexed_by_bert_are_lawful(exported: Path, tmp_path: Path) -> Non
     assert spoilt(2, 30_522) == spoilt(0, 29_999) == spoilt(9, 29_999) == {"token-range"}
 
 
+def test_the_vocabulary_of_bert_is_lawful_beside_its_tokens(exported: Path, tmp_path: Path) -> None:
+    """As the published R2R_VLNCE v1-2 BERTidx files have it: 30,522 word pieces, [PAD] first, [UNK] at 100."""
+    document = read(exported / "vlnce" / "test" / "test.json.gz")
+    words = ["[PAD]", *(f"piece{k}" for k in range(1, 30_522))]
+    words[100] = "[UNK]"
+    index = {word: k for k, word in enumerate(words)}
+    document["instruction_vocab"] = {
+        "word_list": words,
+        "word2idx_dict": index,
+        "stoi": index,
+        "itos": words,
+        "num_vocab": len(words),
+        "UNK_INDEX": 100,
+        "PAD_INDEX": 0,
+    }
+    for episode in document["episodes"]:
+        episode["instruction"]["instruction_tokens"] = [101, 2065, 100, 102] + [0] * 196
+    assert validate(write(tmp_path / "test_bertidx.json.gz", document)) == []
+    document["episodes"][0]["instruction"]["instruction_tokens"][1] = 30_522
+    assert codes(validate(write(tmp_path / "range.json.gz", document))) == {"token-range"}
+    document["episodes"][0]["instruction"]["instruction_tokens"][1] = 2065
+    document["instruction_vocab"]["UNK_INDEX"] = 1
+    assert codes(validate(write(tmp_path / "unk.json.gz", document))) == {"vocabulary-inconsistent"}
+
+
 # -- across splits -----------------------------------------------------------------------------------------------------
 
 
