@@ -30,7 +30,7 @@ CONDITION_LETTERS: Final = "ABC"
 LEAF_LETTERS: Final = "xyzw"
 
 SLOTS: Final = (
-    "exists", "absent", "is_there", "is", "is_not", "asks_is",
+    "exists", "absent", "exists_again", "is_there", "is", "is_not", "is_again", "asks_is",
     "see", "check", "for", "yes_one", "no_one", "yes_it", "no_it",
     "go", "then", "last", "second", "in", "of", "there", "with", "scope",
     "facing",
@@ -117,6 +117,7 @@ class Language:
         behind the noun of a stop
     superlatives : "bigger" and "smaller" by class of noun; superlative_first : before the noun, else behind it
     voices : those that an instruction may be said in
+    nouns_in : by type of room, nouns that differ from those of other rooms
     """
 
     code: str
@@ -136,7 +137,19 @@ class Language:
     articles: Mapping[str, Mapping[str, str]]
     contractions: Mapping[str, str]
     nouns: Mapping[str, Noun]
+    nouns_in: Mapping[str, Mapping[str, Noun]]
     rooms: Mapping[str, Noun]
+
+    def noun(self, label: str, room: str) -> Noun:
+        """The noun of a label in a room of a type: Spanish has two words for "sink"."""
+        special = self.nouns_in.get(room) if self.nouns_in else None
+        return special[label] if special is not None and label in special else self.nouns[label]
+
+    @property
+    def nouns_of_all_rooms(self) -> list[tuple[str, Noun]]:
+        """(label, noun), those of single room types too."""
+        special = [pair for those in self.nouns_in.values() for pair in those.items()]
+        return [*self.nouns.items(), *dict.fromkeys(special)]
 
     def definite(self, noun: Noun) -> str:
         """ "the lamp"."""
@@ -197,6 +210,10 @@ def language(code: str = "en") -> Language:
         articles=document["articles"],
         contractions=document["contractions"],
         nouns=_nouns(code),
+        nouns_in={
+            room: {label: Noun(*noun) for label, noun in those.items()}
+            for room, those in (document.get("nouns_in") or {}).items()
+        },
         rooms=_rooms(code),
     )
 

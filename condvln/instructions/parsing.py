@@ -123,8 +123,8 @@ class _GrammarWriter:
             "bearing: " + " | ".join(_rule(b) for b in w.bearings),
             "bearing_stop: " + " | ".join(f"{_rule(b)}_stop" for b in w.bearing_stops),
             "superlative: " + " | ".join(_rule(p) for p in w.superlatives),
-            "asserted: _exists _noun [qualifier] [_where] -> some",
-            "    | _THE _noun [_where_of] _is (qualifier | bearing) -> the",
+            f"asserted: {self._either('exists')} _noun [qualifier] [_where] -> some",
+            f"    | _THE _noun [_where_of] {self._either('is')} (qualifier | bearing) -> the",
             "denied: _absent _noun [qualifier] [_where] -> some",
             "    | _THE _noun [_where_of] _is_not (qualifier | bearing) -> the",
             "question: _is_there _noun [qualifier] [_where] QUESTION -> some",
@@ -147,6 +147,11 @@ class _GrammarWriter:
         rules.append("body: " + " | ".join(dict.fromkeys(bodies.values())))
         return "\n".join([*rules, *self._terminal_lines()]) + "\n"
 
+    def _either(self, slot: str) -> str:
+        """The rule of a slot, or of how it is said behind its denial, where that differs."""
+        slots = self.words.slots
+        return f"(_{slot} | _{slot}_again)" if set(slots[f"{slot}_again"]) - set(slots[slot]) else f"_{slot}"
+
     def _part(self, piece: str | Slot) -> str:
         if isinstance(piece, Slot):
             return _RULES.get(piece.form, piece.form)
@@ -164,7 +169,8 @@ class _GrammarWriter:
 
     def _terminal_lines(self) -> list[str]:
         w = self.words
-        nouns, rooms = ({noun.text.lower() for noun in those.values()} for those in (w.nouns, w.rooms))
+        nouns = {noun.text.lower() for _, noun in w.nouns_of_all_rooms}
+        rooms = {noun.text.lower() for noun in w.rooms.values()}
         named = {
             "NOUN": _alternatives(nouns - rooms, rooms),
             "ROOM": _alternatives(rooms - nouns, nouns),
@@ -227,7 +233,7 @@ class _TreeReader:
     """
 
     def __init__(self, words: Language) -> None:
-        self.labels = {noun.text.lower(): label for label, noun in words.nouns.items()}
+        self.labels = {noun.text.lower(): label for label, noun in words.nouns_of_all_rooms}
         self.rooms = {noun.text.lower(): label for label, noun in words.rooms.items()}
         self.predicates: dict[str, Predicate] = {_rule(p): p for p in PREDICATES}
         self.words = words
@@ -253,7 +259,8 @@ class _TreeReader:
             if slot.form == "leaf":
                 leaves[slot.index] = self._stops(_subtrees(subtree))
                 continue
-            if subtree.data in ("yes", "no"):
+            answers = subtree.data in ("yes", "no")
+            if answers:
                 (subtree,) = _subtrees(subtree)
                 if subtree.data in ANSWERS:
                     if str(subtree.data).endswith("_it") != conditions[slot.index].definite:
@@ -261,7 +268,7 @@ class _TreeReader:
                     continue
             phrase = self._asked(subtree)
             before = conditions.get(slot.index)
-            if before is not None and phrase.room is None and phrase.qualifier is not None:
+            if before is not None and phrase.room is None and (answers or phrase.qualifier is not None):
                 phrase = replace(phrase, room=before.room)  # asked before, so that its room is known
                 self.last_room = None
             elif before is None and phrase.room is None and phrase.definite:

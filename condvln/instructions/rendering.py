@@ -15,7 +15,7 @@ from functools import lru_cache
 from itertools import accumulate
 from typing import Final
 
-from condvln.instructions.language import Language, Slot, Template, Voice, language
+from condvln.instructions.language import Language, Noun, Slot, Template, Voice, language
 from condvln.instructions.predicates import COMPASS
 from condvln.seeding import Draws, generator, stable_hash
 from schemas.config import WordingConfig
@@ -152,15 +152,20 @@ class _Renderer:
         self._relations: dict[Qualifier, str] = {}
         self._said: list[Condition] = []
         self._is_beside = False
-        self._one_answered = False
+        self._answered = ""
+        self._requests = 0
+        self._shared: set[str] = set()
         self._asked_by_exists = False
         self._types: Counter[str] = Counter()
         self._introduced: set[RoomRef] = set()
         self._bearing: int | None = None
 
     def program(self, program: Program) -> str:
-        self._types = Counter(room.label for room in _rooms(program))
-        opening = self._scope(program)
+        rooms = _rooms(program)
+        self._types = Counter(room.label for room in rooms)
+        if len(rooms) > 1:
+            self._shared = _shared(program)
+        opening = self._scope(rooms)
         templates = (self.voice.short_templates if self.short else self.voice.templates)[program.category]
         template = self.draws.choice(_sayable(templates, program) if not self.short else templates)
         texts = [piece if isinstance(piece, str) else self._slot(piece, program) for piece in template.pieces]
@@ -180,10 +185,10 @@ class _Renderer:
     def _chance(self, share: float) -> bool:
         return self.draws.uniform() < share
 
-    def _scope(self, program: Program) -> str:
+    def _scope(self, rooms: set[RoomRef]) -> str:
         """The words that put everything into one room, where there is one; it then need not be named again."""
-        (room, *others) = sorted(_rooms(program), key=lambda r: r.room_id)
-        if others or room.label not in self.words.rooms:
+        room = next(iter(rooms))
+        if len(rooms) > 1 or room.label not in self.words.rooms:
             return ""
         text = f"{self._phrase('scope')} {self._room(room)}, "
         self.scope = room
@@ -197,23 +202,27 @@ class _Renderer:
         if slot.form == "leaf":
             before = set(self._introduced)
             said = self.moves(program.leaves[slot.index])
+            self._answered = ""
             # Nobody takes "there" or "that room" for a room of another branch, though it was the last one named.
             self.last_room, self._introduced = None, before
             return said
         condition = program.conditions[slot.index]
         form = slot.form
-        if form in ("again", "not_again") and not condition.definite and not self._one_answered:
-            form = "yes" if form == "again" else "no"
         if form in ("yes", "no"):
-            self._one_answered |= not condition.definite
-            answer = self._answer(form, condition)
-            return self.words.answered(answer, self.words.nouns[condition.label])
+            answer = self.words.answered(self._answer(form, condition), self._noun(condition))
+            if answer != self._answered:
+                self._answered = answer
+                return answer
+            # "If it is, see if … If it is, …": the second could be taken for the first.
+            form = "again" if form == "yes" else "not_again"
         asserted = form in ("asserted", "again")
-        again = condition in self._said and condition.qualifier is not None
+        again = condition in self._said
         self._is_beside = not again and self._is_in_room_asked(condition)
         self._said.append(condition)
-        if again and not self._elided(condition.room):
-            return self._again(condition, asserted=asserted)
+        if again and not self._is_shared(condition):
+            full = condition.qualifier is not None and not self._elided(condition.room)
+            if full or form in ("again", "not_again"):
+                return self._again(condition, "_again" if slot.form == "again" else "" if asserted else "_not")
         if form == "question":
             return self._question(condition)
         if form == "see":
@@ -222,10 +231,12 @@ class _Renderer:
 
     def _is_in_room_asked(self, condition: Condition) -> bool:
         """Whether a known thing is in the room that was asked about last, which then need not be named again."""
-        if not condition.definite or not self._said or self._said[-1].room != condition.room:
-            return False
-        same = (condition.label, condition.qualifier and condition.qualifier.predicate)
-        return all((c.label, c.qualifier and c.qualifier.predicate) != same for c in self._said)
+        beside = condition.definite and bool(self._said) and self._said[-1].room == condition.room
+        return beside and not self._is_shared(condition)
+
+    def _is_shared(self, named: Condition | ObjectRef) -> bool:
+        """Whether things of one of the labels are named in another room too, so that the room must be said."""
+        return bool(self._shared) and not self._shared.isdisjoint(_labels(named))
 
     def _answer(self, form: str, condition: Condition) -> str:
         """ "There is", "it isn't". Where the question was no "is there", an answer that is none is taken."""
@@ -246,13 +257,17 @@ class _Renderer:
         there = self._filled("exists" if asserted else "absent", condition)
         return f"{there}{self._relation(condition)}{self._where(condition.room, named=True)}"
 
-    def _again(self, condition: Condition, *, asserted: bool) -> str:
-        """A relation that was asked before, without its room. No "there" comes next: other rooms were named since."""
+    def _again(self, condition: Condition, kind: str) -> str:
+        """What was asked before, without its room. No "there" comes next: other rooms were named since.
+
+        kind : "" where it holds, "_not" where it doesn't, "_again" where it holds behind a leaf of where it doesn't
+        """
         self.last_room, self._asked_by_exists = None, True
         if condition.definite:
-            subject = self.words.definite(self.words.nouns[condition.label])
-            return f"{subject} {self._phrase('is' if asserted else 'is_not')}{self._relation(condition)}"
-        return f"{self._filled('exists' if asserted else 'absent', condition)}{self._relation(condition)}"
+            return (
+                f"{self.words.definite(self._noun(condition))} {self._phrase(f'is{kind}')}{self._relation(condition)}"
+            )
+        return f"{self._filled('absent' if kind == '_not' else f'exists{kind}', condition)}{self._relation(condition)}"
 
     def _question(self, condition: Condition) -> str:
         if condition.definite:
@@ -263,17 +278,27 @@ class _Renderer:
 
     def _see(self, condition: Condition) -> str:
         if condition.definite or self._elided(condition.room) or not self._chance(CHECK_SHARE):
-            return f"{self._phrase('see')} {self._clause(condition, asserted=True)}"
+            return f"{self._request()} {self._clause(condition, asserted=True)}"
         self._asked_by_exists = False
         room = self._room(condition.room)
         return f"{self._phrase('check')} {room} {self._filled('for', condition)}{self._relation(condition)}"
 
+    def _request(self) -> str:
+        """ "See if", "check whether": the voice's phrases by turns."""
+        phrases = _shortest(self.voice.slots["see"]) if self.short else self.voice.slots["see"]
+        first = phrases.index(self._phrase("see"))
+        self._requests += 1
+        return phrases[(first + self._requests - 1) % len(phrases)]
+
+    def _noun(self, named: Condition | ObjectRef) -> Noun:
+        return self.words.noun(named.label, named.room.label)
+
     def _filled(self, slot: str, condition: Condition) -> str:
-        return self.words.filled(self._phrase(slot), self.words.nouns[condition.label])
+        return self.words.filled(self._phrase(slot), self._noun(condition))
 
     def _subject(self, condition: Condition) -> str:
         where = "" if self._is_beside else self._where(condition.room, "_of", named=True)
-        return f"{self.words.definite(self.words.nouns[condition.label])}{where}"
+        return f"{self.words.definite(self._noun(condition))}{where}"
 
     def _relation(self, named: Condition | ObjectRef) -> str:
         qualifier: Qualifier | None = named.qualifier
@@ -288,7 +313,7 @@ class _Renderer:
             phrases = self.words.predicates[qualifier.predicate]
             relation = phrases[0] if len(phrases) == 1 else self._choice(phrases)
             self._relations[qualifier] = relation
-        anchors = [self.words.definite(self.words.nouns[label]) for label in qualifier.anchor_labels]
+        anchors = [self.words.definite(self.words.noun(label, named.room.label)) for label in qualifier.anchor_labels]
         return f" {relation} {f' {self.words.both} '.join(anchors)}"
 
     def _lying(self) -> str:
@@ -314,13 +339,13 @@ class _Renderer:
         for k, stop in enumerate(stops[1:], start=1):
             joint = "second" if len(stops) == 2 else "last" if k == len(stops) - 1 else "then"
             # Behind one that goes by its bearing no room was said.
-            same_room = stop.room == stops[k - 1].room and not stops[k - 1].is_bearing
+            same_room = stop.room == stops[k - 1].room and not stops[k - 1].is_bearing and not self._is_shared(stop)
             texts.append(f"{self._phrase(joint)} {self._stop(stop, same_room=same_room)}")
         return "".join(texts)
 
     def _stop(self, ref: ObjectRef, *, same_room: bool = False) -> str:
         """A stop; in the same room as the one before it, without the room."""
-        named = self.words.nouns[ref.label]
+        named = self._noun(ref)
         noun, kind = self.words.definite(named), "_of"
         if ref.qualifier is not None and ref.qualifier.predicate in SUPERLATIVES:
             noun = self.words.compared(ref.qualifier.predicate, named)
@@ -356,7 +381,25 @@ class _Renderer:
         if room in self._introduced and self._types[room.label] == 1:
             return phrase
         self._introduced.add(room)
-        return f"{phrase} {self._phrase('with')} {self.words.definite(self.words.nouns[room.anchor_label])}"
+        return f"{phrase} {self._phrase('with')} {self.words.definite(self.words.noun(room.anchor_label, room.label))}"
+
+
+def _labels(named: Condition | ObjectRef) -> tuple[str, ...]:
+    """The labels of a thing and of what it is related to."""
+    return (named.label, *(named.qualifier.anchor_labels if named.qualifier is not None else ()))
+
+
+def _shared(program: Program) -> set[str]:
+    """The labels that a text names in several rooms."""
+    room_of: dict[str, RoomRef] = {}
+    shared = set()
+    named_things: list[Condition | ObjectRef] = [*program.conditions]
+    named_things += [move for leaf in program.leaves for move in leaf.moves]
+    for named in named_things:
+        for label in _labels(named):
+            if room_of.setdefault(label, named.room) != named.room:
+                shared.add(label)
+    return shared
 
 
 def _sayable(templates: tuple[Template, ...], program: Program) -> tuple[Template, ...]:

@@ -128,6 +128,10 @@ def banned_in(text: str) -> list[str]:
 def _nouns() -> re.Pattern[str]:
     """Return a pattern of the nouns of all languages, singular and plural, the longest first."""
     found = [language(code) for code in LANGUAGES]
-    nouns = {noun.text.lower() for one in found for noun in (*one.nouns.values(), *one.rooms.values())}
+    nouns = {
+        noun.text.lower()
+        for one in found
+        for noun in (*(noun for _, noun in one.nouns_of_all_rooms), *one.rooms.values())
+    }
     ordered = sorted(nouns, key=lambda noun: (-len(noun), noun))
     return re.compile(r"\b(?:" + "|".join(map(re.escape, ordered)) + r")(?:e?s)?\b")

@@ -101,6 +101,9 @@ def phrasebook(code: str = "en") -> Phrasebook:
     for kind, entries in (("noun", _nouns(code, "nouns")), ("room", _nouns(code, "rooms"))):
         for label, (noun, noun_class) in entries.items():
             book.add(noun, kind, label, (noun_class,))
+    for those in (document.get("nouns_in") or {}).values():
+        for label, (noun, noun_class) in those.items():
+            book.add(noun, "noun", label, (noun_class,))
     _gather(book.tree, 0, {})
     return book
 

@@ -248,7 +248,11 @@ class PhraseReader:
 
     def _said(self, at: int, last: Named | None) -> Iterator[tuple[int, bool, Phrase, Named | None]]:
         """Yield claims as (end, whether it is asserted or denied, claim, room named last)."""
-        for present, some, known in ((True, "exists", "is"), (False, "absent", "is_not")):
+        for present, some, known in (
+            (True, "exists", "is"),
+            (True, "exists_again", "is_again"),
+            (False, "absent", "is_not"),
+        ):
             for found in (self._some(some, at, last), self._known(known, at, last)):
                 for end, what, named in found:
                     yield end, present, what, named

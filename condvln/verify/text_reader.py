@@ -227,7 +227,8 @@ class _Reader(PhraseReader):
 
         A known object without a room is in the room of the condition before it.
         """
-        known = [k for k, one in enumerate(state.named) if one == what or _is_again(what, one)]
+        latest = state.asks[-1].condition if state.asks else -1
+        known = [k for k, one in enumerate(state.named) if one == what or _is_again(what, one, k == latest)]
         if known:
             yield from ((k, state.named) for k in known)
         elif len(state.named) < MAX_CONDITIONS:
@@ -236,9 +237,9 @@ class _Reader(PhraseReader):
             yield len(state.named), (*state.named, what)
 
 
-def _is_again(what: Phrase, before: Phrase) -> bool:
-    """Return whether a relation was named before, now without its room."""
-    return what.room is None and what.qualifier is not None and what == before._replace(room=None)
+def _is_again(what: Phrase, before: Phrase, latest: bool) -> bool:
+    """Return whether a relation, or what was asked about last, was named before, now without its room."""
+    return what.room is None and (latest or what.qualifier is not None) and what == before._replace(room=None)
 
 
 _ANSWERS: Final = (

@@ -88,13 +88,13 @@ def test_a_listener_takes_every_template_as_it_is_meant(words: Language, categor
         ("nested", "If {A}, {see B}: if {yes B}, {x}; if {no B}, {y}. If not, {z}.", "listener goes to"),
         ("nested", "If {A}, {see B}: if {yes B}, {x}; if {no B}, {y}. If {no A}, {z}.", "comes after condition 1"),
         ("nested", "If {A}, {see B}: if {yes B}, {x}; if {no B}, {y}. Otherwise, {z}.", "exactly one"),
-        ("chain", "If {A}, {x}. If {B}, {y}. If neither is true, {z}.", "listener goes to"),  # both may hold
+        ("chain", "If {A}, {x}. If {B}, {y}. If neither fits, {z}.", "listener goes to"),  # both may hold
         ("simple", "If {-A}, {y}. If not, {x}.", "listener goes to"),
         ("simple", "{see A}. If {no A}, {x}. If {yes A}, {y}.", "listener goes to"),
         ("simple", "If {A}, {x}. Failing that, {y}.", "not one of the language's connectives"),
         (
             "long_chain",
-            "If {A}, {x}. If not, but {B}, {y}. If neither is true, but {C}, {z}. If neither is true, {w}.",
+            "If {A}, {x}. If not, but {B}, {y}. If neither fits, but {C}, {z}. If neither fits, {w}.",
             "3",
         ),
     ],

@@ -202,7 +202,7 @@ def test_an_oracle_linear_twin_keeps_the_stops_in_order(texts, code: str) -> Non
         moves = oracle_linear(program)
         assert moves == program.leaves[program.gold_leaf()].moves
         linear = render_moves(moves, 0, "x", code)
-        nouns = [language(code).nouns[move.label].text for move in moves]
+        nouns = [language(code).noun(move.label, move.room.label).text for move in moves]
         places = [re.search(rf"\b{re.escape(noun.lower())}\b", linear.lower()) for noun in nouns]
         assert all(places)
         assert len(linear.split()) < len(text.split())

@@ -38,7 +38,7 @@ def test_spanish_denials_need_no_subjunctive() -> None:
 def test_spanish_answers_agree_with_what_was_asked(sampled) -> None:
     """ "Busca una silla. Si la hay, …": the pronoun has the gender of the thing asked about last."""
     words = language("es")
-    kinds = {noun.text: noun.kind for noun in words.nouns.values()}
+    kinds = {noun.text: noun.kind for _, noun in words.nouns_of_all_rooms}
     met = set()
     for scene, _, _, programs in sampled:
         for program in programs:

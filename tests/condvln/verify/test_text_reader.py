@@ -113,7 +113,7 @@ TREES = {
     ),
     "See if A. If not, z. If so, see if B: if so, x; if not, y.": lambda a, b: ("x" if b else "y") if a else "z",
     "If A, x. Otherwise, if B, y. Otherwise, z.": lambda a, b: "x" if a else "y" if b else "z",
-    "If A, x. If not, but B, y. If neither is true, z.": lambda a, b: "x" if a else "y" if b else "z",
+    "If A, x. If not, but B, y. If neither fits, z.": lambda a, b: "x" if a else "y" if b else "z",
     "If A, x. Otherwise, if B, y. Otherwise, if C, z. Otherwise, w.": lambda a, b, c: (
         "x" if a else "y" if b else "z" if c else "w"
     ),
