@@ -61,8 +61,8 @@ def test_there_is_the_room_named_last() -> None:
 
 def test_a_stop_without_a_room_is_beside_the_one_before_it() -> None:
     reading = read(
-        "If there's a lamp in the kitchen, go to the bed in the bedroom with the piano, then to the desk. If not, go to "
-        "the desk in the bedroom with the piano, then to the sofa in the kitchen."
+        "If there's a lamp in the kitchen, go to the bed in the bedroom with the piano, then to the desk. If not, go "
+        "to the desk in the bedroom with the piano, then to the sofa in the kitchen."
     )
     assert [[stop.room for stop in moves] for moves in reading.moves] == [[BEDROOM, KITCHEN], [BEDROOM, BEDROOM]]
 
