@@ -210,8 +210,8 @@ def test_an_oracle_linear_twin_keeps_the_stops_in_order(texts, code: str) -> Non
 
 def test_a_stop_in_the_room_of_the_one_before_it_needs_no_room() -> None:
     reading = parse(
-        "If there's a lamp in the kitchen, go to the bed in the bedroom, then to the desk. If not, go to the sink in the "
-        "bathroom, then to the sofa in the living room."
+        "If there's a lamp in the kitchen, go to the bed in the bedroom, then to the desk. If not, go to the sink in "
+        "the bathroom, then to the sofa in the living room."
     )
     assert [[stop.room for stop in leaf] for leaf in reading.leaves] == [
         [Place("bedroom"), Place("bedroom")],
