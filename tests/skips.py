@@ -16,8 +16,6 @@ REASONS = (
     r"no \w+ among the real datasets",
     r"no scenes of \w+ here: ",
     r"the published lists are not here to compare with",
-    # A library that loads our files, too large to install for one test.
-    r"the package datasets is not installed",
     # The machine.
     r"the golden hashes were made on ",
     r"needs \d+ GiB of free memory",
