@@ -1,4 +1,4 @@
-"""``condvln benchmark build`` and ``check``: a version of a benchmark, made from one's own copies of the datasets.
+"""``condvln benchmark build`` and ``check``: build a version of a benchmark from your own copies of the datasets.
 
 What a version is made of is frozen in one file. A build writes ``benchmark.json`` into its export: the snapshot's id,
 the versions, and for each scene the hash of its source files and of its rows. `check` makes the rows from other copies
@@ -33,7 +33,7 @@ from schemas.errors import ConfigError, FormatError, MissingFileError, ProofErro
 __all__ = ["RECORD", "Benchmark", "build_benchmark", "check_benchmark", "read_record"]
 
 RECORD: Final = "benchmark.json"
-"""Name of the record in the export's folder."""
+"""File name of the record in the export's folder."""
 
 _OF_THIS_MACHINE: Final = {"store", "export", "ray", "keep", "limits"}
 _PATHS: Final = {"root", "regions", "houses", "connectivity"}
@@ -116,7 +116,7 @@ def check_benchmark(
     inline: bool = False,
     console: Console | None = None,
 ) -> Report:
-    """Make the rows from the copies that the configuration names, and compare them with a published record.
+    """Process the copies that the configuration names, and compare the rows with a published record.
 
     The exit code is 3 where the snapshot has another id.
 
@@ -217,7 +217,7 @@ def _record(benchmark: Benchmark) -> BenchmarkRecord:
 
 
 def _scenes(snapshot: Snapshot) -> Iterator[tuple[str, BenchmarkScene]]:
-    """Each scene by its name, from the index of units."""
+    """Return each scene by its name, from the index of units."""
     table = Index.read(snapshot.store, snapshot.index_hash).table
     stages = list(snapshot.manifest.stages)
     hashes = [
@@ -237,7 +237,7 @@ def _scenes(snapshot: Snapshot) -> Iterator[tuple[str, BenchmarkScene]]:
 
 
 def _portable(config: Config) -> dict[str, Any]:
-    """The keys that decide rows, without paths of this machine."""
+    """Return the keys that affect rows, without paths of this machine."""
     document = config.model_dump(mode="json", exclude=_OF_THIS_MACHINE)
     document["sources"] = [
         {key: value for key, value in source.items() if key not in _PATHS} for source in document["sources"]

@@ -26,7 +26,7 @@ from schemas.errors import UsageError
 __all__ = ["REFERENCES", "score_benchmark"]
 
 REFERENCES: Final = ("oracle", "always-then", "always-else", "nearest", "random-leaf", "stop-at-start")
-"""Reference agents of every board: one that knows the branch, and guessers that see nothing."""
+"""Reference agents of every leaderboard: one that knows the branch, and guessers that see no scene."""
 
 _MEASURES: Final = ("success", "spl_route", "csr_all", "bsa_all", "leaf_correct", "wrong_branch", "no_commit", "ndtw")
 _SEED: Final = 0
@@ -52,7 +52,7 @@ def score_benchmark(
     roots: Sequence[Path] = (),
     references: bool = True,
 ) -> Report:
-    """Score every file of predictions, walk the references, and rank all by success.
+    """Score every file of predictions, walk the reference agents, and rank all by success.
 
     out : file for the board as JSON
 

@@ -1,4 +1,4 @@
-"""Documents of a benchmark: the file that freezes it, the record of a build, and a leaderboard."""
+"""Documents of a benchmark: the file that freezes a version, the record of a build, and a leaderboard."""
 
 from __future__ import annotations
 
@@ -25,11 +25,13 @@ Count = Annotated[int, Field(ge=0)]
 
 
 class BenchmarkFile(Document):
-    """``configs/benchmark-v1.yaml``: what a version of a benchmark is made of."""
+    """``configs/benchmark-v1.yaml``: the content of one version of a benchmark."""
 
     benchmark: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=100)]
     version: str = Field(min_length=1, max_length=100)
-    draft: bool = Field(description="a draft may still change; results on it are not comparable with those on others")
+    draft: bool = Field(
+        description="a draft may still change; results on a draft are not comparable with results on other versions"
+    )
     run: Path = Field(description="configuration of the run: sources, seeds, counts and splits; relative to this file")
     floor: int = Field(ge=1, description="fewest episodes of a split × source × category; cells below it are reported")
     instructions: Count = Field(description="fewest instructions over all sources; a smaller build says so")
@@ -47,7 +49,7 @@ class BenchmarkCell(Document):
 
 
 class BenchmarkScene(Document):
-    """What one scene was read from, and what came of it."""
+    """The source and the result of one scene."""
 
     status: Literal["ok", "skipped", "quarantined"]
     reason: str = ""
@@ -56,7 +58,7 @@ class BenchmarkScene(Document):
 
 
 class BenchmarkRecord(VersionedDocument):
-    """``benchmark.json``: one build. Equal sources and versions give equal bytes."""
+    """``benchmark.json``: the record of one build. Equal sources and versions give equal bytes."""
 
     benchmark: str
     version: str
@@ -64,7 +66,7 @@ class BenchmarkRecord(VersionedDocument):
     snapshot_id: Hash32
     export_digest: Hash64
     stages: dict[str, int]
-    configuration: dict[str, Any] = Field(description="keys of the run that decide rows; no paths of this machine")
+    configuration: dict[str, Any] = Field(description="configuration keys that affect rows; no paths of this machine")
     instructions: Count
     episodes: dict[str, Count]
     cells: list[BenchmarkCell]
@@ -81,7 +83,7 @@ class MeasuredMean(Document):
 
 
 class PairedDifference(Document):
-    """The success of a row less that of the row above; p-value of a paired permutation test by scene."""
+    """The success of a row minus that of the row above, with the p-value of a paired permutation test by scene."""
 
     above: str
     difference: Finite
@@ -90,24 +92,26 @@ class PairedDifference(Document):
 
 
 class LeaderboardRow(Document):
-    """One agent."""
+    """One agent and its scores."""
 
     agent: str
     kind: Literal["reference", "submission"]
-    predictions_sha256: Hash64 | None = Field(description="of the file; null for references, which are walked again")
+    predictions_sha256: Hash64 | None = Field(
+        description="SHA-256 of the file; null for reference agents, which are walked again"
+    )
     episodes: Count
     missing: Count
     measures: dict[str, MeasuredMean]
-    against_above: PairedDifference | None = Field(description="null in the first row")
+    against_above: PairedDifference | None = Field(description="difference from the row above; null in the first row")
 
 
 class Leaderboard(VersionedDocument):
-    """Agents on one split of one version, the best first."""
+    """The agents on one split of one version, the best first."""
 
     benchmark: str
     version: str
     draft: bool
     snapshot_id: Hash32
     split: str
-    seed: int = Field(description="of the references that act at random, and of the intervals")
+    seed: int = Field(description="seed of the random reference agents and of the intervals")
     rows: list[LeaderboardRow]

@@ -1,4 +1,4 @@
-"""The group of verbs for a benchmark with a name and a version."""
+"""The verbs of ``condvln benchmark``."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def benchmark_check(
     inline: Inline = False,
     as_json: AsJson = False,
 ) -> None:
-    """Say whether your copies give the published snapshot; else name the scenes that differ (exit code 3)."""
+    """Check whether your copies give the published snapshot; if not, name the scenes that differ (exit code 3)."""
     from jobs.benchmark import check_benchmark
 
     report = check_benchmark(benchmark, record, overrides or (), inline=inline, console=console(quiet=as_json))
@@ -55,12 +55,14 @@ def benchmark_score(
     predictions: Annotated[
         list[Path] | None, typer.Argument(metavar="[P...]", help="one file for each agent, named after it")
     ] = None,
-    out: Annotated[Path | None, typer.Option("--out", help="file for the leaderboard, as JSON")] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="file to write the leaderboard to, as JSON")] = None,
     navmesh_root: NavmeshRoots = None,
-    references: Annotated[bool, typer.Option(help="also walk the oracle and the guessers")] = True,
+    references: Annotated[
+        bool, typer.Option(help="also walk the reference agents: the oracle and the guessers")
+    ] = True,
     as_json: AsJson = False,
 ) -> None:
-    """Rank agents by their predictions, with intervals and the significance against the row above."""
+    """Rank agents by their predictions, with intervals and the significance of the difference from the row above."""
     from jobs.leaderboard import score_benchmark
 
     found = score_benchmark(export, split, predictions or (), out=out, roots=navmesh_root or (), references=references)

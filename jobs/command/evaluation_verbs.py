@@ -56,11 +56,14 @@ def walk(
         Path | None, typer.Option("--objects", metavar="CONFIG", help="configuration whose objects your own agent sees")
     ] = None,
     scenes: Annotated[
-        list[str] | None, typer.Option("--scenes", metavar="FAMILY=DIR", help="dataset that looker sees; repeatable")
+        list[str] | None,
+        typer.Option("--scenes", metavar="FAMILY=DIR", help="dataset that looker sees; may be repeated"),
     ] = None,
     looker: Annotated[
         list[str] | None,
-        typer.Option("--looker", metavar="KEY=VALUE", help="looker's errors and habits: noise.missed=0.1; repeatable"),
+        typer.Option(
+            "--looker", metavar="KEY=VALUE", help="set a key of looker, such as noise.missed=0.1; may be repeated"
+        ),
     ] = None,
 ) -> None:
     """Walk an agent (a reference agent or your own) on the navmesh with VLN-CE's actions, and write its predictions."""
@@ -175,7 +178,7 @@ def bias(
     ],
     as_json: AsJson = False,
 ) -> None:
-    """Ask guessers that see no scene for the branch; exit code 3 if one beats chance."""
+    """Test whether guessers that see no scene find the branch; exit code 3 if one beats chance."""
     from jobs.foreign_bias import report_bias
 
     report = report_bias(targets)

@@ -97,7 +97,7 @@ V = TypeVar("V")
 
 
 class _Latest(Generic[V]):
-    """The last thing that was made, for as long as it is asked for with the very same parts.
+    """A cache of one value, valid while it is requested for the same parts.
 
     The stages of one scene follow each other in a process and read the same tables, so one is enough.
     """
@@ -106,7 +106,7 @@ class _Latest(Generic[V]):
         self._kept: tuple[tuple[object, ...], V] | None = None
 
     def get(self, parts: tuple[object, ...], make: Callable[[], V]) -> V:
-        """What `make` makes; the last one where each of `parts` is the same object as then, or equal to it."""
+        """Return the cached value if each of `parts` is the same object as before or equal to it; else call `make`."""
         kept = self._kept
         if kept is not None and len(kept[0]) == len(parts) and all(map(_same, kept[0], parts)):
             return kept[1]
@@ -130,7 +130,7 @@ _candidates: Final[_Latest[list[Candidate]]] = _Latest()
 
 
 def scene_of(unit: Unit, tables: Tables) -> Scene:
-    """The scene of a unit's tables; one object for all stages that read the same tables."""
+    """Return the scene of a unit's tables; stages that read the same tables get the same object."""
     root, family = str(unit.payload["root"]), str(unit.payload["family"])
     parts = (root, family, *(tables[name] for name in ("scenes", "rooms", "objects")))
     return _scenes.get(parts, lambda: scene_from_tables(tables, Path(root), family=family))
@@ -157,12 +157,12 @@ def walkable_of(unit: Unit, scene: Scene, tables: Tables, max_climb: float) -> W
 
 
 def keep_candidates(table: pa.Table, wanted: Sequence[InstructionCell], candidates: list[Candidate]) -> None:
-    """Keep the candidates that `table` was made of for the next stages of the scene, so that they need not parse it."""
+    """Cache the candidates that `table` was made of, so that the next stages of the scene need not parse it."""
     _candidates.get((table, *wanted), lambda: candidates)
 
 
 def candidates_of(table: pa.Table, wanted: Sequence[InstructionCell]) -> list[Candidate]:
-    """The candidates in a table, in its order; `wanted` are the cells that were drawn for."""
+    """Return the candidates in a table, in its order. `wanted` are the cells for which they were drawn."""
     return _candidates.get((table, *wanted), lambda: candidates_from_table(table, wanted))
 
 

@@ -202,28 +202,31 @@ COUNTER_LENGTH: Final = 1.2
 """Length of the longer side of a table from which it may be called a counter, metres."""
 
 DOUBLE_FOOTPRINT: Final = 0.5
-"""Share of the smaller footprint over the other from which two boxes of a scan, of one kind of thing, may be one."""
+"""Least share of the smaller footprint over the other for two boxes of a scan with one label to be possibly one
+thing."""
 
 DOUBLE_GAP: Final = 0.15
-"""Metres of air that there may be between two such boxes."""
+"""Largest vertical gap between two such boxes, metres."""
 
 DOUBLE_CENTRES: Final = 0.2
-"""Metres between the centres of two boxes of a scan up to which they may be one thing, wherever their sides are."""
+"""Largest distance between the centres of two boxes of a scan, metres, for them to be possibly one thing whatever
+their size."""
 
 LIKE_SIZE: Final = 1.35
-"""How many times longer or shorter each side of a nameless thing may be than that of the thing it may be another of."""
+"""Largest ratio of each side of an unnamed thing to that of a named thing for the two to be possibly of one kind."""
 
 LIKE_HEIGHT: Final = 0.25
-"""Metres between the bottoms of a nameless thing and the thing it may be another of."""
+"""Largest height difference between the bottoms of two such things, metres."""
 
 COUNTER_HEIGHT: Final = 0.85
-"""Metres above the floor from which the top of a table as large as the room's counter may be called one too."""
+"""Height above the floor from which the top of a table as large as the room's counter may be called a counter,
+metres."""
 
 FALLEN_DEGREES: Final = 20.0
-"""Degrees of tilt from which a model on the floor has fallen over."""
+"""Tilt from which a model on the floor counts as fallen over, degrees."""
 
 FALLEN_OFF_FLOOR: Final = 0.1
-"""Metres above the floor up to which the bottom of a tilted model counts as on it."""
+"""Largest height above the floor of a tilted model's bottom for it to count as on the floor, metres."""
 
 FALLEN_SUNK: Final = 0.1
-"""Metres that a model may reach below the floor."""
+"""Largest depth below the floor that a model may reach without counting as fallen over, metres."""

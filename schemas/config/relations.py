@@ -25,16 +25,18 @@ class Thresholds(Section):
     near: Metres = Field(1.0, description="“near” is emitted up to this distance of boxes")
     near_true: Metres = Field(0.5, description="text may say “near” up to this distance of boxes and of surfaces")
     near_over: Metres = Field(
-        0.25, description="and where the bottom of one is at most this far above the top of the other"
+        0.25,
+        description="text may say “near” only where, in addition, the bottom of one is at most this far "
+        "above the top of the other",
     )
     near_false: Metres = Field(1.75, description="text may deny “near” from this distance of footprints")
     held_footprint: Share = Field(
         0.25,
-        description="a thing at whose height another ends carries that where this share of its footprint is over it: "
-        "“near” is not decided between them",
+        description="a thing carries another if this share of the other's footprint is over it, at its top "
+        "or within its height; “near” is then never used for the pair",
     )
     held_inside: Share = Field(
-        0.5, description="“near” is not decided either where more than this share of one box is inside the other"
+        0.5, description="“near” is never used for a pair if more than this share of one box is inside the other"
     )
     far: Metres = Field(3.0, description="“far from” is emitted from this distance of boxes")
     far_true: Metres = Field(3.45, description="text may say “far from” from this distance of boxes")
