@@ -7,7 +7,7 @@ WORKERS ?= 2
 # code: new examples after each change of the code; fresh: new ones in each run; or the seed that a run printed
 DRAWS  ?= code
 
-.PHONY: help setup demo test soak lint bench docs
+.PHONY: help setup demo test soak agents lint bench docs
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
@@ -36,6 +36,17 @@ test: lint  ## lint, types, contracts and tests (under ten minutes)
 soak: $(VENV)/.ready  ## full fuzzing, fault and determinism matrices
 	$(BIN)/python -m pytest -n $(WORKERS) -m "soak or costly" --draws $(DRAWS)
 	$(BIN)/python -m pytest -n $(WORKERS) -m "hypothesis and not soak and not costly" --draws $(DRAWS) --rounds 20
+
+# Heavy packages, over those of $(VENV), in an environment of their own: their pins contradict those of the tests.
+$(VENV)-agents/.ready: requirements-agents.lock $(VENV)/.ready
+	$(PYTHON) -m venv $(VENV)-agents
+	$(BIN)/python -c "import site; print(site.getsitepackages()[0])" > \
+	  "$$($(VENV)-agents/bin/python -c 'import site; print(site.getsitepackages()[0])')/tests.pth"
+	$(VENV)-agents/bin/python -m pip install --quiet --disable-pip-version-check --no-deps -r requirements-agents.lock
+	@touch $@
+
+agents: $(VENV)-agents/.ready  ## tests of the tools for language agents, each driven by its own package
+	$(VENV)-agents/bin/python -m pytest -rs tests/condvln/evaluation/test_agent_packages.py
 
 bench: $(VENV)/.ready  ## side-by-side measurements, ratios in one run
 	$(BIN)/python -m benchmarks

@@ -12,7 +12,7 @@ from jobs.command.answers import answer, console, leave
 from jobs.command.options import AsJson, ConfigPath, ExportPath, Graphs, NavmeshRoots, Overrides, SplitName
 from schemas.errors import UsageError
 
-__all__ = ["bias", "evaluate", "language", "verify", "walk"]
+__all__ = ["bias", "evaluate", "language", "serve", "verify", "walk"]
 
 
 def verify(
@@ -73,6 +73,23 @@ def walk(
     seen = load_config(objects, check_roots=False) if objects is not None else None
     found = walk_split(export, split, agent, out, navmesh_root or (), seed, seen, scenes or (), looker or ())
     answer(found, False)
+
+
+def serve(
+    export: ExportPath,
+    split: SplitName,
+    scenes: Annotated[
+        list[str], typer.Option("--scenes", metavar="FAMILY=DIR", help="dataset that agents see; repeatable")
+    ],
+    navmesh_root: NavmeshRoots = None,
+    host: Annotated[str, typer.Option(help="address to listen on")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=1, max=65535, help="port to listen on")] = 8000,
+    sessions: Annotated[int, typer.Option(min=1, help="sessions that may be open at once")] = 8,
+) -> None:
+    """Serve a split's episodes to language agents, as an OpenEnv environment (extra openenv)."""
+    from jobs.serve import serve_split
+
+    serve_split(export, split, scenes, navmesh_root or (), host, port, sessions)
 
 
 def evaluate(
