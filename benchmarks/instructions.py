@@ -112,7 +112,7 @@ def main() -> None:
     for part in ("sampling", "wording", "proof"):
         print(f"{part:9s} {len(drawn) / seconds[part]:8.0f} instructions/s")
     whole = sum(seconds[part] for part in ("sampling", "wording", "proof"))
-    print(f"proven    {len(drawn) / whole:8.0f} instructions/s, all of it")
+    print(f"proven    {len(drawn) / whole:8.0f} instructions/s in total")
 
 
 if __name__ == "__main__":

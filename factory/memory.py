@@ -105,7 +105,7 @@ class MemoryCeiling:
 
     @contextlib.contextmanager
     def armed(self) -> Iterator[None]:
-        """Mark the part of ``watch`` in which the error may be raised. Not to be nested."""
+        """Mark the part of ``watch`` in which the error may be raised. It must not be nested."""
         if not self._watched or self.ceiling is None:
             yield
             return

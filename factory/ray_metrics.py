@@ -13,12 +13,12 @@ from factory.receipt import Receipt
 __all__ = ["METRICS", "RunMetrics"]
 
 METRICS: Final = {
-    "factory_units_total": "Units done, by status",
-    "factory_stages_total": "Stages made, by stage",
-    "factory_rows_total": "Rows made, by table",
+    "factory_units_total": "Finished units, by status",
+    "factory_stages_total": "Stages run, by stage",
+    "factory_rows_total": "Rows written, by table",
     "factory_stage_seconds": "Seconds that a stage took for one unit, by stage",
     "factory_unit_peak_rss_bytes": "Peak memory of the latest unit, in bytes",
-    "factory_tasks_in_flight": "Tasks handed to Ray and not yet back",
+    "factory_tasks_in_flight": "Tasks in flight on Ray",
     "factory_task_failures_total": "Tasks that came back without receipts, by kind (worker, node, memory, raised)",
 }
 

@@ -110,7 +110,7 @@ _COLUMNS: Final = {
         "scenes with instructions",
         "without",
         "with claims of absence",
-        "pairs of room and label blocked",
+        "(room, label) pairs never called absent",
         "nameless objects",
         "hidden objects",
     ),

@@ -38,7 +38,7 @@ def _checked(value: JSON) -> JSON:
     if isinstance(value, Mapping):
         for name in value:
             if not isinstance(name, str):
-                raise TypeError(f"keys of a canonical document are text, not {type(name).__name__} ({name!r})")
+                raise TypeError(f"keys of a canonical document must be text, not {type(name).__name__} ({name!r})")
         return {name: _checked(item) for name, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [_checked(item) for item in value]

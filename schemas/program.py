@@ -125,7 +125,7 @@ class Qualifier(Frozen):
     def _has_its_anchors(self) -> Qualifier:
         wanted = anchors_of(self.predicate)
         if len({anchor.object_id for anchor in self.anchors}) != wanted or len(self.anchors) != wanted:
-            raise ValueError(f"{self.predicate!r} has {wanted} different anchors, got {len(self.anchors)}")
+            raise ValueError(f"{self.predicate!r} needs {wanted} different anchors, got {len(self.anchors)}")
         return self
 
     @property
