@@ -1,4 +1,5 @@
-"""Read per-episode results of other evaluators: ``stats_<id>.json`` files, or one object of results by episode id.
+"""Read per-episode results of other evaluators: ``stats_<id>.json`` files, one object of results by episode id, or
+the lines that StreamVLN, JanusVLN and InternNav write, ``{"scene_id", "episode_id", "success", "spl", "os", "ne", …}``.
 
 They are aggregated into the same tables and intervals as our own scores. Their goals, budgets and success distances are
 those of the other evaluator (see docs/metrics.md before comparing). Numbers that are not finite count as undefined,
@@ -19,7 +20,7 @@ import numpy as np
 from condvln.evaluation.evaluate import AXES, Evaluation
 from condvln.evaluation.measures import NO_LEAF
 from condvln.evaluation.score import Score, ScoreRules
-from condvln.formats.json_entries import document, head
+from condvln.formats.json_entries import document, head, json_lines, parsed
 from schemas.errors import FormatError
 
 __all__ = ["NAMES", "evaluation_of_stats", "is_episode_stats", "read_episode_stats"]
@@ -29,6 +30,9 @@ NAMES: Final[Mapping[str, str]] = {
     "path_length": "path_length",
     "success": "success",
     "oracle_success": "oracle_success",
+    "os": "oracle_success",
+    "ne": "navigation_error",
+    "steps": "steps",
     "spl": "spl",
     "ndtw": "ndtw",
     "sdtw": "sdtw",
@@ -53,6 +57,8 @@ TOLERANCE: Final = 1e-6
 _PREFIX: Final = "stats_"
 _BY_ID: Final = re.compile(rb'\s*\{\s*"(?:[^"\\]|\\.)*"\s*:\s*\{')
 """How ``{id: {measure: number}}`` begins; the values of predictions are lists instead."""
+_LINE: Final = re.compile(rb'\s*\{[^{}\[\]\n]*"episode_id"\s*:[^{}\[\]\n]*"success"\s*:')
+"""How lines of results begin; lines of predictions have no success."""
 _HEAD: Final = 1 << 12
 
 
@@ -85,7 +91,8 @@ def is_episode_stats(path: Path) -> bool:
     """Return whether a folder or file holds per-episode measures rather than predictions."""
     if path.is_dir() or path.name.startswith(_PREFIX):
         return True
-    return _BY_ID.match(head(path, _HEAD)) is not None
+    start = head(path, _HEAD)
+    return _BY_ID.match(start) is not None or _LINE.match(start) is not None
 
 
 def read_episode_stats(path: Path) -> dict[str, dict[str, float]]:
@@ -93,7 +100,7 @@ def read_episode_stats(path: Path) -> dict[str, dict[str, float]]:
 
     Parameters
     ----------
-    path : a folder of ``stats_<id>.json``, one such file, or one file ``{id: {measure: number}}``
+    path : a folder of ``stats_<id>.json``, one such file, one file ``{id: {measure: number}}``, or lines of results
 
     Raises
     ------
@@ -118,6 +125,9 @@ def read_episode_stats(path: Path) -> dict[str, dict[str, float]]:
 
 
 def _of_file(path: Path) -> Iterator[tuple[str, Mapping[str, Any], str]]:
+    if _LINE.match(head(path, _HEAD)):
+        yield from _of_lines(path)
+        return
     # A file of one episode holds numbers, a file of several holds objects; numbers may be NaN.
     content = document(path, nonfinite=True)
     if isinstance(content, dict) and content and all(isinstance(value, dict) for value in content.values()):
@@ -130,6 +140,16 @@ def _of_file(path: Path) -> Iterator[tuple[str, Mapping[str, Any], str]]:
             where=path,
             remedy=f"Name a folder of {_PREFIX}<id>.json files or one object of results by id",
         )
+
+
+def _of_lines(path: Path) -> Iterator[tuple[str, Mapping[str, Any], str]]:
+    for number, line in json_lines(path):
+        content = parsed(line, path, f"line {number}", nonfinite=True)
+        if not isinstance(content, dict):
+            raise FormatError("the line is not a result", where=path, place=f"line {number}", remedy="Remove the line")
+        # The last line sums all up and names no episode.
+        if "episode_id" in content:
+            yield str(content["episode_id"]), content, f"line {number}"
 
 
 def _measures(stats: Mapping[str, Any], path: Path, place: str) -> dict[str, float]:

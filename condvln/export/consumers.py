@@ -36,6 +36,13 @@ _MEASUREMENTS: Final = (
 )  # fmt: skip
 
 
+class _WithoutAnchors(yaml.SafeDumper):
+    """Writes what is there twice twice."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
 def consumer_files(report: ExportReport) -> dict[str, str]:
     """Return the text of each configuration file by path below the export."""
     radius, mixed = _success_distance(report)
@@ -46,6 +53,7 @@ def consumer_files(report: ExportReport) -> dict[str, str]:
         "configs/vlnce/condvln_oracle_task.yaml": _vlnce("oracle", "VLN-CE-v1", split, radius, steps),
         "configs/vlnce/condvln_rxr_task.yaml": _rxr(split, radius, steps, RXR_LANGUAGES[report.language]),
         "configs/habitat_lab/condvln.yaml": _habitat_lab(split, radius, steps),
+        "configs/streamvln/condvln.yaml": _streamvln(split, radius, steps),
         "configs/open_nav/condvln_task.yaml": _ansr(split, radius, _OPEN_NAV, _WAYPOINTS),
         "configs/open_nav/condvln_experiment.yaml": _experiment("open_nav", split, trainer="schedulesampler-OPENNAV"),
         "configs/vln_zero/condvln_task.yaml": _ansr(split, radius, _VLN_ZERO, steps),
@@ -64,7 +72,9 @@ def consumer_files(report: ExportReport) -> dict[str, str]:
     for path, document in files.items():
         root = _VLN_ZERO.root if path.startswith("configs/vln_zero/") else ""
         own = _RXR_NOTE if path.endswith("rxr_task.yaml") else ()
-        texts[path] = _note(root, radius, mixed, composed, own) + yaml.safe_dump(document, sort_keys=False)
+        package = "# @package _global_\n" if path.startswith("configs/streamvln/") else ""
+        text = yaml.dump(document, Dumper=_WithoutAnchors, sort_keys=False)
+        texts[path] = package + _note(root, radius, mixed, composed, own) + text
     return texts
 
 
@@ -223,6 +233,55 @@ def _habitat_lab(split: str, radius: float, steps: int) -> dict[str, Any]:
                 "split": split,
                 "data_path": LINK + "/vlnce/{split}/{split}.json.gz",
                 "scenes_dir": _SCENES,
+            },
+        },
+    }
+
+
+def _streamvln(split: str, radius: float, steps: int) -> dict[str, Any]:
+    """As ``config/vln_r2r.yaml`` of StreamVLN and JanusVLN, which InternNav's habitat evaluator takes too."""
+    camera = {"width": 640, "height": 480, "hfov": 79}
+    return {
+        "defaults": [
+            {"/habitat": "habitat_config_base"},
+            {"/habitat/task": "vln_r2r"},
+            {"/habitat/simulator/agents@habitat.simulator.agents.main_agent": "rgbd_agent"},
+            {"/habitat/dataset/vln": "mp3d_r2r"},
+            {"/habitat/task/lab_sensors": ["gps_sensor", "compass_sensor"]},
+            "_self_",
+        ],
+        "habitat": {
+            "environment": {
+                "max_episode_steps": steps,
+                "iterator_options": {"max_scene_repeat_steps": 50000, "shuffle": False},
+            },
+            "simulator": {
+                "agents": {
+                    "main_agent": {
+                        "sim_sensors": {
+                            "rgb_sensor": camera,
+                            "depth_sensor": {**camera, "min_depth": 0.0, "max_depth": 10.0},
+                        }
+                    }
+                },
+                "forward_step_size": 0.25,
+                "turn_angle": 15,
+                "habitat_sim_v0": {"gpu_device_id": 0},
+            },
+            "task": {
+                "measurements": {
+                    "distance_to_goal": {"type": "DistanceToGoal", "distance_to": "POINT"},
+                    "success": {"type": "Success", "success_distance": radius},
+                    "spl": {"type": "SPL"},
+                    "oracle_success": {"type": "OracleSuccess"},
+                    "oracle_navigation_error": {"type": "OracleNavigationError"},
+                }
+            },
+            "dataset": {
+                "type": "R2RVLN-v1",
+                "split": split,
+                "scenes_dir": _SCENES,
+                "data_path": LINK + "/vlnce/{split}/{split}.json.gz",
             },
         },
     }

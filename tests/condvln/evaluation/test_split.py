@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from condvln.episodes.identity import numeric_id
-from condvln.evaluation.episode_stats import evaluation_of_stats, read_episode_stats
+from condvln.evaluation.episode_stats import evaluation_of_stats, is_episode_stats, read_episode_stats
 from condvln.evaluation.evaluate import AXES, Evaluation, evaluate
 from condvln.evaluation.predictions import Prediction, read_predictions
 from condvln.evaluation.split import SplitOptions, evaluate_split, split_tasks
@@ -336,3 +336,31 @@ def test_results_of_a_stock_split_without_a_manifest(tmp_path: Path) -> None:
         json.dump({"episodes": [*episodes, episodes[0]]}, file)
     with pytest.raises(FormatError, match="twice"):
         evaluate_split(tmp_path, "val_seen", [results])
+
+
+def test_lines_of_streamvln_are_results(export: Path, tmp_path: Path) -> None:
+    """Its evaluator writes a line an episode, and at last a line that sums them up."""
+    tasks = split_tasks(export, "train")
+    rows = [
+        {
+            "scene_id": "apt",
+            "episode_id": task.episode_id if k % 2 else int(task.episode_id),
+            "success": float(k % 2),
+            "spl": 0.5 * (k % 2),
+            "os": 1.0,
+            "ne": 1.5 + k,
+            "steps": 10 + k,
+            "episode_instruction": "If {there} is [a lamp",
+        }
+        for k, task in enumerate(tasks)
+    ]
+    total = {"sucs_all": 0.5, "length": len(rows)}
+    (tmp_path / "result.json").write_text("\n".join(json.dumps(row) for row in [*rows, total]) + "\n")
+    assert is_episode_stats(tmp_path / "result.json")
+    ((found,), _) = evaluate_split(export, "train", [tmp_path / "result.json"])
+    means = found.means
+    assert means["success"] == pytest.approx(sum(row["success"] for row in rows) / len(rows))
+    assert means["navigation_error"] == pytest.approx(sum(row["ne"] for row in rows) / len(rows))
+    assert means["oracle_success"] == 1.0
+    assert means["steps"] == pytest.approx(sum(row["steps"] for row in rows) / len(rows))
+    assert math.isnan(means["csr_all"])

@@ -116,6 +116,7 @@ def test_consumers_files_point_at_files_that_are_there(exported: Path) -> None:
         "navila/condvln_task.yaml",
         "open_nav/condvln_experiment.yaml",
         "open_nav/condvln_task.yaml",
+        "streamvln/condvln.yaml",
         "vln_zero/condvln_experiment.yaml",
         "vln_zero/condvln_task.yaml",
         "vlnce/condvln_oracle_task.yaml",
@@ -137,7 +138,7 @@ def test_consumers_files_point_at_files_that_are_there(exported: Path) -> None:
                 pointed += 1
             if key[-1] in ("SUCCESS_DISTANCE", "success_distance"):
                 assert value == (3.0 if {"NDTW", "SDTW"} & set(key) else 1.0), (name, key)
-    assert pointed == 7 * 3 + 1 + 4  # tasks name episodes and truth twice; habitat-lab episodes; experiments a task
+    assert pointed == 7 * 3 + 2 + 4  # tasks name episodes and truth twice; habitat-lab episodes; experiments a task
 
 
 def walk(value: Any, key: tuple[str, ...] = ()) -> Any:
@@ -192,6 +193,17 @@ def test_the_rxr_task_has_the_body_the_cameras_and_the_actions_of_rxr(exported: 
     assert document["TASK"]["POSSIBLE_ACTIONS"][-2:] == ["LOOK_UP", "LOOK_DOWN"]
     assert "0.18 m" in text
     assert "BERT" in text
+
+
+def test_the_file_for_streamvln_is_whole_and_global(exported: Path) -> None:
+    """Hydra puts a file without its package line under the name of its folder."""
+    text = (exported / "configs/streamvln/condvln.yaml").read_text()
+    assert text.startswith("# @package _global_\n")
+    habitat = yaml.safe_load(text)["habitat"]
+    assert habitat["dataset"]["type"] == "R2RVLN-v1"
+    assert habitat["simulator"]["turn_angle"] == 15
+    camera = habitat["simulator"]["agents"]["main_agent"]["sim_sensors"]["rgb_sensor"]
+    assert camera == {"width": 640, "height": 480, "hfov": 79}
 
 
 def test_experiment_files_name_what_their_agents_need(exported: Path) -> None:
@@ -416,7 +428,7 @@ def test_files_tell_the_command_that_puts_scenes_where_they_look(exported: Path,
             assert f"`{command}{scenes}`" in text
             assert f"put scene meshes below {scenes}." in text
             told += 1
-    assert told == 8
+    assert told == 9
     assert [p for p in sorted((tmp_path / "configs").rglob("*.yaml")) if "compose" in p.read_text()] == []
     assert "`condvln compose CONFIG --all data/scene_datasets`" in (exported / "README.md").read_text()
     assert "compose" not in (tmp_path / "README.md").read_text()
