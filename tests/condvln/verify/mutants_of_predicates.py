@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 from mutation import Document, Files, World, mutator
 
-from condvln.relations import PAIR_PREDICATES
+from condvln.relations import COMPASS, PAIR_PREDICATES
 from condvln.verify.words import words
 
 
@@ -132,5 +132,47 @@ def find_by_a_small_thing(files: Files, rng: np.random.Generator, world: World) 
         return False
     stop, predicate, anchor = ways[int(rng.integers(len(ways)))]
     stop["qualifier"] = {"predicate": predicate, "anchors": [anchor]}
+    files.word()
+    return True
+
+
+@mutator
+def say_a_support_as_near(files: Files, rng: np.random.Generator, world: World) -> bool:
+    """A stop or a true condition is about a thing that rests on another, and says that it is near it."""
+    ways = []
+    named = [*files.conditions, *(move for leaf in files.leaves for move in leaf["moves"])]
+    for one in named:
+        room = one["room"]["room_id"]
+        own = [one["object_id"]] if "object_id" in one else one["witnesses"]
+        for anchor in _alone(world, room, one["label"]):
+            if any(world.status(room, "on", name, anchor["object_id"]) == 1 for name in own):
+                ways.append((one, anchor))
+    if not ways:
+        return False
+    one, anchor = ways[int(rng.integers(len(ways)))]
+    one["qualifier"] = {"predicate": "near", "anchors": [anchor]}
+    files.word()
+    return True
+
+
+@mutator
+def deny_what_is_not_clearly_so(files: Files, rng: np.random.Generator, world: World) -> bool:
+    """A false condition denies that a thing is near, or in a direction, where people might say that it is."""
+    ways = []
+    for condition in files.conditions:
+        if condition["truth"]:
+            continue
+        room = condition["room"]["room_id"]
+        names = world.objects_like(room, condition["label"])
+        for anchor in _alone(world, room, condition["label"]) if names else ():
+            others = [x for x in names if x != anchor["object_id"]]
+            for predicate in ("near", *COMPASS):
+                status = {world.status(room, predicate, x, anchor["object_id"]) for x in others}
+                if 1 not in status and not all(world.denied(room, predicate, x, anchor["object_id"]) for x in others):
+                    ways.append((condition, predicate, anchor))
+    if not ways:
+        return False
+    condition, predicate, anchor = ways[int(rng.integers(len(ways)))]
+    condition["qualifier"] = {"predicate": predicate, "anchors": [anchor]}
     files.word()
     return True

@@ -110,6 +110,12 @@ class World:
         order = {name: k for k, name in enumerate(self.scene.arrays(room_id).object_ids)}
         return int(self.facts[room_id].status[predicate][order[subject], order[target]])
 
+    def denied(self, room_id: str, predicate: str, subject: str, target: str) -> bool:
+        order = {name: k for k, name in enumerate(self.scene.arrays(room_id).object_ids)}
+        if predicate not in self.facts[room_id].denied:
+            return self.status(room_id, predicate, subject, target) == -1
+        return bool(self.facts[room_id].denied[predicate][order[subject], order[target]])
+
     def objects_like(self, room_id: str, label: str) -> list[str]:
         meant = words().meant_by(label)
         return [o.object_id for o in self.scene.objects if o.room_id == room_id and o.label in meant]

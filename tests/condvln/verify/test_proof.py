@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 import shutil
 from functools import partial
 from itertools import permutations
@@ -17,6 +18,7 @@ from condvln.episodes.goals import blocked_footprints
 from condvln.export.contents import CERTIFICATES, SUMMARY
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import OrientedBox, Scene, SceneObject
+from condvln.verify import certificate
 from condvln.verify.certificate import FACTS, Certificate
 from condvln.verify.footprints import Ground, Obstacles
 from condvln.verify.proof import find_navmesh, prove_scene
@@ -182,3 +184,11 @@ def test_a_scene_that_is_gone_proves_nothing_and_the_others_are_proven(
     for certificate in certificates_in(export):
         facts = {d["fact"] for d in certificate["disagreements"]}
         assert facts == ({"readable"} if certificate["scene_id"] == gone else set())
+
+
+def test_every_fault_of_a_phrase_is_a_fact() -> None:
+    """A certificate takes no other name: a fault without one would stop the proof of its whole scene."""
+    folder = Path(certificate.__file__).parent
+    named = {name for file in folder.glob("*.py") for name in re.findall(r'Problem\(\s*"(\w+)"', file.read_text())}
+    assert len(named) > 10
+    assert named <= {*FACTS}
