@@ -13,12 +13,12 @@ import numpy as np
 import orjson
 import pytest
 
+from condvln import verify
 from condvln.episodes.footprint import Footprint
 from condvln.episodes.goals import blocked_footprints
 from condvln.export.contents import CERTIFICATES, SUMMARY
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import OrientedBox, Scene, SceneObject
-from condvln.verify import certificate
 from condvln.verify.certificate import FACTS, Certificate
 from condvln.verify.footprints import Ground, Obstacles
 from condvln.verify.proof import find_navmesh, prove_scene
@@ -188,7 +188,7 @@ def test_a_scene_that_is_gone_proves_nothing_and_the_others_are_proven(
 
 def test_every_fault_of_a_phrase_is_a_fact() -> None:
     """A certificate takes no other name: a fault without one would stop the proof of its whole scene."""
-    folder = Path(certificate.__file__).parent
+    folder = Path(verify.__file__).parent
     named = {name for file in folder.glob("*.py") for name in re.findall(r'Problem\(\s*"(\w+)"', file.read_text())}
     assert len(named) > 10
     assert named <= {*FACTS}
