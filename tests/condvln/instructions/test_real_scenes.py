@@ -52,7 +52,7 @@ def test_programs_of_real_scenes_are_proven(real_data: Path, facts_maker, prove,
                 text = render(program, 0, instruction_id(family, scene.scene_id, program))
                 assert parse(text) == reading_of(program)
                 drawn += 1
-    assert drawn >= 60
+    assert drawn >= 55
 
 
 @pytest.mark.soak

@@ -143,7 +143,7 @@ def test_compositions(sampled) -> None:
 @pytest.mark.parametrize("moves", [1, 3])
 def test_a_cell_can_be_asked_for(make_scene, facts_maker, composition_: str, moves: int) -> None:
     # Nine stops in one room of 18 boxes at random, of which every other label repeats, can't all be told apart.
-    scene = make_scene(0, objects=12 if (composition_, moves) == ("C0", 3) else 18, side=8.0)
+    scene = make_scene(0, objects=10 if (composition_, moves) == ("C0", 3) else 18, side=8.0)
     facts, bits = facts_maker(scene), LabelPriors.of_scene(scene, Thresholds(), 0.3).bits(scene, 0.05)
     cells = (InstructionCell(category="nested", composition=composition_, moves=moves, count=2),)
     sampler = made_sampler(scene, facts, bits, per_category={"nested": 90}, cells=cells, candidates=10)
