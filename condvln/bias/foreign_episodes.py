@@ -56,7 +56,7 @@ def read_foreign(path: str | os.PathLike[str]) -> Iterator[ForeignEpisode]:
             found = True
             yield episode
     if not found:
-        raise FormatError("holds no instructions", where=path, remedy=_REMEDY)
+        raise FormatError("the file holds no instructions", where=path, remedy=_REMEDY)
 
 
 def _items(path: Path, data: bytes, where: str) -> Iterator[JsonNode]:

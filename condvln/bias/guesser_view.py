@@ -91,7 +91,7 @@ class GuesserView:
             return view
         except (KeyError, TypeError, ValueError, IndexError) as error:
             raise FormatError(
-                f"not a row of a manifest ({type(error).__name__}: {error})", remedy="Export again"
+                f"not a valid manifest row ({type(error).__name__}: {error})", remedy="Export again"
             ) from error
 
 

@@ -46,7 +46,7 @@ def r2r_file(export: Path, split: str) -> Path:
     found = next((path for path in (export / "r2r" / name, export / name) if path.is_file()), None)
     if found is None:
         raise MissingFileError(
-            "no such file, and the predictions are paths over viewpoints",
+            "the file does not exist, but the predictions are paths over viewpoints",
             where=export / "r2r" / name,
             remedy="Exports hold R2R files for Matterport3D scans with connectivity only",
         )

@@ -237,7 +237,7 @@ class PoolBuilder:
         again = np.setdiff1d(np.arange(len(names)), first)
         example = pa.chunked_array([found for _, found in self._ids])[int(again[0])]
         raise StoreError(
-            f"{len(again)} episodes occur twice in the snapshot, such as that of hash {example}",
+            f"{len(again)} episodes occur twice in the snapshot, such as the one with hash {example}",
             remedy="List each scene under one source only, then generate again",
         )
 

@@ -31,7 +31,7 @@ _RENAME_EXCHANGE: Final = 2
 _NO_EXCHANGE: Final = {errno.ENOSYS, errno.EINVAL, errno.ENOTSUP}
 """Errors of systems that can't exchange two names atomically (NFS, kernels before 3.15)."""
 _NO_LINK: Final = {errno.EPERM, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK, errno.EACCES}
-_REMEDY: Final = "The export in place is as it was. Free some space or choose another export folder, then export again."
+_REMEDY: Final = "The existing export is unchanged. Free some space or choose another export folder, then export again."
 
 
 @dataclass(frozen=True)
@@ -67,13 +67,13 @@ def check_place(out: Path) -> None:
         here.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise StoreError(
-            f"can't be made: {error.strerror or error}", where=here.parent, remedy="Choose another export folder."
+            f"can't be created: {error.strerror or error}", where=here.parent, remedy="Choose another export folder."
         ) from error
     if here.exists() and not here.is_dir():
         raise StoreError("the export folder is a file", where=here, remedy="Choose another export folder.")
     if not os.access(here.parent, os.W_OK | os.X_OK):
         raise StoreError(
-            "the parent of the export folder can't be written, and a new export is written beside the old one",
+            "the parent of the export folder is not writable, but a new export must be written there",
             where=here.parent,
             remedy="Choose an export folder whose parent can be written.",
         )
@@ -253,5 +253,5 @@ def _refusals(where: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise StoreError(
-            f"the export can't take its place: {error.strerror or error}", where=where, remedy=_REMEDY
+            f"the export can't replace the old one: {error.strerror or error}", where=where, remedy=_REMEDY
         ) from error

@@ -127,7 +127,9 @@ def rows_by_scene(batches: Iterator[pa.RecordBatch], where: str) -> Iterator[tup
     last = ""
     for scene, rows in groupby((row for batch in batches for row in rows_of(batch)), key=lambda row: row["scene_id"]):
         if scene < last:
-            raise StoreError(f"scene {scene!r} stands after {last!r}", where=where, remedy=_REMEDY)
+            raise StoreError(
+                f"scene {scene!r} comes after {last!r}, so the rows are not sorted", where=where, remedy=_REMEDY
+            )
         last = scene
         yield scene, list(rows)
 

@@ -97,7 +97,7 @@ def _part(scene: trimesh.Scene, node: str) -> tuple[NDArray[np.float64], NDArray
         vertices = np.asarray(mesh.vertices, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
     faces = np.asarray(mesh.faces, dtype=np.int64)
     if faces.size and not (faces.min() >= 0 and faces.max() < len(vertices)):
-        raise IndexError("a face names a vertex that is not there")
+        raise IndexError("a face refers to a missing vertex")
     # A mirroring transform reverses the winding of triangles.
     return vertices, faces[:, ::-1] if np.linalg.det(matrix[:3, :3]) < 0 else faces
 
@@ -145,16 +145,16 @@ def glb_chunks(data: bytes, where: str) -> tuple[JsonNode, bytes]:
     if magic != b"glTF" or version != 2:
         raise fail("not a GLB file of version 2", 0)
     if length != len(data):
-        raise fail(f"the header claims {length} bytes, the file has {len(data)}", 8)
+        raise fail(f"the header claims {length} bytes, but the file has {len(data)}", 8)
     chunks: dict[bytes, bytes] = {}
     offset = _HEADER.size
     while offset < len(data):
         if offset + _CHUNK.size > len(data):
-            raise fail("cut off inside a chunk header", offset)
+            raise fail("the file ends inside a chunk header", offset)
         size, kind = _CHUNK.unpack_from(data, offset)
         offset += _CHUNK.size
         if offset + size > len(data):
-            raise fail(f"a chunk claims {size} bytes, {len(data) - offset} are left", offset)
+            raise fail(f"a chunk claims {size} bytes, but {len(data) - offset} are left", offset)
         if not chunks and kind != b"JSON":
             raise fail("the first chunk is not JSON", offset)
         chunks.setdefault(kind, data[offset : offset + size])

@@ -174,7 +174,9 @@ class MaterialReader:
         start = view["byteOffset"].integer() if "byteOffset" in view else 0
         length = view["byteLength"].integer()
         if view["buffer"].integer() != 0 or min(start, length) < 0 or start + length > len(self._binary):
-            view.fail(f"bytes {start} to {start + length} are claimed, the binary chunk has {len(self._binary)}")
+            view.fail(
+                f"the image claims bytes {start} to {start + length}, but the binary chunk has {len(self._binary)}"
+            )
         self._copied += length
         if self._copied > MAX_COPIES * len(self._binary):
             view.fail(f"images read the same bytes more than {MAX_COPIES} times")

@@ -149,7 +149,9 @@ class _Copier:
         vertices = self.part.accessors[kept["POSITION"]].count
         for name, at in kept.items():
             if self.part.accessors[at].count != vertices:
-                attributes[name].fail(f"{self.part.accessors[at].count} entries for {vertices} vertices")
+                attributes[name].fail(
+                    f"the attribute has {self.part.accessors[at].count} entries, but there are {vertices} vertices"
+                )
         indices_node = source.get("indices")
         indices = None if indices_node is None else self._accessor(indices_node, "indices")
         corners = vertices
@@ -158,7 +160,7 @@ class _Copier:
             corners = own.count
             named = np.frombuffer(own.data, np.dtype(_TYPES[own.component]).newbyteorder("<"))
             if corners and int(named.max()) >= vertices:
-                indices_node.fail(f"a face names the vertex {int(named.max())} of {vertices}")
+                indices_node.fail(f"a face refers to vertex {int(named.max())}, but there are {vertices}")
         if corners < 3 or not vertices:
             return None
         material = source.get("material")

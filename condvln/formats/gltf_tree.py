@@ -154,7 +154,7 @@ class _GeometryTree:
             primitive["indices"] = self._accessor(indices, "SCALAR")
             corners = int(self.accessors[primitive["indices"]]["count"])
         if mode == _TRIANGLES and corners % 3:
-            source.fail(f"{corners} corners make no whole triangles")
+            source.fail(f"{corners} corners are not a multiple of three")
         if corners >= 3 and vertices:
             yield primitive, corners // 3 if mode == _TRIANGLES else corners - 2
 
@@ -210,9 +210,9 @@ class _GeometryTree:
             _count_or(view, "byteStride", 0),
         )
         if stride and not 4 <= stride <= MAX_STRIDE:
-            view.fail(f"a stride of {stride} bytes (4 to {MAX_STRIDE} are possible)")
+            view.fail(f"the stride must be 4 to {MAX_STRIDE} bytes, got {stride}")
         if start + length > self.binary_size:
-            view.fail(f"bytes {start} to {start + length} are claimed, the binary chunk has {self.binary_size}")
+            view.fail(f"the view claims bytes {start} to {start + length}, but the binary chunk has {self.binary_size}")
         return start, length, stride
 
 

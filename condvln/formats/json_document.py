@@ -48,7 +48,9 @@ def parse_json(data: bytes, where: str) -> JsonNode:
     """
     # The parser's own limit depends on the call stack.
     if data.count(b"[") + data.count(b"{") > MAX_DEPTH and (depth := nesting_depth(data)) > MAX_DEPTH:
-        raise FormatError(f"nested {depth} levels deep (at most {MAX_DEPTH})", where=where, remedy=_REMEDY)
+        raise FormatError(
+            f"the document is nested {depth} levels deep (at most {MAX_DEPTH})", where=where, remedy=_REMEDY
+        )
     large, surrogates = len(data) >= LARGE_BYTES, _SURROGATE.search(data) is not None
     try:
         text = data.decode("utf-8-sig")
@@ -62,7 +64,7 @@ def parse_json(data: bytes, where: str) -> JsonNode:
         place = f"line {error.lineno} column {error.colno}"
         raise FormatError(f"not JSON: {error.msg}", where=where, place=place, remedy=_REMEDY) from None
     except (ValueError, RecursionError) as error:
-        raise FormatError(f"not usable JSON: {error}", where=where, remedy=_REMEDY) from None
+        raise FormatError(f"invalid JSON: {error}", where=where, remedy=_REMEDY) from None
     if surrogates:
         _check_text(value, where)
     return JsonNode(value, where, "")
@@ -180,7 +182,7 @@ class JsonNode:
         """Return this node's integer as an index into `count` items."""
         value = self.integer()
         if not 0 <= value < count:
-            self.fail(f"the index {value} is not among {count}")
+            self.fail(f"the index {value} is out of range: there are {count} entries")
         return value
 
     def number(self, limit: float = MAX_COORDINATE) -> float:
@@ -210,7 +212,7 @@ def _check_text(value: Any, where: str) -> None:
     try:
         json.dumps(value, ensure_ascii=False, default=_listed).encode("utf-8")
     except UnicodeEncodeError:
-        raise FormatError("half of a surrogate pair stands alone in text", where=where, remedy=_REMEDY) from None
+        raise FormatError("a text has an unpaired surrogate", where=where, remedy=_REMEDY) from None
 
 
 def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

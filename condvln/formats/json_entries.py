@@ -81,9 +81,9 @@ class _Unpacked:
         self._left -= len(data)
         if self._left < 0:
             raise FormatError(
-                f"the gzip file unpacks to more than {self._limit} bytes, {MAX_RATIO} times its own size",
+                f"the gzip file decompresses to more than {self._limit} bytes, {MAX_RATIO} times its own size",
                 where=self._path,
-                remedy="Write the file again; if it is sound, unpack it first",
+                remedy="Write the file again; if it is valid, decompress it first",
             )
         return data
 
@@ -160,7 +160,7 @@ def entries(path: Path) -> Iterator[tuple[str | None, bytes]]:
                     _refuse(path, "the start", "the file is neither a JSON object nor an array")
                 keyed = block[:1] == b"{"
             if closed and block.strip():
-                _refuse(path, f"after entry {count}", "there is something after the end of the JSON document")
+                _refuse(path, f"after entry {count}", "there is text after the end of the JSON document")
             begin = 0
             for end in scan(np.frombuffer(block, np.uint8), state).tolist():
                 pending += block[begin:end]
@@ -172,7 +172,7 @@ def entries(path: Path) -> Iterator[tuple[str | None, bytes]]:
                 if key_and_value.strip() == (b"}" if keyed else b"]"):
                     closed = True
                     if block[begin:].strip():
-                        _refuse(path, f"after entry {count}", "there is something after the end of the JSON document")
+                        _refuse(path, f"after entry {count}", "there is text after the end of the JSON document")
                     break
                 yield _entry(path, key_and_value, keyed, count)
                 count += 1
@@ -184,7 +184,7 @@ def entries(path: Path) -> Iterator[tuple[str | None, bytes]]:
     if keyed is None:
         _refuse(path, "the start", "the file is empty")
     if not closed or state[DEPTH] != 0 or state[IN_STRING]:
-        _refuse(path, f"after entry {count}", "the file is cut short, or its brackets do not match")
+        _refuse(path, f"after entry {count}", "the file is truncated, or its brackets do not match")
 
 
 def _entry(path: Path, text: bytes, keyed: bool | None, count: int) -> tuple[str | None, bytes]:

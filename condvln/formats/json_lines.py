@@ -80,7 +80,7 @@ class JsonLines:
                         yield number, line
                     number += 1
                 if number > MAX_LINES:
-                    raise FormatError(f"more than {MAX_LINES} lines", where=self.where, remedy=_REMEDY)
+                    raise FormatError(f"the file has more than {MAX_LINES} lines", where=self.where, remedy=_REMEDY)
                 begun.append(rest)
                 length += len(rest)
                 if length > MAX_LINE_BYTES:
@@ -173,7 +173,7 @@ class JsonLines:
                     yield piece, None if data else _Checkpoint(text, file, unpacker)
         except zlib.error as error:
             raise FormatError(
-                f"not a sound gzip file ({error})", where=self.where, place=f"byte {file}", remedy=_REMEDY
+                f"not a valid gzip file ({error})", where=self.where, place=f"byte {file}", remedy=_REMEDY
             ) from None
         if not unpacker.eof:
-            raise FormatError("the gzip file is cut off", where=self.where, remedy=_REMEDY)
+            raise FormatError("the gzip file is truncated", where=self.where, remedy=_REMEDY)

@@ -41,9 +41,9 @@ class _DType:
         try:
             found = np.dtype((self.order if self.order in ("<", ">") else "") + self.text)
         except (TypeError, ValueError) as error:
-            raise UnsafePickleError(f"{self.text!r:.40} is not a plain type of numbers") from error
+            raise UnsafePickleError(f"{self.text!r:.40} is not a numeric dtype") from error
         if found.kind not in _DTYPE_KINDS or found.fields is not None or found.subdtype is not None:
-            raise UnsafePickleError(f"{self.text!r:.40} is not a plain type of numbers")
+            raise UnsafePickleError(f"{self.text!r:.40} is not a numeric dtype")
         return found
 
 
@@ -60,18 +60,18 @@ class _Array:
             shape = tuple(int(n) for n in shape)
             found = dtype.dtype()
         except (TypeError, ValueError, AttributeError) as error:
-            raise UnsafePickleError("an array without a sound state") from error
+            raise UnsafePickleError("the state of an array is invalid") from error
         count = int(np.prod(shape, dtype=object)) if shape else 1
         if len(shape) > MAX_ARRAY_DIMENSIONS or any(n < 0 for n in shape):
-            raise UnsafePickleError(f"an array of shape {shape!r:.60}")
+            raise UnsafePickleError(f"the shape of an array is invalid: {shape!r:.60}")
         if found.kind == "O":
             if not isinstance(content, list) or len(content) != count:
-                raise UnsafePickleError("an array of objects without as many objects")
+                raise UnsafePickleError("the number of objects in an array differs from its shape")
             return content[0] if shape == () else content
         if isinstance(content, str):  # written by Python 2
             content = content.encode("latin1")
         if not isinstance(content, bytes) or len(content) != count * found.itemsize or not found.itemsize:
-            raise UnsafePickleError(f"an array of {count} items without as many bytes")
+            raise UnsafePickleError(f"the bytes of an array do not match its {count} items")
         array: NDArray[Any] = np.frombuffer(content, dtype=found).reshape(shape, order="F" if fortran else "C")
         return array
 
@@ -82,13 +82,13 @@ def _reconstruct(*_: Any) -> _Array:
 
 def _dtype(text: Any, *_: Any) -> _DType:
     if not isinstance(text, str):
-        raise UnsafePickleError("a type that is not named by text")
+        raise UnsafePickleError("a dtype is not given by text")
     return _DType(text)
 
 
 def _scalar(dtype: Any, content: Any = None) -> Any:
     if not isinstance(dtype, _DType):
-        raise UnsafePickleError("a number without a type")
+        raise UnsafePickleError("a number has no dtype")
     array = _Array()
     array.state = (1, (), dtype, False, [content] if dtype.text.startswith("O") else content)
     found = array.value()
@@ -98,19 +98,19 @@ def _scalar(dtype: Any, content: Any = None) -> Any:
 def _encode(text: Any, encoding: Any = "latin1") -> bytes:
     """Replaces `_codecs.encode`, by which protocol 2 writes bytes."""
     if not isinstance(text, str) or encoding != "latin1":
-        raise UnsafePickleError("bytes that are not Latin-1")
+        raise UnsafePickleError("bytes are not encoded as Latin-1")
     return text.encode("latin1")
 
 
 def _no_bytes(*content: Any) -> bytes:
     """Replaces the `bytes` constructor, by which protocol 2 writes empty bytes."""
     if content:
-        raise UnsafePickleError("bytes made by their class")
+        raise UnsafePickleError("bytes are created by their class")
     return b""
 
 
 def _ndarray(*_: Any) -> Any:
-    raise UnsafePickleError("an array made by its class")
+    raise UnsafePickleError("an array is created by its class")
 
 
 _KNOWN: Final = {
@@ -133,7 +133,7 @@ class _Unpickler(pickle._Unpickler):
         try:
             return _KNOWN[module, name]
         except KeyError:
-            raise UnsafePickleError(f"it asks for {module}.{name}") from None
+            raise UnsafePickleError(f"it refers to {module}.{name}") from None
 
     def load_build(self) -> None:
         """Set the state of one of our own classes; raise an error for any other object."""
@@ -144,7 +144,7 @@ class _Unpickler(pickle._Unpickler):
         elif isinstance(target, _DType) and isinstance(state, tuple) and len(state) > 1 and isinstance(state[1], str):
             target.order = state[1]
         else:
-            raise UnsafePickleError("it gives a state to plain data")
+            raise UnsafePickleError("it sets the state of plain data")
 
     dispatch[pickle.BUILD[0]] = load_build
 
@@ -162,7 +162,7 @@ def load_plain(data: bytes) -> Any:
     except UnsafePickleError:
         raise
     except Exception as error:  # a damaged pickle may raise any exception
-        raise UnsafePickleError(f"not a sound pickle ({error!r:.80})") from None
+        raise UnsafePickleError(f"not a valid pickle ({error!r:.80})") from None
 
 
 def plain(value: Any, most: int) -> Any:
@@ -176,5 +176,5 @@ def plain(value: Any, most: int) -> Any:
     if not isinstance(found, np.ndarray):
         return found
     if found.size > most:
-        raise UnsafePickleError(f"an array of {found.size} items where {most} are enough")
+        raise UnsafePickleError(f"an array has {found.size} items (at most {most} are allowed)")
     return found.tolist()

@@ -96,7 +96,7 @@ def _read(path: Path, root: Array) -> list[tuple[Array, Array]]:
     import trimesh
 
     if not path.is_file():
-        raise MissingFileError("there is no such mesh file", where=path, remedy="Check the path")
+        raise MissingFileError("the mesh file does not exist", where=path, remedy="Check the path")
     if path.suffix.lower() == ".glb":
         return _parts_of_glb(path.read_bytes(), str(path), root)
     try:

@@ -56,7 +56,7 @@ def read_texts(path: str | os.PathLike[str]) -> Iterator[InstructionText]:
             found = True
             yield InstructionText(text)
     if not found:
-        raise FormatError("holds no instructions", where=path, remedy=_REMEDY)
+        raise FormatError("the file holds no instructions", where=path, remedy=_REMEDY)
 
 
 def _of_export(folder: Path) -> Iterator[InstructionText]:

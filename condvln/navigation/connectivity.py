@@ -72,17 +72,17 @@ def read_connectivity(path: str | os.PathLike[str]) -> ViewpointGraph:
         blocked[number] = ~_flags(file, f"{place}.unobstructed", item.get("unobstructed"), count)
     if len(set(names)) != count:
         twice = next(name for name in names if names.count(name) > 1)
-        raise _error(file, f"[{names.index(twice)}].image_id", f"viewpoint {twice!r} is there twice")
+        raise _error(file, f"[{names.index(twice)}].image_id", f"viewpoint {twice!r} occurs twice")
     kept = np.flatnonzero(included)
     if not len(kept):
         raise _error(file, "", "no viewpoint is included")
     joined = ~blocked[np.ix_(kept, kept)]
     if np.diagonal(joined).any():
         number = int(kept[np.argmax(np.diagonal(joined))])
-        raise _error(file, f"[{number}].unobstructed", "a viewpoint is joined to itself")
+        raise _error(file, f"[{number}].unobstructed", "a viewpoint is connected to itself")
     if (joined != joined.T).any():
         a, b = np.argwhere(joined & ~joined.T)[0]
-        raise _error(file, f"[{kept[a]}].unobstructed[{kept[b]}]", "an edge leads one way only")
+        raise _error(file, f"[{kept[a]}].unobstructed[{kept[b]}]", "an edge exists in one direction only")
     matrix = np.array(poses)[kept].reshape(-1, 4, 4)
     cameras = np.stack([matrix[:, 0, 3], matrix[:, 2, 3], -matrix[:, 1, 3]], axis=1)
     floors = cameras - np.array([0.0, 1.0, 0.0]) * np.array(heights)[kept][:, None]
@@ -94,14 +94,14 @@ def read_connectivity(path: str | os.PathLike[str]) -> ViewpointGraph:
 def _load(file: Path) -> list[Any]:
     try:
         if file.stat().st_size > MAX_FILE_BYTES:
-            raise _error(file, "", f"{file.stat().st_size} bytes is not a connectivity file (at most {MAX_FILE_BYTES})")
+            raise _error(file, "", f"the file has {file.stat().st_size} bytes (at most {MAX_FILE_BYTES} are read)")
         items = orjson.loads(file.read_bytes())
     except FileNotFoundError as error:
-        raise MissingFileError("there is no such connectivity file", where=file, remedy="Check the path") from error
+        raise MissingFileError("the connectivity file does not exist", where=file, remedy="Check the path") from error
     except OSError as error:
         raise _error(file, "", f"can't be read: {error.strerror or error}") from error
     except orjson.JSONDecodeError as error:
-        raise _error(file, f"line {error.lineno}", f"no JSON: {error.msg}") from error
+        raise _error(file, f"line {error.lineno}", f"not JSON: {error.msg}") from error
     if not isinstance(items, list) or not 1 <= len(items) <= MAX_VIEWPOINTS:
         raise _error(file, "", f"not a list of 1 to {MAX_VIEWPOINTS} viewpoints")
     return items
@@ -124,13 +124,13 @@ def _numbers(file: Path, place: str, values: Any, count: int) -> list[float]:
             or not math.isfinite(value)
             or abs(value) > 1e6
         ):
-            raise _error(file, place, f"{value!r} is not a number of metres")
+            raise _error(file, place, f"{value!r} is not a length in metres")
     return [float(value) for value in values]
 
 
 def _flags(file: Path, place: str, values: Any, count: int) -> npt.NDArray[np.bool_]:
     if not isinstance(values, list) or len(values) != count or not all(isinstance(value, bool) for value in values):
-        raise _error(file, place, f"not {count} times true or false")
+        raise _error(file, place, f"not a list of {count} booleans")
     return np.array(values, bool)
 
 

@@ -59,9 +59,14 @@ class ActionSpace:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.forward) and self.forward > 0):
-            raise UsageError(f"a forward step of {self.forward} m", remedy="Give a positive length")
+            raise UsageError(
+                f"the forward step must be positive and finite, got {self.forward} m", remedy="Give a positive length"
+            )
         if not (math.isfinite(self.turn) and self.turn > 0 and (360.0 / self.turn).is_integer()):
-            raise UsageError(f"a turn of {self.turn}°", remedy="Give an angle that divides 360, such as 15 or 30")
+            raise UsageError(
+                f"the turn must divide 360°, got {self.turn}°",
+                remedy="Give an angle that divides 360, such as 15 or 30",
+            )
 
     @property
     def headings(self) -> int:
@@ -146,11 +151,11 @@ class Follower:
     ) -> None:
         if not 0 < stop_within <= arrive_within or not math.isfinite(arrive_within):
             raise UsageError(
-                f"stopping within {stop_within} m, arriving within {arrive_within} m",
+                f"stop_within is {stop_within} m and arrive_within {arrive_within} m",
                 remedy="Give 0 < stop_within <= arrive_within",
             )
         if not 0 < max_actions <= 1_000_000:
-            raise UsageError(f"at most {max_actions} actions", remedy="Give 1 to 1,000,000")
+            raise UsageError(f"max_actions is {max_actions}", remedy="Give 1 to 1,000,000")
         self.pathfinder, self.space, self.sliding = pathfinder, space, sliding
         self.stop_within, self.arrive_within, self.max_actions = stop_within, arrive_within, max_actions
 
@@ -192,7 +197,7 @@ class Follower:
 
     def _gait(self, heading: float) -> Gait:
         if not math.isfinite(heading):
-            raise UsageError(f"a heading of {heading}", remedy="Give radians")
+            raise UsageError(f"the heading must be finite, got {heading}", remedy="Give radians")
         turn = math.radians(self.space.turn)
         facing = [heading + k * turn for k in range(self.space.headings)]
         moves = [[-math.sin(angle) * self.space.forward, -math.cos(angle) * self.space.forward] for angle in facing]

@@ -65,9 +65,11 @@ class GraphPathfinder:
         places = np.array(positions, np.float32).reshape(-1, 3)
         pairs = np.sort(np.array(edges, np.int32).reshape(-1, 2), axis=1)
         if not len(places) or not np.isfinite(places).all():
-            raise InputError("a graph needs places with finite coordinates", remedy="Correct the graph")
+            raise InputError("a graph needs viewpoints with finite coordinates", remedy="Correct the graph")
         if len(pairs) and (pairs.min() < 0 or pairs.max() >= len(places) or (pairs[:, 0] == pairs[:, 1]).any()):
-            raise InputError("an edge names a place that is not there, or one place twice", remedy="Correct the graph")
+            raise InputError(
+                "an edge refers to an unknown viewpoint, or to the same one twice", remedy="Correct the graph"
+            )
         pairs = np.unique(pairs, axis=0)
         lengths = np.linalg.norm(places[pairs[:, 0]].astype(float) - places[pairs[:, 1]], axis=1)
         return cls(ViewpointGraph(tuple(str(i) for i in range(len(places))), places, pairs, lengths))
@@ -251,7 +253,9 @@ class GraphPathfinder:
 
     def _island(self, index: int) -> int:
         if not 0 <= index < self.num_islands:
-            raise UsageError(f"island {index} of {self.num_islands}", remedy="Take an index from get_island")
+            raise UsageError(
+                f"there is no island {index}: the graph has {self.num_islands}", remedy="Take an index from get_island"
+            )
         return index
 
 

@@ -153,11 +153,11 @@ def read_navmesh(path: str | os.PathLike[str]) -> NavMeshFile:
         size = file.stat().st_size
         if size > MAX_FILE_BYTES:
             raise FormatError(
-                f"{size} bytes is not a navmesh of a scene (at most {MAX_FILE_BYTES})", where=file, remedy=REMEDY
+                f"the file has {size} bytes (at most {MAX_FILE_BYTES} are read)", where=file, remedy=REMEDY
             )
         data = file.read_bytes()
     except FileNotFoundError as error:
-        raise MissingFileError("there is no such navmesh file", where=file, remedy="Check the path") from error
+        raise MissingFileError("the navmesh file does not exist", where=file, remedy="Check the path") from error
     except OSError as error:
         raise FormatError(f"can't be read: {error.strerror or error}", where=file, remedy=REMEDY) from error
     return parse_navmesh(data, where=file)
@@ -181,10 +181,10 @@ def parse_navmesh(data: bytes, where: str | os.PathLike[str] = "<bytes>") -> Nav
         reader.fail("this is not a Habitat navmesh: its first four bytes are not 'TESM'", "file header")
     version, tiles = int(header["version"]), int(header["tile_count"])
     if version not in FILE_VERSIONS:
-        reader.fail(f"version {version} is not known (1 and 2 are)", "file header")
+        reader.fail(f"version {version} is not supported (only 1 and 2)", "file header")
     if tiles != 1 or header["max_tiles"] != 1:
         reader.fail(
-            f"{tiles} tiles in a grid of {header['max_tiles']}; only single-tile meshes, as Habitat makes, are read",
+            f"there are {tiles} tiles in a grid of {header['max_tiles']}; only single-tile meshes are supported",
             "file header",
         )
     grid = [*header["origin"], header["tile_width"], header["tile_height"]]
@@ -194,13 +194,11 @@ def parse_navmesh(data: bytes, where: str | os.PathLike[str] = "<bytes>") -> Nav
     settings, static_byte = _read_settings(reader) if version >= 2 else (None, 0)
     entry = reader.take(TILE_ENTRY, 1, "tile entry")[0]
     if entry["size"] != reader.left:
-        reader.fail(f"the tile claims {entry['size']} bytes and {reader.left} are there", "tile entry")
+        reader.fail(f"the tile claims {entry['size']} bytes, but {reader.left} are left", "tile entry")
     tile = _read_tile(reader)
     max_polys = int(header["max_polys"])
     if not len(tile.polys) <= max_polys <= 1 << 22:  # Detour reserves at least ten bits for the salt
-        reader.fail(
-            f"references are laid out for {max_polys} polygons and the tile has {len(tile.polys)}", "file header"
-        )
+        reader.fail(f"references can address {max_polys} polygons, but the tile has {len(tile.polys)}", "file header")
     if entry["reference"] == 0 or entry["reference"] % base_reference(max_polys):
         reader.fail(f"the tile's reference {entry['reference']:#x} points into a polygon", "tile entry")
     return NavMeshFile(
@@ -229,7 +227,9 @@ class _Reader:
     def take(self, dtype: np.dtype[Any], count: int, place: str) -> Records:
         size = dtype.itemsize * count
         if count < 0 or size > self.left:
-            self.fail(f"{count} records of {dtype.itemsize} bytes are claimed and {self.left} bytes are left", place)
+            self.fail(
+                f"the file claims {count} records of {dtype.itemsize} bytes, but {self.left} bytes are left", place
+            )
         records = np.frombuffer(self.data, dtype, count, self.offset)
         self.offset += size
         return records
@@ -286,7 +286,7 @@ def _read_tile(reader: _Reader) -> NavMeshTile:
     _check_polygons(reader, tile)
     _check_detail(reader, tile)
     leaf = tile.bv_nodes["i"]
-    reader.require(leaf < len(tile.polys), "the leaf names a polygon that is not there", "bounding volume node")
+    reader.require(leaf < len(tile.polys), "the leaf refers to a missing polygon", "bounding volume node")
     return tile
 
 
@@ -305,9 +305,9 @@ def _check_header(reader: _Reader, header: Records) -> None:
     sizes: Sequence[str] = ("walkable_height", "walkable_radius", "walkable_climb")
     reader.require_bounded(np.array([*(header[name] for name in sizes), *header["bmin"], *header["bmax"]]), place)
     if not 0 < header["bv_quant_factor"] <= MAX_CELLS_PER_METRE:
-        reader.fail(f"{header['bv_quant_factor']} cells a metre", place)
+        reader.fail(f"the tree has {header['bv_quant_factor']} cells per metre", place)
     if (header["bmin"] > header["bmax"]).any():
-        reader.fail("the lower bound lies above the upper one", place)
+        reader.fail("the lower bound is above the upper one", place)
 
 
 def _points(reader: _Reader, count: int, place: str) -> npt.NDArray[np.float32]:
@@ -322,13 +322,13 @@ def _points(reader: _Reader, count: int, place: str) -> npt.NDArray[np.float32]:
 def _check_polygons(reader: _Reader, tile: NavMeshTile) -> None:
     polys, place = tile.polys, "polygon"
     count = polys["vert_count"]
-    reader.require((count >= 3) & (count <= MAX_VERTS_PER_POLYGON), "not 3 to 6 vertices", place)
-    reader.require(polys["area_and_type"] >> 6 == 0, "not a ground polygon", place)
+    reader.require((count >= 3) & (count <= MAX_VERTS_PER_POLYGON), "the polygon does not have 3 to 6 vertices", place)
+    reader.require(polys["area_and_type"] >> 6 == 0, "it is not a ground polygon", place)
     used = np.arange(MAX_VERTS_PER_POLYGON)[None, :] < count[:, None]
-    reader.require(((polys["verts"] < len(tile.verts)) | ~used).all(axis=1), "a vertex that is not there", place)
+    reader.require(((polys["verts"] < len(tile.verts)) | ~used).all(axis=1), "it refers to a missing vertex", place)
     neis = polys["neis"]
     reader.require(
-        ((neis <= len(polys)) | (neis >= TILE_PORTAL) | ~used).all(axis=1), "a neighbour that is not there", place
+        ((neis <= len(polys)) | (neis >= TILE_PORTAL) | ~used).all(axis=1), "it refers to a missing neighbour", place
     )
     if int((tile.neighbours >= 0).sum()) > len(tile.links):
         reader.fail("there are fewer links than inner edges", "tile header")
@@ -337,18 +337,20 @@ def _check_polygons(reader: _Reader, tile: NavMeshTile) -> None:
 def _check_detail(reader: _Reader, tile: NavMeshTile) -> None:
     mesh, place = tile.detail_meshes, "detail mesh"
     tri_end = mesh["tri_base"].astype(np.int64) + mesh["tri_count"]
-    reader.require((mesh["tri_count"] > 0) & (tri_end <= len(tile.detail_tris)), "triangles that are not there", place)
+    reader.require(
+        (mesh["tri_count"] > 0) & (tri_end <= len(tile.detail_tris)), "it refers to missing triangles", place
+    )
     vert_end = mesh["vert_base"].astype(np.int64) + mesh["vert_count"]
-    reader.require(vert_end <= len(tile.detail_verts), "vertices that are not there", place)
+    reader.require(vert_end <= len(tile.detail_verts), "it refers to missing vertices", place)
     counts = mesh["tri_count"].astype(np.int64)
     if counts.sum() > len(tile.detail_tris):  # shared ranges would let a small file allocate much memory
-        reader.fail(f"{counts.sum()} triangles are claimed of {len(tile.detail_tris)}", place)
+        reader.fail(f"detail meshes claim {counts.sum()} triangles, but the tile has {len(tile.detail_tris)}", place)
     poly = np.repeat(np.arange(len(mesh)), counts)
     rows = np.arange(len(poly)) + (mesh["tri_base"].astype(np.int64) - (np.cumsum(counts) - counts))[poly]
     limit = tile.polys["vert_count"].astype(np.int64) + mesh["vert_count"]
     sound = (tile.detail_tris[rows, :3] < limit[poly][:, None]).all(axis=1)
     if not sound.all():
-        reader.fail("a triangle's corner is not there", f"{place} {int(poly[np.argmin(sound)])}")
+        reader.fail("a triangle refers to a missing vertex", f"{place} {int(poly[np.argmin(sound)])}")
 
 
 def _decimal(value: Any) -> float:

@@ -139,7 +139,7 @@ class BoxOccluders:
         self._headroom = np.array(above, np.float64, order="C").reshape(-1)
         if {len(self._half), len(self._axes), len(self._headroom)} != {count}:
             raise UsageError(
-                f"{count} centres, {len(self._half)} extents, {len(self._axes)} rotations and "
+                f"numbers differ: {count} centres, {len(self._half)} extents, {len(self._axes)} rotations and "
                 f"{len(self._headroom)} headrooms of boxes"
             )
         sound = np.isfinite(self._centers).all(axis=1) & np.isfinite(self._axes).all(axis=(1, 2))
@@ -205,7 +205,7 @@ def wall_boxes(
     ends = np.asarray(segments, np.float64).reshape(-1, 2, 2)
     low, high = (np.broadcast_to(np.asarray(y, np.float64), len(ends)) for y in (bottom, top))
     if not (np.isfinite(ends).all() and np.isfinite(low).all() and np.isfinite(high).all() and (low <= high).all()):
-        raise FormatError("a wall has an end that is not a number, or its top below its bottom", place="walls")
+        raise FormatError("a wall has an end that is not finite, or its top is below its bottom", place="walls")
     middle, along = ends.mean(axis=1), ends[:, 1] - ends[:, 0]
     length = np.linalg.norm(along, axis=1)
     unit = np.where(length[:, None] > 0, along / np.where(length > 0, length, 1)[:, None], [1.0, 0.0])

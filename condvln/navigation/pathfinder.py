@@ -250,9 +250,7 @@ class Pathfinder:
         """Return the end points of n steps, (n, 3)."""
         first, second = many_points(starts), many_points(ends)
         if len(first) != len(second):
-            raise UsageError(
-                f"{len(first)} starts but {len(second)} ends: a step needs one of both", remedy="Give as many of both"
-            )
+            raise UsageError(f"there are {len(first)} starts but {len(second)} ends", remedy="Give one end per start")
         return steps(self.query_mesh, first, second, sliding)
 
     def distance_to_closest_obstacle(self, point: npt.ArrayLike, max_search_radius: float = 2.0) -> float:
@@ -326,19 +324,25 @@ class Pathfinder:
         UsageError : the resolution is not a positive number, or gives more than 100 million pixels
         """
         if not (metres_per_pixel > 0 and math.isfinite(metres_per_pixel)):
-            raise UsageError(f"{metres_per_pixel} metres per pixel", remedy="Give a positive number, such as 0.05")
+            raise UsageError(
+                f"the metres per pixel must be positive, got {metres_per_pixel}",
+                remedy="Give a positive number, such as 0.05",
+            )
         grid, pixel = self.query_mesh.grid, np.float32(metres_per_pixel)
         columns = float(abs(grid[BMIN] - grid[BMAX]) / pixel)
         rows = float(abs(grid[BMIN + 2] - grid[BMAX + 2]) / pixel)
         if columns * rows > MAX_PIXELS:
             raise UsageError(
-                f"{columns:.0f} x {rows:.0f} pixels at {metres_per_pixel} metres per pixel", remedy="Take larger pixels"
+                f"the picture would have {columns:.0f} x {rows:.0f} pixels", remedy="Use more metres per pixel"
             )
         return top_down_view(self.query_mesh, int(columns), int(rows), pixel, np.float32(height), np.float32(eps))
 
     def _island_index(self, index: int) -> int:
         if not 0 <= index < self.num_islands:
-            raise UsageError(f"island {index} of {self.num_islands}", remedy="Take an index from get_island")
+            raise UsageError(
+                f"there is no island {index}: the navmesh has {self.num_islands}",
+                remedy="Take an index from get_island",
+            )
         return index
 
 

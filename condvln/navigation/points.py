@@ -17,7 +17,7 @@ def one_point(point: npt.ArrayLike) -> Floats:
     """Return a point [x, y, z] as (1, 3) float32."""
     array = np.array(point, np.float32, order="C")
     if array.shape != (3,):
-        raise UsageError(f"a point has three numbers, not the shape {array.shape}", remedy="Give [x, y, z]")
+        raise UsageError(f"a point must have the shape (3,), got {array.shape}", remedy="Give [x, y, z]")
     return array.reshape(1, 3)
 
 
@@ -27,7 +27,7 @@ def many_points(points: npt.ArrayLike) -> Floats:
     if array.size == 0:
         return array.reshape(0, 3)
     if array.ndim != 2 or array.shape[1] != 3:
-        raise UsageError(f"points are (n, 3), not of shape {array.shape}", remedy="Give a list of [x, y, z]")
+        raise UsageError(f"points must have the shape (n, 3), got {array.shape}", remedy="Give a list of [x, y, z]")
     return array
 
 
@@ -35,5 +35,7 @@ def paired_points(starts: npt.ArrayLike, ends: npt.ArrayLike) -> tuple[Floats, F
     """Return starts and ends as (n, 3) each; a single point (3,), or one row, is paired with all on the other side."""
     first, second = (one_point(p) if np.ndim(p) == 1 and np.size(p) else many_points(p) for p in (starts, ends))
     if len(first) != len(second) and 1 not in (len(first), len(second)):
-        raise UsageError(f"{len(first)} starts and {len(second)} ends", remedy="Give as many of both, or one of either")
+        raise UsageError(
+            f"there are {len(first)} starts and {len(second)} ends", remedy="Give equal numbers, or one of either"
+        )
     return first, second

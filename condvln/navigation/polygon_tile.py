@@ -57,7 +57,7 @@ def tile_of_polygons(
         raise InputError("a vertex is NaN or infinite", remedy="Correct the floor polygons")
     if not (3 <= len(verts) < MAX_POLYGON_VERTICES and 1 <= len(polygons) <= MAX_POLYGONS):
         raise InputError(
-            f"{len(verts)} vertices and {len(polygons)} polygons do not make a tile", remedy="Split the scene"
+            f"a tile can't have {len(verts)} vertices and {len(polygons)} polygons", remedy="Split the scene"
         )
     corners = [_wound(verts, list(polygon), number) for number, polygon in enumerate(polygons)]
     polys = _polygon_records(corners)
@@ -89,15 +89,19 @@ def _wound(verts: Floats, corners: list[int], number: int) -> list[int]:
     """
     place = f"polygon {number}"
     if not 3 <= len(corners) <= MAX_VERTS_PER_POLYGON or len(set(corners)) != len(corners):
-        raise InputError(f"{len(corners)} corners", place=place, remedy="Give 3 to 6 different vertices")
+        raise InputError(
+            f"the polygon has {len(corners)} corners, or a repeated one",
+            place=place,
+            remedy="Give 3 to 6 different vertices",
+        )
     if min(corners) < 0 or max(corners) >= len(verts):
-        raise InputError("a vertex that is not there", place=place, remedy="Correct the floor polygons")
+        raise InputError("the polygon refers to an unknown vertex", place=place, remedy="Correct the floor polygons")
     ground = verts[corners][:, [0, 2]].astype(np.float64)
     along = np.roll(ground, -1, axis=0) - ground
     following = np.roll(along, -1, axis=0)
     turns = along[:, 0] * following[:, 1] - along[:, 1] * following[:, 0]
     if (turns > CONVEXITY_TOLERANCE).any() and (turns < -CONVEXITY_TOLERANCE).any():
-        raise InputError("not convex", place=place, remedy="Split it into convex polygons")
+        raise InputError("the polygon is not convex", place=place, remedy="Split it into convex polygons")
     return corners if turns.sum() <= 0 else corners[::-1]
 
 

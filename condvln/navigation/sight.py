@@ -49,10 +49,12 @@ class View:
             raise UsageError(f"a view of range {self.range} m sees nothing", remedy="Give a positive range")
         if self.horizontal_fov != 360 and not 0 < self.horizontal_fov < 180:
             raise UsageError(
-                f"a horizontal field of view of {self.horizontal_fov}°", remedy="Give 360, or less than 180"
+                f"the horizontal field of view can't be {self.horizontal_fov}°", remedy="Give 360, or less than 180"
             )
         if self.vertical_fov is not None and not 0 < self.vertical_fov < 180:
-            raise UsageError(f"a vertical field of view of {self.vertical_fov}°", remedy="Give less than 180, or none")
+            raise UsageError(
+                f"the vertical field of view can't be {self.vertical_fov}°", remedy="Give less than 180, or none"
+            )
 
     @property
     def needs_heading(self) -> bool:
@@ -109,7 +111,7 @@ def visible_points(
     looking, seen = (np.asarray(values, np.float64).reshape(-1, 3) for values in (eyes, points))
     belongs = np.full(len(seen), -1, np.int64) if own is None else np.asarray(own, np.int64)
     if belongs.shape != (len(seen),):
-        raise UsageError(f"{len(seen)} points and owners of shape {belongs.shape}")
+        raise UsageError(f"there are {len(seen)} points, but `own` has the shape {belongs.shape}")
     visible = in_view(looking, seen, view, headings)
     eye, point = np.nonzero(visible)
     visible[eye, point] = ~occluders.hidden(looking[eye], seen[point], belongs[point])
@@ -129,10 +131,12 @@ def in_view(eyes: Points, points: Points, view: View, headings: npt.ArrayLike | 
     if not view.needs_heading:
         return inside
     if headings is None:
-        raise UsageError("a field of view was asked for and no heading given", remedy="Give one heading an eye")
+        raise UsageError(
+            "the view has a limited field of view, but no headings were given", remedy="Give one heading per eye"
+        )
     heading = np.asarray(headings, np.float64).reshape(-1, 1)
     if len(heading) != len(eyes):
-        raise UsageError(f"{len(eyes)} eyes and {len(heading)} headings")
+        raise UsageError(f"there are {len(eyes)} eyes but {len(heading)} headings")
     ahead = -away[:, :, 0] * np.sin(heading) - away[:, :, 2] * np.cos(heading)
     aside = away[:, :, 0] * np.cos(heading) - away[:, :, 2] * np.sin(heading)
     with np.errstate(invalid="ignore"):

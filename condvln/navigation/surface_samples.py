@@ -44,7 +44,7 @@ def box_samples(
     middle, half = (np.asarray(values, np.float64) for values in (center, half_extents))
     axes = np.eye(3) if rotation is None else np.asarray(rotation, np.float64)
     if middle.shape != (3,) or half.shape != (3,) or axes.shape != (3, 3):
-        raise UsageError(f"a box of centre {middle.shape}, half extents {half.shape}, rotation {axes.shape}")
+        raise UsageError(f"a box needs shapes (3,), (3,) and (3, 3), got {middle.shape}, {half.shape} and {axes.shape}")
     if not (np.isfinite([middle, half, *axes]).all() and (half >= 0).all()):
         raise UsageError(f"a box with centre {middle} and half extents {half} has no surface")
     others = np.array([[1, 2], [0, 2], [0, 1]])[_FACE_AXIS]
@@ -72,7 +72,7 @@ def mesh_samples(vertices: npt.ArrayLike, faces: npt.ArrayLike, count: int = DEF
     """
     corners = np.asarray(vertices, np.float64)[np.asarray(faces, np.int64).reshape(-1, 3)]
     if not len(corners) or not np.isfinite(corners).all():
-        raise UsageError("the mesh has no triangles, or vertices that are not numbers: it has no surface")
+        raise UsageError("the mesh has no triangles, or vertices that are not finite")
     along, across = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = np.linalg.norm(np.cross(along, across), axis=1)
     if not area.any():

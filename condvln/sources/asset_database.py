@@ -42,7 +42,7 @@ class AssetDatabase:
         file = root.folder / self.path
         if not root.has(self.path):
             raise MissingFileError(
-                "the asset database is not there",
+                "the asset database does not exist",
                 where=file,
                 remedy="Put ProcTHOR's asset-database.json (allenai/procthor, procthor/databases) beside the houses",
             )
@@ -55,7 +55,7 @@ class AssetDatabase:
                     node.fail(f"two assets have the id {own!r}")
                 size = None if box is None else np.array([box[c].number() for c in "xyz"])
                 if size is not None and not (size >= 0).all():
-                    node["boundingBox"].fail("a size is below zero")
+                    node["boundingBox"].fail("a size is negative")
                 own_kind = node.get("objectType")
                 self._assets[own] = Asset(own, kind if own_kind is None else own_kind.text(), size)
 

@@ -147,7 +147,7 @@ def _box(node: JsonNode) -> F64 | None:
         return None
     extent = size.vector(3)
     if not (extent >= 0).all():
-        size.fail("a size is below zero")
+        size.fail("a size is negative")
     centre = Z_UP_TO_HABITAT @ location.vector(3)
     half = np.abs(Z_UP_TO_HABITAT @ extent) / 2
     return np.array([centre - half, centre + half])

@@ -135,7 +135,7 @@ class _Reader:
             if kind == "P" and len(self.words) == _WORDS["portal"] and len(self.words[1]) != _PANORAMA_NAME:
                 kind = "portal"
             if len(self.words) != _WORDS[kind]:
-                self.fail(f"a record {self.words[0]} has {_WORDS[kind]} words, this one {len(self.words)}")
+                self.fail(f"a record {self.words[0]} must have {_WORDS[kind]} words, this one has {len(self.words)}")
             self.counts[kind] += 1
             if kind == "H":
                 header = [self.integer(i) for i in range(3, 13)]
@@ -185,7 +185,7 @@ class _Reader:
         axes = np.column_stack([first, second, np.cross(first, second)])
         half_lengths = self.vector(13)
         if not (half_lengths >= 0).all():
-            self.fail("a half length is below zero")
+            self.fail("a half length is negative")
         self.objects[index] = HouseObject(index, self.integer(2), self.integer(3), self.vector(4), axes, half_lengths)
 
     def _checked(self, header: list[int] | None) -> HouseFile:
@@ -195,12 +195,12 @@ class _Reader:
         for kind, word in _COUNTED.items():
             claimed = header[word - 3]
             if self.counts[kind] != claimed:
-                self.fail(f"the record H claims {claimed} records {kind}, there are {self.counts[kind]}")
+                self.fail(f"the record H claims {claimed} records {kind}, but there are {self.counts[kind]}")
         for item in self.objects.values():
             if item.region != -1 and item.region not in self.regions:
-                self.fail(f"the object {item.index} is in region {item.region}, which is not there")
+                self.fail(f"the object {item.index} is in region {item.region}, which does not exist")
             if item.category != -1 and item.category not in self.categories:
-                self.fail(f"the object {item.index} is of category {item.category}, which is not there")
+                self.fail(f"the object {item.index} is of category {item.category}, which does not exist")
         return HouseFile(
             levels=header[12 - 3],
             regions=tuple(self._region_of(index) for index in sorted(self.regions)),

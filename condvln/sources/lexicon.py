@@ -85,7 +85,7 @@ def _descriptor_path(dataset: SceneDataset, scene_name: str, named: JsonNode, le
         path = dataset.described(kind, handle) or dataset.root.join("", handle, where=named.where, place=named.place)
     if not dataset.root.has(path):
         raise MissingFileError(
-            "the semantic lexicon is not there",
+            "the semantic lexicon file does not exist",
             where=dataset.root.folder / path,
             remedy=f"Download it again, or correct {named.place or kind!r} in {named.where}",
         )

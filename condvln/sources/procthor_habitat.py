@@ -66,10 +66,10 @@ class ProcthorHabitatSource(ReplicaCadSource):
         turn = _turn(house, objects)
         if turn is None:
             raise FormatError(
-                f"the house {house_id!r} has its objects elsewhere: it is not the house of the scene {scene_id!r}",
+                f"the house {house_id!r} has its objects elsewhere: it does not belong to the scene {scene_id!r}",
                 where=self._houses.root,
                 place=house_id,
-                remedy="Take the houses of the same release as Habitat's scenes, one a line, in their files by split",
+                remedy="Use the houses of the same release as Habitat's scenes, one per line, in a file for each split",
             )
         return tuple(
             replace(room, polygon=None if room.polygon is None else room.polygon * turn + 0.0)

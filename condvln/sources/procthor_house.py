@@ -126,7 +126,7 @@ def read_house(node: JsonNode) -> House:
     metadata = node.get("metadata")
     schema = None if metadata is None else metadata.get("schema")
     if schema is not None and schema.text() not in SCHEMAS:
-        schema.fail(f"schema {schema.text()!r} is not known ({' and '.join(SCHEMAS)} are)")
+        schema.fail(f"schema {schema.text()!r} is not supported (only {' and '.join(SCHEMAS)})")
     rooms = tuple(_room(r) for r in node["rooms"].elements())
     walls = tuple(_wall(w) for w in node["walls"].elements())
     _unique(node, "rooms", [r.room_id for r in rooms])

@@ -56,7 +56,7 @@ def read_regions(annotations: JsonNode, annotation: Literal["dataset", "user"], 
         floor_y = DEFAULT_FLOOR if floor is None else floor.number()
         height = DEFAULT_EXTRUSION if extrusion is None else extrusion.number()
         if height <= 0:
-            node["extrusion_height"].fail("the height is not above zero")
+            node["extrusion_height"].fail("the height must be positive")
         corners = np.array([corner.vector(3)[[0, 2]] for corner in node["poly_loop"].elements()])
         rooms[name] = Room(
             room_id=name,

@@ -70,7 +70,7 @@ def open_source(
     root = Path(root)
     if not root.is_dir():
         raise ConfigError(
-            f"the {family} dataset folder is not there",
+            f"the {family} dataset folder does not exist",
             where=root,
             remedy="Download the dataset, or set the source's 'root' to its folder",
         )
@@ -87,5 +87,5 @@ def open_source(
         )
     houses = Path(houses)
     if not houses.is_dir():
-        raise ConfigError("the folder of houses is not there", where=houses, remedy="Correct the source's 'houses'")
+        raise ConfigError("the folder of houses does not exist", where=houses, remedy="Correct the source's 'houses'")
     return ProcthorHabitatSource(root, options, houses)

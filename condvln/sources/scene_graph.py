@@ -55,14 +55,14 @@ def read_npz(data: bytes, where: str) -> JsonNode:
             graph = plain(graph, 1)
         document = {"objects": _entries(graph, "object", OBJECT_KEYS), "rooms": _entries(graph, "room", ROOM_KEYS)}
     except UnsafePickleError as error:
-        raise FormatError(f"the pickle is refused: {error}", where=where, place=MEMBER, remedy=_REMEDY) from None
+        raise FormatError(f"the pickle is not accepted: {error}", where=where, place=MEMBER, remedy=_REMEDY) from None
     return JsonNode(document, where, "")
 
 
 def _entries(graph: Any, kind: str, keys: tuple[str, ...]) -> list[dict[str, Any]]:
     found = graph.get(kind) if isinstance(graph, dict) else None
     if not isinstance(found, dict) or not all(isinstance(entry, dict) for entry in found.values()):
-        raise UnsafePickleError(f"it holds no dictionary of each {kind}")
+        raise UnsafePickleError(f"it holds no dictionary for each {kind}")
     return [{key: _value(entry[key]) for key in keys if key in entry} for entry in found.values()]
 
 
@@ -84,14 +84,17 @@ def _member(data: bytes, where: str) -> bytes:
                 size += len(piece)
                 if size > MAX_GRAPH_BYTES:
                     raise FormatError(
-                        f"it unpacks to more than {MAX_GRAPH_BYTES} bytes", where=where, place=MEMBER, remedy=_REMEDY
+                        f"it decompresses to more than {MAX_GRAPH_BYTES} bytes",
+                        where=where,
+                        place=MEMBER,
+                        remedy=_REMEDY,
                     )
                 pieces.append(piece)
             return b"".join(pieces)
     except KeyError:
         raise FormatError(f"it holds no {MEMBER}", where=where, remedy=_REMEDY) from None
     except (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, RuntimeError, NotImplementedError) as error:
-        raise FormatError(f"not a sound npz file ({error!r:.80})", where=where, remedy=_REMEDY) from None
+        raise FormatError(f"not a valid npz file ({error!r:.80})", where=where, remedy=_REMEDY) from None
 
 
 def _pickle_of(array: bytes, where: str) -> bytes:
@@ -113,5 +116,5 @@ def _pickle_of(array: bytes, where: str) -> bytes:
     except (ValueError, SyntaxError, KeyError, TypeError, MemoryError, RecursionError):
         raise fail("its header can't be read") from None
     if descr not in ("|O", "O", "<O") or shape not in ((), (1,)):
-        raise fail("it is not one object")
+        raise fail("the array does not hold exactly one object")
     return array[start + length :]

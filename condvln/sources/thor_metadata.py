@@ -111,7 +111,7 @@ def _box(node: JsonNode) -> F64:
     bounds = node["axisAlignedBoundingBox"]
     centre, size = (np.array([bounds[key][c].number() for c in "xyz"]) for key in ("center", "size"))
     if not (size >= 0).all():
-        bounds["size"].fail("a size is below zero")
+        bounds["size"].fail("a size is negative")
     centre = UNITY_TO_HABITAT @ centre
     return np.array([centre - size / 2, centre + size / 2])
 

@@ -72,7 +72,7 @@ def _parse(data: bytes, where: str) -> Element:
     except DefusedXmlException as error:
         raise FormatError(f"a document type or entity is not allowed ({error})", where=where, remedy=_REMEDY) from None
     except (ValueError, LookupError, RecursionError) as error:
-        raise FormatError(f"not readable XML: {error}", where=where, remedy=_REMEDY) from None
+        raise FormatError(f"unreadable XML: {error}", where=where, remedy=_REMEDY) from None
     if root.tag != "robot":
         raise FormatError(f"the root element is <{root.tag}>, not <robot>", where=where, remedy=_REMEDY)
     return root
@@ -88,7 +88,7 @@ def _link_poses(root: Element, links: set[str], where: str) -> dict[str, NDArray
         for end in ends:
             if end not in links:
                 raise FormatError(
-                    f"the joint names no link {end!r}", where=where, place=f"joint {name}", remedy=_REMEDY
+                    f"the joint refers to an unknown link {end!r}", where=where, place=f"joint {name}", remedy=_REMEDY
                 )
         if ends[1] in joints:
             raise FormatError(

@@ -110,17 +110,17 @@ def npy(data: bytes) -> bytes:
 
 def executing(path: Path, root: Path) -> str:
     path.write_bytes(npz(npy(pickle.dumps(np.array(Touch(root / "executed"), dtype=object)))))
-    return "output.npy: the pickle is refused"
+    return "output.npy: the pickle is not accepted"
 
 
 def zip_bomb(path: Path, root: Path) -> str:
     path.write_bytes(npz(bytes(300 << 20)))
-    return "unpacks to more than 268435456 bytes"
+    return "decompresses to more than 268435456 bytes"
 
 
 def claiming_pickle(path: Path, root: Path) -> str:
     path.write_bytes(npz(npy(b"\x80\x04\x8e" + struct.pack("<Q", TEN_GIGABYTES) + b"abc.")))
-    return "output.npy: the pickle is refused"
+    return "output.npy: the pickle is not accepted"
 
 
 def claiming_array(path: Path, root: Path) -> str:

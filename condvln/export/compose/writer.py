@@ -138,7 +138,7 @@ class GlbWriter:
         size = _HEADER.size + 2 * _CHUNK.size + len(text) + len(self._binary)
         if size > MAX_GLB_BYTES:
             raise InputError(
-                f"the composed scene takes {size} bytes, more than the {MAX_GLB_BYTES} that are read",
+                f"the composed scene takes {size} bytes, but at most {MAX_GLB_BYTES} are read",
                 remedy="Leave out what the scene does not need, or shrink its textures",
             )
         return b"".join(

@@ -171,7 +171,7 @@ class EpisodeChecks:
         if first > _UPRIGHT or third > _UPRIGHT:
             swapped = second <= _UPRIGHT and fourth <= _UPRIGHT
             code = "rotation-order" if swapped else "rotation-tilted"
-            self._report.add(place, code, f"{rotation} is not a turn about +y")
+            self._report.add(place, code, f"{rotation} is not a rotation about +y")
 
     def _check_goals(self, place: str, episode: dict[str, Any], key: str) -> list[tuple[list[float], float]]:
         goals, place = episode.get(key), f"{place}.{key}"
@@ -222,7 +222,7 @@ class EpisodeChecks:
         if self._withheld and (not info or "geodesic_distance" not in info):
             return
         if not info or "geodesic_distance" not in info:
-            self._report.add(place, "missing-geodesic", "is not given")
+            self._report.add(place, "missing-geodesic", "is missing")
             return
         distance = info["geodesic_distance"]
         if not is_number(distance) or not math.isfinite(distance) or distance < 0:
@@ -248,7 +248,7 @@ class EpisodeChecks:
             self._report.add(f"{place}.instruction_text", "wrong-type", f"{text!r} is not text")
             return
         if not tokenize(text):
-            self._report.add(f"{place}.instruction_text", "empty-text", "there are no words")
+            self._report.add(f"{place}.instruction_text", "empty-text", "the text has no words")
         if start is not None and isinstance(episode.get("scene_id"), str):
             self._document.told[episode["scene_id"], text, tuple(start)] = str(episode.get("episode_id"))
         if self._document.kind != "rxr":
@@ -275,7 +275,7 @@ class EpisodeChecks:
             return
         wanted = vocabulary.encode(text)[: len(tokens)]
         if [token for token in tokens if token != PAD_INDEX] != wanted:
-            self._report.add(place, "token-mismatch", "other words than the text's")
+            self._report.add(place, "token-mismatch", "the tokens are not those of the text")
         elif UNK_INDEX in tokens:
             words = [word for word in tokenize(text) if word not in vocabulary.words]
             self._report.add(place, "unknown-words", f"{', '.join(words[:5])}")
@@ -298,7 +298,7 @@ class EpisodeChecks:
             return
         found = float(pathfinder.geodesic_distance(np.array(start), positions))
         if not math.isfinite(found):
-            self._report.add(place, "unreachable", "there is no way from the start to a goal")
+            self._report.add(place, "unreachable", "there is no path from the start to a goal")
             return
         info = episode.get("info")
         told = info.get("geodesic_distance") if isinstance(info, dict) else None

@@ -159,7 +159,9 @@ def _check_settings(settings: NavMeshSettings) -> None:
         if not math.isfinite(value) or value < least or value > most or (value == least and not with_least):
             bound = f"{'at least' if with_least else 'above'} {least:g}"
             bound += f" and at most {most:g}" if math.isfinite(most) else " and finite"
-            raise UsageError(f"{name} is {value:g}", place="navmesh settings", remedy=f"It must be {bound}")
+            raise UsageError(
+                f"{name} is out of range: {value:g}", place="navmesh settings", remedy=f"It must be {bound}"
+            )
     for name, unit, most in (
         ("agent_height", "cell_height", MAX_AGENT_CELLS),
         ("agent_max_climb", "cell_height", MAX_AGENT_CELLS),

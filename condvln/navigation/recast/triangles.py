@@ -59,7 +59,7 @@ def checked_triangles(vertices: npt.ArrayLike, faces: npt.ArrayLike) -> tuple[Ar
     if bad.any():
         where = int(np.argmax(bad))
         raise FormatError(
-            f"face {corners[where].tolist()} names a vertex outside 0..{len(points) - 1}",
+            f"face {corners[where].tolist()} refers to a vertex outside 0..{len(points) - 1}",
             place=f"face {where}",
             remedy="Repair the mesh; indices count from 0",
         )

@@ -236,5 +236,5 @@ def test_exports_are_read(made_rows, tmp_path: Path) -> None:
 )
 def test_rows_that_are_none_are_refused(made_rows, change: dict[str, Any]) -> None:
     row = made_rows(0, scenes=1, categories=("simple",))[0]
-    with pytest.raises(FormatError, match="row of a manifest"):
+    with pytest.raises(FormatError, match="manifest row"):
         judge([{**row, **change}])

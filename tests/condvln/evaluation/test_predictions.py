@@ -192,7 +192,7 @@ def test_what_is_no_file_of_predictions_is_named(tmp_path: Path, text: str, says
             "episode a",
             "the key 'position' is there twice in one object",
         ),
-        ('{"a": [{"position": [0, 0, 0', "after entry 0", "the file is cut short, or its brackets do not match"),
+        ('{"a": [{"position": [0, 0, 0', "after entry 0", "the file is truncated, or its brackets do not match"),
         ('{"a": [' + "[" * 70 + "]" * 70 + "]}", "episode a", "the text is nested 71 levels deep; at most 64 are read"),
         ('{"a": [' + "[" * 9999, "entry 0", "the text is nested 10001 levels deep; at most 64 are read"),
     ],

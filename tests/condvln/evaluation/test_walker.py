@@ -201,7 +201,7 @@ def test_a_budget_too_small_leaves_the_walker_on_its_way(floor: Pathfinder) -> N
 
 
 def test_no_such_agent() -> None:
-    with pytest.raises(UsageError, match="There are perfect, oracle"):
+    with pytest.raises(UsageError, match="Choose one of perfect, oracle"):
         agent_named("clever")
     assert agent_named("oracle") is AGENTS["oracle"]
 

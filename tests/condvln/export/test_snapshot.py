@@ -353,7 +353,7 @@ def test_a_missing_instruction_and_scenes_out_of_order_are_refused(tables: Memor
     without = changed(tables, "instructions", lambda rows: rows.pop(0))
     with pytest.raises(StoreError, match="is missing"):
         export_snapshot(without, tmp_path)
-    with pytest.raises(StoreError, match="stands after"):
+    with pytest.raises(StoreError, match="comes after"):
         export_snapshot(changed(tables, "episodes", lambda rows: rows.reverse()), tmp_path)
     with pytest.raises(StoreError, match="occur twice"):
         export_snapshot(changed(tables, "episodes", lambda rows: rows.append(rows[-1])), tmp_path)

@@ -121,7 +121,7 @@ def test_a_mount_point_and_a_parent_that_cannot_be_written_are_refused_before_an
             check_place(out)
     with monkeypatch.context() as patch:
         patch.setattr(os, "access", lambda path, mode: Path(path) != out.parent)
-        with pytest.raises(StoreError, match="parent of the export folder can't be written"):
+        with pytest.raises(StoreError, match="parent of the export folder is not writable"):
             check_place(out)
 
 

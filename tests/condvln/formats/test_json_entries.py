@@ -68,9 +68,9 @@ def test_nothing_inside(tmp_path: Path, text: str) -> None:
         ("[1]", "entry 0"),
         ('{"a": 1}', "entry 0"),
         ('{"a": [1], "b": 2}', "entry 1"),
-        ('{"a": [1]', "cut short"),
-        ('{"a": [1', "cut short"),
-        ('{"a": ["x]}', "cut short"),
+        ('{"a": [1]', "truncated"),
+        ('{"a": [1', "truncated"),
+        ('{"a": ["x]}', "truncated"),
         ('{"a": [1]}}', "after the end of the JSON document"),
         ('{"a": [1]} {"b": [2]}', "after the end of the JSON document"),
         ('{"a" [1]}', "entry 0"),
@@ -140,7 +140,7 @@ def test_a_gzip_bomb_is_stopped_at_its_bound(tmp_path: Path, monkeypatch: pytest
     assert list(entries(path))
     monkeypatch.setattr(json_entries, "FREE_BYTES", 1 << 20)
     for read_all in (lambda: list(entries(path)), lambda: list(json_lines(path)), lambda: json_entries.document(path)):
-        with pytest.raises(FormatError, match="the gzip file unpacks to more than"):
+        with pytest.raises(FormatError, match="the gzip file decompresses to more than"):
             read_all()
 
 

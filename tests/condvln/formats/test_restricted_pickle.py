@@ -56,7 +56,7 @@ def test_numpy_numbers_are_numbers(number: Any, protocol: int) -> None:
 
 def test_an_array_that_is_larger_than_wanted_is_not_spread_out() -> None:
     loaded = load_plain(pickle.dumps(np.zeros(1000), 4))
-    with pytest.raises(UnsafePickleError, match="1000 items where 3 are enough"):
+    with pytest.raises(UnsafePickleError, match=r"1000 items \(at most 3 are allowed\)"):
         plain(loaded, 3)
 
 
@@ -73,7 +73,7 @@ class Runs:
 @pytest.mark.parametrize("protocol", [0, 1, 2, 3, 4, 5])
 def test_a_command_is_not_run(tmp_path: Path, protocol: int) -> None:
     data = pickle.dumps({"object": Runs(tmp_path / "ran")}, protocol)
-    with pytest.raises(UnsafePickleError, match=r"it asks for (posix|nt)\.system|not a sound pickle"):
+    with pytest.raises(UnsafePickleError, match=r"it refers to (posix|nt)\.system|not a valid pickle"):
         load_plain(data)
     assert not (tmp_path / "ran").exists()
 

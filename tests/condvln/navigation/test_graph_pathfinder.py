@@ -59,7 +59,7 @@ def test_frame_edges_and_lengths(scan: list[dict[str, Any]], tmp_path: Path) -> 
     np.testing.assert_array_equal(path.points, np.float32([[0, 0, 0], [3, 0, 0], [3, 0, -4]]))
     assert paths.viewpoint_path("c", "a") == ["c", "b", "a"]
     assert paths.path_length(["c", "b", "a"]) == 7.0
-    with pytest.raises(InputError, match="not joined"):
+    with pytest.raises(InputError, match="not connected"):
         paths.path_length(["a", "c"])
     with pytest.raises(UsageError, match="no viewpoint 'd'"):
         paths.position("d")
@@ -150,7 +150,7 @@ def put(where: list[Any], value: Any) -> Callable[[list[Any]], Any]:
         (lambda scan: [{}] * 2001, "not a list"),
         (put([1], 5), r"\[1\]: not an object"),
         (put([1, "image_id"], ""), r"\[1\].image_id"),
-        (put([1, "image_id"], "a"), r"\[0\].image_id: viewpoint 'a' is there twice"),
+        (put([1, "image_id"], "a"), r"\[0\].image_id: viewpoint 'a' occurs twice"),
         (put([1, "pose"], [1.0] * 15), r"\[1\].pose"),
         (put([1, "pose", 3], "7"), r"\[1\].pose"),
         (put([1, "pose", 3], True), r"\[1\].pose"),
@@ -159,8 +159,8 @@ def put(where: list[Any], value: Any) -> Callable[[list[Any]], Any]:
         (put([1, "included"], 1), r"\[1\].included"),
         (put([1, "unobstructed"], [True] * 4), r"\[1\].unobstructed"),
         (put([1, "unobstructed", 0], 1), r"\[1\].unobstructed"),
-        (put([1, "unobstructed", 1], True), r"\[1\].unobstructed: a viewpoint is joined to itself"),
-        (put([4, "unobstructed", 0], True), r"\[4\].unobstructed\[0\]: an edge leads one way"),
+        (put([1, "unobstructed", 1], True), r"\[1\].unobstructed: a viewpoint is connected to itself"),
+        (put([4, "unobstructed", 0], True), r"\[4\].unobstructed\[0\]: an edge exists in one direction"),
         (lambda scan: [dict(item, included=False) for item in scan], "no viewpoint is included"),
     ],
 )

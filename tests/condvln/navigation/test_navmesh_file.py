@@ -142,7 +142,7 @@ def test_a_made_file_walks(made: NavMeshFile) -> None:
 
 
 def test_missing_and_unreadable(tmp_path: Path) -> None:
-    with pytest.raises(MissingFileError, match="no such navmesh"):
+    with pytest.raises(MissingFileError, match="navmesh file does not exist"):
         read_navmesh(tmp_path / "none.navmesh")
     with pytest.raises(FormatError, match="can't be read"):
         read_navmesh(tmp_path)
@@ -174,8 +174,8 @@ LIES: dict[str, tuple[Callable[[bytes], bytes], str]] = {
     "empty": (lambda data: b"", "0 bytes are left"),
     "cut in the file header": (lambda data: data[:30], "bytes are left"),
     "cut in the settings": (lambda data: data[:60], "bytes are left"),
-    "cut in the tile": (lambda data: data[:-5], "bytes and .* are there"),
-    "one byte more": (lambda data: data + b"\0", "bytes and .* are there"),
+    "cut in the tile": (lambda data: data[:-5], "bytes, but .* are left"),
+    "one byte more": (lambda data: data + b"\0", "bytes, but .* are left"),
     "false magic": (put(0, "i", 1), "not a Habitat navmesh"),
     "version 3": (put(4, "i", 3), "version 3"),
     "no tile": (put(8, "i", 0), "0 tiles"),
@@ -183,7 +183,7 @@ LIES: dict[str, tuple[Callable[[bytes], bytes], str]] = {
     "grid of tiles": (put(32, "i", 16), "single-tile"),
     "NaN origin": (put(12, "f", NAN), "file header 0: .*NaN"),
     "flat grid": (put(24, "f", 0.0), "no extent"),
-    "few references": (put(36, "i", 3), "laid out for 3"),
+    "few references": (put(36, "i", 3), "can address 3"),
     "NaN setting": (put(40, "f", NAN), "settings"),
     "odd switch": (put(92, "B", 7), "filter switches"),
     "tile reference 0": (put(96, "I", 0), "reference"),
@@ -205,19 +205,22 @@ LIES: dict[str, tuple[Callable[[bytes], bytes], str]] = {
     "off-mesh connections": (of_header("off_mesh_con_count", "i", 1), "off-mesh"),
     "NaN bound": (of_header("bmin", "f", NAN), "tile header 3: .*NaN"),
     "bounds upside down": (of_header("bmin", "f", 99.0), "lower bound"),
-    "infinite cells": (of_header("bv_quant_factor", "f", INF), "cells a metre"),
-    "no cells": (of_header("bv_quant_factor", "f", 0.0), "cells a metre"),
+    "infinite cells": (of_header("bv_quant_factor", "f", INF), "cells per metre"),
+    "no cells": (of_header("bv_quant_factor", "f", 0.0), "cells per metre"),
     "NaN vertex": (put(VERTS_AT + 12 * 3 + 4, "f", NAN), "vertices 3: .*NaN"),
     "far vertex": (put(VERTS_AT, "f", 1e9), "vertices 0: .*1000 km"),
-    "vertex not there": (put(POLYS_AT + 4, "H", len(GRID)), "polygon 0: a vertex"),
-    "neighbour not there": (put(POLYS_AT + 2 * POLYGON.itemsize + 16, "H", len(SQUARES) + 1), "polygon 2: a neighbour"),
-    "two corners": (put(POLYS_AT + 30, "B", 2), "polygon 0: not 3 to 6"),
-    "seven corners": (put(POLYS_AT + 30, "B", 7), "polygon 0: not 3 to 6"),
-    "off-mesh polygon": (put(POLYS_AT + 31, "B", 0x40), "polygon 0: not a ground"),
+    "vertex not there": (put(POLYS_AT + 4, "H", len(GRID)), "polygon 0: it refers to a missing vertex"),
+    "neighbour not there": (
+        put(POLYS_AT + 2 * POLYGON.itemsize + 16, "H", len(SQUARES) + 1),
+        "polygon 2: it refers to a missing neighbour",
+    ),
+    "two corners": (put(POLYS_AT + 30, "B", 2), "polygon 0: the polygon does not have 3 to 6"),
+    "seven corners": (put(POLYS_AT + 30, "B", 7), "polygon 0: the polygon does not have 3 to 6"),
+    "off-mesh polygon": (put(POLYS_AT + 31, "B", 0x40), "polygon 0: it is not a ground"),
     "no detail triangles": (put(DETAIL_AT + 9, "B", 0), "detail mesh 0"),
-    "detail triangles not there": (put(DETAIL_AT + 4, "I", 2**32 - 1), "detail mesh 0: triangles"),
-    "detail triangles shared": (put(DETAIL_AT + 9, "B", 3), "detail mesh: .*claimed"),
-    "detail vertices not there": (put(DETAIL_AT + 8, "B", 1), "detail mesh 0: vertices"),
+    "detail triangles not there": (put(DETAIL_AT + 4, "I", 2**32 - 1), "detail mesh 0: it refers to missing triangles"),
+    "detail triangles shared": (put(DETAIL_AT + 9, "B", 3), "detail mesh: .*claim"),
+    "detail vertices not there": (put(DETAIL_AT + 8, "B", 1), "detail mesh 0: it refers to missing vertices"),
     "detail corner not there": (put(TRIS_AT + 4 * 5, "B", 4), "detail mesh 2: a triangle"),
     "leaf not there": (put(NODES_AT + 12, "i", len(SQUARES)), "bounding volume node 0"),
 }

@@ -267,5 +267,5 @@ def test_an_observation_has_what_the_preset_names() -> None:
     assert float(seen["depth"].max()) <= 1
     with pytest.raises(UsageError, match="must begin with rgb"):
         room.observe({"colour": CameraConfig()}, [0, 0, 0])
-    with pytest.raises(UsageError, match="not a finite position"):
+    with pytest.raises(UsageError, match="position and rotation must be finite"):
         room.look(CameraConfig(), [0, math.nan, 0])

@@ -216,7 +216,7 @@ def test_one_changed_line_makes_one_house_stale(root: Path) -> None:
     ("change", "message"),
     [
         ({"rooms": {}}, "rooms: an array is expected"),
-        ({"metadata": {"schema": "2.0.0"}}, "metadata.schema: schema '2.0.0' is not known"),
+        ({"metadata": {"schema": "2.0.0"}}, "metadata.schema: schema '2.0.0' is not supported"),
         ({"objects": [{"id": "a"}]}, r"objects\[0\]: the key"),
         ({"objects": [house()["objects"][1]] * 2}, "two of the objects have the id '3|1'"),
         ({"rooms": [house()["rooms"][0]] * 2}, "two of the rooms have the id 'room|2'"),
@@ -250,17 +250,17 @@ def test_a_file_that_breaks_off_loses_only_what_follows(root: Path) -> None:
     (root / "a.jsonl.gz").write_bytes(data[: len(data) * 2 // 3])
     handles = open_source("procthor", root).handles()
     assert [h.scene_id for h in handles if h.fault is None] == ["a-0", "a-1", "a-2"]
-    assert [(h.scene_id, "cut off" in str(h.fault)) for h in handles if h.fault is not None] == [("a", True)]
+    assert [(h.scene_id, "truncated" in str(h.fault)) for h in handles if h.fault is not None] == [("a", True)]
 
 
 def test_a_missing_database_is_named(root: Path) -> None:
     (root / "asset-database.json").unlink()
     source = write(root, house())
     # Once for the source, not once a scene.
-    with pytest.raises(ConfigError, match="the asset database is not there") as caught:
+    with pytest.raises(ConfigError, match="the asset database does not exist") as caught:
         source.handles()
     assert "asset-database.json" in caught.value.where
-    with pytest.raises(MissingFileError, match="the asset database is not there"):
+    with pytest.raises(MissingFileError, match="the asset database does not exist"):
         source.read("train-0")
     (root / "asset-database.json").write_text(json.dumps(DATABASE))
     assert source.handles()[0].fault is None

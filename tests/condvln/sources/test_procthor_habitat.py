@@ -106,7 +106,7 @@ def test_another_house_of_the_name_is_refused(folder: Path) -> None:
     (folder / HOUSES).write_bytes(gzip.compress(b"\n".join([lines[1], lines[0], lines[2]])))
     source = joined(folder)
     for k in (0, 1):
-        with pytest.raises(FormatError, match=f"it is not the house of the scene 'ProcTHOR-Train-{k}'") as caught:
+        with pytest.raises(FormatError, match=f"it does not belong to the scene 'ProcTHOR-Train-{k}'") as caught:
             source.read(f"ProcTHOR-Train-{k}")
         assert caught.value.place == f"train-{k}"
     assert len(source.read("ProcTHOR-Train-2").rooms) > 1
@@ -143,7 +143,7 @@ def test_nothing_is_missing_that_is_not_needed(folder: Path) -> None:
 def test_what_is_refused(folder: Path) -> None:
     with pytest.raises(ConfigError, match="names houses, which only ProcTHOR has"):
         open_source("replicacad", folder / "hab", houses=folder / "houses")
-    with pytest.raises(ConfigError, match="folder of houses is not there"):
+    with pytest.raises(ConfigError, match="folder of houses does not exist"):
         open_source("procthor", folder / "hab", houses=folder / "nowhere")
 
 

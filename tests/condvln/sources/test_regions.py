@@ -115,7 +115,7 @@ def test_the_order_of_regions_never_matters(corners: list, x: float, z: float, s
             [{**region("a", (0, 0), (1, 1)), "poly_loop": [[0, 0, 0], [1, 0, 1], [1, 0, 0], [0, 0, 1]]}],
             "not simple",
         ),
-        ([region("a", (0, 0), (1, 1), extrusion_height=0)], "not above zero"),
+        ([region("a", (0, 0), (1, 1), extrusion_height=0)], "must be positive"),
         ([{"name": "a", "label": "b"}], "'poly_loop' is missing"),
         ([{"name": "a", "label": 1, "poly_loop": []}], "text is expected"),
         ([7], "an object is expected"),

@@ -120,7 +120,7 @@ def test_a_search_path_beside_the_dataset_is_not_followed(made: Any) -> None:
 
 
 def test_a_root_that_is_none_is_one_clear_error(made: Any, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="is not there") as caught:
+    with pytest.raises(ConfigError, match="does not exist") as caught:
         open_source("replicacad", tmp_path / "nowhere")
     assert "nowhere" in caught.value.where
     with pytest.raises(ConfigError, match="0 files"):

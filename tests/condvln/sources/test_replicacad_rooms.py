@@ -58,7 +58,7 @@ def test_a_side_file_is_marked_as_the_users(made: Any, tmp_path: Path) -> None:
         assert [(r.room_id, r.label, r.annotation) for r in scene.rooms] == [("z", "bedroom", "user")]
         (handle,) = made.source(regions=regions).handles()
         assert "regions/stage.semantic_config.json#region_annotations" in {i.path for i in handle.inputs}
-    with pytest.raises(ConfigError, match="is not there"):
+    with pytest.raises(ConfigError, match="does not exist"):
         made.source(regions=tmp_path / "none")
 
 

@@ -119,7 +119,7 @@ def test_eight_points_that_are_no_box_are_passed_over(tmp_path: Path) -> None:
     [
         ({"objects": [plan()["objects"][0]] * 2}, r"two objects have the id 'Floor|+00.00'"),
         ({"objects": [{"objectId": "axisAlignedBoundingBox"}]}, "'objectType' is missing"),
-        ({"objects": [thing("a", "Box", (1, 1, 1), (1, -1, 1))]}, "below zero"),
+        ({"objects": [thing("a", "Box", (1, 1, 1), (1, -1, 1))]}, "negative"),
         ({"objects": [thing("a", "Box", (1, 1, 1), (1, 1, 1), moveable=3)]}, "true or false"),
         (
             {"objects": [thing("a", "Box", (1, 1, 1), (1, 1, 1), objectOrientedBoundingBox={"cornerPoints": []})]},

@@ -66,7 +66,7 @@ def test_collision_shapes_and_primitives_are_passed_over() -> None:
         (b"<sdf/>", "not <robot>"),
         (b'<!DOCTYPE r [<!ENTITY a "x">]><robot>&a;</robot>', "not allowed"),
         (robot(LINK.format("a"), LINK.format("a")), "two links are named 'a'"),
-        (robot(LINK.format("a"), JOINT.format("a", "b", "")), "no link 'b'"),
+        (robot(LINK.format("a"), JOINT.format("a", "b", "")), "an unknown link 'b'"),
         (robot(LINK.format("a"), LINK.format("b"), JOINT.format("a", "b", ""), JOINT.format("b", "a", "")), "a cycle"),
         (robot(*map(LINK.format, "abc"), JOINT.format("a", "c", ""), JOINT.format("b", "c", "")), "two joints"),
         (

@@ -34,7 +34,7 @@ def test_indices_without_a_vertex(plate, index: int) -> None:
     vertices, faces = plate(0, 0, 4, 4)
     faces = faces.astype(np.int64)
     faces[1, 2] = index
-    with pytest.raises(FormatError, match=rf"face 1: face \[0, 2, {index}\] names a vertex outside 0\.\.3"):
+    with pytest.raises(FormatError, match=rf"face 1: face \[0, 2, {index}\] refers to a vertex outside 0\.\.3"):
         build_navmesh(vertices, faces)
 
 

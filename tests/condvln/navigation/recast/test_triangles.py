@@ -100,7 +100,7 @@ def test_stages_are_reported_in_order(plate) -> None:
 
 
 def test_bad_files(tmp_path: Path) -> None:
-    with pytest.raises(MissingFileError, match=r"room\.glb: there is no such mesh file"):
+    with pytest.raises(MissingFileError, match=r"room\.glb: the mesh file does not exist"):
         mesh_triangles([tmp_path / "room.glb"])
     for name, data in [
         ("room.glb", b"glTF\x02\0\0\0"),
