@@ -5,6 +5,7 @@ from __future__ import annotations
 import configparser
 import copy
 import json
+import os
 import re
 import shlex
 import shutil
@@ -32,7 +33,7 @@ SCHEMAS = {
     name: json.loads((Path(__file__).parent / "schemas" / f"{name}.schema.json").read_text())
     for name in ("kubernetes", "kuberay")
 }
-COMMAND = re.compile(r"(?:^|[\s`'(=/])condvln ([a-z]+ [^`\n]*?--?[^`\n]*|[a-z]+ \S+\.yaml[^`\n]*)")
+COMMAND = re.compile(r"(?:^|[\s`'(=/])(?=condvln ([a-z]+ [^`\n]*?--?[^`\n]*|[a-z]+ \S+\.yaml[^`\n]*))")
 """A command line in any of the files: a verb, then a configuration or an option."""
 
 
@@ -369,7 +370,26 @@ def test_units_of_systemd_are_whole(tmp_path: Path) -> None:
     (line,) = [row for row in (DEPLOY / "cron" / "condvln").read_text().splitlines() if row.startswith("*")]
     assert line.split()[5] == "condvln", "cron.d names a user"
     started = service["Service"]["ExecStart"].split()
-    assert started == line.split(" 2>&1")[0].split()[6:]
+    assert started == line.split("pipefail; ")[1].split(" 2>&1")[0].split()
     # Nothing is redirected: the shell is the user's, who may not write to /var/log, and then it would start nothing.
     assert not re.search(r">(?!&1)", line)
-    assert line.endswith("| logger -t condvln")
+
+
+@pytest.mark.parametrize("code", [0, 3])
+@pytest.mark.parametrize("path", ["deploy/cron/condvln", "docs/nightly.md"])
+def test_a_rebuild_that_fails_under_cron_is_logged_as_an_error(tmp_path: Path, path: str, code: int) -> None:
+    """`logger` ends with 0 whatever `condvln` ends with."""
+    text = (DEPLOY.parent / path).read_text()
+    lines = [row.split(" condvln ", 1)[1] for row in text.splitlines() if re.match(r"[*\d][/\d]* [*\d].* condvln ", row)]
+    assert text.count("SHELL=/bin/bash") == len(lines) > 0
+    for name, does in (("condvln", f"echo made; exit {code}"), ("logger", f'echo "$@" >> {tmp_path}/log; cat 1>&2')):
+        (tmp_path / name).write_text(f"#!/bin/sh\n{does}\n")
+        (tmp_path / name).chmod(0o755)
+    for line in lines:
+        (tmp_path / "log").unlink(missing_ok=True)
+        command = line.replace("/opt/condvln/bin/", "")
+        variables = {"PATH": f"{tmp_path}{os.pathsep}{os.environ['PATH']}"}
+        subprocess.run(["bash", "-c", command], env=variables, check=True, capture_output=True, stdin=subprocess.DEVNULL)
+        logged = (tmp_path / "log").read_text().splitlines()
+        assert logged[0] == "-t condvln"
+        assert logged[1:] == ([f"-p user.err -t condvln rebuild ended with {code}"] if code else [])
