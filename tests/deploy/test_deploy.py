@@ -380,7 +380,9 @@ def test_units_of_systemd_are_whole(tmp_path: Path) -> None:
 def test_a_rebuild_that_fails_under_cron_is_logged_as_an_error(tmp_path: Path, path: str, code: int) -> None:
     """`logger` ends with 0 whatever `condvln` ends with."""
     text = (DEPLOY.parent / path).read_text()
-    lines = [row.split(" condvln ", 1)[1] for row in text.splitlines() if re.match(r"[*\d][/\d]* [*\d].* condvln ", row)]
+    lines = [
+        row.split(" condvln ", 1)[1] for row in text.splitlines() if re.match(r"[*\d][/\d]* [*\d].* condvln ", row)
+    ]
     assert text.count("SHELL=/bin/bash") == len(lines) > 0
     for name, does in (("condvln", f"echo made; exit {code}"), ("logger", f'echo "$@" >> {tmp_path}/log; cat 1>&2')):
         (tmp_path / name).write_text(f"#!/bin/sh\n{does}\n")
@@ -389,7 +391,9 @@ def test_a_rebuild_that_fails_under_cron_is_logged_as_an_error(tmp_path: Path, p
         (tmp_path / "log").unlink(missing_ok=True)
         command = line.replace("/opt/condvln/bin/", "")
         variables = {"PATH": f"{tmp_path}{os.pathsep}{os.environ['PATH']}"}
-        subprocess.run(["bash", "-c", command], env=variables, check=True, capture_output=True, stdin=subprocess.DEVNULL)
+        subprocess.run(
+            ["bash", "-c", command], env=variables, check=True, capture_output=True, stdin=subprocess.DEVNULL
+        )
         logged = (tmp_path / "log").read_text().splitlines()
         assert logged[0] == "-t condvln"
         assert logged[1:] == ([f"-p user.err -t condvln rebuild ended with {code}"] if code else [])
