@@ -58,7 +58,7 @@ _PREFIX: Final = "stats_"
 _BY_ID: Final = re.compile(rb'\s*\{\s*"(?:[^"\\]|\\.)*"\s*:\s*\{')
 """How ``{id: {measure: number}}`` begins; the values of predictions are lists instead."""
 _LINE: Final = re.compile(rb'\s*\{[^{}\[\]\n]*"episode_id"\s*:[^{}\[\]\n]*"success"\s*:')
-"""How lines of results begin; lines of predictions have no success."""
+"""How lines of results begin; lines of predictions have no key ``success``."""
 _HEAD: Final = 1 << 12
 
 
@@ -147,7 +147,7 @@ def _of_lines(path: Path) -> Iterator[tuple[str, Mapping[str, Any], str]]:
         content = parsed(line, path, f"line {number}", nonfinite=True)
         if not isinstance(content, dict):
             raise FormatError("the line is not a result", where=path, place=f"line {number}", remedy="Remove the line")
-        # The last line sums all up and names no episode.
+        # The last line is a summary without an episode id.
         if "episode_id" in content:
             yield str(content["episode_id"]), content, f"line {number}"
 

@@ -23,18 +23,18 @@ _SCORE = "condvln_score"
 
 
 def inspect_task(tools: type[EpisodeTools], *, limit: int | None = None, message_limit: int = 200) -> Task:
-    """The task of following every instruction of a split with the tools of `EpisodeTools`.
+    """Return an inspect-ai task in which a model follows every instruction of a split with the tools of `EpisodeTools`.
 
-    A sample holds the episode's id, and no truth; its target is empty. The score is 1 for a stop
-    within the success distance of the right leaf, else 0, and its metadata has all measures.
+    A sample holds the episode's id and no ground truth; its target is empty. The score is 1 for a stop within the
+        success distance of the gold leaf, else 0, and its metadata has all measures.
 
     Parameters
     ----------
     tools : the split's, from `tools_for`
-    limit : the first episodes alone; all where None
-    message_limit : messages after which a conversation ends
+    limit : number of episodes, the first ones; None for all
+    message_limit : largest number of messages in a conversation
     """
-    # The solver puts the instruction and the first view in its place.
+    # The solver replaces this with the instruction and the first view.
     samples = [Sample(input="Follow the instruction.", target="", id=name) for name in tools.episode_ids[:limit]]
     return Task(
         dataset=MemoryDataset(samples, name="condvln"),

@@ -26,7 +26,7 @@ class NavigationAction(Action):  # type: ignore[misc]
 
 
 class NavigationObservation(Observation):  # type: ignore[misc]
-    """What is seen, as text, and the instruction."""
+    """What the agent sees, as text, and the instruction."""
 
     text: str
     instruction: str
@@ -35,7 +35,9 @@ class NavigationObservation(Observation):  # type: ignore[misc]
 
 
 class NavigationEnvironment(Environment):  # type: ignore[misc]
-    """One session: an episode at a time. The reward is that of `EpisodeTools`; a call that can't be made says why."""
+    """One session, with one episode at a time. The reward is that of `EpisodeTools`; an invalid call returns the
+    reason.
+    """
 
     SUPPORTS_CONCURRENT_SESSIONS = True
 
@@ -44,11 +46,11 @@ class NavigationEnvironment(Environment):  # type: ignore[misc]
         self._tools = tools()
 
     def reset(self, seed: int | None = None, episode_id: str | None = None, **row: Any) -> NavigationObservation:
-        """Begin the episode of an id, else the next one. `seed` and other values of the row are not looked at."""
+        """Begin the episode of an id, else the next one. `seed` and other values of the row are ignored."""
         return self._observation(self._tools.reset(episode_id))
 
     def step(self, action: NavigationAction, timeout_s: float | None = None, **options: Any) -> NavigationObservation:
-        """Call one tool."""
+        """Call one tool and return the observation."""
         tools = self._tools
         try:
             match action.tool:
@@ -84,12 +86,12 @@ class NavigationEnvironment(Environment):  # type: ignore[misc]
 
 
 def application(tools: type[EpisodeTools], sessions: int = 8) -> Any:
-    """The FastAPI application that serves a split.
+    """Return the FastAPI application that serves a split.
 
     Parameters
     ----------
     tools : the split's, from `tools_for`
-    sessions : how many may be open at once
+    sessions : largest number of simultaneous sessions
     """
     return create_app(
         lambda: NavigationEnvironment(tools),

@@ -1,7 +1,7 @@
-"""Episodes as tools for language agents: plain methods with typed docstrings, and no dependency.
+"""Episodes as tools for language agents: plain methods with typed docstrings, without dependencies.
 
-A trainer makes one without arguments, calls ``reset(**row)``, and shows the model ``forward``,
-``turn``, ``look`` and ``stop``. What they return is text of what is seen. No truth of the episode is in it.
+A trainer creates an instance without arguments, calls ``reset(**row)``, and shows the model ``forward``, ``turn``,
+``look`` and ``stop``. They return what the agent sees as text, without any ground truth of the episode.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _SIDES = ((0, "ahead"), (-90, "on your left"), (180, "behind you"), (90, "on you
 
 @dataclass(frozen=True, eq=False)
 class _Split:
-    """What all tools of one split share."""
+    """State shared by all tools of one split."""
 
     export: Export
     tasks: Mapping[str, Task]
@@ -43,15 +43,15 @@ class _Split:
 
 
 class EpisodeTools:
-    """One episode at a time; see `tools_for`, which makes the class for a split.
+    """The tools of one episode at a time; `tools_for` makes the class for a split.
 
     Attributes
     ----------
-    episode_ids : the split's, in the order of its manifest
-    reward : 1.0 after a `stop` within the success distance of the right leaf, else 0.0
-    done : the episode is over, by `stop` or since its steps are used up
-    score : all measures once it is over, None where one is undefined; empty before
-    prediction : the walk, as `write_predictions` takes it and `evaluate` scores it
+    episode_ids : the split's ids, in the order of its manifest
+    reward : 1.0 after a `stop` within the success distance of the gold leaf, else 0.0
+    done : the episode is over, by `stop` or an exhausted step budget
+    score : all measures after the episode, None if undefined; empty before
+    prediction : the trajectory, in the form that `write_predictions` writes and `evaluate` scores
     """
 
     episode_ids: ClassVar[tuple[str, ...]] = ()
@@ -66,10 +66,10 @@ class EpisodeTools:
         self._known = KnownMap()
         self._turn = 0
 
-    # Trainers read all attributes of a new instance, before any episode.
+    # Trainers read all attributes of a new instance before any episode.
     @property
     def prediction(self) -> Prediction:
-        """The walk so far; without poses before the first episode."""
+        """The trajectory so far; without poses before the first episode."""
         if self._episode is None:
             return Prediction("", np.empty((0, 3)), False, True, None, None)
         return self._episode.prediction()
@@ -81,12 +81,12 @@ class EpisodeTools:
 
     @property
     def episode_id(self) -> str:
-        """Id of the episode at hand; empty before the first."""
+        """Id of the current episode; empty before the first."""
         return "" if self._episode is None else self._episode.task.episode_id
 
     @property
     def steps_left(self) -> int:
-        """Steps that may still be taken."""
+        """Number of steps left in the budget."""
         return 0 if self._episode is None else self._episode.limit - self._episode.steps
 
     def reset(self, episode_id: str | int | None = None, **row: Any) -> str:
@@ -222,19 +222,19 @@ def tools_for(
     noise: NoiseConfig | None = None,
     seed: int = 0,
 ) -> type[EpisodeTools]:
-    """The class of tools for a split; it is made without arguments, as trainers that take an environment's class do.
+    """Return the class of tools for a split; its constructor takes no arguments, as trainers expect.
 
     Parameters
     ----------
     export, split : an export, or its folder, and one of its splits
     sources : the dataset of each family, or its folder
-    roots : further folders with the navmeshes that the export does not hold, where `export` is a folder
-    noise, seed : errors of detector and motor; none where None
+    roots : further folders with navmeshes that the export does not contain, if `export` is a folder
+    noise, seed : simulated errors of detector and actuation; None for none
 
     Raises
     ------
     UsageError : the split is empty
-    MissingFileError, FormatError : as `open_export`
+    MissingFileError, FormatError : as for `open_export`
     """
     folders = tuple(source for source in sources.values() if isinstance(source, str | os.PathLike))
     opened = export if isinstance(export, Export) else open_export(export, (*roots, *folders))

@@ -37,7 +37,7 @@ _MEASUREMENTS: Final = (
 
 
 class _WithoutAnchors(yaml.SafeDumper):
-    """Writes what is there twice twice."""
+    """A YAML dumper without anchors: repeated values are written in full."""
 
     def ignore_aliases(self, data: Any) -> bool:
         return True
@@ -239,7 +239,7 @@ def _habitat_lab(split: str, radius: float, steps: int) -> dict[str, Any]:
 
 
 def _streamvln(split: str, radius: float, steps: int) -> dict[str, Any]:
-    """As ``config/vln_r2r.yaml`` of StreamVLN and JanusVLN, which InternNav's habitat evaluator takes too."""
+    """Return ``config/vln_r2r.yaml`` of StreamVLN and JanusVLN, which InternNav's habitat evaluator also reads."""
     camera = {"width": 640, "height": 480, "hfov": 79}
     return {
         "defaults": [

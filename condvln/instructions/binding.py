@@ -1,9 +1,9 @@
-"""The lint of human binding: does each answer word belong to the question that a listener takes it for?
+"""Lint for ambiguous answers: does each answer word refer to the question that a listener takes it for?
 
-A listener takes "if so", "if not", "if there is one", "if it isn't" for what was asked or supposed last, "otherwise"
-for the opposite of the one "if" of the sentence before, "neither" and "none of them" for all that was supposed so far,
-and "there is one" only for a thing that may not exist, "it is" only for one that does. A template is sound when these
-rules lead to its category's leaves in every case, so that its text needs no second thought.
+A listener refers "if so", "if not", "if there is one", "if it isn't" to the latest question or supposition, "otherwise"
+to the only "if" of the previous sentence, "neither" and "none of them" to all suppositions so far; and uses "there is
+one" only for an object that may not exist, "it is" only for one that does. A template is valid if these rules lead to
+its category's leaves in every case, so that its text is understood at first reading.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from schemas.program import SHAPES, Category
 __all__ = ["Finding", "findings", "leaf_by_listener"]
 
 Context = tuple[tuple[int, bool], ...]
-"""What a listener supposes: (condition, truth) pairs that must all hold."""
+"""A listener's suppositions: (condition, truth) pairs that must all hold."""
 
 _WORD: Final = re.compile(r"\(\d\)|[^\s,;:.?]+|[,;:.?]")
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """A wording that a listener may understand in another way."""
+    """A wording that a listener may misunderstand."""
 
     template: str
     what: str
@@ -35,9 +35,9 @@ class Finding:
 
 @dataclass
 class _Listener:
-    """Follows a template from left to right.
+    """Interprets a template from left to right as a listener does.
 
-    asks : (context, condition, truth of the "if", or None of a question), in their order
+    asks : (context, condition, truth of the "if", or None for a question), in order
     """
 
     asks: list[tuple[Context, int, bool | None]] = field(default_factory=list)
@@ -47,7 +47,7 @@ class _Listener:
 
 
 def findings(words: Language, category: Category, template: Template) -> Iterator[Finding]:
-    """Ambiguities of one template; none if a listener reaches the leaves of its category."""
+    """Yield the ambiguities of a template; none if a listener reaches the leaves of its category."""
     shape = SHAPES[category]
     text = written(template)
     try:
@@ -66,12 +66,12 @@ def findings(words: Language, category: Category, template: Template) -> Iterato
 
 
 def leaf_by_listener(words: Language, template: Template, truths: Sequence[bool]) -> list[int]:
-    """The leaves that a listener goes to."""
+    """Return the leaves that a listener goes to."""
     return [leaf for leaf, cs in _heard(words, template.pieces).items() if any(_holds(c, truths) for c in cs)]
 
 
 def written(template: Template) -> str:
-    """A template with its slots in braces."""
+    """Return a template with its slots in braces."""
     return "".join(p if isinstance(p, str) else f"{{{p.form} {p.index}}}" for p in template.pieces)
 
 
@@ -80,12 +80,14 @@ def _holds(context: Context, truths: Sequence[bool]) -> bool:
 
 
 def _heard(words: Language, pieces: Sequence[str | Slot]) -> dict[int, list[Context]]:
-    """By leaf, the contexts in which a listener goes there. Raises ValueError on what no listener understands."""
+    """Return the contexts in which a listener goes to each leaf. Raises ValueError for a wording that no listener
+    understands.
+    """
     listener = _Listener()
     connectives = {
         tuple(_WORD.findall(phrase)): name for name, phrases in words.connectives.items() for phrase in phrases
     }
-    supposing = False  # behind "if", before its claim or answer
+    supposing = False  # after "if", before its claim or answer
     sentence_ifs = previous_ifs = 0
     sentence: Context = ()
     for piece in pieces:
@@ -145,7 +147,7 @@ def _hear_slot(listener: _Listener, slot: Slot, supposing: bool) -> None:
         before = listener.context
         asked_in = [context for context, condition, _ in listener.asks if condition == slot.index]
         if asked_in and not before:
-            before = asked_in[0]  # what was asked before is meant under the same circumstances
+            before = asked_in[0]  # the earlier question applies to the same cases
         if listener.listed:
             before = (*before, *((condition, not held) for _, condition, held in listener.asks))
         listener.asks.append((before, slot.index, truth))
@@ -159,7 +161,7 @@ def _latest(listener: _Listener) -> tuple[Context, int, bool | None]:
 
 
 def _names(text: str, connectives: dict[tuple[str, ...], str]) -> Iterator[str]:
-    """The connectives and marks of a piece of template, in their order; the longest that fits at each place."""
+    """Yield the connectives and punctuation of a piece of template, in order; the longest match at each position."""
     tokens = _WORD.findall(text)
     longest = max(map(len, connectives))
     at = 0

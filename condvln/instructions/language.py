@@ -1,8 +1,8 @@
 """A language as data: voices, phrases, articles, nouns and the sentence templates of each category.
 
-``grammar/<code>.yaml`` holds voices, phrases and templates; nouns of languages other than English stand beside it in
-``nouns.<code>.csv`` and ``rooms.<code>.csv`` (English ones come from the vocabulary). Renderer and parser both work
-from what is loaded here, so that they cannot drift apart.
+``grammar/<code>.yaml`` holds voices, phrases and templates. Nouns of languages other than English are in
+``nouns.<code>.csv`` and ``rooms.<code>.csv`` (English nouns come from the vocabulary). Renderer and parser both use the
+data loaded here, so they can't diverge.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from schemas.program import BEARINGS, CATEGORIES, SHAPES, SUPERLATIVES, Category
 __all__ = ["LANGUAGES", "LEAF_LETTERS", "SLOTS", "Language", "Noun", "Piece", "Slot", "Template", "Voice", "language"]
 
 LANGUAGES: Final = ("en", "es")
-"""Codes of the languages that are shipped."""
+"""Codes of the shipped languages."""
 
 CONDITION_LETTERS: Final = "ABC"
 LEAF_LETTERS: Final = "xyzw"
@@ -35,14 +35,14 @@ SLOTS: Final = (
     "go", "then", "last", "second", "in", "of", "there", "with", "scope",
     "facing",
 )  # fmt: skip
-"""Phrase slots of every voice, beside one per predicate."""
+"""Phrase slots that every voice has, besides one per predicate."""
 
 Form = Literal["asserted", "denied", "question", "see", "yes", "no", "again", "not_again", "leaf"]
 
 _WORDS_OF: Final[Mapping[Form, int]] = {
     "asserted": 8, "denied": 8, "question": 8, "see": 9, "yes": 2, "no": 2, "again": 4, "not_again": 4, "leaf": 0,
 }  # fmt: skip
-"""Words that a slot makes, about."""
+"""Approximate number of words of a slot's phrase."""
 
 _SLOT: Final = re.compile(r"\{([^}]*)\}")
 _FORMS: Final[Mapping[str, Form]] = {
@@ -52,7 +52,7 @@ _FORMS: Final[Mapping[str, Form]] = {
 
 @dataclass(frozen=True, slots=True)
 class Noun:
-    """A noun and its class, which decides its articles."""
+    """A noun and its class, which determines its articles."""
 
     text: str
     kind: str
@@ -60,21 +60,21 @@ class Noun:
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """A slot of a template: a form of the condition, or the leaf, of an index."""
+    """A slot of a template: a form of a condition, or a leaf, with its index."""
 
     form: Form
     index: int
 
 
 Piece = str | Slot
-"""Words as they stand in the template, or a slot."""
+"""A piece of a template: literal words, or a slot."""
 
 
 @dataclass(frozen=True, slots=True)
 class Template:
     """The sentences of a category, and the names of the voices that use them.
 
-    questions : numbers of the conditions that it asks about as questions
+    questions : indices of the conditions that are worded as questions
     """
 
     pieces: tuple[Piece, ...]
@@ -83,18 +83,18 @@ class Template:
 
     @property
     def length(self) -> int:
-        """About how many words it makes, its leaves left out, which are the same in all."""
+        """Return the approximate number of words, without leaves, which are the same in all templates."""
         own = sum(len(piece.split()) for piece in self.pieces if isinstance(piece, str))
         return own + sum(_WORDS_OF[piece.form] for piece in self.pieces if isinstance(piece, Slot))
 
 
 @dataclass(frozen=True, eq=False)
 class Voice:
-    """Phrases that go together.
+    """Phrases that are used together in one text.
 
-    weight : how often it is drawn beside the others
-    slots : phrases by slot; the text takes one of them for its whole length
-    templates : by category, those of this voice; short_templates : those of them that make the fewest words
+    weight : relative frequency of the voice
+    slots : phrases by slot; a text uses one of them throughout
+    templates : this voice's templates by category; short_templates : those of them with the fewest words
     """
 
     name: str
@@ -106,18 +106,18 @@ class Voice:
 
 @dataclass(frozen=True, eq=False)
 class Language:
-    """What is needed to word programs in one language.
+    """The data for wording programs in one language.
 
     slots : all phrases of each slot, over all voices
-    elliptic : answers that say again the verb of "there is", and go with a question that had it
-    connectives : the words that hold clauses together, by what they do
-    predicates : phrases of those with anchors; lying : words between the noun of a stop and its relation, of which a
-        text takes one ("que está"); none in English; both : the word between two anchors
-    bearings : phrases of those at the start; a text takes those of one place of each list; bearing_stops : the same
-        behind the noun of a stop
-    superlatives : "bigger" and "smaller" by class of noun; superlative_first : before the noun, else behind it
-    voices : those that an instruction may be said in
-    nouns_in : by type of room, nouns that differ from those of other rooms
+    elliptic : answers that repeat the verb of "there is", used only after a question with that verb
+    connectives : words that connect clauses, by function
+    predicates : phrases of predicates with anchors; lying : words between the noun of a stop and its relation, one of
+            which a text uses ("que está"); none in English; both : the word between two anchors
+    bearings : egocentric phrases; a text uses those with one index of each list; bearing_stops : the same after the
+            noun of a stop
+    superlatives : "bigger" and "smaller" by class of noun; superlative_first : before the noun, else after it
+    voices : the voices that an instruction may use
+    nouns_in : by room type, nouns that differ from those in other rooms
     """
 
     code: str
@@ -141,46 +141,47 @@ class Language:
     rooms: Mapping[str, Noun]
 
     def noun(self, label: str, room: str) -> Noun:
-        """The noun of a label in a room of a type: Spanish has two words for "sink"."""
+        """Return the noun of a label in a room of a type: Spanish has two words for "sink"."""
         special = self.nouns_in.get(room) if self.nouns_in else None
         return special[label] if special is not None and label in special else self.nouns[label]
 
     @property
     def nouns_of_all_rooms(self) -> list[tuple[str, Noun]]:
-        """(label, noun), those of single room types too."""
+        """Return (label, noun), including nouns used in single room types only."""
         special = [pair for those in self.nouns_in.values() for pair in those.items()]
         return [*self.nouns.items(), *dict.fromkeys(special)]
 
     def definite(self, noun: Noun) -> str:
-        """ "the lamp"."""
+        """Return the noun with its definite article: "the lamp"."""
         return f"{self.articles['definite'][noun.kind]} {noun.text}"
 
     def compared(self, predicate: Predicate, noun: Noun) -> str:
-        """ "the bigger lamp"."""
+        """Return a compared noun: "the bigger lamp"."""
         word = self.superlatives[predicate][noun.kind]
         named = f"{word} {noun.text}" if self.superlative_first else f"{noun.text} {word}"
         return f"{self.articles['definite'][noun.kind]} {named}"
 
     def filled(self, phrase: str, noun: Noun) -> str:
-        """A phrase with its noun: "there's {a}" → "there's a lamp"."""
+        """Return a phrase with its noun filled in: "there's {a}" becomes "there's a lamp"."""
         if "{" in phrase:
             phrase = phrase.replace("{a}", self.articles["indefinite"][noun.kind])
             phrase = phrase.replace("{none}", self.articles.get("none", {}).get(noun.kind, ""))
         return f"{phrase} {noun.text}"
 
     def answered(self, phrase: str, noun: Noun) -> str:
-        """An answer about a noun: "{lo} hay" → "la hay"."""
+        """Return an answer about a noun: "{lo} hay" becomes "la hay"."""
         return phrase.replace("{lo}", self.articles["pronoun"][noun.kind]) if "{" in phrase else phrase
 
     def contracted(self, text: str) -> str:
-        """Text with its prepositions and articles run together where the language does so."""
+        """Return text with prepositions and articles contracted, if the language does so."""
         for apart, together in self.contractions.items():
-            # They stand before a noun and behind a word; a regular expression takes a tenth of the rendering's time.
+            # Contractions are before a noun and after a word; a regular expression takes a tenth of the rendering's
+            # time.
             text = text.replace(f" {apart} ", f" {together} ")
         return text
 
     def expanded(self, text: str) -> str:
-        """The inverse of `contracted`, on lower-case text."""
+        """Return lower-case text with contractions expanded, the inverse of `contracted`."""
         for apart, together in self.contractions.items():
             text = re.sub(rf"\b{together}\b", apart, text)
         return text
@@ -188,7 +189,7 @@ class Language:
 
 @cache
 def language(code: str = "en") -> Language:
-    """The language of a code."""
+    """Return the language of a code."""
     document = _document(code)
     templates = {c: tuple(_template(t, c) for t in document["templates"][c]) for c in CATEGORIES}
     voices = tuple(_voice(name, own, document["phrases"], templates) for name, own in document["voices"].items())
@@ -244,7 +245,7 @@ def _shortest(templates: tuple[Template, ...]) -> tuple[Template, ...]:
 
 
 def _nouns(code: str) -> dict[str, Noun]:
-    """Nouns of the labels that text may name."""
+    """Return the nouns of the labels that text may name."""
     fit = {label: vocabulary.entry(label) for label in vocabulary.labels if vocabulary.fit_for_text(label)}
     if code == "en":
         return {label: Noun(entry.noun, entry.article) for label, entry in fit.items()}
@@ -252,7 +253,7 @@ def _nouns(code: str) -> dict[str, Noun]:
 
 
 def _rooms(code: str) -> dict[str, Noun]:
-    """Nouns of the room types that text may name."""
+    """Return the nouns of the room types that text may name."""
     fit = {x: vocabulary.room(x) for x in vocabulary.room_labels if vocabulary.room(x).fit_for_text}
     if code == "en":
         return {label: Noun(entry.noun, entry.article) for label, entry in fit.items()}

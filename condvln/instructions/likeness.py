@@ -1,7 +1,7 @@
-"""What people can't tell apart, or would not call what its label says, by its box alone.
+"""Objects that people can't tell apart, or would not name by their label, judging by boxes.
 
-Two boxes of a scan may be one thing; a nameless thing may be what another of its size is called; a high table may be
-called a counter; and nobody looks for a thing that has fallen over under its name.
+Two boxes of a scan may be the same object; an unlabelled object may have the label of a labelled one of its size; a
+high table may be called a counter; and nobody looks for a fallen object under its label.
 """
 
 from __future__ import annotations
@@ -34,11 +34,12 @@ __all__ = ["SCANS", "called_counters", "doubles", "fallen", "look_alikes"]
 Bools = NDArray[np.bool_]
 
 SCANS: Final = ("gibson", "mp3d")
-"""Families whose boxes were drawn into a scan, where one thing may have two."""
+"""Families whose boxes were drawn into a scan, where one object may have two boxes."""
 
 
 def doubles(arrays: RoomArrays, meant: Bools) -> Bools:
-    """(n,) things that may be one with another that a word for either might mean, though each has its own box.
+    """Return (n,): objects that may be the same as another one that a word for either might mean, though each has a
+    box.
 
     meant (n, n) : a word for i might mean j
     """
@@ -59,7 +60,9 @@ def doubles(arrays: RoomArrays, meant: Bools) -> Bools:
 
 
 def look_alikes(arrays: RoomArrays, vague: Bools) -> tuple[frozenset[str], ...]:
-    """Per nameless thing, as `vague` (n,) says, the labels of things of about its size and at about its height."""
+    """Return, for each unlabelled object of `vague` (n,), the labels of objects of about its size and at about its
+    height.
+    """
     none: frozenset[str] = frozenset()
     if not vague.any():
         return (none,) * len(arrays)
@@ -74,7 +77,9 @@ def look_alikes(arrays: RoomArrays, vague: Bools) -> tuple[frozenset[str], ...]:
 
 
 def called_counters(arrays: RoomArrays) -> Bools:
-    """(n,) long tables as high as a counter and as large as one of the room's, if any: people may call them that."""
+    """Return (n,): long tables as high as a counter and as large as one of the room's counters, which people may
+    call counters.
+    """
     low, high = millimetres(arrays.aabb_min), millimetres(arrays.aabb_max)
     worktop = np.isin(arrays.labels, sorted(labels_with_role("worktop")))
     worktop &= high[:, 1] - millimetres(arrays.floor_y) >= 1000.0 * COUNTER_HEIGHT
@@ -86,12 +91,12 @@ def called_counters(arrays: RoomArrays) -> Bools:
 
 
 def fallen(arrays: RoomArrays) -> Bools:
-    """(n,) things that lie on the floor though their model stands upright, or reach far below it."""
+    """Return (n,): objects that lie on the floor though their model stands upright, or extend far below the floor."""
     return np.array([_has_fallen(item, arrays.floor_y) for item in arrays.objects], dtype=bool)
 
 
 def _has_fallen(item: SceneObject, floor: float) -> bool:
-    # Of a thing of several parts no part says how the whole is placed; without a mesh, no model is known.
+    # The parts of an object with several parts do not show its orientation; without a mesh, the model is unknown.
     if len(item.mesh) != 1 or item.box is None or math.isnan(floor):
         return False
     lift = (float(item.box[0, 1]) - floor) * 1000.0

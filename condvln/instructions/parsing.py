@@ -1,7 +1,7 @@
-"""Text → reading, by a grammar made from the same data as the text.
+"""Parse a text to its reading, by a grammar made from the same data as the text.
 
-The grammar is LALR(1), so that it has at most one parse per text by construction; it is also a plain context-free
-grammar, on which an Earley parser with explicit ambiguity can be asked the same without that guarantee.
+The grammar is LALR(1), so that a text has at most one parse by construction. It is also a plain context-free grammar,
+so an Earley parser can check this without relying on LALR(1).
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ __all__ = ["grammar_source", "parse", "parser", "reading_from_tree", "template_o
 
 PUNCTUATION: Final = {",": "COMMA", ";": "SEMICOLON", ":": "COLON", ".": "STOP", "?": "QUESTION"}
 ANSWERS: Final = ("yes_one", "yes_it", "no_one", "no_it")
-"""Slots whose phrases answer a question; they tell what kind of question it was."""
+"""Slots whose phrases answer a question; they show what kind of question it was."""
 
 _RULES: Final = {"leaf": "moves", "again": "yes", "not_again": "no"}
-"""Rules of the slots whose name is not their own; an answer may be said in full."""
+"""Grammar rules of slots that have another name; an answer may be given in full."""
 
 _TOKEN: Final = re.compile(r"\(\d\)|[^\s,;:.?]+|[,;:.?]")
-"""Words, numbers in brackets and punctuation of a template."""
+"""Pattern of the words, numbers in brackets and punctuation of a template."""
 
 Node = Tree[Token]
 
 
 @cache
 def parser(code: str = "en", kind: str = "lalr") -> Lark:
-    """The parser of a language; `kind` "earley" keeps all readings of a text apart."""
+    """Return the parser of a language; `kind` "earley" keeps all readings of a text."""
     source = grammar_source(language(code))
     if kind == "earley":
         return Lark(source, parser="earley", ambiguity="explicit")
@@ -47,19 +47,19 @@ def parser(code: str = "en", kind: str = "lalr") -> Lark:
 
 
 def parse(text: str, code: str = "en") -> Reading:
-    """The one reading of `text`.
+    """Return the only reading of `text`.
 
     Raises
     ------
     FormatError
-        The text is not of this language's grammar, or names one condition in two ways that differ.
+        The text is not in this language's grammar, or names one condition in two different ways.
     """
     words = language(code)
     return reading_from_tree(_tree(text, words), words)
 
 
 def template_of(text: str, code: str = "en") -> tuple[Category, Template]:
-    """The template that `text` was made from, and its category. Raises FormatError as :func:`parse` does."""
+    """Return the category and template of `text`. Raises FormatError as :func:`parse` does."""
     words = language(code)
     (body,) = _parts(_tree(text, words), "body")
     category, number = _named(body)
@@ -79,12 +79,14 @@ def _tree(text: str, words: Language) -> Node:
 
 
 def grammar_source(words: Language) -> str:
-    """The lark grammar of a language."""
+    """Return the lark grammar of a language."""
     return _GrammarWriter(words).source()
 
 
 class _GrammarWriter:
-    """One terminal per phrase, shared by the slots that have it, so that the lexer takes the longest that fits."""
+    """Writes the grammar: one terminal per phrase, shared by the slots that have it, so that the lexer takes the
+    longest match.
+    """
 
     def __init__(self, words: Language) -> None:
         self.words = words
@@ -139,7 +141,7 @@ class _GrammarWriter:
         for category in CATEGORIES:
             for k, template in enumerate(w.templates[category]):
                 whole = " ".join(self._part(piece) for piece in template.pieces)
-                # Templates that differ only in {yes A} and {again A} are read as one.
+                # Templates that differ only in {yes A} and {again A} are parsed as one.
                 for right in _split(whole):
                     bodies.setdefault(right, f"{category}_{k}")
         for name in dict.fromkeys(bodies.values()):
@@ -148,7 +150,7 @@ class _GrammarWriter:
         return "\n".join([*rules, *self._terminal_lines()]) + "\n"
 
     def _either(self, slot: str) -> str:
-        """The rule of a slot, or of how it is said behind its denial, where that differs."""
+        """Return the rule of a slot, or an alternative of it and its form after a denial if that differs."""
         slots = self.words.slots
         return f"(_{slot} | _{slot}_again)" if set(slots[f"{slot}_again"]) - set(slots[slot]) else f"_{slot}"
 
@@ -184,7 +186,7 @@ class _GrammarWriter:
 
 
 def _split(right: str) -> Iterator[str]:
-    """A template's sequence as it is, and with its long sentences split at their colons and semicolons."""
+    """Yield a template's sequence, and the same with long sentences split at colons and semicolons."""
     marks = ("SEMICOLON", "COLON")
     parts = right.split(" ")
     places = [k for k, part in enumerate(parts) if part in marks]
@@ -196,7 +198,7 @@ def _split(right: str) -> Iterator[str]:
 
 
 def _rule(name: str) -> str:
-    """Rule of a predicate or direction."""
+    """Return the rule name of a predicate or direction."""
     return name.replace(" ", "_").replace("-", "_")
 
 
@@ -206,7 +208,9 @@ def _pattern(phrase: str) -> str:
 
 
 def _alternatives(texts: Iterable[str], others: Iterable[str] = ()) -> str:
-    """Any of `texts`, and not the beginning of one of `others`: "the television" is not "the television room"."""
+    """Return a pattern of any of `texts` that does not begin one of `others`: "the television" is not "the
+    television room".
+    """
     longest_first = sorted({text.lower() for text in texts}, key=lambda text: (-len(text), text))
     patterns = []
     for text in longest_first:
@@ -217,19 +221,19 @@ def _alternatives(texts: Iterable[str], others: Iterable[str] = ()) -> str:
 
 
 def _spaced(text: str) -> str:
-    """A pattern of words with any white space between them."""
+    """Return a pattern of words with any white space between them."""
     return (r"\s+" if text.startswith(" ") else "") + r"\s+".join(re.escape(word) for word in text.split())
 
 
 def reading_from_tree(tree: Node, words: Language) -> Reading:
-    """What a parse tree says."""
+    """Return the reading of a parse tree."""
     return _TreeReader(words).reading(tree)
 
 
 class _TreeReader:
-    """Reads a tree from left to right, since "there" is the room that was named last.
+    """Interprets a tree from left to right, since "there" refers to the room named last.
 
-    asked_room : of the condition before, where a definite thing is that is asked about without a room
+    asked_room : room of the previous condition, which applies to a definite object that is asked about without a room
     """
 
     def __init__(self, words: Language) -> None:
@@ -269,7 +273,7 @@ class _TreeReader:
             phrase = self._asked(subtree)
             before = conditions.get(slot.index)
             if before is not None and phrase.room is None and (answers or phrase.qualifier is not None):
-                phrase = replace(phrase, room=before.room)  # asked before, so that its room is known
+                phrase = replace(phrase, room=before.room)  # asked about before, so its room is known
                 self.last_room = None
             elif before is None and phrase.room is None and phrase.definite:
                 phrase = replace(phrase, room=self.asked_room)
@@ -285,7 +289,7 @@ class _TreeReader:
         )
 
     def _stops(self, trees: Iterable[Node]) -> tuple[Phrase, ...]:
-        """The stops of a leaf; one without a room is in that of the stop before it."""
+        """Return the stops of a leaf; a stop without a room is in the room of the stop before it."""
         found: list[Phrase] = []
         for tree in trees:
             stop = self._stop(tree)
@@ -296,13 +300,13 @@ class _TreeReader:
         return tuple(found)
 
     def _asked(self, tree: Node) -> Phrase:
-        """A condition. In a request to check something, the condition is the clause inside it."""
+        """Return a condition. In a request to check something, the condition is the clause inside it."""
         inner = [child for child in _subtrees(tree) if child.data in ("some", "the")]
         clause = inner[0] if inner else tree
         return replace(self._stop(clause), definite=clause.data == "the")
 
     def _stop(self, tree: Node) -> Phrase:
-        """The named object and room, in the order of the words: a room may come before the object or after it."""
+        """Return the named object and room, in the order of the words: the room may come before or after the object."""
         label, room = "", self.scope
         qualifier: tuple[Predicate, tuple[str, ...]] | None = None
         for child in tree.children:
@@ -344,7 +348,7 @@ class _TreeReader:
 
 
 def _named(body: Node) -> tuple[Category, int]:
-    """Category and number of the template of a text's body."""
+    """Return the category and index of the template of a text's body."""
     (sentences,) = _subtrees(body)
     category, number = str(sentences.data).rsplit("_", 1)
     return category, int(number)  # type: ignore[return-value]

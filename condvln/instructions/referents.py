@@ -165,7 +165,9 @@ class Referents:
         return columns, status, margin, np.asarray(self.suits[:, columns].all(axis=2))
 
     def denied(self, predicate: Predicate, status: NDArray[np.int8]) -> Bools:
-        """(n, a) whether a condition may say that a predicate fails, from its status as `related` gives it."""
+        """Return (n, a): whether a condition may state that a predicate is false, from its status as `related`
+        returns it.
+        """
         found = self.facts.denied.get(predicate)
         return np.asarray(status == -1) if found is None else np.asarray(found[:, self.anchors])
 

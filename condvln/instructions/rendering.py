@@ -1,10 +1,10 @@
-"""Program → text. All wording comes from the language's data; the choices are seeded by the instruction's id.
+"""Render a program as text. All wording comes from the language's data; choices are seeded by the instruction's id.
 
-A text is in one voice and takes one phrase for each slot, so that it sounds like one person. A thing that is the only
-one of its label in its room is definite ("if the bike is near the sofa"). A room that is named by a thing in it ("the
-bedroom with the desk") is "that bedroom" from then on, and a stop in the room that was named last is "there", in the
-same clause or in the one behind the condition that named it. A condition always names its room, but for one that is
-said again. Where everything is in one named room, the text says so once, at its start.
+A text uses one voice and one phrase for each slot, so that it sounds like one person. An object that is the only one of
+its label in its room is definite ("if the bike is near the sofa"). A room that is named by an object in it ("the
+bedroom with the desk") is named in short from then on, and a stop in the room named last is "there", in the same clause
+or in the one after the condition that named it. A condition always names its room, unless it is repeated. If everything
+is in one named room, the text names it once, at the beginning.
 """
 
 from __future__ import annotations
@@ -39,20 +39,20 @@ HEADINGS: Final = ("north", "north-east", "east", "south-east", "south", "south-
 """Names of the headings 0°, 45°, … clockwise from north."""
 
 LONGEST_SENTENCE: Final = 25
-"""Words; a longer sentence is split at its colon or semicolon."""
+"""Number of words above which a sentence is split at its colon or semicolon."""
 CHECK_SHARE: Final = 0.6
-"""Share of requests to look for something that name the place first ("check the kitchen for a lamp")."""
+"""Share of requests to look for something that name the room first ("check the kitchen for a lamp")."""
 
 
 def names_compass(program: Program) -> bool:
-    """Whether the text of `program` uses compass words, so that it must open with the start heading."""
+    """Return whether the text of `program` uses compass words, so that it must begin with the start heading."""
     qualifiers = [condition.qualifier for condition in program.conditions]
     qualifiers += [move.qualifier for leaf in program.leaves for move in leaf.moves]
     return any(qualifier is not None and qualifier.predicate in COMPASS for qualifier in qualifiers)
 
 
 def heading_name(heading_degrees: float) -> str:
-    """Name of a compass heading in degrees clockwise from north.
+    """Return the name of a compass heading in degrees clockwise from north.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def heading_name(heading_degrees: float) -> str:
 
 
 def voice_of(seed: int, instruction_id: str, wording: WordingConfig | str = "en") -> Voice:
-    """The voice of an instruction, one of those allowed; a language's code alone allows all."""
+    """Return the voice of an instruction, one of those allowed; a plain language code allows all."""
     said = _wording(wording)
     voices, sums = _allowed(said)
     share = stable_hash("voice", seed, instruction_id, said.language) / 2**256
@@ -77,7 +77,7 @@ def voice_of(seed: int, instruction_id: str, wording: WordingConfig | str = "en"
 
 @lru_cache
 def _allowed(said: WordingConfig) -> tuple[tuple[Voice, ...], tuple[float, ...]]:
-    """The voices that may be used, in the language's order, and their weights, summed up."""
+    """Return the allowed voices in the language's order, and their cumulative weights."""
     voices = tuple(voice for voice in language(said.language).voices if voice.name in said.voices)
     return voices, tuple(accumulate(voice.weight for voice in voices))
 
@@ -88,7 +88,7 @@ def _wording(wording: WordingConfig | str) -> WordingConfig:
 
 
 def preamble(heading_degrees: float, voice: Voice, code: str = "en") -> str:
-    """ "You're facing north-east." as a voice says it."""
+    """Return "You're facing north-east." in the words of a voice."""
     words = language(code)
     return _sentences(words, f"{voice.slots['facing'][0]} {words.directions[heading_name(heading_degrees)]}.")
 
@@ -96,13 +96,13 @@ def preamble(heading_degrees: float, voice: Voice, code: str = "en") -> str:
 def with_preamble(
     text: str, heading_degrees: float, seed: int, instruction_id: str, wording: WordingConfig | str = "en"
 ) -> str:
-    """`text` after the sentence that states the start heading, in the voice of the instruction."""
+    """Return `text` after the sentence that states the start heading, in the voice of the instruction."""
     voice = voice_of(seed, instruction_id, wording)
     return f"{preamble(heading_degrees, voice, _wording(wording).language)} {text}"
 
 
 def render(program: Program, seed: int, instruction_id: str, wording: WordingConfig | str = "en") -> str:
-    """One rendering of `program`, decided by (seed, instruction id, wording); a language's code alone allows all.
+    """Return the rendering of `program` for (seed, instruction id, wording); a plain language code allows all voices.
 
     With the length "short" it has the shortest phrases and templates of its voice.
     """
@@ -116,9 +116,9 @@ def render(program: Program, seed: int, instruction_id: str, wording: WordingCon
 def word_count(
     program: Program, seed: int, instruction_id: str, wording: WordingConfig | str = "en", *, preamble: bool
 ) -> int:
-    """Words of the published text of `program`, known before it is placed: every heading has a name of one word.
+    """Return the number of words of the published text of `program` before placing: every heading's name is one word.
 
-    preamble : whether texts that use compass words open with the start heading
+    preamble : whether texts that use compass words begin with the start heading
     """
     text = render(program, seed, instruction_id, wording)
     if preamble and names_compass(program):
@@ -129,7 +129,7 @@ def word_count(
 def render_moves(
     moves: tuple[ObjectRef, ...], seed: int, instruction_id: str, wording: WordingConfig | str = "en"
 ) -> str:
-    """A bare sequence of moves as one sentence: what an oracle-linear twin says."""
+    """Return a sequence of moves as one sentence: the text of an oracle-linear twin."""
     code = _wording(wording).language
     words = language(code)
     draws = Draws(generator(seed, "text", instruction_id, code))
@@ -139,9 +139,9 @@ def render_moves(
 
 
 class _Renderer:
-    """One text from left to right; each phrase that is chosen stays for the rest of it.
+    """Renders one text from left to right; each chosen phrase is kept for the rest of it.
 
-    short : of phrases that mean the same one of fewest words is taken
+    short : of phrases with the same meaning, use one with the fewest words
     """
 
     def __init__(self, words: Language, voice: Voice, draws: Draws, *, short: bool = False) -> None:
@@ -173,7 +173,7 @@ class _Renderer:
         return _sentences(self.words, f"{opening}{body[:1].lower()}{body[1:]}" if opening else body)
 
     def _phrase(self, slot: str) -> str:
-        """The phrase that this text has for a slot."""
+        """Return the phrase that this text uses for a slot."""
         found = self._chosen.get(slot)
         if found is None:
             found = self._chosen[slot] = self._choice(self.voice.slots[slot])
@@ -186,7 +186,7 @@ class _Renderer:
         return self.draws.uniform() < share
 
     def _scope(self, rooms: set[RoomRef]) -> str:
-        """The words that put everything into one room, where there is one; it then need not be named again."""
+        """Return the words that place everything in one room, if there is one; it then need not be named again."""
         room = next(iter(rooms))
         if len(rooms) > 1 or room.label not in self.words.rooms:
             return ""
@@ -195,7 +195,7 @@ class _Renderer:
         return text
 
     def _elided(self, room: RoomRef) -> bool:
-        """Whether nouns are said without their room: it has no name, or is everything's."""
+        """Return whether nouns are said without their room, because it has no name or applies to everything."""
         return room == self.scope or room.label not in self.words.rooms
 
     def _slot(self, slot: Slot, program: Program) -> str:
@@ -203,7 +203,7 @@ class _Renderer:
             before = set(self._introduced)
             said = self.moves(program.leaves[slot.index])
             self._answered = ""
-            # Nobody takes "there" or "that room" for a room of another branch, though it was the last one named.
+            # "there" would not be understood as a room of another branch, though that one was named last.
             self.last_room, self._introduced = None, before
             return said
         condition = program.conditions[slot.index]
@@ -213,7 +213,7 @@ class _Renderer:
             if answer != self._answered:
                 self._answered = answer
                 return answer
-            # "If it is, see if … If it is, …": the second could be taken for the first.
+            # "If it is, see if … If it is, …": the second could be confused with the first.
             form = "again" if form == "yes" else "not_again"
         asserted = form in ("asserted", "again")
         again = condition in self._said
@@ -230,16 +230,18 @@ class _Renderer:
         return self._clause(condition, asserted=asserted)
 
     def _is_in_room_asked(self, condition: Condition) -> bool:
-        """Whether a known thing is in the room that was asked about last, which then need not be named again."""
+        """Return whether a known object is in the room that was asked about last, which then need not be named
+        again.
+        """
         beside = condition.definite and bool(self._said) and self._said[-1].room == condition.room
         return beside and not self._is_shared(condition)
 
     def _is_shared(self, named: Condition | ObjectRef) -> bool:
-        """Whether things of one of the labels are named in another room too, so that the room must be said."""
+        """Return whether objects of one of the labels are named in another room too, so that the room must be named."""
         return bool(self._shared) and not self._shared.isdisjoint(_labels(named))
 
     def _answer(self, form: str, condition: Condition) -> str:
-        """ "There is", "it isn't". Where the question was no "is there", an answer that is none is taken."""
+        """Return an answer: "there is", "it isn't". It repeats "is there" only after a question with these words."""
         slot = f"{form}_{'it' if condition.definite else 'one'}"
         answer = self._phrase(slot)
         if answer in self.words.elliptic and not self._asked_by_exists:
@@ -258,9 +260,9 @@ class _Renderer:
         return f"{there}{self._relation(condition)}{self._where(condition.room, named=True)}"
 
     def _again(self, condition: Condition, kind: str) -> str:
-        """What was asked before, without its room. No "there" comes next: other rooms were named since.
+        """Return an earlier condition again, without its room. No "there" follows, since other rooms were named since.
 
-        kind : "" where it holds, "_not" where it doesn't, "_again" where it holds behind a leaf of where it doesn't
+        kind : "" if it holds, "_not" if it doesn't, "_again" if it holds after a leaf for the case that it doesn't
         """
         self.last_room, self._asked_by_exists = None, True
         if condition.definite:
@@ -284,7 +286,7 @@ class _Renderer:
         return f"{self._phrase('check')} {room} {self._filled('for', condition)}{self._relation(condition)}"
 
     def _request(self) -> str:
-        """ "See if", "check whether": the voice's phrases by turns."""
+        """Return "see if" or "check whether": the voice's phrases in turn."""
         phrases = _shortest(self.voice.slots["see"]) if self.short else self.voice.slots["see"]
         first = phrases.index(self._phrase("see"))
         self._requests += 1
@@ -317,14 +319,14 @@ class _Renderer:
         return f" {relation} {f' {self.words.both} '.join(anchors)}"
 
     def _lying(self) -> str:
-        """The words between the noun of a stop and its relation: the same in all of a text."""
+        """Return the words between the noun of a stop and its relation: the same throughout a text."""
         found = self._chosen.get("lying")
         if found is None:
             found = self._chosen["lying"] = self._choice(self.words.lying)
         return found
 
     def _at_start(self, bearing: Predicate, of_stop: bool) -> str:
-        """ "On your left as you start": all bearings of a text in the same way."""
+        """Return an egocentric phrase, "on your left as you start"; a text has the same form throughout."""
         phrases = (self.words.bearing_stops if of_stop else self.words.bearings)[bearing]
         if self._bearing is None:
             self._bearing = self.draws.index(len(phrases))
@@ -333,27 +335,27 @@ class _Renderer:
     # -- places --------------------------------------------------------------------------------------------------------
 
     def moves(self, leaf: Leaf) -> str:
-        """The stops of one leaf as one imperative."""
+        """Return the stops of one leaf as one imperative."""
         stops = leaf.moves
         texts = [f"{self._phrase('go')} {self._stop(stops[0])}"]
         for k, stop in enumerate(stops[1:], start=1):
             joint = "second" if len(stops) == 2 else "last" if k == len(stops) - 1 else "then"
-            # Behind one that goes by its bearing no room was said.
+            # After a stop with an egocentric direction, no room was named.
             same_room = stop.room == stops[k - 1].room and not stops[k - 1].is_bearing and not self._is_shared(stop)
             texts.append(f"{self._phrase(joint)} {self._stop(stop, same_room=same_room)}")
         return "".join(texts)
 
     def _stop(self, ref: ObjectRef, *, same_room: bool = False) -> str:
-        """A stop; in the same room as the one before it, without the room."""
+        """Return a stop; without its room if that is the room of the stop before it."""
         named = self._noun(ref)
         noun, kind = self.words.definite(named), "_of"
         if ref.qualifier is not None and ref.qualifier.predicate in SUPERLATIVES:
             noun = self.words.compared(ref.qualifier.predicate, named)
         elif ref.qualifier is not None:
-            # Behind a relation, "of the bedroom" would go with the anchor.
+            # After a relation, "of the bedroom" would refer to the anchor.
             kind = ""
         if ref.is_bearing:
-            # It is in the room of the start, which is not named again; "there" would be said of it next.
+            # It is in the room of the start, which is not named; "there" would refer to that room next.
             self.last_room = None
             return f"{noun}{self._relation(ref)}"
         relation = self._relation(ref)
@@ -362,9 +364,9 @@ class _Renderer:
         return f"{noun}{relation}{'' if same_room else self._where(ref.room, kind)}"
 
     def _where(self, room: RoomRef, kind: str = "", *, named: bool = False) -> str:
-        """The room as a place ("in the bedroom"); with `kind` "_of" as what a thing belongs to ("del dormitorio").
+        """Return the room as a place ("in the bedroom"); with `kind` "_of" as the owner ("del dormitorio").
 
-        A condition is said with its room: behind "the plant near the table", "a chair there" may be near the table too.
+        A condition is said with its room: after "the plant near the table", "a chair there" could mean near the table.
         """
         if self._elided(room):
             return ""
@@ -385,12 +387,12 @@ class _Renderer:
 
 
 def _labels(named: Condition | ObjectRef) -> tuple[str, ...]:
-    """The labels of a thing and of what it is related to."""
+    """Return the labels of an object and of its anchors."""
     return (named.label, *(named.qualifier.anchor_labels if named.qualifier is not None else ()))
 
 
 def _shared(program: Program) -> set[str]:
-    """The labels that a text names in several rooms."""
+    """Return the labels that a text names in several rooms."""
     room_of: dict[str, RoomRef] = {}
     shared = set()
     named_things: list[Condition | ObjectRef] = [*program.conditions]
@@ -403,7 +405,9 @@ def _shared(program: Program) -> set[str]:
 
 
 def _sayable(templates: tuple[Template, ...], program: Program) -> tuple[Template, ...]:
-    """Those without a question like "is the lamp in the bedroom with the desk near the bed?", where there are any."""
+    """Return the templates without questions like "is the lamp in the bedroom with the desk near the bed?", if there
+    are any.
+    """
     long = {k for k, c in enumerate(program.conditions) if c.definite and c.room.anchor_label is not None}
     if not long:
         return templates
@@ -411,12 +415,12 @@ def _sayable(templates: tuple[Template, ...], program: Program) -> tuple[Templat
 
 
 def _rooms(program: Program) -> set[RoomRef]:
-    """The rooms that a text names."""
+    """Return the rooms that a text names."""
     return {c.room for c in program.conditions} | {move.room for leaf in program.leaves for move in leaf.moves}
 
 
 def _sentences(words: Language, text: str) -> str:
-    """Contractions made, long sentences split, and a capital at the start of each sentence."""
+    """Return text with contractions, long sentences split, and each sentence capitalised."""
     text = words.contracted(text)
     if ";" in text or ":" in text:
         text = ". ".join(_split(sentence) for sentence in text.split(". "))
@@ -427,13 +431,13 @@ def _sentences(words: Language, text: str) -> str:
 
 @lru_cache
 def _shortest(phrases: tuple[str, ...]) -> tuple[str, ...]:
-    """The renderings with the fewest words."""
+    """Return the renderings with the fewest words."""
     least = min(phrase.count(" ") for phrase in phrases)
     return tuple(phrase for phrase in phrases if phrase.count(" ") == least)
 
 
 def _split(sentence: str) -> str:
-    """A sentence as several where it is long: at its colon, then at its semicolons. A numbered list is left whole."""
+    """Return a long sentence split at its colon, then at its semicolons. A numbered list is not split."""
     if sentence.count(" ") >= LONGEST_SENTENCE and "(" not in sentence:
         first, _, rest = sentence.partition(": ")
         sentence = f"{first}. {rest}" if rest else sentence
@@ -443,6 +447,6 @@ def _split(sentence: str) -> str:
 
 
 def _capital(sentence: str) -> str:
-    """The first letter as a capital, behind Spanish's opening mark too."""
+    """Return a sentence with its first letter capitalised, also after Spanish's opening mark."""
     at = 1 if sentence.startswith("¿") else 0
     return sentence[:at] + sentence[at : at + 1].upper() + sentence[at + 1 :]

@@ -112,9 +112,10 @@ def stacking_of(pieces: Pieces, holding: Holding, thresholds: Thresholds) -> Sta
 
 
 def held_by(pieces: Pieces, holding: Holding, s: Stacking, thresholds: Thresholds) -> tuple[Mask, Mask]:
-    """(n, n) whether the target holds the subject, perhaps with things in between; and whether it is around most of it.
+    """Return (n, n): whether the target supports or contains the subject, perhaps through others; and whether it
+    surrounds most of it.
 
-    Stricter than `Stacking.carries`, for which footprints need only meet: things that touch side by side are near.
+    Stricter than `Stacking.carries`, for which footprints only need to touch: objects that touch side by side are near.
     """
     t = thresholds
     ends = (s.bottom_rise > exact_mm(t.on_gap_true)) | (s.gap >= -exact_mm(t.on_gap_true))

@@ -194,9 +194,10 @@ def _rising(value: F64, emitted: float, text: float) -> F64:
 
 
 def _near(s: Stacking, metrics: PairMetrics, radius: F64, surface: F64, t: Thresholds) -> _Fact:
-    """Close in space and not far above each other; it is denied by the distance along the ground.
+    """Return "near": close in space and not far above each other; it is false only by the distance along the ground.
 
-    Footprints, and circles around things, hold those: along the ground the things are no closer. Centres say nothing.
+    Footprints, and circles around bounding spheres, enclose their objects and so bound their ground distance; centres
+    do not.
     """
     used = metrics.used
     true = (used <= t.near_true) & (surface <= t.near_true)
@@ -209,9 +210,10 @@ def _near(s: Stacking, metrics: PairMetrics, radius: F64, surface: F64, t: Thres
 
 
 def _unheld(fact: _Fact, held: Mask, around: Mask, holding: Holding) -> _Fact:
-    """Of what is on or in the other, nobody says that it is near, nor that it is not.
+    """Return a fact with status 0 for an object that is on or in the other one, about which neither "near" nor its
+    negation is said.
 
-    What lies in a container is found by that, and is near to nothing else.
+    The contents of a container are found by the container, and near to nothing else.
     """
     status, margin = fact
     boxed = np.asarray((around & holding.container[None, :]).any(axis=1))
@@ -295,7 +297,9 @@ def _above(s: Stacking, horizontal: F64, footprint_overlap: F64, t: Thresholds) 
 
 
 def _compass(deviation: F64, beside: Mask, clear: Mask, clearance: F64, t: Thresholds) -> _Fact:
-    """By centres, of things that lie beside each other: what is over, on or partly in another lies in no direction."""
+    """Return a compass fact by centres, for objects side by side; one that is over, on or partly inside the other
+    has none.
+    """
     off = deviation - SECTOR_HALF_WIDTH
     when_true = np.minimum(off * (1.0 / (t.sector_true - SECTOR_HALF_WIDTH)), clearance)
     when_false = off * (1.0 / (t.sector_false - SECTOR_HALF_WIDTH))

@@ -1,4 +1,6 @@
-"""What a box alone can't tell: two boxes of one thing, another thing without a name, a high table, a fallen thing."""
+"""What boxes alone can't show: two boxes of one object, an unlabelled object of a label, a high table, a fallen
+object.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,7 @@ __all__ = ["has_fallen", "looks_like", "may_be_one", "passes_for_a_counter"]
 
 
 def may_be_one(one: Thing, other: Thing, family: str) -> bool:
-    """Whether two boxes of a scan, of things that go by one word, may be of one thing."""
+    """Return whether two boxes of a scan, of objects with a common word, may be the same object."""
     if family not in FROM_SCANS:
         return False
     if math.dist(one.centre, other.centre) <= 1000.0 * DOUBLE_CENTRES:
@@ -40,7 +42,7 @@ def may_be_one(one: Thing, other: Thing, family: str) -> bool:
 
 
 def looks_like(nameless: Thing, named: Thing) -> bool:
-    """Whether a nameless thing is of the size of another, side by side, and at its height."""
+    """Return whether an unlabelled object has about the size, side by side, and the height of a labelled one."""
     if nameless.box is None or named.box is None:
         return False
     for one, other in zip(_sides(nameless), _sides(named), strict=True):
@@ -50,7 +52,7 @@ def looks_like(nameless: Thing, named: Thing) -> bool:
 
 
 def passes_for_a_counter(table: Thing, worktops: Iterable[str], things: Sequence[Thing], floor: float) -> bool:
-    """Whether a long table is as high as a counter and, where the room has counters, as large as one of them."""
+    """Return whether a long table is as high as a counter and, if the room has counters, as large as one of them."""
     if table.label not in worktops or table.box is None or math.isnan(floor):
         return False
     if table.box[1][1] - round(floor * 1000.0) < 1000.0 * COUNTER_HEIGHT:
@@ -65,7 +67,7 @@ def passes_for_a_counter(table: Thing, worktops: Iterable[str], things: Sequence
 
 
 def has_fallen(thing: Thing, floor: float) -> bool:
-    """Whether the model of a thing lies on the floor though it stands upright, or reaches far below the floor."""
+    """Return whether an object lies on the floor though its model stands upright, or extends far below the floor."""
     if len(thing.item.mesh) != 1 or thing.box is None or math.isnan(floor):
         return False
     lift = round((thing.box[0][1] / 1000.0 - floor) * 1000.0)
@@ -77,7 +79,7 @@ def has_fallen(thing: Thing, floor: float) -> bool:
 
 
 def _sides(thing: Thing) -> tuple[int, int, int]:
-    """The shorter and the longer side of the footprint, and the height."""
+    """Return the shorter and the longer side of the footprint, and the height."""
     assert thing.box is not None
     short, long = sorted(thing.ground_sides())
     return short, long, thing.box[1][1] - thing.box[0][1]

@@ -130,7 +130,9 @@ class Judge:
 
 
 def _beside_each_other(found: Judgement, subject: Thing, anchor: Thing, room: Surroundings) -> Judgement:
-    """Nobody says of what is on or in the other that it is near; what is put away is near to nothing."""
+    """Return "near", undecided for objects that are on or in each other; an object that is put away is near to
+    nothing.
+    """
     if room.holds(anchor, subject) or room.holds(subject, anchor):
         return found._replace(verdict=UNDECIDED)
     containers = words().containers
@@ -151,7 +153,9 @@ def _used(one: Thing, other: Thing) -> float:
 
 
 def _along_ground(one: Thing, other: Thing) -> float | None:
-    """Horizontal millimetres that two things are apart at least; None where only their centres are known."""
+    """Return a lower bound in millimetres of the horizontal distance of two objects; None if only their centres are
+    known.
+    """
     if one.box is not None and other.box is not None:
         return footprint_gap(one, other)
     if one.item.radius is None or other.item.radius is None:
@@ -161,7 +165,7 @@ def _along_ground(one: Thing, other: Thing) -> float | None:
 
 
 def _is_over(one: Thing, other: Thing) -> bool:
-    """Whether the centre of one is within the footprint of the other."""
+    """Return whether the centre of one object is inside the footprint of the other."""
     if other.box is None:
         return False
     return all(other.box[0][k] <= one.centre[k] <= other.box[1][k] for k in (0, 2))

@@ -381,7 +381,9 @@ def _deciding(related: list[tuple[Thing, Judgement]], sure: list[Thing]) -> Mapp
 
 
 def _not_one(view: RoomView, thing: Thing) -> Problem | None:
-    """Why a thing that is told from its rivals is not surely one thing, and the one of that name."""
+    """Return the problem if an object may be the same as one of its rivals, or is not what people expect under its
+    name.
+    """
     if not view.is_itself(thing):
         return Problem("referent_upright", f"a {thing.label} in its place", thing.object_id)
     other = view.double(thing)

@@ -75,11 +75,11 @@ class RoomView:
         return thing.object_id not in self._hidden and self._can_be_seen(thing.object_id)
 
     def is_itself(self, thing: Thing) -> bool:
-        """Whether a thing is what people expect under its name: it has not fallen over."""
+        """Return whether an object is what people expect under its name, i.e. it has not fallen over."""
         return thing.object_id not in self._fallen
 
     def double(self, thing: Thing) -> Thing | None:
-        """Another box that may be of the same thing."""
+        """Return another box that may be the same object, or None."""
         for other in self._all:
             if other is thing or not may_be_one(thing, other, self._family):
                 continue

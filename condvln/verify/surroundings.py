@@ -137,9 +137,9 @@ class Surroundings:
         return lower.object_id in self._carriers_of(upper)
 
     def holds(self, outer: Thing, thing: Thing) -> bool:
-        """Whether `outer` carries a thing or is around most of it, perhaps with things in between.
+        """Return whether `outer` supports an object or surrounds most of it, directly or through others.
 
-        Footprints must overlap for that: what only touches another is beside it.
+        Footprints must overlap: an object that only touches another one is beside it.
         """
         if thing.object_id not in self._holders:
             found: set[str] = set()
@@ -153,7 +153,7 @@ class Surroundings:
         return outer.object_id in self._holders[thing.object_id]
 
     def is_put_away(self, thing: Thing, containers: Mapping[str, str]) -> bool:
-        """Whether a thing is in something that things are put into."""
+        """Return whether an object is in a container for storage."""
         return any(
             bool(containers.get(x.label)) and (self.is_said_in(thing, x) or self._surrounds(x, thing))
             for x in self._things
@@ -168,7 +168,9 @@ class Surroundings:
         return any(self._bears(below, above) for above in inner.solids() for below in outer.solids())
 
     def _bears(self, lower: Thing, upper: Thing) -> bool:
-        """Whether the bottom of `upper` is at the top of `lower`, or within its height, and enough of it over it."""
+        """Return whether the bottom of `upper` is at the top of `lower`, or within its height, with enough of it
+        above `lower`.
+        """
         area = 0 if upper.box is None else math.prod(upper.ground_sides())
         if upper.box is None or lower.box is None or not area:
             return False
@@ -177,7 +179,7 @@ class Surroundings:
         return at_height and bottom - lower.box[1][1] < self._slack and x * z / area >= self._share
 
     def _surrounds(self, outer: Thing, inner: Thing) -> bool:
-        """Whether most of a piece of `inner` is in a piece of `outer`."""
+        """Return whether most of a piece of `inner` is inside a piece of `outer`."""
         for a in inner.solids():
             for b in outer.solids():
                 if a.box is None or b.box is None:

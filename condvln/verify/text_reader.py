@@ -238,7 +238,7 @@ class _Reader(PhraseReader):
 
 
 def _is_again(what: Phrase, before: Phrase, latest: bool) -> bool:
-    """Return whether a relation, or what was asked about last, was named before, now without its room."""
+    """Return whether a relation, or the latest question, was named before and is now named without its room."""
     return what.room is None and (latest or what.qualifier is not None) and what == before._replace(room=None)
 
 

@@ -26,7 +26,7 @@ class Document:
     kind: Kind
     vocabulary: Vocabulary | None = None
     bert: bool = False
-    """Whether its vocabulary is BERT's, so that its tokens are word pieces between [CLS] and [SEP]."""
+    """Whether the vocabulary is BERT's, so that tokens are word pieces between [CLS] and [SEP]."""
     scenes: set[str] = field(default_factory=set)
     starts: dict[str, list[float]] = field(default_factory=dict)
     goals: dict[str, list[tuple[list[float], float]]] = field(default_factory=dict)

@@ -12,7 +12,7 @@ from condvln.export.validation.findings import LintReport
 __all__ = ["check_document"]
 
 _BERT_PAD, _BERT_UNK = "[PAD]", "[UNK]"
-"""Words of BERT's own vocabulary, which ``<split>_bertidx`` files hold in place of R2R's."""
+"""Special words of BERT's own vocabulary, which ``<split>_bertidx`` files have in place of R2R's."""
 
 _TOP: Final = frozenset({"episodes", "instruction_vocab"})
 
