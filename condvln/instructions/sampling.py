@@ -11,8 +11,9 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 from itertools import accumulate
+from operator import or_
 from typing import Final
 
 from condvln.instructions.condition_sampler import ConditionSampler
@@ -45,6 +46,9 @@ impossible.
 VAIN_TRIES: Final = 100
 """Number of consecutive shapes, each tried many times, after which a cell counts as exhausted."""
 
+SEARCHED: Final = 500
+"""Number of targets searched to find out whether a program fits, after which it counts as fitting."""
+
 
 @dataclass(frozen=True, slots=True)
 class _Shape:
@@ -52,11 +56,18 @@ class _Shape:
     leaf.
 
     bearings : it may have egocentric statements
+    gold : index of the leaf that its truths lead to
     """
 
     composition: str | None
     moves: tuple[int, ...]
     bearings: bool
+    gold: int
+
+    @property
+    def waypoints(self) -> int:
+        """Return the number of waypoints of the longest leaf."""
+        return max(self.moves) - 1
 
 
 class ProgramSampler:
@@ -117,6 +128,7 @@ class ProgramSampler:
         pools = {name: (self.referents[name], self._pool(name, bits)) for name in self._names}
         self.condition_sampler = ConditionSampler(pools, sampling, words, single_room=scene.single_room)
         self._refs: dict[tuple[RoomRef, str], tuple[ObjectRef, ...]] = {}
+        self._fitting: dict[tuple[int, int, int, int], bool] = {}
 
     def _pool(self, room_id: str, bits: PriorBits) -> ConditionPool:
         referents = self.referents[room_id]
@@ -181,13 +193,20 @@ class ProgramSampler:
         purpose = ("programs", category, cell.name) if cell.drawn else ("programs", category)
         draws = Draws(generator(self.seed, self.scene.family, self.scene.scene_id, *purpose))
         pool = self._target_pool(category, used)
+        n_leaves = SHAPES[category].leaves
+        if wanted and not self._fits((1 << len(self.targets)) - 1, n_leaves):
+            self.rejections[cell, "no_targets"] += 1
+            return
+        golds: list[int] = []
         found = failed = 0
         for _ in range(wanted * TRIES_PER_CANDIDATE):
             if found >= wanted or failed >= VAIN_TRIES:
                 return
             failed += 1
+            # Each leaf is gold as often as the others: the pool takes no more of one than of another.
+            golds = golds or draws.sample(range(n_leaves), n_leaves)
             # A shape that is hard to draw is not replaced by an easy one; it is tried until it succeeds.
-            shape = self._shape(cell, draws)
+            shape = self._shape(cell, draws, golds.pop())
             for _ in range(self.sampling.draws_per_candidate):
                 program = None
                 with self._counted(cell):
@@ -225,7 +244,7 @@ class ProgramSampler:
         pools = {cell.category: self._target_pool(cell.category, Counter()) for cells in order for cell in cells}
         for k in range(wanted):
             cell = draws.choice(order[k % len(order)])
-            shape = self._shape(cell, draws)
+            shape = self._shape(cell, draws, draws.index(SHAPES[cell.category].leaves))
             for _ in range(self.sampling.draws_per_candidate):
                 group = None
                 with self._counted(None):
@@ -254,7 +273,7 @@ class ProgramSampler:
             raise GivenUp("no_twin")
         return group
 
-    def _shape(self, cell: InstructionCell, draws: Draws) -> _Shape:
+    def _shape(self, cell: InstructionCell, draws: Draws, gold: int) -> _Shape:
         category, wanted = cell.category, cell.composition
         if wanted is None:
             weights = self.sampling.compositions
@@ -270,21 +289,47 @@ class ProgramSampler:
         # Evidence that must be in the first view is never behind, so "behind" would reveal the truth.
         bearings = cell.observability != "O0f"
         if cell.moves is not None:
-            return _Shape(wanted, (cell.moves,) * n_leaves, bearings)
+            return _Shape(wanted, (cell.moves,) * n_leaves, bearings, gold)
         shares = tuple(accumulate(self.sampling.move_shares(category)))
-        return _Shape(wanted, tuple(1 + draws.cumulative(shares) for _ in range(n_leaves)), bearings)
+        return _Shape(wanted, tuple(1 + draws.cumulative(shares) for _ in range(n_leaves)), bearings, gold)
 
     def _roomy(self, category: Category) -> tuple[str, ...]:
         """Return the rooms that can hold a whole program."""
         n = SHAPES[category].leaves
-        return tuple(room for room in self.condition_sampler.rooms if self._held[room].bit_count() >= n)
+        return tuple(room for room in self.condition_sampler.rooms if self._fits(self._held[room], n))
+
+    def _fits(self, allowed: int, n: int, waypoints: int = 0, free: int | None = None) -> bool:
+        """Return whether `n` of the `allowed` targets (bits) have different labels and are pairwise apart, and whether
+        `waypoints` targets beside them do; these are of `free`, by default of `allowed` too.
+        """
+        free = allowed if free is None else free
+        if n < 2 and not waypoints:
+            return n < 1 or allowed > 0
+        key = (allowed, n, waypoints, free if waypoints else 0)
+        if key not in self._fitting:
+            self._fitting[key] = self._search(allowed, free, n, waypoints, [SEARCHED])
+        return self._fitting[key]
+
+    def _search(self, allowed: int, free: int, n: int, waypoints: int, left: list[int]) -> bool:
+        """As `_fits`; `left` [1] is the number of targets that may still be searched."""
+        if not n:
+            return not waypoints or self._fits(free, waypoints)
+        while allowed.bit_count() >= n:
+            lowest = allowed & -allowed
+            allowed ^= lowest  # every set with this target is searched now
+            target = self.targets[lowest.bit_length() - 1]
+            left[0] -= 1
+            others = allowed & target.apart & ~self._members[target.label]
+            if left[0] < 0 or self._search(others, free & target.apart, n - 1, waypoints, left):
+                return True
+        return False
 
     def _draw(self, category: Category, shape: _Shape, draws: Draws, pool: TargetPool) -> Program:
-        rooms = self._spread(category, shape.composition, draws)
+        rooms = self._spread(category, shape, draws)
         allowed = 0
         for room_id in rooms:
             allowed |= self._held[room_id]
-        goals = self._goals(category, allowed, draws, pool)
+        goals = self._goals(shape, allowed, draws, pool)
         stops = [self._moves(goal, goals, n, allowed, draws) for goal, n in zip(goals, shape.moves, strict=True)]
         visited = [target for moves in stops for target in moves]
         names = {room_id: draws.choice(self._room_names(room_id, visited)) for room_id in rooms}
@@ -300,9 +345,8 @@ class ProgramSampler:
                 named.append(self._named(target, names[target.room_id], draws, here))
                 bearings -= named[-1].is_bearing
             leaves.append(Leaf(moves=tuple(named)))
-        # The gold leaf is drawn uniformly; truths that don't matter on the way to it are fair coins.
-        gold = draws.index(len(leaves))
-        truths = draws.choice([assignment for assignment, leaf in outcomes(category).items() if leaf == gold])
+        # Truths that don't matter on the way to the gold leaf are fair coins.
+        truths = draws.choice([assignment for assignment, leaf in outcomes(category).items() if leaf == shape.gold])
         moves = [move for leaf in leaves for move in leaf.moves]
         conditions = self.condition_sampler.conditions(truths, moves, names, draws, start_room, bearings)
         if idle_conditions(category, [leaf.goal.object_id for leaf in leaves]):
@@ -314,29 +358,43 @@ class ProgramSampler:
             raise GivenUp("composition_missed")
         return program
 
-    def _spread(self, category: Category, wanted: str | None, draws: Draws) -> Sequence[str]:
-        """Return the rooms for a composition, all of different types.
+    def _spread(self, category: Category, shape: _Shape, draws: Draws) -> Sequence[str]:
+        """Return the rooms for a shape, all of different types.
 
         A listener would confuse "the bedroom with the desk" and "the bedroom with the plant", and a text with only one
         bedroom needs no distinguishing object.
         """
-        roomy = self._roomy(category)
-        types = len(self._rooms_of_type)
-        if wanted is None or (wanted == "C0" and not roomy) or types < {"C0": 1, "C1": 2, "C2": 3}[wanted]:
+        wanted, types = shape.composition, len(self._rooms_of_type)
+        if wanted is None or types < {"C0": 1, "C1": 2, "C2": 3}[wanted]:
             raise GivenUp("no_targets")
         if wanted == "C0":
+            roomy = tuple(
+                room
+                for room in self._roomy(category)
+                if self._fits(self._held[room], len(shape.moves), shape.waypoints)
+            )
+            if not roomy:
+                raise GivenUp("no_waypoint" if self._roomy(category) else "no_targets")
             return [draws.choice(roomy)]
-        return self._few(2 if wanted == "C1" else MOST_ROOMS, draws)
+        return self._few(2 if wanted == "C1" else MOST_ROOMS, shape, draws)
 
-    def _few(self, most: int, draws: Draws) -> list[str]:
-        """Return some rooms, at least one with conditions; preferably rooms whose name needs no distinguishing
-        object.
+    def _few(self, most: int, shape: _Shape, draws: Draws) -> list[str]:
+        """Return some rooms that the stops fit in, at least one with conditions; preferably rooms whose name needs no
+        distinguishing object.
         """
         few = [draws.choice(self.condition_sampler.rooms)]
         while len(few) < most:
             left = [room for rooms in self._rooms_of_type.values() if not {*rooms} & {*few} for room in rooms]
             if not left:
                 break
+            if len(few) == most - 1:
+                held = reduce(or_, (self._held[room] for room in few))
+                n = len(shape.moves)
+                fitting = [room for room in left if self._fits(held | self._held[room], n, shape.waypoints)]
+                if not fitting:
+                    few_fit = any(self._fits(held | self._held[room], n) for room in left)
+                    raise GivenUp("no_waypoint" if few_fit else "no_targets")
+                left = fitting
             few.append(draws.weighted(left, [PLAIN_ROOM_WEIGHT if self._is_plain(room) else 1.0 for room in left]))
         return few
 
@@ -352,19 +410,26 @@ class ProgramSampler:
         """Return whether a room's label alone names it."""
         return self._names[room_id][0].anchor_label is None
 
-    def _goals(self, category: Category, allowed: int, draws: Draws, pool: TargetPool) -> list[Target]:
-        """Return one goal for each leaf, of different labels, pairwise apart; rarely used labels are preferred."""
-        n = SHAPES[category].leaves
+    def _goals(self, shape: _Shape, allowed: int, draws: Draws, pool: TargetPool) -> list[Target]:
+        """Return one goal per leaf, of different labels and pairwise apart, preferring rarely used labels. The
+        waypoints of the longest leaf still fit beside them.
+        """
+        n, waypoints = len(shape.moves), shape.waypoints
+        if not self._fits(allowed & pool.drawable, n):
+            raise GivenUp("label_over_cap" if self._fits(allowed, n) else "no_targets")
         goals: list[Target] = []
+        free, unused = allowed, allowed & pool.drawable
+        allowed = unused
         while len(goals) < n:
             position = pool.draw(allowed, draws)
             if position is None:
-                raise GivenUp("no_targets" if pool.holds_nothing_back(allowed) else "label_over_cap")
+                raise GivenUp("no_waypoint" if waypoints else "no_targets")
             goal = self.targets[position]
-            left = allowed & goal.apart & ~self._members[goal.label]
-            if left.bit_count() >= n - len(goals) - 1:
+            left = unused & goal.apart & ~self._members[goal.label]
+            if self._fits(left, n - len(goals) - 1, waypoints, free & goal.apart):
                 goals.append(goal)
-                allowed = left
+                allowed = unused = left
+                free &= goal.apart
             else:
                 allowed &= ~(1 << position)
         return goals

@@ -52,8 +52,12 @@ class TargetPool:
 
     Parameters
     ----------
-    members : by label, its targets as bits
-    weights : by label; labels without a weight are not drawn
+    members : per label its targets as bits
+    weights : per label; labels without one are not drawn
+
+    Attributes
+    ----------
+    drawable : all targets that may be drawn, as bits
     """
 
     REJECTIONS: Final = 6
@@ -65,6 +69,9 @@ class TargetPool:
         self._bits = [members[label] for label in weights]
         self._weights = list(weights.values())
         self._sums = list(accumulate(self._weights))
+        self.drawable = 0
+        for bits in self._bits:
+            self.drawable |= bits
 
     def draw(self, allowed: int, draws: Draws) -> int | None:
         """Return the position of one of the `allowed` targets (bits); None if none is left."""
@@ -78,13 +85,6 @@ class TargetPool:
         if not left:
             return None
         return draws.choice(_positions(self._bits[draws.weighted(left, [self._weights[k] for k in left])] & allowed))
-
-    def holds_nothing_back(self, allowed: int) -> bool:
-        """Return whether every allowed target could be drawn, i.e. no label has reached its share."""
-        drawable = 0
-        for bits in self._bits:
-            drawable |= bits
-        return not allowed & ~drawable
 
 
 def apart_by_centres(scene: Scene, places: PlacesConfig) -> Stops:

@@ -218,7 +218,7 @@ class SamplingConfig(Section):
     """How candidate programs are sampled."""
 
     candidates_per_episode: int = Field(
-        8, ge=1, le=1000, description="candidates drawn for each episode wanted, since placing rejects some"
+        5, ge=1, le=1000, description="candidates drawn for each episode wanted, since placing rejects some"
     )
     moves: tuple[Share, Share, Share] = Field(
         (0.4, 0.4, 0.2), description="shares of leaves with 1, 2, 3 moves where a program has two or three leaves"

@@ -55,7 +55,7 @@ TECHNICAL = {
     "episodes/identity.py": {"HASH_DIGITS", "ID_BITS"},
     # How hard a search tries; what it finds is checked by rules that are keys.
     "episodes/facing.py": {"HEADINGS"},
-    "instructions/sampling.py": {"TRIES_PER_CANDIDATE", "VAIN_TRIES"},
+    "instructions/sampling.py": {"SEARCHED", "TRIES_PER_CANDIDATE", "VAIN_TRIES"},
     "instructions/referents.py": {"ALTERNATIVES", "ROOM_NAMES"},
     "instructions/conditions.py": {"BALANCING_ROUNDS", "LEAST_WEIGHT", "PSEUDOCOUNT"},
     # Voices of the text: wordings that mean the same, and where a sentence is split.
