@@ -1,4 +1,4 @@
-"""A language model follows the instructions of a split, over any OpenAI-compatible endpoint.
+"""A language model as an agent on a split, over any OpenAI-compatible endpoint.
 
     python examples/chat_agent.py EXPORT SPLIT FAMILY=FOLDER http://localhost:8000/v1 MODEL predictions.json
 
@@ -19,7 +19,7 @@ from condvln.evaluation.tools import EpisodeTools, tools_for
 from schemas.errors import CondVLNError
 
 TURNS = 80
-"""Answers of the model in one episode at most."""
+"""Most answers of the model in one episode."""
 
 SYSTEM = (
     "You are in a building. Follow the instruction with your tools, then call stop. You see only what they tell you."
@@ -27,7 +27,7 @@ SYSTEM = (
 
 
 def tool(name: str, about: str, argument: str | None = None, meaning: str = "") -> dict[str, Any]:
-    """A tool as the endpoint wants it described; its argument is a whole number."""
+    """Describe a tool as the endpoint expects it; its argument is a whole number."""
     properties = {} if argument is None else {argument: {"type": "integer", "description": meaning}}
     wanted = {"type": "object", "properties": properties, "required": list(properties)}
     return {"type": "function", "function": {"name": name, "description": about, "parameters": wanted}}
@@ -42,7 +42,7 @@ TOOLS = [
 
 
 def ask(endpoint: str, model: str, messages: list[dict[str, Any]]) -> dict[str, Any]:
-    """The model's next message."""
+    """Return the model's next message."""
     body = json.dumps({"model": model, "messages": messages, "tools": TOOLS, "temperature": 0}).encode()
     headers = {"Content-Type": "application/json"}
     if "OPENAI_API_KEY" in os.environ:
@@ -54,7 +54,7 @@ def ask(endpoint: str, model: str, messages: list[dict[str, Any]]) -> dict[str, 
 
 
 def follow(episode: EpisodeTools, episode_id: str, endpoint: str, model: str) -> Prediction:
-    """One episode, to its stop, the end of its steps, or `TURNS` answers."""
+    """Run one episode until STOP, the end of the step budget, or `TURNS` answers."""
     messages = [{"role": "system", "content": SYSTEM}, {"role": "user", "content": episode.reset(episode_id)}]
     for _ in range(TURNS):
         message = ask(endpoint, model, messages)
@@ -71,7 +71,7 @@ def follow(episode: EpisodeTools, episode_id: str, endpoint: str, model: str) ->
 
 
 def answer_of(episode: EpisodeTools, function: dict[str, Any]) -> str:
-    """What a tool says; a wrong call is explained to the model."""
+    """Return the answer of a tool; a wrong call is explained to the model."""
     name = function["name"]
     if name not in {described["function"]["name"] for described in TOOLS}:
         return f"There is no tool {name!r}."

@@ -27,7 +27,9 @@ def report_bias(targets: Sequence[Path]) -> Report:
     folders = [path for path in targets if path.is_dir()]
     if folders and len(targets) > 1:
         raise UsageError(
-            "the folder of an export is judged by itself", where=str(folders[0]), remedy="Name it alone, or name files."
+            "an export can't be tested together with other files",
+            where=str(folders[0]),
+            remedy="Give the export alone, or files alone.",
         )
     if folders:
         found = judge_export(folders[0])

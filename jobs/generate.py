@@ -60,7 +60,7 @@ def run_generate(
             return _whole_report(config, done, renew_priors)
         except CorruptShardError as error:
             # Bytes that changed while a file kept its size are met only where the file is read.
-            console.print(f"{error} This is done now.", highlight=False, markup=False)
+            console.print(f"{error} The damaged files are rebuilt now.", highlight=False, markup=False)
         done = bring_up_to_date(config, units, inline=inline, verify=True, console=console)
         return _whole_report(config, done, renew_priors)
 

@@ -63,7 +63,7 @@ def run_rebuild(
 
 @dataclass(frozen=True)
 class _Rebuild:
-    """One rebuild: its options, and the store and memory that it works with."""
+    """One rebuild, with its options, its store and its record of the inputs."""
 
     config: Config
     store: Store
@@ -130,7 +130,7 @@ def _work(job: _Rebuild, units: list[Unit], found: Plan) -> Report:
             kept = not add_export(report, config, renewed=job.renew_priors)
         except CorruptShardError as error:
             # Bytes that changed while a file kept its size are met only where the file is read.
-            console.print(f"{error} This is done now.", highlight=False, markup=False)
+            console.print(f"{error} The damaged files are rebuilt now.", highlight=False, markup=False)
             bring_up_to_date(config, units, inline=job.inline, verify=True, warm=False, console=console)
             kept = not add_export(report, config, renewed=job.renew_priors)
         if kept:

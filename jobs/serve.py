@@ -14,7 +14,7 @@ __all__ = ["serve_split"]
 def serve_split(
     export: Path, split: str, datasets: Sequence[str], roots: Sequence[Path], host: str, port: int, sessions: int
 ) -> None:
-    """Serve until the process is ended.
+    """Serve a split until the process is ended.
 
     Parameters
     ----------

@@ -216,7 +216,8 @@ LIKE_SIZE: Final = 1.35
 """Largest ratio of each side of an unnamed thing to that of a named thing for the two to be possibly of one kind."""
 
 LIKE_HEIGHT: Final = 0.25
-"""Largest height difference between the bottoms of two such things, metres."""
+"""Largest height difference between the bottoms of an unnamed and a named thing, metres, for the two to be possibly of
+one kind."""
 
 COUNTER_HEIGHT: Final = 0.85
 """Height above the floor from which the top of a table as large as the room's counter may be called a counter,

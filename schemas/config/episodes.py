@@ -61,7 +61,7 @@ class GoalsConfig(Section):
 
 
 class EpisodeConfig(Section):
-    """How episodes are placed."""
+    """Placement of episodes: distances, routes, starts and the step budget."""
 
     distance_single_room: Range = Field(
         (1.0, 10.0),

@@ -60,7 +60,11 @@ class Thresholds(Section):
     over_apart_false: Metres = Field(
         0.30, description="text may deny “above”, “below” and “under” where footprints are this far apart"
     )
-    top_true: Metres = Field(0.15, description="text may say higher and lower where tops differ by this, the same way")
+    top_true: Metres = Field(
+        0.15,
+        description="text may say higher and lower where tops differ by at least this, in the same "
+        "direction as the centres",
+    )
     top_false: Metres = Field(0.05, description="text may deny higher and lower where tops differ by at most this")
     off_floor: Metres = Field(
         0.30,

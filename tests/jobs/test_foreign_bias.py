@@ -50,5 +50,5 @@ def test_few_decided_texts_are_not_tested(tmp_path: Path) -> None:
 
 
 def test_a_folder_is_judged_alone(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="judged by itself"):
+    with pytest.raises(UsageError, match="together with other files"):
         report_bias([tmp_path, written(tmp_path / "few.json", STAY, [True])])
