@@ -19,11 +19,12 @@ Mask = NDArray[np.bool_]
 Status = NDArray[np.int8]
 
 
-def closest_facts(distance: F64, labels: Sequence[str], rival: Mask, t: Thresholds) -> tuple[Status, F64]:
+def closest_facts(distance: F64, labels: Sequence[str], rival: Mask, held: Mask, t: Thresholds) -> tuple[Status, F64]:
     """Return status and margin (n, n) of "closest to": the subject against all objects that its label might mean.
 
     distance (n, n) : of the boxes, or of their nearest pieces, in millimetres; NaN where one is unknown
     rival (n, n) : j could be meant by i's label; an object without a rival of its own label gets status 0
+    held (n, n) : one is on or in the other, which people say instead
     """
     n = len(rival)
     nearest, all_known = np.full((n, n), np.nan), np.zeros((n, n), dtype=np.bool_)
@@ -33,7 +34,7 @@ def closest_facts(distance: F64, labels: Sequence[str], rival: Mask, t: Threshol
         all_known[i] = ~np.isnan(others).any(axis=0)
     gap = exact_mm(t.closest_gap)
     own = distance
-    true = all_known & (nearest >= t.closest_ratio * own) & (nearest >= own + gap)
+    true = all_known & ~held & (nearest >= t.closest_ratio * own) & (nearest >= own + gap)
     false = (own >= t.closest_ratio * nearest) & (own >= nearest + gap)
     status = true.astype(np.int8) - false.astype(np.int8)
     named = np.array(labels, dtype=object)

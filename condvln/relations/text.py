@@ -66,6 +66,7 @@ class TextFacts:
     _arrays: RoomArrays
     _whole: Stacking
     _distance: F64
+    _held: Mask
     _compound: Mask
     _thresholds: Thresholds
 
@@ -75,7 +76,7 @@ class TextFacts:
 
     def closest(self, rival: Mask) -> tuple[Status, F64]:
         """Return status and margin (n, n) of "closest to"; `rival` (n, n) : j could be meant by i's label."""
-        return closest_facts(self._distance, self._arrays.labels, rival, self._thresholds)
+        return closest_facts(self._distance, self._arrays.labels, rival, self._held, self._thresholds)
 
     def sizes(self, rival: Mask) -> dict[str, Status]:
         """Return the status (n,) of each predicate of `SIZE_PREDICATES`, with the same `rival` as `closest`."""
@@ -91,7 +92,7 @@ def text_facts(relations: RoomRelations, thresholds: Thresholds) -> TextFacts:
     t, arrays = thresholds, relations.objects
     pieces, holding = Pieces.of(arrays), holding_of(arrays)
     stacking = stacking_of(pieces, holding, t)
-    parts = pieces.arrays
+    parts, (held, around) = pieces.arrays, held_by(pieces, holding, stacking, t)
     metrics = (
         pair_metrics(parts.centers, parts.aabb_min, parts.aabb_max, parts.radius)
         if pieces.several
@@ -103,7 +104,8 @@ def text_facts(relations: RoomRelations, thresholds: Thresholds) -> TextFacts:
         "in": _said_in(_some(pieces, _in(stacking, holding.open[pieces.owner], t)), holding),
         "near": _unheld(
             _some(pieces, _near(stacking, metrics, parts.radius, pieces.spread(relations.surface), t)),
-            *held_by(pieces, holding, stacking, t),
+            held,
+            around,
             holding,
         ),
         "far from": _far_of(pieces, _far(metrics.used, t)),
@@ -127,6 +129,7 @@ def text_facts(relations: RoomRelations, thresholds: Thresholds) -> TextFacts:
         _arrays=arrays,
         _whole=stacking_of(Pieces(arrays, arrays, np.arange(len(arrays))), holding, t) if pieces.several else stacking,
         _distance=pieces.least(stacking.distance),
+        _held=held | held.T,
         _compound=pieces.compound,
         _thresholds=t,
     )

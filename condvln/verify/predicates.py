@@ -63,7 +63,9 @@ class Judge:
             return lies_between(subject, anchors, room, self._t)
         (anchor,) = anchors
         if predicate == "closest to":
-            return is_closest(subject, anchor, rivals, self._t)
+            found = is_closest(subject, anchor, rivals, self._t)
+            held = room.holds(anchor, subject) or room.holds(subject, anchor)
+            return found._replace(verdict=UNDECIDED) if held and found.verdict == TRUE else found
         found = self._of_pieces(predicate, subject, anchor, room, asked)
         if predicate == "near":
             return _beside_each_other(found, subject, anchor, room)

@@ -333,3 +333,12 @@ def test_a_condition_denies_a_direction_where_another_is_meant(
     assert facts.status["east of"][0, 1] == -1
     assert facts.denied["east of"][0, 1] == denied
     assert facts.denied["west of"][0, 1]
+
+
+def test_what_is_on_the_anchor_is_not_called_closest_to_it(make: Maker, room_of: RoomOf) -> None:
+    table = make("z", (0, 0.4, 0), (1.0, 0.4, 0.5))
+    rival = np.array([[False, True, False], [True, False, False], [False, False, False]])
+    for height, expected in ((0.82, 0), (1.4, 1)):
+        knives = [make("a", (0, height, 0), (0.1, 0.02, 0.1)), make("b", (4, height, 0), (0.1, 0.02, 0.1))]
+        knives = [replace(knife, label="knife") for knife in knives]
+        assert text_facts(relate_room(room_of([*knives, table]), T), T).closest(rival)[0][0, 2] == expected
