@@ -36,7 +36,7 @@ def linear_text(
     seed: int,
     preamble: bool,
 ) -> str:
-    """Word the gold branch of an instruction as a plain one, with the same choices of words.
+    """Write the gold branch of an instruction as a plain instruction, with the same choices of words.
 
     Parameters
     ----------

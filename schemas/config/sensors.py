@@ -59,10 +59,10 @@ class NoiseConfig(Section):
     confused: Share = Field(0.0, description="share of the things in view that get another label of the scene")
     false: Share = Field(0.0, description="share of looks in which a thing is named that is not there")
     position: Annotated[Finite, Field(ge=0, json_schema_extra={"unit": "m"})] = Field(
-        0.0, description="standard deviation of the believed position, along each axis of the ground"
+        0.0, description="standard deviation of the estimated position, along each axis of the ground"
     )
     heading: Annotated[Finite, Field(ge=0, json_schema_extra={"unit": "°"})] = Field(
-        0.0, description="standard deviation of the believed heading"
+        0.0, description="standard deviation of the estimated heading"
     )
     step: Annotated[Finite, Field(ge=0, json_schema_extra={"unit": "share"})] = Field(
         0.0, description="standard deviation of a step's length, as a share of it"
@@ -73,18 +73,22 @@ class NoiseConfig(Section):
 
 
 class LookerConfig(Section):
-    """An agent that looks: what its eyes show it, how far it errs, and what it keeps."""
+    """The reference agent ``looker``: its cameras, its errors and its memory."""
 
     noise: NoiseConfig = Field(NoiseConfig(), description="errors of its detector, pose and motor")
-    logic: Share = Field(0.0, description="conditions that it answers wrongly whatever it has seen")
+    logic: Share = Field(0.0, description="share of conditions that it answers wrongly whatever it has seen")
     memory: Annotated[int, Field(ge=1, json_schema_extra={"unit": "steps"})] | None = Field(
-        None, description="steps after which it forgets a thing that it no longer sees; null for never"
+        None, description="steps after which it forgets a thing that is out of view; null for never"
     )
-    map: Literal["own", "given"] = Field("own", description="a map that it makes as it goes, or one of all the floor")
-    pixels: Pixels = Field(128, description="rows and columns of each of its four cameras, which see all around")
+    map: Literal["own", "given"] = Field(
+        "own", description="own: a map that it builds as it goes; given: the whole floor is known from the start"
+    )
+    pixels: Pixels = Field(
+        128, description="rows and columns of each of its four cameras, which together cover all directions"
+    )
     least_pixels: Annotated[int, Field(ge=1, json_schema_extra={"unit": "px"})] = Field(
-        1, description="pixels of a thing that must be seen before it is known"
+        1, description="pixels of a thing that must be visible before the thing is known"
     )
-    reach: Metres = Field(10.0, description="distance beyond which it sees neither things nor floor")
-    close: Metres = Field(3.0, description="distance from which a floor must be seen before what is not there is false")
-    patience: Share = Field(0.7, description="part of the budget after which it answers what it has not decided")
+    reach: Metres = Field(10.0, description="range of sight for things and floor")
+    close: Metres = Field(3.0, description="distance from which a floor must be seen before a thing counts as absent")
+    patience: Share = Field(0.7, description="share of the budget after which it answers undecided conditions")
