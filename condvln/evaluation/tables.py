@@ -145,7 +145,7 @@ def axis_table(
 
 
 def branch_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Table:
-    """Return which branch was taken, by source and agent."""
+    """Return the table of the branches that agents took, by source and agent."""
     return _grouped("branches", "Branches taken", evaluations, ("source",), BRANCH_COLUMNS, seed)
 
 

@@ -62,7 +62,8 @@ def heading_name(heading_degrees: float) -> str:
     steps = heading_degrees / 45.0
     if abs(steps - round(steps)) * 45.0 > HEADING_TOLERANCE:
         raise UsageError(
-            f"a heading of {heading_degrees}° has no name", remedy="Take starts at multiples of 45° for such texts."
+            f"the heading {heading_degrees}° is not a multiple of 45°",
+            remedy="Choose starts at multiples of 45° for texts with compass words",
         )
     return HEADINGS[round(steps) % len(HEADINGS)]
 

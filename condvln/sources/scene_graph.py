@@ -109,7 +109,7 @@ def _pickle_of(array: bytes, where: str) -> bytes:
     start = 12 if wide else 10
     length = int.from_bytes(array[8:start], "little")
     if length > 10_000 or start + length > len(array):
-        raise fail(f"its header claims {length} bytes")
+        raise fail(f"its header claims {length} bytes, which is too large")
     try:
         header = literal_eval(array[start : start + length].decode("latin1"))
         descr, shape = header["descr"], header["shape"]

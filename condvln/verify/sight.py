@@ -277,7 +277,7 @@ class Sight:
         return nearest
 
     def _faces(self, item: SceneObject) -> NDArray[np.int64]:
-        """Return the indices (m,) of an object's own faces; empty if no exact surface is known."""
+        """Return the faces (m, 3) of an object's own surface; empty if no exact surface is known."""
         known = self._geometry
         return (
             np.empty((0, 3), np.int64) if known is None else known.faces[known.owner == self._numbers[item.object_id]]
