@@ -87,12 +87,13 @@ def _heard(words: Language, pieces: Sequence[str | Slot]) -> dict[int, list[Cont
     connectives = {
         tuple(_WORD.findall(phrase)): name for name, phrases in words.connectives.items() for phrase in phrases
     }
+    agreeing = {*words.connectives["so"]} & {*words.slots["yes_one"], *words.slots["yes_it"]}
     supposing = False  # after "if", before its claim or answer
     sentence_ifs = previous_ifs = 0
     sentence: Context = ()
     for piece in pieces:
         if isinstance(piece, Slot):
-            _hear_slot(listener, piece, supposing)
+            _hear_slot(listener, piece, supposing, agreeing=bool(agreeing))
             sentence_ifs += supposing and piece.form in ("asserted", "denied")
             supposing = False
             if piece.form == "see":
@@ -108,7 +109,9 @@ def _heard(words: Language, pieces: Sequence[str | Slot]) -> dict[int, list[Cont
             elif name == "if":
                 supposing = True
             elif name in ("so", "not"):
-                context, condition, _ = _latest(listener)
+                context, condition, truth = _latest(listener)
+                if name == "so" and truth is False:
+                    raise ValueError(f'"so" after a denial of condition {condition} agrees with the denial')
                 listener.context = (*context, (condition, name == "so"))
                 supposing = False
             elif name == "otherwise":
@@ -130,11 +133,17 @@ def _heard(words: Language, pieces: Sequence[str | Slot]) -> dict[int, list[Cont
     return listener.leaves
 
 
-def _hear_slot(listener: _Listener, slot: Slot, supposing: bool) -> None:
+def _hear_slot(listener: _Listener, slot: Slot, supposing: bool, agreeing: bool) -> None:
+    """Take in one slot.
+
+    agreeing : whether "yes" is said as "if so", which agrees with a denial too
+    """
     if slot.form == "leaf":
         listener.leaves.setdefault(slot.index, []).append(listener.context)
     elif slot.form in ("yes", "no", "again", "not_again"):
-        context, condition, _ = _latest(listener)
+        context, condition, truth = _latest(listener)
+        if agreeing and slot.form == "yes" and truth is False:
+            raise ValueError(f"the answer agrees with the denial of condition {condition}")
         if condition != slot.index:
             raise ValueError(f"the answer about condition {slot.index} comes after condition {condition} was asked")
         listener.context = (*context, (condition, slot.form in ("yes", "again")))

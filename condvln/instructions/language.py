@@ -32,7 +32,7 @@ LEAF_LETTERS: Final = "xyzw"
 SLOTS: Final = (
     "exists", "absent", "exists_again", "is_there", "is", "is_not", "is_again", "asks_is",
     "see", "check", "for", "yes_one", "no_one", "yes_it", "no_it",
-    "go", "then", "last", "second", "in", "of", "there", "with", "scope",
+    "go", "then", "last", "second", "in", "of", "of_anchor", "there", "with", "scope",
     "facing",
 )  # fmt: skip
 """Phrase slots that every voice has, besides one per predicate."""
@@ -111,8 +111,9 @@ class Language:
     slots : all phrases of each slot, over all voices
     elliptic : answers that repeat the verb of "there is", used only after a question with that verb
     connectives : words that connect clauses, by function
-    predicates : phrases of predicates with anchors; lying : words between the noun of a stop and its relation, one of
-            which a text uses ("que está"); none in English; both : the word between two anchors
+    predicates : phrases of predicates with anchors; both : the word between two anchors
+    lying : words between the noun of a stop and its relation, one of which a text uses ("que está"); none in English
+    room_first : whether the room comes before "there is" ("en la cocina hay")
     bearings : egocentric phrases; a text uses those with one index of each list; bearing_stops : the same after the
             noun of a stop
     superlatives : "bigger" and "smaller" by class of noun; superlative_first : before the noun, else after it
@@ -127,6 +128,7 @@ class Language:
     connectives: Mapping[str, tuple[str, ...]]
     predicates: Mapping[Predicate, tuple[str, ...]]
     lying: tuple[str, ...]
+    room_first: bool
     bearings: Mapping[Predicate, tuple[str, ...]]
     bearing_stops: Mapping[Predicate, tuple[str, ...]]
     both: str
@@ -201,6 +203,7 @@ def language(code: str = "en") -> Language:
         connectives={name: tuple(phrases) for name, phrases in document["connectives"].items()},
         predicates={p: _predicate(document, p) for p in PREDICATES if p not in (*SUPERLATIVES, *BEARINGS)},
         lying=tuple(document.get("lying", ())),
+        room_first=bool(document.get("room_first")),
         bearings={p: tuple(document["bearings"][p]) for p in BEARINGS},
         bearing_stops={p: tuple(document["bearing_stops"][p]) for p in BEARINGS},
         both=document["both"],

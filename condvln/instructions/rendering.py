@@ -139,6 +139,10 @@ def render_moves(
     return _sentences(words, f"{renderer.moves(Leaf(moves=moves))}.")
 
 
+_PREPOSITIONS: Final = {"": "in", "_of": "of", "_anchor": "of_anchor"}
+"""Slot of the preposition before a room: of what is there, of what belongs there, behind the anchor of a stop."""
+
+
 class _Renderer:
     """Renders one text from left to right; each chosen phrase is kept for the rest of it.
 
@@ -150,11 +154,13 @@ class _Renderer:
         self.scope: RoomRef | None = None
         self.last_room: RoomRef | None = None
         self._chosen: dict[str, str] = {}
-        self._relations: dict[Qualifier, str] = {}
-        self._said: list[Condition] = []
+        self._relations: dict[Predicate, str] = {}
+        self._asked: set[int] = set()
+        self._room_asked: str | None = None
         self._is_beside = False
         self._answered = ""
         self._requests = 0
+        self._is_room_first = False
         self._shared: set[str] = set()
         self._asked_by_exists = False
         self._types: Counter[str] = Counter()
@@ -171,6 +177,8 @@ class _Renderer:
         template = self.draws.choice(_sayable(templates, program) if not self.short else templates)
         texts = [piece if isinstance(piece, str) else self._slot(piece, program) for piece in template.pieces]
         body = "".join(texts)
+        if self._is_room_first:
+            body = body.replace(" , ", ", ")
         return _sentences(self.words, f"{opening}{body[:1].lower()}{body[1:]}" if opening else body)
 
     def _phrase(self, slot: str) -> str:
@@ -181,7 +189,8 @@ class _Renderer:
         return found
 
     def _choice(self, phrases: tuple[str, ...]) -> str:
-        return self.draws.choice(_shortest(phrases) if self.short else phrases)
+        phrases = _shortest(phrases) if self.short else phrases
+        return self.draws.choice(phrases) if len(phrases) > 1 else phrases[0]
 
     def _chance(self, share: float) -> bool:
         return self.draws.uniform() < share
@@ -197,7 +206,7 @@ class _Renderer:
 
     def _elided(self, room: RoomRef) -> bool:
         """Return whether nouns are said without their room, because it has no name or applies to everything."""
-        return room == self.scope or room.label not in self.words.rooms
+        return self.scope is not None or room.label not in self.words.rooms
 
     def _slot(self, slot: Slot, program: Program) -> str:
         if slot.form == "leaf":
@@ -217,9 +226,10 @@ class _Renderer:
             # "If it is, see if … If it is, …": the second could be confused with the first.
             form = "again" if form == "yes" else "not_again"
         asserted = form in ("asserted", "again")
-        again = condition in self._said
+        again = slot.index in self._asked
+        self._asked.add(slot.index)
         self._is_beside = not again and self._is_in_room_asked(condition)
-        self._said.append(condition)
+        self._room_asked = condition.room.room_id
         if again and not self._is_shared(condition):
             full = condition.qualifier is not None and not self._elided(condition.room)
             if full or form in ("again", "not_again"):
@@ -231,10 +241,8 @@ class _Renderer:
         return self._clause(condition, asserted=asserted)
 
     def _is_in_room_asked(self, condition: Condition) -> bool:
-        """Return whether a known object is in the room that was asked about last, which then need not be named
-        again.
-        """
-        beside = condition.definite and bool(self._said) and self._said[-1].room == condition.room
+        """Return whether a known object is in the room asked about last, which then need not be named again."""
+        beside = condition.definite and self._room_asked == condition.room.room_id
         return beside and not self._is_shared(condition)
 
     def _is_shared(self, named: Condition | ObjectRef) -> bool:
@@ -253,11 +261,17 @@ class _Renderer:
 
     def _clause(self, condition: Condition, *, asserted: bool) -> str:
         if condition.definite:
-            return (
-                f"{self._subject(condition)} {self._phrase('is' if asserted else 'is_not')}{self._relation(condition)}"
-            )
+            verb = self._phrase("is" if asserted else "is_not")
+            if self._is_set_apart(condition.room) and not self._is_beside:
+                # "The lamp in the bedroom that has the desk is near …" sounds as if the desk were.
+                self._is_room_first = True
+                place = f", {self._phrase('in')} {self._room(condition.room)}, "
+                return f"{place}{self.words.definite(self._noun(condition))} {verb}{self._relation(condition)}"
+            return f"{self._subject(condition)} {verb}{self._relation(condition)}"
         self._asked_by_exists = True
         there = self._filled("exists" if asserted else "absent", condition)
+        if self.words.room_first and not self._elided(condition.room):
+            return f"{self._phrase('in')} {self._room(condition.room)} {there}{self._relation(condition)}"
         return f"{there}{self._relation(condition)}{self._where(condition.room, named=True)}"
 
     def _again(self, condition: Condition, kind: str) -> str:
@@ -280,7 +294,9 @@ class _Renderer:
         return f"{self._filled('is_there', condition)}{self._relation(condition)}{where}?"
 
     def _see(self, condition: Condition) -> str:
-        if condition.definite or self._elided(condition.room) or not self._chance(CHECK_SHARE):
+        plain = not condition.definite and condition.qualifier is None and condition.room.anchor_label is None
+        plain = plain and not self.words.room_first
+        if not plain or self._elided(condition.room) or not self._chance(CHECK_SHARE):
             return f"{self._request()} {self._clause(condition, asserted=True)}"
         self._asked_by_exists = False
         room = self._room(condition.room)
@@ -311,11 +327,11 @@ class _Renderer:
             return ""
         if qualifier.predicate in BEARINGS:
             return f" {self._at_start(qualifier.predicate, isinstance(named, ObjectRef))}"
-        relation = self._relations.get(qualifier)
+        relation = self._relations.get(qualifier.predicate)
         if relation is None:
             phrases = self.words.predicates[qualifier.predicate]
             relation = phrases[0] if len(phrases) == 1 else self._choice(phrases)
-            self._relations[qualifier] = relation
+            self._relations[qualifier.predicate] = relation
         anchors = [self.words.definite(self.words.noun(label, named.room.label)) for label in qualifier.anchor_labels]
         return f" {relation} {f' {self.words.both} '.join(anchors)}"
 
@@ -353,8 +369,8 @@ class _Renderer:
         if ref.qualifier is not None and ref.qualifier.predicate in SUPERLATIVES:
             noun = self.words.compared(ref.qualifier.predicate, named)
         elif ref.qualifier is not None:
-            # After a relation, "of the bedroom" would refer to the anchor.
-            kind = ""
+            # After a relation no "there"; "of the bedroom" goes with the anchor, which is in the same room.
+            kind = "_anchor"
         if ref.is_bearing:
             # It is in the room of the start, which is not named; "there" would refer to that room next.
             self.last_room = None
@@ -362,7 +378,14 @@ class _Renderer:
         relation = self._relation(ref)
         if relation and self.words.lying:
             relation = f" {self._lying()}{relation}"
-        return f"{noun}{relation}{'' if same_room else self._where(ref.room, kind)}"
+        if same_room:
+            there = (
+                " " + self._phrase("there")
+                if self.voice.slots["there"] and not self._elided(ref.room) and kind == "_of"
+                else ""
+            )
+            return f"{noun}{relation}{there}"
+        return f"{noun}{relation}{self._where(ref.room, kind)}"
 
     def _where(self, room: RoomRef, kind: str = "", *, named: bool = False) -> str:
         """Return the room as a place ("in the bedroom"); with `kind` "_of" as the owner ("del dormitorio").
@@ -371,9 +394,14 @@ class _Renderer:
         """
         if self._elided(room):
             return ""
-        if kind and not named and self.voice.slots["there"] and room == self.last_room:
+        if kind == "_of" and not named and self.voice.slots["there"] and room == self.last_room:
             return f" {self._phrase('there')}"
-        return f" {self._phrase('of' if kind else 'in')} {self._room(room)}"
+        return f" {self._phrase(_PREPOSITIONS[kind])} {self._room(room)}"
+
+    def _is_set_apart(self, room: RoomRef) -> bool:
+        """Whether a room has to be named by a thing in it."""
+        known = room.anchor_label is None or (room in self._introduced and self._types[room.label] == 1)
+        return not known and not self._elided(room)
 
     def _room(self, room: RoomRef) -> str:
         self.last_room = room
@@ -381,7 +409,7 @@ class _Renderer:
         phrase = self.words.definite(noun)
         if room.anchor_label is None:
             return phrase
-        if room in self._introduced and self._types[room.label] == 1:
+        if not self._is_set_apart(room):
             return phrase
         self._introduced.add(room)
         return f"{phrase} {self._phrase('with')} {self.words.definite(self.words.noun(room.anchor_label, room.label))}"
@@ -393,14 +421,14 @@ def _labels(named: Condition | ObjectRef) -> tuple[str, ...]:
 
 
 def _shared(program: Program) -> set[str]:
-    """Return the labels that a text names in several rooms."""
-    room_of: dict[str, RoomRef] = {}
+    """The labels that a text names in several rooms."""
+    room_of: dict[str, str] = {}
     shared = set()
     named_things: list[Condition | ObjectRef] = [*program.conditions]
     named_things += [move for leaf in program.leaves for move in leaf.moves]
     for named in named_things:
         for label in _labels(named):
-            if room_of.setdefault(label, named.room) != named.room:
+            if room_of.setdefault(label, named.room.room_id) != named.room.room_id:
                 shared.add(label)
     return shared
 

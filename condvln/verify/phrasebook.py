@@ -42,12 +42,14 @@ class Phrasebook:
     tree : words to nodes; under `END` the phrases that end there, under `SO_FAR` also those on the path
     contractions : the words that a contraction stands for
     lying : whether stops have words between noun and relation ("que está")
+    room_first : whether a room comes before "there is" ("en la cocina hay")
     """
 
     tree: Node
     contractions: Mapping[str, tuple[str, ...]]
     classes: frozenset[str]
     lying: bool
+    room_first: bool
 
     def tokens(self, text: str) -> list[str]:
         """Return the words and punctuation of a text, in lower case, with contractions expanded."""
@@ -70,7 +72,9 @@ def phrasebook(code: str = "en") -> Phrasebook:
     document = yaml.safe_load(package_data("instructions", "grammar", f"{code}.yaml").read_text(encoding="utf-8"))
     articles: Mapping[str, Mapping[str, str]] = document["articles"]
     together = {short: tuple(apart.split()) for apart, short in (document.get("contractions") or {}).items()}
-    book = Phrasebook({}, together, frozenset(articles["definite"]), bool(document.get("lying")))
+    book = Phrasebook(
+        {}, together, frozenset(articles["definite"]), bool(document.get("lying")), bool(document.get("room_first"))
+    )
     for slot in document["phrases"]:
         for phrase in _phrases(document, slot):
             for text, classes in _with_articles(phrase, articles):

@@ -188,14 +188,14 @@ class PhraseReader:
             yield from self._related(start)
 
     def _where(
-        self, at: int, last: Named | None, belonging: bool = False
+        self, at: int, last: Named | None, belonging: bool = False, behind: bool = False
     ) -> Iterator[tuple[int, Named | None, Named | None]]:
         """Yield (end, room, room named last) of "in the bedroom", of "there", and of the empty phrase.
 
         belonging : directly after a definite noun, where some languages use other words ("la cama del dormitorio")
         """
         yield at, self.scope, last
-        for end, _, _ in self._of(at, "of" if belonging else "in"):
+        for end, _, _ in self._of(at, "of" if belonging else "of_anchor" if behind else "in"):
             for stop, room in self._rooms(end):
                 yield stop, room, room
         if last is not None:
@@ -206,7 +206,9 @@ class PhraseReader:
         """Yield stops as named in moves: "the lamp near the bed in the bedroom"."""
         for end, label in self._definite(at, "noun"):
             for stop, qualifier in self._qualified(end, lying=self.book.lying):
-                for after, room, named in self._where(stop, last, belonging=qualifier is None):
+                for after, room, named in self._where(
+                    stop, last, belonging=qualifier is None, behind=qualifier is not None
+                ):
                     yield after, Phrase(label, qualifier, room), named
             for stop, bearing, _ in self._of(end, "bearing_stop"):
                 # It is where the agent starts; "there" would be ambiguous after it.
@@ -224,6 +226,12 @@ class PhraseReader:
                 for stop, qualifier in self._qualified(after):
                     for place, room, named in self._where(stop, last):
                         yield place, Phrase(label, qualifier, room), named
+        for end, _, _ in self._of(at, "in") if self.book.room_first else ():
+            for start, room in self._rooms(end):
+                for after, _, classes in self._of(start, slot):
+                    for stop, label in self._agreeing(after, "noun", classes):
+                        for place, qualifier in self._qualified(stop):
+                            yield place, Phrase(label, qualifier, room), room
 
     def _checked(self, at: int) -> Iterator[tuple[int, Phrase, Named | None]]:
         """Yield what follows "check" in "check the bedroom for a lamp near the bed"."""
@@ -246,6 +254,14 @@ class PhraseReader:
                     for stop, bearing, _ in self._of(verb, "bearing"):
                         yield stop, Phrase(label, (bearing, ()), room, True), named
 
+    def _known_in(self, slot: str, at: int) -> Iterator[tuple[int, Phrase, Named | None]]:
+        """Yield ", in the bedroom that has the desk, the lamp is near the bed", by the phrases of a slot."""
+        for end, _, _ in self._of(at + 1, "in") if self._is(at, ",") else ():
+            for stop, room in self._rooms(end):
+                for after, what, named in self._known(slot, stop + 1, room) if self._is(stop, ",") else ():
+                    if what.room == self.scope:
+                        yield after, what._replace(room=room), named
+
     def _said(self, at: int, last: Named | None) -> Iterator[tuple[int, bool, Phrase, Named | None]]:
         """Yield claims as (end, whether it is asserted or denied, claim, room named last)."""
         for present, some, known in (
@@ -253,7 +269,7 @@ class PhraseReader:
             (True, "exists_again", "is_again"),
             (False, "absent", "is_not"),
         ):
-            for found in (self._some(some, at, last), self._known(known, at, last)):
+            for found in (self._some(some, at, last), self._known(known, at, last), self._known_in(known, at)):
                 for end, what, named in found:
                     yield end, present, what, named
 

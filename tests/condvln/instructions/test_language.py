@@ -106,6 +106,18 @@ def test_the_lint_finds_what_a_listener_would_take_wrongly(category: Category, t
     assert what in finding.what
 
 
+def test_agreeing_with_a_denial_is_found() -> None:
+    """ "Si la caja no está cerca, ve al banco. Si es así, …" agrees that it isn't; so does "if so"."""
+    text = "Si {-A}, {y}. Si {yes A}, {x}."
+    (finding,) = findings(language("es"), "simple", _template({"voices": "brief", "text": text}, "simple"))
+    assert "agrees with the denial" in finding.what
+    so = _template({"voices": "brief", "text": "If {-A}, {y}. If so, {x}."}, "simple")
+    (finding,) = findings(language("en"), "simple", so)
+    assert "agrees with the denial" in finding.what
+    plain = _template({"voices": "brief", "text": "If {-A}, {y}. If {yes A}, {x}."}, "simple")
+    assert not list(findings(language("en"), "simple", plain))
+
+
 def test_the_lint_tells_leaves_apart_by_truths() -> None:
     words = language("en")
     template = _template({"voices": "brief", "text": "If {A}, {x}. If not, {y}."}, "simple")

@@ -292,7 +292,7 @@ def test_a_room_named_by_a_thing_needs_it_once() -> None:
     """ "The bedroom" is the one with the piano, where the text has no other."""
     for seed in range(40):
         text = render(PROGRAM, seed, "x")
-        assert text.count("with the piano") == 1, text
+        assert len(re.findall("(?:with|that has) the piano", text)) == 1, text
         assert parse(text) == reading_of(PROGRAM)
     two = PROGRAM.model_copy(
         update={
