@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
-from condvln.formats.json_document import JsonNode, parse_json
+from condvln.formats.json_document import MAX_COORDINATE, JsonNode, parse_json
 from condvln.formats.streams import read_unpacked
 from condvln.language.texts import LARGEST_FILE
 from schemas.errors import FormatError
@@ -115,8 +115,7 @@ def _path(value: dict[str, Any]) -> tuple[float | None, float | None]:
         if len(viewpoints) == 1 or viewpoints[0] == viewpoints[-1]:
             return 0.0, 0.0
         distance = value.get("distance")
-        known = isinstance(distance, int | float) and not isinstance(distance, bool) and math.isfinite(distance)
-        return float(distance) if known and distance is not None else math.inf, None
+        return float(distance) if distance is not None and _is_metres(distance) else math.inf, None
     return None, None
 
 
@@ -127,8 +126,9 @@ def _walked(actions: object) -> float | None:
 
 
 def _is_point(value: Any) -> bool:
-    return (
-        isinstance(value, list)
-        and len(value) == 3
-        and all(isinstance(x, int | float) and not isinstance(x, bool) and math.isfinite(x) for x in value)
-    )
+    return isinstance(value, list) and len(value) == 3 and all(_is_metres(x) for x in value)
+
+
+def _is_metres(value: Any) -> bool:
+    """A number of metres in a building; comparing refuses NaN, and whole numbers that no float holds."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= MAX_COORDINATE

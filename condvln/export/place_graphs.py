@@ -99,7 +99,8 @@ def _of_routes(rows: Iterable[Row]) -> tuple[list[str], npt.NDArray[np.float64],
         return [], np.zeros((0, 3)), np.zeros((0, 2), dtype=np.int64)
     ends = np.cumsum([0, *map(len, routes)])
     dense, ends = densify_many(np.concatenate(routes, dtype=np.float64), ends, PATH_SPACING)
-    points, route = dense.round(3), np.repeat(np.arange(len(routes)), np.diff(ends))
+    # Adding 0 makes 0 of −0, which is equal to it and has other bytes.
+    points, route = dense.round(3) + 0.0, np.repeat(np.arange(len(routes)), np.diff(ends))
     _, cell = np.unique(np.floor(points / _CELL).astype(np.int64), axis=0, return_inverse=True)
     cell = cell.reshape(-1)
     order = np.lexsort((points[:, 2], points[:, 1], points[:, 0], cell))

@@ -261,6 +261,27 @@ def test_a_path_to_another_floor_decides_between_clauses(tmp_path: Path) -> None
     assert (then.episodes, then.accuracy, then.chance) == (80, 0.5, 0.5)
 
 
+@pytest.mark.parametrize("number", ["1" + "0" * 400, "true", '"x"', "[]", "1e7", "null"])
+def test_a_path_that_is_none_is_passed_over(tmp_path: Path, number: str) -> None:
+    """The text is read, and nothing is said of its path; a number that no float holds ends nothing."""
+    said = '"instruction": {"instruction_text": "If there is a lamp, stay; otherwise, go on."}'
+    path = f'"start_position": [0, 0, {number}], "goals": [{{"position": [0, 0, 0]}}], "reference_path": {number}'
+    (tmp_path / "f.json").write_text(f'{{"episodes": [{{"episode_id": 1, "scene_id": "a/b.glb", {path}, {said}}}]}}')
+    (episode,) = read_foreign(tmp_path / "f.json")
+    assert (episode.displacement, episode.rise) == (None, None)
+    item = f'[{{"path_id": 1, "scan": "s", "path": ["a", "b"], "distance": {number}, "instructions": ["Go on."]}}]'
+    (tmp_path / "r.json").write_text(item)
+    (episode,) = read_foreign(tmp_path / "r.json")
+    assert episode.displacement == np.inf
+
+
+@pytest.mark.parametrize("text", ["[]", "[1]", '{"episodes": [[]]}', '{"episodes": 3}', "{", '[{"instructions": [3]}]'])
+def test_broken_files_are_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "f.json").write_text(text)
+    with pytest.raises(FormatError):
+        judge_files([tmp_path / "f.json"])
+
+
 def test_a_file_without_instructions_is_refused(tmp_path: Path) -> None:
     (tmp_path / "f.json").write_text(json.dumps({"episodes": []}))
     with pytest.raises(FormatError, match="holds no instructions"):
