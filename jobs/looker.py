@@ -11,10 +11,12 @@ from pydantic import ValidationError
 
 from condvln.evaluation.looker import LookingAgent
 from condvln.evaluation.scene_views import SceneViews
+from condvln.evaluation.split import split_tasks
+from condvln.navigation.navmesh_folder import NavmeshFolder
 from schemas.config import LookerConfig
 from schemas.errors import UsageError
 
-__all__ = ["LOOKER", "datasets_of", "looker_config", "looking_agent"]
+__all__ = ["LOOKER", "datasets_of", "looker_config", "looker_picks", "looking_agent"]
 
 LOOKER: Final = "looker"
 """Name of the agent, beside those of `condvln.evaluation.agents.AGENTS`."""
@@ -88,3 +90,12 @@ def looker_config(texts: Sequence[str]) -> LookerConfig:
             place="--looker",
             remedy=f"Keys are {', '.join(LookerConfig.model_fields)}; those of noise are written as noise.missed.",
         ) from None
+
+
+def looker_picks(
+    export: Path, split: str, datasets: Sequence[str], keys: Sequence[str], roots: Sequence[Path], seed: int
+) -> dict[str, int]:
+    """Return the leaf that the agent picks in each episode of a split, by the episode's id."""
+    agent = looking_agent(datasets, keys)
+    navmeshes = NavmeshFolder((export, *roots, *datasets_of(datasets).values()))
+    return {task.episode_id: agent.walk(task, navmeshes(task), seed).leaf for task in split_tasks(export, split)}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -35,22 +36,30 @@ def linear_text(
     *,
     seed: int,
     preamble: bool,
+    leaf: int | None = None,
 ) -> str:
-    """Write the gold branch of an instruction as a plain instruction, with the same choices of words.
+    """Write one branch of an instruction as a plain instruction, with the same choices of words.
 
     Parameters
     ----------
+    leaf : the branch; the gold one where None
     heading_degrees : start heading, clockwise from north
     preamble : open with the start heading where compass words are used
     """
-    moves = oracle_linear(program)
+    moves = oracle_linear(program) if leaf is None else program.leaves[leaf].moves
     told = render_moves(moves, seed, instruction_id, wording)
     compass = any(move.qualifier is not None and move.qualifier.predicate in COMPASS for move in moves)
     return with_preamble(told, heading_degrees, seed, instruction_id, wording) if preamble and compass else told
 
 
 def oracle_split(
-    export: Path, split: str, *, file: Path | None = None, out: Path | None = None, seed: int | None = None
+    export: Path,
+    split: str,
+    *,
+    file: Path | None = None,
+    out: Path | None = None,
+    seed: int | None = None,
+    picks: Mapping[str, int] | None = None,
 ) -> Report:
     """Write the twin of a split, its shards and its ground truth.
 
@@ -59,6 +68,7 @@ def oracle_split(
     file : a VLN-CE, ANSR-v1 or RxR file of the split's episodes; by default the export's own stock file
     out : by default ``oracle/<split>/<split>.json.gz`` of the export
     seed : of the words; by default the export's own
+    picks : the branch by the manifest's ids, as somebody picked it; the gold one where None
 
     Raises
     ------
@@ -78,7 +88,8 @@ def oracle_split(
 
     def text_of(row: ManifestEpisode) -> str:
         heading = -math.degrees(heading_of(row.start_rotation)) % 360.0
-        return linear_text(row.program, row.instruction_id, heading, wording, seed=seed, preamble=preamble)
+        leaf = None if picks is None else picks[str(row.episode_id)]
+        return linear_text(row.program, row.instruction_id, heading, wording, seed=seed, preamble=preamble, leaf=leaf)
 
     done = rewrite_split(document, manifest, target, text_of)
     files = [target]

@@ -6,7 +6,7 @@ import os
 from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
 from condvln.scene import Scene
 from condvln.sensors import Renderer, open_renderer
@@ -14,7 +14,7 @@ from condvln.sources.registry import open_source
 from condvln.sources.source import Source
 from schemas.errors import UsageError
 
-__all__ = ["SCENES_KEPT", "SceneViews", "View"]
+__all__ = ["SCENES_KEPT", "SceneViews", "SeenScene", "View"]
 
 SCENES_KEPT: Final = 4
 """Number of scenes kept open; a large scan with its textures takes up to a gigabyte."""
@@ -26,6 +26,16 @@ class View:
 
     scene: Scene
     renderer: Renderer
+
+
+class SeenScene(Protocol):
+    """What cameras need: a scene and its renderer, as `View` and `condvln.world.World` have them."""
+
+    @property
+    def scene(self) -> Scene: ...
+
+    @property
+    def renderer(self) -> Renderer: ...
 
 
 class SceneViews:

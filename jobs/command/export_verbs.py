@@ -74,12 +74,25 @@ def oracle(
         Path | None, typer.Option("--out", help="file to write; by default oracle/SPLIT/SPLIT.json.gz of the export")
     ] = None,
     seed: Annotated[int | None, typer.Option(help="seed of the wording; by default the export's own")] = None,
+    scenes: Annotated[
+        list[str] | None,
+        typer.Option("--scenes", metavar="FAMILY=DIR", help="take the branch that looker picks; the dataset it sees"),
+    ] = None,
+    looker: Annotated[
+        list[str] | None, typer.Option("--looker", metavar="KEY=VALUE", help="looker's errors: noise.missed=0.1")
+    ] = None,
+    navmesh_root: NavmeshRoots = None,
     as_json: AsJson = False,
 ) -> None:
     """Write the oracle-linear twin of a split: the same episodes, with the right branch as a plain instruction."""
+    from jobs.looker import looker_picks
     from jobs.oracle import oracle_split
 
-    answer(oracle_split(export, split, file=file, out=out, seed=seed), as_json)
+    picks = None
+    if scenes or looker:
+        picks = looker_picks(export, split, scenes or (), looker or (), navmesh_root or (), seed or 0)
+        out = out or export / "looker" / split / f"{split}.json.gz"
+    answer(oracle_split(export, split, file=file, out=out, seed=seed, picks=picks), as_json)
 
 
 def compose(

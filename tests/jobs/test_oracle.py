@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from condvln.export.snapshot import ExportConfig, export_snapshot
 from condvln.formats.streams import read_unpacked
 from condvln.labels import vocabulary
+from condvln.manifest import manifest_path, read_manifest
 from jobs.command import app
 from jobs.oracle import oracle_split
 from jobs.validate import validate_files
@@ -144,3 +145,16 @@ def test_what_is_amiss_is_said(export: Path, split: str, tmp_path: Path) -> None
     with pytest.raises(FormatError, match="stranger is not in the manifest"):
         oracle_split(export, split, file=theirs, out=tmp_path / "twin.json.gz")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["theirs.json.gz"]
+
+
+def test_a_pick_is_said_in_place_of_the_gold_branch(export: Path, split: str, tmp_path: Path) -> None:
+    rows = read_manifest(manifest_path(export, split))
+    rows = list(rows)
+    gold = {str(row.episode_id): row.gold_leaf for row in rows}
+    texts = {}
+    for name, picks in (("gold", None), ("same", gold), ("other", {k: 1 if v == 0 else 0 for k, v in gold.items()})):
+        oracle_split(export, split, out=tmp_path / f"{name}.json.gz", picks=picks)
+        found = read(tmp_path / f"{name}.json.gz")["episodes"]
+        texts[name] = [episode["instruction"]["instruction_text"] for episode in found]
+    assert texts["same"] == texts["gold"]
+    assert all(one != two for one, two in zip(texts["gold"], texts["other"], strict=True))

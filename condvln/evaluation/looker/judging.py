@@ -126,4 +126,4 @@ def _on(thing: Thing, anchor: Thing) -> float:
     """
     if thing.middle[1] <= anchor.box[0, 1] + TOUCH:
         return -1.0
-    return min(_covered(thing, anchor) - 0.4, float(anchor.box[1, 1] - thing.box[0, 1]) + TOUCH)
+    return min(_covered(thing, anchor) - 0.25, float(anchor.box[1, 1] - thing.box[0, 1]) + TOUCH)

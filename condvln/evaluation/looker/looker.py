@@ -42,6 +42,8 @@ FAR_REACH: Final = 1.5
 """Largest distance in metres at which an object counts as reached if it can't be approached further."""
 AHEAD: Final = 2.0
 """Largest length in metres of a shortcut along its path, if the straight line is free."""
+BY_SURFACES: Final = frozenset(("near", "on", "in", "above", "below", "between"))
+"""Relations that may become true when more is seen of the same things."""
 HALF_TURN: Final = math.radians(VLN_CE.turn) / 2
 PATIENT: Final = 12
 """Number of steps without progress after which it chooses another target."""
@@ -97,8 +99,11 @@ class Looker:
         self._last: F64 = np.zeros(2)  # the previous stop, at first the start
         self._moves_done = 0
         self._start_room = -1
+        self._been: set[int] = set()  # rooms that it has looked around in
         self._given_up: list[F64] = []
         self._stopping = False
+        self._before: F64 | None = None
+        self._blocked = 0
         self._best, self._since = math.inf, 0
 
     def act(self, place: F64, heading: float, look: Callable[[], Look], bumped: bool) -> int:
@@ -112,9 +117,8 @@ class Looker:
         """
         self._place, self._heading = place, heading
         if bumped:
-            x, z = place[0] - 0.2 * math.sin(heading), place[2] - 0.2 * math.cos(heading)
-            self.map.bump(x, z)
-            self._aim = self._ground = None
+            self._bump()
+        self._before = place[[0, 2]].copy()
         flat = place[[0, 2]]
         if self._looked is None or np.hypot(*(flat - self._looked)) >= LOOK_EVERY:
             self._take_in(look())
@@ -150,6 +154,19 @@ class Looker:
 
     # Perception
 
+    def _bump(self) -> None:
+        """Shut the place ahead; the more often it could not move at all, the more around it."""
+        still = self._before is not None and float(np.hypot(*(self._place[[0, 2]] - self._before))) < CELL / 2
+        self._blocked = self._blocked + 1 if still else 1
+        wide = min(self._blocked - 1, 4)
+        for k in range(-wide, wide + 1):
+            angle = self._heading + math.radians(25.0 * k)
+            for away in (0.2,) if self._blocked < 3 else (0.12, 0.2):
+                self.map.bump(
+                    float(self._place[0]) - away * math.sin(angle), float(self._place[2]) - away * math.cos(angle)
+                )
+        self._aim = self._ground = None
+
     def _take_in(self, look: Look) -> None:
         place = self._place
         self._looked = place[[0, 2]].copy()
@@ -157,6 +174,7 @@ class Looker:
         self.memory.add(look, place, self._heading, self._step)
         if self._step == 0:
             self._start_room = look.here
+        self._been.add(look.here)
         self._ground = self._aim = None
 
     def _now(self) -> tuple[Ground, Ways]:
@@ -239,7 +257,8 @@ class Looker:
         sure = all(self._close(thing) for thing in (*anchors, *things)) and self._room_is_sure(phrase)
         if max(scores) > 0:
             return (True if sure else None), True
-        return (False if sure and phrase.definite else None), False
+        settled = phrase.definite and predicate not in BY_SURFACES
+        return (False if sure and settled else None), False
 
     def _found(self, move: Phrase) -> tuple[Thing | None, F64 | None]:
         """Return the object of a stop, or else a position from which to look for it."""
@@ -334,23 +353,28 @@ class Looker:
         ground, ways = self._now()
         rooms = self._rooms(phrase)
         targets = ground.passable & (ground.frontier | (ground.near > self.config.close))
+        open_to = np.ones_like(targets)
         for place in self._given_up:
             a, b = ground.cell(float(place[0]), float(place[1]))
             targets[max(a - 4, 0) : a + 5, max(b - 4, 0) : b + 5] = False
+            open_to[max(a - 4, 0) : a + 5, max(b - 4, 0) : b + 5] = False
         reached = np.isfinite(ways.distance)
         if rooms is None:
             return self._nearest(ways, targets)
         inside = np.isin(ground.region, list(rooms))
         found = self._nearest(ways, targets & inside)
-        if found is not None or ((inside & reached).any() and self._room_is_sure(phrase)):
+        if found is not None or (rooms & self._been and self._room_is_sure(phrase)):
             return found
+        entrance = self._nearest(ways, inside & ground.passable & open_to)
+        if entrance is not None and not rooms & self._been:
+            return entrance
         rows, columns = np.nonzero(ground.frontier & targets & reached)
         if not len(rows):
             return None
         places, cost = ground.places(rows, columns), CELL * ways.distance[rows, columns]
         beyond = [thing.middle[[0, 2]] for thing in self.memory if thing.room in rooms]
-        if beyond and not (inside & reached).any():
-            # The room was seen, but no path into it is known.
+        if beyond and not rooms & self._been:
+            # The room was seen, and no way into it.
             cost = cost + np.hypot(*(places - np.mean(beyond, axis=0)).T)
         return np.asarray(places[int(np.argmin(cost))], np.float64)
 

@@ -1,0 +1,218 @@
+"""The ladder of agents: an oracle, an agent that looks with more and more errors, and guessers.
+
+``python -m benchmarks ladder`` makes episodes in made scenes, and in real ones where their folder is there
+(CONDVLN_REAL_DATA, or shared/data beside the checkout), walks every agent through them, and writes the tables of
+docs/ladder.md. CONDVLN_LADDER sets the number of episodes of a category and scene. Errors are paired: a level keeps the
+errors of the one below.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from condvln.evaluation.agents import AGENTS
+from condvln.evaluation.looker import LookingAgent
+from condvln.evaluation.score import score
+from condvln.evaluation.statistics import estimate
+from condvln.evaluation.task import Task, task_of
+from condvln.samples import make_samples
+from condvln.sources.registry import open_source
+from condvln.world import World, label_priors, open_world
+from schemas.config import InstructionsConfig, LookerConfig, NoiseConfig
+from schemas.program import CATEGORIES
+
+REPOSITORY: Final = Path(__file__).resolve().parents[1]
+PAGE: Final = REPOSITORY / "docs" / "ladder.md"
+MARK: Final = "<!-- ladder: python -m benchmarks ladder -->"
+REAL: Final = Path(os.environ.get("CONDVLN_REAL_DATA", REPOSITORY.parent / "shared" / "data"))
+PER_CATEGORY: Final = int(os.environ.get("CONDVLN_LADDER", "1"))
+MADE: Final = {"procthor": 2, "replicacad": 2}
+SCANNED: Final = {"procthor": 2, "ithor": 3}
+LEVELS: Final = (0.0, 0.1, 0.2, 0.3)
+GUESSERS: Final = ("oracle", "coin-flip", "nearest", "random-leaf")
+OTHERS: Final = {
+    "looker, 20 % of answers wrong": LookerConfig(logic=0.2),
+}
+
+
+@dataclass(frozen=True)
+class Row:
+    """What one agent did in one episode; `why` it failed, empty where it did not."""
+
+    agent: str
+    data: str
+    scene: str
+    category: str
+    seen: str
+    episode: str
+    success: float
+    bsa: float
+    csr: float
+    right: float
+    steps: float
+    why: str
+
+
+def agents() -> dict[str, LookerConfig | str]:
+    """All rungs by name: a configuration of the agent that looks, or the name of another agent."""
+    rungs: dict[str, LookerConfig | str] = {"oracle": "oracle"}
+    for level in LEVELS:
+        noise = NoiseConfig(missed=level, confused=level, false=level)
+        rungs[f"looker, {level:.0%} noise" if level else "looker"] = LookerConfig(noise=noise)
+    return rungs | OTHERS | {name: name for name in GUESSERS if name != "oracle"}
+
+
+def scenes_of(data: str) -> tuple[Any, list[str]]:
+    """Return the source of ``made/<family>`` or ``real/<family>``, and the ids of the scenes that are taken."""
+    kind, _, family = data.partition("/")
+    if kind == "real":
+        source = open_source(family, REAL / family)
+        return source, source.scene_ids()[: SCANNED[family]]
+    folder = Path(tempfile.mkdtemp(prefix="ladder"))
+    make_samples(folder, family=family, scenes=MADE[family], seed=11)
+    source = open_source(family, folder)
+    return source, source.scene_ids()
+
+
+@lru_cache(maxsize=1)
+def episodes(data: str) -> list[tuple[World, list[Task]]]:
+    """The episodes of some scenes, a scene at a time."""
+    source, names = scenes_of(data)
+    priors = label_priors(source.read(name) for name in names)
+    wanted = InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, PER_CATEGORY), counterfactual_groups=0)
+    found = []
+    for name in names:
+        world = open_world(source, name)
+        found.append((world, [task_of(row) for row in world.episodes(instructions=wanted, priors=priors)]))
+    return found
+
+
+def walked(job: tuple[str, str]) -> list[Row]:
+    """Walk one agent through the episodes of some scenes."""
+    data, name = job
+    rung = agents()[name]
+    return [row for world, tasks in episodes(data) for row in in_scene(data, name, rung, world, tasks)]
+
+
+def in_scene(data: str, name: str, rung: LookerConfig | str, world: World, tasks: Sequence[Task]) -> Iterator[Row]:
+    """Walk one agent through the episodes of one scene."""
+    looking = None if isinstance(rung, str) else LookingAgent(lambda scene: world, rung)
+    for task in tasks:
+        why = ""
+        if looking is None:
+            assert isinstance(rung, str)
+            prediction = AGENTS[rung](task, world.pathfinder, 0)
+            leaf = None
+        else:
+            walk = looking.walk(task, world.pathfinder, 0)
+            prediction, leaf = walk.prediction, walk.leaf
+        found = score(task, prediction, world.pathfinder)
+        if not found.csr_all:
+            if leaf is not None and leaf != task.gold_leaf:
+                why = "not decided in time" if walk.forced else "a condition judged wrongly"
+            elif not found.stopped:
+                why = "the budget ended"
+            elif not found.success:
+                why = "stopped elsewhere"
+            else:
+                why = "a stop on the way missed"
+        right = found.leaf_correct if leaf is None else float(leaf == task.gold_leaf)
+        yield Row(
+            name,
+            data,
+            str(task.axes["scene"]),
+            str(task.axes["category"]),
+            str(task.axes["observability"] or "unknown")[:2],
+            task.episode_id,
+            found.success,
+            found.bsa_all,
+            found.csr_all,
+            right,
+            found.steps,
+            why,
+        )
+
+
+def cell(rows: Sequence[Row], measure: str) -> str:
+    """Format a mean in percent with its interval over scenes."""
+    if not rows:
+        return "–"
+    found = estimate(np.array([getattr(row, measure) for row in rows], np.float64), [row.scene for row in rows])
+    interval = "" if np.isnan(found.low) else f" ({100 * found.low:.0f}–{100 * found.high:.0f})"
+    return f"{100 * found.mean:.1f}{interval}"
+
+
+def table(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    """Format a Markdown table."""
+    rule = ["---"] * len(head)
+    return "\n".join("| " + " | ".join(line) + " |" for line in (head, rule, *lines))
+
+
+def grouped(rows: Sequence[Row], key: Callable[[Row], str], names: Sequence[str]) -> str:
+    """CSR-all of every agent by some property of episodes."""
+    values = sorted({key(row) for row in rows})
+    lines = [
+        [name, *(cell([row for row in rows if row.agent == name and key(row) == value], "csr") for value in values)]
+        for name in names
+    ]
+    return table(["agent", *values], lines)
+
+
+def page(rows: Sequence[Row]) -> str:
+    """The tables."""
+    names = [name for name in agents() if any(row.agent == name for row in rows)]
+    main_lines = []
+    for name in names:
+        own = [row for row in rows if row.agent == name]
+        cells = [cell(own, measure) for measure in ("csr", "success", "bsa", "right")]
+        main_lines.append([name, *cells, f"{np.mean([row.steps for row in own]):.0f}"])
+    count = len({(row.data, row.episode) for row in rows})
+    looker = [row for row in rows if row.agent == "looker"]
+    reasons = Counter((row.why, row.data) for row in looker if row.why)
+    data = sorted({row.data for row in rows})
+    kinds = sorted({why for why, _ in reasons})
+    counts = [[why, *(str(reasons.get((why, name), 0)) for name in data)] for why in kinds]
+    order = [name for name in CATEGORIES if any(row.category == name for row in rows)]
+    category = table(
+        ["agent", *order],
+        [[n, *(cell([r for r in rows if r.agent == n and r.category == c], "csr") for c in order)] for n in names],
+    )
+    return "\n\n".join(
+        [
+            f"{count} episodes in {len({row.scene for row in rows})} scenes: {', '.join(data)}. Percent, with 95 % "
+            "intervals over scenes.",
+            table(["agent", "CSR-all", "SR", "BSA", "right branch", "steps"], main_lines),
+            "CSR-all by data:",
+            grouped(rows, lambda row: row.data, names),
+            "CSR-all by category:",
+            category,
+            "CSR-all by where the evidence is seen (O0 from the start, O1 on the way, O2 after a detour):",
+            grouped(rows, lambda row: row.seen, names),
+            "Why `looker` without noise fails, episodes:",
+            table(["cause", *data], counts),
+        ]
+    )
+
+
+def main() -> None:
+    """Walk all agents and write the page."""
+    data = [f"made/{family}" for family in MADE]
+    data += [f"real/{family}" for family in SCANNED if (REAL / family).is_dir()]
+    jobs = [(one, name) for one in data for name in agents()]
+    with ProcessPoolExecutor(int(os.environ.get("CONDVLN_LADDER_WORKERS", "2"))) as pool:
+        rows = [row for found in pool.map(walked, jobs) for row in found]
+    text = page(rows)
+    before = PAGE.read_text(encoding="utf-8").split(MARK)[0] if PAGE.exists() else "# The ladder\n\n"
+    PAGE.write_text(f"{before}{MARK}\n\n{text}\n", encoding="utf-8")
+    sys.stdout.write(f"{text}\n\n{PAGE}\n")
