@@ -92,8 +92,9 @@ class Commits:
         return None
 
     def damaged_file(self, stage: str, key: str) -> str | None:
-        """Return the path of the first file of a commit whose bytes differ from the commit, or None. Reads all of
-        them."""
+        """Return the path of the first file of a commit whose bytes differ from the commit's hash, or None. Reads all
+        files of the commit.
+        """
         folder = self.folder(stage, key)
         found = self.find(stage, key, discard=False)
         if found is None:

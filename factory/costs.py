@@ -49,7 +49,7 @@ class CostModel:
         self._scales: dict[tuple[str, str], float] = {}
 
     def _learned(self, stage: str, partitions: list[str], numbers: Any) -> dict[str, tuple[float, float]]:
-        """Return (CPU seconds, estimates) of a stage by partition, and over all under ''."""
+        """Return (CPU seconds, estimates) of a stage by partition, with those of all partitions under the key ''."""
         spent, estimated = self._spent[stage], self._estimated[stage]
         both = (spent > 0) & (estimated > 0)
         sums = {"": (float(spent[both].sum()), float(estimated[both].sum()))}
@@ -68,7 +68,7 @@ class CostModel:
         return known
 
     def stage_seconds(self, unit: Unit, row: int, stage: str) -> float:
-        """Return the expected CPU seconds of one stage. ``row`` is that of the index it was published in, or -1."""
+        """Return the expected CPU seconds of one stage. ``row`` is the unit's row in the published index, or -1."""
         estimate = unit.costs.get(stage, 0.0)
         spent = float(self._spent[stage][row]) if row >= 0 else 0.0
         if spent > 0:

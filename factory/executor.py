@@ -53,7 +53,7 @@ class Executor(Protocol):
         ...
 
     def busy(self) -> Sequence[Busy]:
-        """Return the units under way that are known; called from another thread while ``run`` goes on."""
+        """Return the units that are known to be under way; called from another thread while ``run`` goes on."""
         ...
 
     def run(self, context: RunContext, tasks: Iterable[Task]) -> Iterator[Receipt]:

@@ -1,4 +1,4 @@
-"""A published snapshot on this machine's disk: the store's own folder, or a copy of one that is elsewhere.
+"""A published snapshot on this machine's disk: in the store's own folder, or as a copy if the store is elsewhere.
 
 Readers that want files (DuckDB, an export) get them here whatever the store is, and each file as it was published: its
 hash is compared with the manifest, once for each size and time that the file has. A copy is laid out as the original,

@@ -157,7 +157,7 @@ class _Watcher:
         threading.Thread(target=self._run, name="memory ceiling", daemon=True).start()
 
     def look_after(self, ceiling: MemoryCeiling | None) -> None:
-        """Watch `ceiling` from now on. Once this returns, no signal is sent for the former one."""
+        """Watch `ceiling` from now on. Once this returns, no signal is sent for the ceiling that was watched before."""
         with self._lock:
             self._ceiling = ceiling
         if ceiling is None:

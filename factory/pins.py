@@ -204,7 +204,9 @@ def discard_damaged(aggregate: Aggregate, commits: Commits, receipts: Iterable[R
 def _tables(
     aggregate: Aggregate, commits: Commits, receipts: Iterable[Receipt]
 ) -> Iterator[tuple[str, Mapping[str, pa.Table]]]:
-    """Yield (unit id, the tables that ``aggregate`` reads, each loaded on demand) of all units that count."""
+    """Yield (unit id, the tables that ``aggregate`` reads, each loaded on demand) of every unit that has passed the
+    stage ``aggregate.after`` without skipping it.
+    """
     for receipt in receipts:
         stage = next((s for s in receipt.stages if s.stage == aggregate.after and not s.skipped), None)
         if stage is None:

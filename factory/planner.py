@@ -166,8 +166,9 @@ class Planner:
         return self._inventory is not None and row >= 0 and self._inventory.lost(stage, row)
 
     def _damaged_entry(self, unit: Unit, old: Receipt, row: int) -> PlanEntry:
-        """Plan a unit whose inputs are unchanged but whose files are missing or cut: only those stages run, and give
-        the same rows."""
+        """Plan a unit whose inputs are unchanged but some of whose files are missing or cut: only the stages of these
+        files run, and give the same rows.
+        """
         lost = {stage.stage for stage in old.stages if self._lost(stage.stage, row)}
         return PlanEntry(
             unit.unit_id,
@@ -247,7 +248,9 @@ class Planner:
     def _behind(
         self, unit: Unit, first: int, before: Mapping[str, StageReceipt], reasons: list[Reason]
     ) -> Iterator[tuple[str, StagePlan]]:
-        """Plan the stages from the first that is not done: that one runs, and those that read from it may run."""
+        """Plan the stages from position ``first``, the first stage that is not done: this stage runs, and stages that
+        read its tables may run.
+        """
         unsure = {first}
         for at in range(first, self.stages):
             stage = self.pipeline.stages[at]
@@ -284,7 +287,8 @@ class Planner:
         return sums["certain"], sums["possible"]
 
     def renamed(self, missing: Mapping[bytes, str]) -> tuple[tuple[str, str], ...]:
-        """Return (old id, new id) of published units that are gone and whose bytes are those of a missing one.
+        """Return (old id, new id) of each published unit that is gone and has the same bytes as one of the units in
+        ``missing``, which are not published yet.
 
         missing : hash of the content → unit id
         """

@@ -84,8 +84,9 @@ class Publisher:
             self._note(missing_parts(self._store, self.old.snapshot_id), "is missing or cut")
 
     def verify(self, commits: Commits, index: Index) -> None:
-        """Read again every file that the published snapshot depends on, those of its units too. Files that differ from
-        their hash will be rebuilt."""
+        """Read again every file that the published snapshot depends on, files of its units included. Files that differ
+        from their hash will be rebuilt.
+        """
         if self.old is None:
             return
         self._note(damaged_parts(self._store, self.old.snapshot_id), "differs from its hash")
@@ -170,7 +171,7 @@ class Publisher:
         return set()
 
     def _keep(self, snapshot_id: str, name: str, pinned: PinnedTable) -> SharedRecord:
-        """Copy a shared table into the snapshot. A link to it would be damaged together with it."""
+        """Copy a shared table into the snapshot. A link would be damaged together with the table."""
         data = self._store.read(SharedTables.path(name, pinned.hash))
         path = f"shared/{name}.parquet"
         self._store.write(f"snapshots/{snapshot_id}/{path}", data)

@@ -80,7 +80,8 @@ def from_matrix(rotation: ArrayLike) -> F64:
 
 
 def round_quaternion(xyzw: ArrayLike) -> F64:
-    """Return the quaternion rounded to `QUATERNION_DECIMALS`, such that its matrix gives the same rounded one again.
+    """Return the quaternion rounded to `QUATERNION_DECIMALS`, such that converting it to a matrix and back gives the
+    same rounded quaternion.
 
     Rounding changes the norm and normalising changes the digits, so both are repeated until nothing changes.
     """

@@ -70,7 +70,7 @@ class SceneWarning:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SceneObject:
-    """One object. An unknown part of its extent is None.
+    """One object of a scene. A field of its extent that is unknown is None.
 
     center (3,); aabb (2, 3) as [min, max]; size (3,) full extents; radius of a bounding sphere; all in metres.
     parts : oriented boxes that make up the object where one box is not its shape (a counter with a corner)
@@ -142,8 +142,8 @@ class Room:
 
 @dataclass(frozen=True, slots=True)
 class NavmeshFile:
-    """The navmesh chosen for a scene; `path` is relative to the dataset root, `fits` : it was built for the agent's
-    size.
+    """The navmesh chosen for a scene: `path` is relative to the dataset root, `fits` tells whether it was built for the
+    agent's size.
     """
 
     path: str

@@ -25,11 +25,11 @@ class Sightings:
     doubtful: frozenset[str] = frozenset()
 
     def hidden(self, arrays: RoomArrays) -> NDArray[np.bool_]:
-        """Return (n,): objects of a room that can't be seen, including those in shut containers."""
+        """Return (n,) bool: whether each object of a room can't be seen; true for objects in shut containers, too."""
         return np.asarray(arrays.hidden | np.array([name in self.unseen for name in arrays.object_ids], dtype=bool))
 
     def in_doubt(self, arrays: RoomArrays) -> NDArray[np.bool_]:
-        """Return (n,): objects of a room that are doubtful."""
+        """Return (n,) bool: whether each object of a room is in `doubtful` and not in a shut container."""
         return np.asarray(~arrays.hidden & np.array([name in self.doubtful for name in arrays.object_ids], dtype=bool))
 
 

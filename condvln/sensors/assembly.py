@@ -83,7 +83,9 @@ def _assembled(scene: Scene, words: Vocabulary) -> Surfaces:
 
 
 def _owners_by_box(surfaces: Surfaces, scene: Scene, words: Vocabulary) -> NDArray[np.int32]:
-    """Return (m,) the object whose box contains each triangle; of several, the one with the smallest box."""
+    """Return for each triangle (m,) the number of the object whose box contains it; if several boxes do, of the object
+    with the smallest box.
+    """
     corners = surfaces.corners + surfaces.origin
     along = np.argsort(corners[:, 0, 0], kind="stable")
     sorted_x = corners[along, 0, 0]

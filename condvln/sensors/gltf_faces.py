@@ -128,7 +128,7 @@ def _strip(order: NDArray[Any]) -> NDArray[Any]:
 
 
 def _numbers(own: Accessor) -> NDArray[Any]:
-    """Return (count, width) numbers; normalized integers are scaled to [0, 1]."""
+    """Return the numbers of an accessor as (count, width); normalized integers are scaled to [0, 1]."""
     dtype = np.dtype(_NUMBERS[own.component])
     rows = np.frombuffer(own.data, dtype.newbyteorder("<")).reshape(own.count, _WIDTHS[own.kind])
     return rows / (256**dtype.itemsize - 1) if own.normalized else rows
@@ -143,7 +143,9 @@ class _Painter:
         self.unread = look.lost if look is not None else 0
 
     def material(self, index: int | None) -> tuple[int, tuple[int, int], str, F64]:
-        """Return a material's number, wrap modes, texture coordinate attribute, and their (3, 3) transform."""
+        """Return a material's number, its wrap modes, the attribute that holds its texture coordinates, and the (3, 3)
+        transform of these coordinates.
+        """
         if index is None or self._look is None:
             return self._builder.material(Material()), (0, 0), "TEXCOORD_0", np.eye(3)
         shine = self._look.materials[index].get("pbrMetallicRoughness", {})

@@ -49,7 +49,7 @@ def coloured_depth(depth: npt.NDArray[np.floating], farthest: float = 6.0) -> By
 
 
 def coloured_instances(instance: npt.NDArray[np.integer]) -> Bytes:
-    """Return an image (h, w, 3) with one colour for each number of (h, w); 0 is black."""
+    """Return an image (h, w, 3) that shows each number in `instance` (h, w) in a colour of its own; 0 is black."""
     steps = np.array([97, 151, 211])  # odd, so that 256 consecutive numbers get different colours
     coloured: Bytes = ((instance[..., None].astype(np.int64) * steps + 64) % 256).astype(np.uint8)
     coloured[instance == 0] = 0

@@ -105,7 +105,9 @@ class SurfaceBuilder:
         coordinates: Floats | None = None,
         colours: Bytes | None = None,
     ) -> None:
-        """Add triangles (n, 3, 3) in metres of one owner; `material` is one number for all, or (n,)."""
+        """Add triangles (n, 3, 3), in metres, that belong to one owner; `material` is one number for all triangles, or
+        one for each (n,).
+        """
         numbers = np.broadcast_to(np.asarray(material, np.int32), len(corners))
         self._pieces.append((np.asarray(corners, np.float64), owner, coordinates, colours, numbers))
 

@@ -44,7 +44,9 @@ class Body:
     com: F64 | None = field(default_factory=lambda: np.zeros(3))
 
     def to_scene(self, com: F64) -> F64:
-        """Return the (4, 4) transform from the body's frame to the scene's, given its origin."""
+        """Return the (4, 4) transform from the body's frame to the scene's; `com` (3,) is the body's centre of mass,
+        which may be the origin that its placement refers to.
+        """
         back = placement(translation=-com if self.placed.origin == "com" else None)
         matrix: F64 = placement(self.placed.rotation, self.placed.translation) @ back
         return matrix

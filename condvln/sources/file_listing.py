@@ -125,7 +125,7 @@ def _is_inside(path: str, folder: str) -> bool:
 
 
 def _outermost_link(root: DatasetRoot, path: str) -> str:
-    """Return the first part of a path that is a symbolic link; the path itself if none is."""
+    """Return the path up to its first part that is a symbolic link; the whole path if no part is a link."""
     parts = path.split("/")
     heads = ("/".join(parts[: n + 1]) for n in range(len(parts)))
     return next((head for head in heads if os.path.islink(root.folder / head)), path)

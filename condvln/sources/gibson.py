@@ -133,8 +133,8 @@ class GibsonSource(SceneSource):
 
 
 def verified_twin(scene_id: str) -> str | None:
-    """Return the scene id of the same building's verified annotation; None if `scene_id` is that one, or there is
-    none.
+    """Return the scene id that the verified annotation of the same building has; None if `scene_id` is itself that of a
+    verified annotation.
     """
     kind, _, name = scene_id.rpartition("/")
     return None if kind == VERIFIED else f"{VERIFIED}/{name}"
@@ -154,7 +154,7 @@ def _box(node: JsonNode) -> F64 | None:
 
 
 def _rooms(document: JsonNode, family: str, complete: bool) -> dict[int, Room]:
-    """Return the rooms by the file's number."""
+    """Return the rooms, by the number that the file gives each."""
     nodes = document.array("rooms")
     floors = [floor.text() for node in nodes if (floor := node.get("floor_number")) is not None]
     level_of = {letter: level for level, letter in enumerate(sorted(set(floors)))}
@@ -185,7 +185,7 @@ def _rooms(document: JsonNode, family: str, complete: bool) -> dict[int, Room]:
 def _objects(
     document: JsonNode, family: str, room_of: Mapping[int, Room]
 ) -> tuple[list[SceneObject], list[SceneWarning]]:
-    """Return the objects, in the room named by the file, else without a room so far."""
+    """Return the objects, each in the room that the file names; without a room where the file names none."""
     items: list[SceneObject] = []
     warnings: list[SceneWarning] = []
     seen: Counter[int] = Counter()

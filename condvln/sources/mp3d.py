@@ -148,8 +148,8 @@ class Mp3dSource(SceneSource):
         return stage, self.shipped_navmeshes(scene_id, ledger, own)
 
     def _scans(self) -> dict[str, str]:
-        """Return the path of each scan's ``.house``, sorted; of several folder structures the first one that has it
-        counts.
+        """Return the path of each scan's ``.house``, sorted; if a scan is present in several folder structures, the
+        first structure counts.
         """
         found: dict[str, str] = {}
         paths = [PurePosixPath(path) for path in self.matching(*LAYOUTS)]

@@ -88,7 +88,7 @@ class ProcthorSource(SceneSource):
                 yield stem, partial(_fail, error)
 
     def _houses_of_lines(self, stem: str, path: str) -> Iterator[tuple[str, Note]]:
-        """Yield one house per line. A file without any house is skipped; its first line decides whether it is JSON.
+        """Yield one house per line. A file without any house is skipped if its first line is JSON.
 
         Raises
         ------
@@ -280,7 +280,7 @@ class ProcthorSource(SceneSource):
 def _with_parents_rooms(
     objects: list[SceneObject], house: House, rooms: tuple[Room, ...]
 ) -> tuple[list[SceneObject], list[SceneWarning]]:
-    """Assign rooms to objects; an object on or in another one gets that one's room."""
+    """Assign rooms to objects; an object on or in another object gets that other object's room."""
     parent_of = {o.object_id: o.parent_id for o in house.objects}
     placed, lost = in_rooms((o for o in objects if parent_of[o.object_id] is None), rooms)
     room_of = {o.object_id: o.room_id for o in placed}

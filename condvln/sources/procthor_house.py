@@ -74,7 +74,7 @@ class Opening:
 
     @property
     def exterior(self) -> bool:
-        """Whether it leads out of the house."""
+        """Whether this opening leads out of the house."""
         return self.rooms[0] == self.rooms[1]
 
 

@@ -127,8 +127,8 @@ class ReplicaCadSource(SceneSource):
     def _navmeshes(
         self, dataset: SceneDataset, scene_name: str, instance: SceneInstance, ledger: InputLedger
     ) -> tuple[tuple[str, ...], list[SceneWarning]]:
-        """Return possible paths of the navmesh (see `shipped_navmeshes`), and a warning if the scene names an
-        unknown one.
+        """Return possible paths of the navmesh (see `shipped_navmeshes`), and a warning if the scene names an unknown
+        navmesh.
         """
         named = instance.navmesh or dataset.default("scene_instances", "navmesh_instance")
         handles = [scene_name] if named is None else [named.text(), scene_name]

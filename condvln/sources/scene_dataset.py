@@ -214,7 +214,9 @@ class SceneDataset:
         return index
 
     def _search(self, kind: str, extension: str, pattern: JsonNode) -> set[str]:
-        """Return the files on a search path. A path out of the dataset is ignored (robots may be beside it)."""
+        """Return the files on a search path. A path that leads out of the dataset is ignored (robots may lie beside the
+        dataset).
+        """
         try:
             relative = self.root.join("", pattern.text(), where=pattern.where, place=pattern.place)
         except PathEscapeError:

@@ -39,7 +39,8 @@ def read_scn(data: bytes, where: str) -> JsonNode:
 
 
 def read_npz(data: bytes, where: str) -> JsonNode:
-    """Read the same document from the original file, a zip of one array that holds one pickled dictionary.
+    """Read the document that `read_scn` reads, but from the original file: a zip of one array that holds one pickled
+    dictionary.
 
     Only the parts that a scene needs are read. The pickle is read by the restricted reader, which allows plain data and
     arrays.

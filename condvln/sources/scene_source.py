@@ -78,15 +78,17 @@ class SceneSource(ABC):
 
     @abstractmethod
     def listing(self) -> Iterator[tuple[str, Note]]:
-        """Yield each scene's id with a function that records its inputs; call it before requesting the next one."""
+        """Yield each scene's id with a function that records the scene's inputs; call this function before requesting
+        the next id.
+        """
 
     @abstractmethod
     def scene(self, scene_id: str) -> Scene:
         """Return one scene as in its files, before limits are checked and containment is derived from boxes."""
 
     def read(self, scene_id: str) -> Scene:
-        """Return one scene; see `Source.read`. With ``absence: never`` conditions may be about every room, and none
-        is complete.
+        """Return one scene; see `Source.read`. With ``absence: never``, conditions may be about every room, and no room
+        counts as completely annotated.
         """
         scene = self.scene(scene_id)
         # The following steps cost more than linear time, so the limits are checked first.
@@ -97,11 +99,13 @@ class SceneSource(ABC):
         return replace(scene, rooms=tuple(replace(room, complete=False, asked=True) for room in scene.rooms))
 
     def geometry(self, scene: Scene) -> SceneGeometry | None:
-        """Return the surfaces of a scene; see `Source.geometry`. This default is for families whose files have none."""
+        """Return the surfaces of a scene; see `Source.geometry`. This default is for families whose files describe no
+        surfaces.
+        """
         return None
 
     def connectivity(self, scene_id: str) -> Path | None:
-        """Return the viewpoint graph's file of a scene without a mesh; None if there is none."""
+        """Return the file of a scene's viewpoint graph; None if there is no such file, or the scene has a mesh."""
         return None
 
     def handles(self) -> list[SceneHandle]:
@@ -135,11 +139,11 @@ class SceneSource(ABC):
         return sorted(found, key=lambda h: h.scene_id)
 
     def passed_over(self) -> list[tuple[str, str]]:
-        """Return the paths skipped by the last listing; see `Source.passed_over`."""
+        """Return (path, reason) of everything that the last listing skipped; see `Source.passed_over`."""
         return sorted(self._passed_over.items())
 
     def matching(self, *patterns: str) -> list[str]:
-        """Return the dataset's files that match patterns, each real file once; see `list_files`."""
+        """Return those files of the dataset that match any of `patterns`, each real file once; see `list_files`."""
         return self.noted(list_files(self.files, patterns))
 
     def noted(self, listing: FileListing) -> list[str]:

@@ -40,7 +40,8 @@ COVER: Final = 0.6
 def joined_slices(
     objects: Sequence[SceneObject], rooms: Mapping[str, Room], kept_apart: frozenset[str] = frozenset()
 ) -> tuple[list[SceneObject], list[SceneWarning]]:
-    """Return the objects with all slices of one merged, in the given order, and a warning for each merged object.
+    """Return the objects in the given order, with the slices of each cut object merged into one object, and a warning
+    for each merged object.
 
     Parameters
     ----------
@@ -79,9 +80,7 @@ def joined_slices(
 
 
 def _fit(box: F64, others: F64) -> NDArray[np.bool_]:
-    """Return (n,): whether a box (2, 3) and each of others (n, 2, 3) touch, with cross-sections that cover each
-    other.
-    """
+    """Return (n,): whether each of `others` (n, 2, 3) touches `box` (2, 3), with cross-sections that cover each other."""
     shared = np.minimum(box[1], others[:, 1]) - np.maximum(box[0], others[:, 0])  # below zero where they are apart
     # They are side by side on the ground, along the horizontal axis on which they overlap least.
     along_x = shared[:, 0] <= shared[:, 2]

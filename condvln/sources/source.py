@@ -92,7 +92,7 @@ class Source(Protocol):
 
     @property
     def root(self) -> Path:
-        """Folder to which all paths of its scenes are relative."""
+        """Folder to which all paths in this dataset's scenes are relative."""
         ...
 
     def handles(self) -> list[SceneHandle]:
@@ -104,7 +104,7 @@ class Source(Protocol):
         ...
 
     def passed_over(self) -> list[tuple[str, str]]:
-        """Return the paths that the last `handles` skipped without losing a scene, with the reason; sorted."""
+        """Return (path, reason) of everything that the last call of `handles` skipped without losing a scene; sorted."""
         ...
 
     def read(self, scene_id: str) -> Scene:
@@ -127,7 +127,7 @@ class Source(Protocol):
         ...
 
     def connectivity(self, scene_id: str) -> Path | None:
-        """Return the viewpoint graph's file of a scene without a mesh; None if there is none."""
+        """Return the file of a scene's viewpoint graph; None if there is no such file, or the scene has a mesh."""
         ...
 
 

@@ -27,7 +27,9 @@ BOX_TOLERANCE: Final = 0.01
 
 
 def scene_name(document: JsonNode) -> str:
-    """Return the scene's name (``FloorPlan207``); the simulator adds ``_physics`` to some."""
+    """Return the scene's name (``FloorPlan207``), without the suffix ``_physics`` that the simulator adds to some
+    names.
+    """
     return document["sceneName"].text().removesuffix("_physics")
 
 

@@ -95,7 +95,9 @@ def wall_outline(outline: F64, standing: Sequence[SceneObject], fittings: Sequen
 
 
 def _both(fitted: float, end: float, border: float) -> bool:
-    """Return whether the objects end inside the border, and a fitting ends with them."""
+    """Return whether the objects at one side of a floor end inside its border, and a fitting reaches as far as these
+    objects.
+    """
     return border < end and fitted - end <= AT_WALL
 
 

@@ -95,8 +95,8 @@ FACTS: Final[Mapping[str, str]] = {
 
 @dataclass(frozen=True, slots=True)
 class Disagreement:
-    """A fact on which files and scene disagree: the claimed and the found value; `place` says which part it
-    concerns.
+    """A fact on which files and scene disagree, with the claimed and the found value; `place` names the part of the
+    episode that the fact is about.
     """
 
     fact: str

@@ -13,8 +13,8 @@ __all__ = ["compare_sizes", "is_closest", "lies_between"]
 
 
 def is_closest(subject: Thing, anchor: Thing, rivals: Sequence[Thing], t: Thresholds) -> Judgement:
-    """Return whether the subject is closest: all rivals are much farther from the anchor (true), or one is much
-    nearer (false). One of them at least must have the subject's label.
+    """Return whether the subject is closest to the anchor: true if all rivals are much farther from the anchor, false
+    if some rival is much nearer. At least one rival must have the subject's label.
     """
     if subject.box is None or anchor.box is None or anchor in rivals or all(x.label != subject.label for x in rivals):
         return Judgement(UNDECIDED, {"box": None})
@@ -30,7 +30,7 @@ def is_closest(subject: Thing, anchor: Thing, rivals: Sequence[Thing], t: Thresh
 
 
 def compare_sizes(subject: Thing, rivals: Sequence[Thing], t: Thresholds, sign: int) -> Judgement:
-    """Return whether the subject is the bigger (`sign` 1) or smaller (−1) of two objects with one label."""
+    """Return whether the subject is the bigger (`sign` 1) or the smaller (−1) of two objects with the same label."""
     if len(rivals) != 1 or rivals[0].label != subject.label:
         return Judgement(UNDECIDED, {"rivals": float(len(rivals))})
     one, other = subject.sides(), rivals[0].sides()
@@ -52,8 +52,8 @@ def compare_sizes(subject: Thing, rivals: Sequence[Thing], t: Thresholds, sign: 
 
 
 def lies_between(subject: Thing, anchors: Sequence[Thing], room: Surroundings, t: Thresholds) -> Judgement:
-    """Return whether the subject is between: on the floor, near the line of the anchors' centres, about half way
-    along it.
+    """Return whether the subject is between the two anchors: on the floor, near the line of the anchors' centres, about
+    half way along this line.
     """
     a, b = anchors
     if a.box is None or b.box is None or subject in anchors or any(x.pieces for x in (subject, a, b)):

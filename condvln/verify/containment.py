@@ -67,7 +67,7 @@ def said_of(items: Sequence[SceneObject], label_of: Callable[[SceneObject], str]
 
 
 class _Holder:
-    """An object in whole millimetres, and how it holds others."""
+    """An object that may hold others: its kind of container, whether it is shut, and its boxes in whole millimetres."""
 
     def __init__(self, item: SceneObject, label: str, meaning: Words) -> None:
         self.item = item
@@ -82,7 +82,7 @@ class _Holder:
 
 
 def _below(thing: _Holder, things: dict[str, _Holder]) -> list[tuple[_Holder, bool]]:
-    """Return the objects that an object is in (True) or on (False)."""
+    """Return the objects that `thing` is in or on, each with whether `thing` is in it (True) or on it (False)."""
     if thing.links is None:
         thing.links = list(_stated(thing, things)) if thing.item.receptacles is not None else []
         others = [x for x in things.values() if x is not thing and x.item.room_id == thing.item.room_id]
@@ -137,7 +137,7 @@ def _bears(holder: _Holder, thing: _Holder) -> bool:
 
 
 def _share_inside(box: _Box, holder: _Box) -> float:
-    """Return the share of a box's volume inside another; boxes are at least a millimetre thick."""
+    """Return the share of a box's volume that is inside another box; each box counts as at least a millimetre thick."""
     share = 1.0
     for k in range(3):
         low, high = box[0][k], max(box[1][k], box[0][k] + 1)

@@ -65,12 +65,14 @@ class Corpus:
 
 
 def _number(episode_hash: str) -> int:
-    """Return the id that follows from a hash: 52 bits of the hash's own hash."""
+    """Return the episode id that follows from `episode_hash`: 52 bits of the SHA-256 of that hash's text."""
     return int(hashlib.sha256(episode_hash.encode()).hexdigest()[:13], 16)
 
 
 def _told(program: Program) -> str:
-    """Return a program as a hashable key, unique in its scene; a third of the time of its JSON."""
+    """Return a program as a hashable key, unique in its scene; making this key takes a third of the time of making the
+    program's JSON.
+    """
     conditions = [(c.label, c.truth, *_ids(c)) for c in program.conditions]
     leaves = [[(move.object_id, *_ids(move)) for move in leaf.moves] for leaf in program.leaves]
     return repr((program.category, conditions, leaves))

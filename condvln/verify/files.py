@@ -25,7 +25,7 @@ _REMEDY: Final = "Export again"
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One manifest row with its record and its ground truth; None if a file has none for it."""
+    """One manifest row with its record and its ground truth; either is None if its file has no entry for the row."""
 
     split: str
     manifest: ManifestEpisode
@@ -35,7 +35,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Unread:
-    """An entry of a file without its counterpart, or one that can't be read."""
+    """An entry of one file that has no counterpart in another, or that can't be read."""
 
     split: str
     episode_id: str
@@ -146,7 +146,7 @@ class _Lookup:
         self._passed: dict[str, list[Mapping[str, Any]]] = {}
 
     def pop(self, name: str) -> Mapping[str, Any] | None:
-        """Return the entry of a name, each only once; None if there is none."""
+        """Return the entry of a name, each entry only once; None if there is no such entry."""
         if name not in self._passed:
             for other, entry in self._stream:
                 if other == name:

@@ -98,8 +98,8 @@ class Reach:
         self._known: dict[str, dict[Point, tuple[float, bool]]] = {}
 
     def around(self, object_id: str, positions: Sequence[Point]) -> tuple[tuple[float, ...], tuple[bool, ...]]:
-        """Return each position's horizontal distance in metres from the object, and whether it is on its floor and in
-        its room.
+        """Return two sequences: each position's horizontal distance in metres from the object, and whether the position
+        is on the object's floor and in its room.
 
         Both are empty if the object does not exist.
         """

@@ -75,7 +75,7 @@ class Geodesics:
         return [self._lengths[pair] for pair in pairs]
 
     def way(self, leg: int) -> tuple[float, tuple[Point, ...]]:
-        """Return length in metres and corners, rounded to 1 mm, of a registered path; infinite and empty if there is
-        none.
+        """Return the length in metres and the corners, rounded to 1 mm, of a registered path; an infinite length and no
+        corners if no path exists.
         """
         return self._ways[leg]

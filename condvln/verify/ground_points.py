@@ -65,8 +65,8 @@ def _drawn(scene_id: str, pathfinder: Pathfinder, islands: Sequence[int]) -> F64
 
 
 def _grid(polygon: F64, height: float, pathfinder: Pathfinder, islands: Sequence[int]) -> F64:
-    """Return the points of a centred grid that lie inside an outline and are walkable; all inside it if none is
-    walkable.
+    """Return the points of a centred grid that lie inside an outline and are walkable; all grid points inside the
+    outline if none is walkable.
     """
     outline = shapely.make_valid(shapely.Polygon(polygon))
     apart = max(FLOOR_LEAST_SPACING, math.sqrt(outline.area / FLOOR_POINTS))

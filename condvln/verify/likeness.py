@@ -1,5 +1,5 @@
-"""What boxes alone can't show: two boxes of one object, an unlabelled object of a label, a high table, a fallen
-object.
+"""Doubts that boxes alone can't settle: two boxes may be one object, an unlabelled object may have a certain label, a
+table may pass for a counter, an object may have fallen over.
 """
 
 from __future__ import annotations
@@ -42,7 +42,9 @@ def may_be_one(one: Thing, other: Thing, family: str) -> bool:
 
 
 def looks_like(nameless: Thing, named: Thing) -> bool:
-    """Return whether an unlabelled object has about the size, side by side, and the height of a labelled one."""
+    """Return whether an unlabelled object has about the same side lengths as a labelled one, and its bottom at about
+    the same height.
+    """
     if nameless.box is None or named.box is None:
         return False
     for one, other in zip(_sides(nameless), _sides(named), strict=True):

@@ -143,7 +143,7 @@ def _with_articles(phrase: str, articles: Mapping[str, Mapping[str, str]]) -> It
 
 
 def _nouns(code: str, table: str) -> Mapping[str, tuple[str, str]]:
-    """Return (noun, class) by label or room type, for those that text may name."""
+    """Return (noun, noun class) by label or room type, for those labels or room types that text may name."""
     fit = words().nouns if table == "nouns" else words().rooms
     if code == "en":
         return fit

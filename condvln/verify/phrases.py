@@ -22,8 +22,8 @@ class Named(NamedTuple):
 
 
 class Phrase(NamedTuple):
-    """An object as named in text: label, (predicate, labels of the anchors), and room; None if the text does not name
-    it.
+    """An object as named in text: label, qualifier (predicate, labels of the anchors) and room; qualifier or room is
+    None if the text does not name it.
 
     known : for a condition, whether it is about one object that is known to exist ("the lamp is near the bed")
     """
@@ -133,8 +133,8 @@ class PhraseReader:
             yield from self._agreeing(end, kind, classes)
 
     def _rooms(self, at: int) -> Iterator[tuple[int, Named]]:
-        """Yield rooms: "the bedroom with the desk", and "the bedroom", which means that one if it was named so
-        before.
+        """Yield (end, room) of "the bedroom with the desk", and of "the bedroom"; the latter means the bedroom with the
+        desk if the text has named that before.
         """
         for end, label in self._definite(at, "room"):
             before = {room for place, room in self._set_apart() if place < at and room.label == label}
@@ -179,7 +179,7 @@ class PhraseReader:
                         yield end, label, (predicate, ())
 
     def _qualified(self, at: int, lying: bool = False) -> Iterator[tuple[int, _Qualifier | None]]:
-        """Yield (end, qualifier) of a relation or of nothing.
+        """Yield (end, qualifier): None as qualifier for the empty phrase, then each relation that begins here.
 
         lying : whether words like "que está" come before the relation
         """
@@ -220,7 +220,7 @@ class PhraseReader:
     # -- conditions ----------------------------------------------------------------------------------------------------
 
     def _some(self, slot: str, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:
-        """Yield "there's a lamp near the bed in the bedroom", by the phrases of a slot."""
+        """Parse claims such as "there's a lamp near the bed in the bedroom", with the phrases of a slot for "there's"."""
         for end, _, classes in self._of(at, slot):
             for after, label in self._agreeing(end, "noun", classes):
                 for stop, qualifier in self._qualified(after):
@@ -242,8 +242,8 @@ class PhraseReader:
                         yield place, Phrase(label, qualifier, room), room
 
     def _known(self, slot: str | None, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:
-        """Yield "the lamp in the bedroom is near the bed", by the phrases of a slot; with slot None there is no verb
-        in between.
+        """Parse claims such as "the lamp in the bedroom is near the bed", with the phrases of a slot as verb; with slot
+        None there is no verb.
         """
         for end, label in self._definite(at, "noun"):
             for after, room, named in self._where(end, last, belonging=True):

@@ -111,7 +111,7 @@ class _Lines:
         self.row_ends = np.cumsum([len(row.leaves) for row in rows])
 
     def clearances(self) -> list[list[float]]:
-        """By leaf, the metres from its path to the goals of each leaf of its row; infinite to its own.
+        """By leaf, the metres from its path to the goals of each leaf of its row; infinite for the leaf's own goals.
 
         A straight line is never longer than a path, so a path with enough clearance by it never enters the success
         ball.
@@ -310,7 +310,9 @@ def _end(leaf: EpisodeLeaf) -> int:
 
 
 class _Groups:
-    """Number of words in the texts of each counterfactual group; all its budgets follow from the longest."""
+    """Number of words in the texts of each counterfactual group; the step budgets of a group all follow from its
+    longest text.
+    """
 
     def __init__(self, rows: Sequence[ManifestEpisode]) -> None:
         self._words: dict[str, list[int]] = {}

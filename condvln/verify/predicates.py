@@ -132,8 +132,8 @@ class Judge:
 
 
 def _beside_each_other(found: Judgement, subject: Thing, anchor: Thing, room: Surroundings) -> Judgement:
-    """Return "near", undecided for objects that are on or in each other; an object that is put away is near to
-    nothing.
+    """Return the judgement on "near", undecided for objects that are on or in each other; an object that is put away is
+    near to nothing.
     """
     if room.holds(anchor, subject) or room.holds(subject, anchor):
         return found._replace(verdict=UNDECIDED)
@@ -144,7 +144,9 @@ def _beside_each_other(found: Judgement, subject: Thing, anchor: Thing, room: Su
 
 
 def _used(one: Thing, other: Thing) -> float:
-    """Return millimetres between boxes, else bounding spheres, else centres."""
+    """Return the millimetres between the boxes of two objects, else between their bounding spheres, else between their
+    centres.
+    """
     if one.box is not None and other.box is not None:
         gaps = [max(one.box[0][k] - other.box[1][k], other.box[0][k] - one.box[1][k], 0) for k in range(3)]
         return math.sqrt(sum(gap * gap for gap in gaps))

@@ -118,7 +118,7 @@ def leaf_of(category: Category, truths: tuple[bool, ...]) -> int:
 
 @cache
 def _rivals(category: Category, k: int) -> tuple[tuple[int, int], ...]:
-    """Return pairs of leaves between which condition k alone decides, for some truths of the others."""
+    """Return the pairs of leaves between which condition k alone decides, for some truths of the other conditions."""
     pairs = set()
     for truths in product((True, False), repeat=len(SHAPES[category].branches)):
         other = tuple(truth != (place == k) for place, truth in enumerate(truths))

@@ -146,7 +146,9 @@ class SceneReferents:
         return self._claims[phrase]
 
     def _cut(self, used: Set[str | None]) -> Problem | None:
-        """Return the fault that a used object is a piece of an object cut at a region's border, or None."""
+        """Return the problem if an object in `used` is a piece of an object that was cut at a region's border, else
+        None.
+        """
         pieces = sorted(name for name in used if name in self._pieces)
         return Problem("whole_object", "things that no region border cuts", pieces) if pieces else None
 
@@ -356,8 +358,8 @@ class SceneReferents:
         return Answer(truth, True, witnesses, view.room.room_id, (), room_anchor, how.numbers)
 
     def _doubt(self, view: RoomView, phrase: Phrase, anchors: Sequence[Thing]) -> str | None:
-        """Return why absence of a label can't be known: the room, or an unlabelled object that may have it. None if
-        it can.
+        """Return why absence of a label can't be known: because of the room, or of an unlabelled object that may have
+        this label. None if absence can be known.
         """
         if not view.room.complete:
             return view.room.room_id

@@ -98,13 +98,13 @@ class RoomView:
         return (thing for thing in self._all if self._could_call(label, thing))
 
     def nameless(self, label: str) -> list[Thing]:
-        """Return the unlabelled objects that might be a `label`, as far as is known."""
+        """Return the unlabelled objects that, as far as is known, might have the label `label`."""
         own = self._meaning.meant_by(label)
         return [thing for thing in self._all if own & self._vague[thing.object_id]]
 
     def knows_absence(self, label: str) -> bool:
-        """Return whether absence of `label` can be known: no unlabelled object might be one, and the annotation is
-        complete.
+        """Return whether absence of `label` can be known: no unlabelled object might have this label, and the
+        annotation is complete.
         """
         return self.room.complete and not self.nameless(label)
 
@@ -123,5 +123,5 @@ def longest_side(thing: Thing) -> float | None:
 
 
 def model_of(item: SceneObject) -> str:
-    """Return the model name of an object, if its id consists of that and the number of the copy."""
+    """Return the model name of an object, if its id consists of this name and the number of the copy."""
     return item.object_id.rpartition(":")[0]

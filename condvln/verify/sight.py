@@ -317,7 +317,8 @@ def evenly(triangles: F64, count: int = OWN_POINTS) -> F64:
 
 @lru_cache(maxsize=16)
 def much(least: float, count: int) -> float:
-    """Return the share of `count` points that contradicts another set of which less than the share `least` is visible.
+    """Return the least visible share of `count` points that contradicts a second set of points of which less than the
+    share `least` is visible.
 
     If both sets were random points on the same surface, such a pair would occur with a probability of at most `ODDS`;
     both sets are spread more evenly than random ones. A result above 1 means that no share is a contradiction.

@@ -18,8 +18,8 @@ _UNKNOWN = Judgement(UNDECIDED, {"box": None})
 
 
 def is_on(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -> Judgement:
-    """Return "on": the subject's bottom is at the top of the anchor, whose larger footprint holds most of the
-    subject's.
+    """Return the judgement on "on": the subject's bottom is at the top of the anchor, whose larger footprint holds most
+    of the subject's.
     """
     if subject.box is None or anchor.box is None:
         return _UNKNOWN
@@ -37,7 +37,9 @@ def is_on(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -> J
 
 
 def as_said_on(found: Judgement, subject: Thing, anchor: Thing, room: Surroundings) -> Judgement:
-    """Return "on" by the source if boxes leave it open; undecided if source and boxes contradict each other."""
+    """Return the judgement on "on": that of the source if boxes leave it open; undecided if source and boxes contradict
+    each other.
+    """
     if room.is_said_on(subject, anchor):
         return found._replace(verdict=UNDECIDED if found.verdict == FALSE else TRUE)
     if found.verdict == UNDECIDED and room.is_said_elsewhere(subject, anchor):
@@ -46,14 +48,14 @@ def as_said_on(found: Judgement, subject: Thing, anchor: Thing, room: Surroundin
 
 
 def as_said_in(found: Judgement, subject: Thing, anchor: Thing, room: Surroundings) -> Judgement:
-    """Return "in" by the source's named container; undecided if boxes contradict it."""
+    """Return the judgement on "in" by the container that the source names; undecided if boxes contradict it."""
     if room.is_said_in(subject, anchor) and _can_be_looked_into(anchor):
         return found._replace(verdict=UNDECIDED if found.verdict == FALSE else TRUE)
     return found
 
 
 def is_under(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -> Judgement:
-    """Return "under": the subject is on the floor below the anchor's underside."""
+    """Return the judgement on "under": the subject is on the floor below the anchor's underside."""
     if subject.box is None or anchor.box is None:
         return _UNKNOWN
     lift, air, covered = room.off_floor(subject), anchor.box[0][1] - subject.box[1][1], _covered(subject, anchor)
@@ -70,7 +72,7 @@ def is_under(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -
 
 
 def is_in(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -> Judgement:
-    """Return "in": most of the subject's volume is inside an open container."""
+    """Return the judgement on "in": most of the subject's volume is inside an open container."""
     if subject.box is None or anchor.box is None or not _can_be_looked_into(anchor):
         return _UNKNOWN
     volume = math.prod(high - low for low, high in zip(*subject.box, strict=True))
@@ -81,7 +83,7 @@ def is_in(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -> J
 
 
 def is_above(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -> Judgement:
-    """Return "above": the subject is over the anchor, with a vertical gap."""
+    """Return the judgement on "above": the subject is over the anchor, with a vertical gap."""
     if subject.box is None or anchor.box is None:
         return _UNKNOWN
     up, air = subject.centre[1] - anchor.centre[1], subject.box[0][1] - anchor.box[1][1]
@@ -105,7 +107,9 @@ def is_above(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -
 
 
 def is_higher(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -> Judgement:
-    """Return "higher": centre and top are higher, both are well above the floor, and neither supports the other."""
+    """Return the judgement on "higher": centre and top are higher, both objects are well above the floor, and neither
+    supports the other.
+    """
     lifts = [room.off_floor(thing) for thing in (subject, anchor)]
     if subject.box is None or anchor.box is None or None in lifts:
         return _UNKNOWN

@@ -47,7 +47,7 @@ class Thing:
         return replace(thing, pieces=tuple(arms))
 
     def solids(self) -> tuple[Thing, ...]:
-        """Return its pieces, or itself if it is a single box."""
+        """Return the pieces of an object, or the object itself if it is a single box."""
         return self.pieces or (self,)
 
     @property
@@ -56,12 +56,12 @@ class Thing:
         return self.item.object_id
 
     def ground_sides(self) -> tuple[int, int]:
-        """Sides of its footprint in millimetres along x and z; it must have a box."""
+        """Sides of the object's footprint in millimetres along x and z; the object must have a box."""
         assert self.box is not None
         return self.box[1][0] - self.box[0][0], self.box[1][2] - self.box[0][2]
 
     def sides(self) -> list[float]:
-        """Sides of its oriented box, else of its axis-aligned box, the longest last; empty without either."""
+        """Sides of the object's oriented box, else of its axis-aligned box, the longest last; empty if it has neither."""
         if self.item.obb is not None:
             return sorted(float(round(2.0 * float(half) * 1000.0)) for half in self.item.obb.half_extents)
         if self.box is None:
@@ -168,8 +168,8 @@ class Surroundings:
         return any(self._bears(below, above) for above in inner.solids() for below in outer.solids())
 
     def _bears(self, lower: Thing, upper: Thing) -> bool:
-        """Return whether the bottom of `upper` is at the top of `lower`, or within its height, with enough of it
-        above `lower`.
+        """Return whether the bottom of `upper` is at the top of `lower` or between its bottom and top, with enough of
+        the footprint of `upper` above `lower`.
         """
         area = 0 if upper.box is None else math.prod(upper.ground_sides())
         if upper.box is None or lower.box is None or not area:

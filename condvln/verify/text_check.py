@@ -144,7 +144,7 @@ def _check_stops(
     start: Standpoint | None,
     certificate: Certificate,
 ) -> None:
-    """Check that every stop refers to exactly one object, the program's."""
+    """Check that every stop of the text refers to exactly one object, and that the program names the same object."""
     for k, (leaf, moves) in enumerate(zip(program.leaves, leaves, strict=True)):
         for j, (move, stop) in enumerate(zip(leaf.moves, moves, strict=True)):
             found = referents.thing(stop, start)

@@ -131,7 +131,7 @@ class Words:
         return self._by_word.get(text) or self._by_word.get(_COPY_NUMBER.sub("", text)) or text
 
     def room_type(self, raw: str, family: str) -> str:
-        """Return the canonical room type of a source's own one."""
+        """Return the canonical room type for a room type as the source names it."""
         listed = _listed(self._room_types, raw, family)
         return listed if listed is not None else self._room_by_word.get(folded(raw), folded(raw))
 
@@ -213,7 +213,7 @@ def _containers(labels: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
 
 
 def _frames(labels: Mapping[str, Mapping[str, str]]) -> frozenset[str]:
-    """Return the labels listed as frames, and narrower ones, except those that can be shut."""
+    """Return the labels listed as frames, and labels narrower than these, except those that can be shut."""
     listed = {row["label"] for row in _rows("frames.csv")}
     shut = {label for label, kind in _containers(labels).items() if kind == "shut"}
     return frozenset(label for label in labels if listed & {label, *_broader(label, labels)}) - shut

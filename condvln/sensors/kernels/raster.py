@@ -64,7 +64,9 @@ def _blocks_in_view(
 
 @compiled
 def _image_bounds(v: Doubles, near: float, tan_x: float, tan_y: float) -> tuple[float, float, float, float]:
-    """Return the least and greatest x and y of the part in front of the near plane, in units of half the image."""
+    """Return the least and greatest x and y, in units of half the image, of that part of the triangle `v` which is in
+    front of the near plane.
+    """
     left, right, bottom, top = math.inf, -math.inf, math.inf, -math.inf
     for i in range(3):
         j = (i + 1) % 3

@@ -15,8 +15,8 @@ I64 = NDArray[np.int64]
 
 @compiled
 def clearances(corners: F64, corner_ends: I64, goals: F64, goal_ends: I64, row_ends: I64, widest: int) -> F64:
-    """Return squared metres (l, widest) from each leaf's path to the goals of each leaf of its row; infinite to its
-    own.
+    """Return squared metres (l, widest) from each leaf's path to the goals of each leaf of its row; infinite for the
+    leaf's own goals.
 
     corners (n, 3), goals (m, 3) : of all leaves, concatenated; corner_ends, goal_ends (l,) : end index of each leaf
     row_ends (r,) : end index of each row's leaves; widest : largest number of leaves of a row
