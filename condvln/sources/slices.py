@@ -80,7 +80,9 @@ def joined_slices(
 
 
 def _fit(box: F64, others: F64) -> NDArray[np.bool_]:
-    """Return (n,): whether each of `others` (n, 2, 3) touches `box` (2, 3), with cross-sections that cover each other."""
+    """Return (n,): whether each of `others` (n, 2, 3) and `box` (2, 3) touch, with cross-sections that cover each
+    other.
+    """
     shared = np.minimum(box[1], others[:, 1]) - np.maximum(box[0], others[:, 0])  # below zero where they are apart
     # They are side by side on the ground, along the horizontal axis on which they overlap least.
     along_x = shared[:, 0] <= shared[:, 2]

@@ -220,7 +220,7 @@ class PhraseReader:
     # -- conditions ----------------------------------------------------------------------------------------------------
 
     def _some(self, slot: str, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:
-        """Parse claims such as "there's a lamp near the bed in the bedroom", with the phrases of a slot for "there's"."""
+        """Parse claims such as "there's a lamp near the bed", with the phrases of a slot in place of "there's"."""
         for end, _, classes in self._of(at, slot):
             for after, label in self._agreeing(end, "noun", classes):
                 for stop, qualifier in self._qualified(after):

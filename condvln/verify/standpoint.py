@@ -79,7 +79,7 @@ class Standpoint(NamedTuple):
 
 
 def _off(point: _Point) -> float:
-    """Return the angle in degrees between a point, given along a direction and to the right of it, and this direction."""
+    """Return the angle in degrees between a direction and a point (millimetres along it and to its right)."""
     return math.degrees(math.atan2(abs(point[1]), point[0]))
 
 
