@@ -61,7 +61,7 @@ class Thing:
         return self.box[1][0] - self.box[0][0], self.box[1][2] - self.box[0][2]
 
     def sides(self) -> list[float]:
-        """Sides of the object's oriented box, else of its axis-aligned box, the longest last; empty without either box."""
+        """Sides of an object's oriented box, else of its axis-aligned box, the longest last; empty if it has no box."""
         if self.item.obb is not None:
             return sorted(float(round(2.0 * float(half) * 1000.0)) for half in self.item.obb.half_extents)
         if self.box is None:
