@@ -42,7 +42,7 @@ Guesses = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class _View:
-    """What a guesser sees of a text, and the answer. `scene` only says which texts share a scene."""
+    """What a guesser sees of a text, and the right answer. `scene` only says which texts share a scene."""
 
     scene: str
     text: str
@@ -53,7 +53,7 @@ class _View:
 @dataclass(frozen=True)
 class FileCounts:
     """Numbers of texts in a file: all, those with a condition, those that could be split, and those whose path shows
-    the right clause. `mean_words` is the mean length of all.
+    the right clause. `mean_words` is the mean length of all texts.
     """
 
     texts: int
@@ -66,7 +66,7 @@ class FileCounts:
 
 @dataclass(frozen=True)
 class ForeignReport:
-    """The counts of each file by its path, and all tests together."""
+    """The counts of texts by path of the file, and the results of all tests on all files."""
 
     files: Mapping[str, FileCounts]
     bias: BiasReport
@@ -137,15 +137,15 @@ def _questions(episodes: Iterable[ForeignEpisode]) -> tuple[FileCounts, dict[str
 
 
 def _ends(clauses: Clauses | None) -> tuple[Motion, ...]:
-    """Return where the two clauses end; empty if the text does not have two."""
+    """Return where the two clauses end; empty if the text does not have two clauses."""
     if clauses is None or not clauses.otherwise:
         return ()
     return motion(clauses.then, clauses), motion(clauses.otherwise, clauses)
 
 
 def _clause(ends: tuple[Motion, ...], episode: ForeignEpisode) -> int | None:
-    """Return 0 if the path is that of the first clause, 1 if it is that of "otherwise", None if it does not show
-    which.
+    """Return 0 if the episode's path follows the first clause, 1 if it follows the "otherwise" clause, None if the path
+    does not show which clause it follows.
     """
     if len(set(ends)) < 2 or episode.displacement is None:
         return None

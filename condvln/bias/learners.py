@@ -303,7 +303,7 @@ def _length(view: GuesserView) -> Iterator[str]:
 
 
 def _definiteness(view: GuesserView) -> Iterator[str]:
-    """Yield which conditions are definite, one by one and together."""
+    """Yield whether each condition is definite, then the same for all conditions in a single feature."""
     flags = ["definite" if asked.definite else "indefinite" for asked in view.asked]
     yield from (f"{k} {flag}" for k, flag in enumerate(flags))
     yield " ".join(flags)

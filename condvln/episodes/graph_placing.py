@@ -170,7 +170,9 @@ class GraphPlacer:
         return np.asarray(level & inside, dtype=np.bool_)
 
     def _around(self, room: Room, own: Mapping[str, NDArray[np.bool_]]) -> NDArray[np.bool_]:
-        """Return the viewpoints of the neighbours of each room that has none."""
+        """Return which viewpoints belong to rooms that adjoin `room`; `own` are the viewpoints inside each room, by
+        room id.
+        """
         found = np.zeros(len(self._places), dtype=np.bool_)
         if room.polygon is None:
             return found

@@ -77,7 +77,9 @@ class Observation:
         return all(e.in_view for e in self.evidence)
 
     def fits(self, asked: str) -> bool:
-        """Return whether it matches what a cell asks for: a level, or O0f for O0 in the first view."""
+        """Return whether this observation matches the level `asked` by a cell; O0f stands for O0 with all evidence in
+        the first view.
+        """
         return self.in_view if asked == FIRST_VIEW else self.observability == asked
 
 
@@ -175,7 +177,9 @@ class Observer:
         return self._targets[name]
 
     def _look(self, wanted: Iterable[tuple[_Target, F64]]) -> None:
-        """Compute all wanted lines of sight that are not cached, each target's from all eyes at once."""
+        """Compute all wanted lines of sight that are not cached; those of one target are computed from all eyes at
+        once.
+        """
         eyes: dict[_Target, dict[bytes, F64]] = {}
         for name, places in wanted:
             for eye in places:
@@ -190,8 +194,8 @@ class Observer:
             self._seen.update({(name, key): row for key, row in zip(places_of, seen, strict=True)})
 
     def _known(self, ways: _Needs, eyes: F64, yaw: float | None = None) -> bool:
-        """Return whether the condition's truth is visible from `eyes` together; with a `yaw`, only in the view
-        straight ahead.
+        """Return whether all evidence of one of the `ways` to know a condition's truth is visible from some of the
+        `eyes`; with a `yaw`, only in the view straight ahead.
         """
         return any(all(self._is_seen(name, eyes, yaw) for name in way) for way in ways)
 

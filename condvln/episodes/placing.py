@@ -335,7 +335,7 @@ class Placer:
     def _starts_not_too_far(
         self, program: Program, possible: NDArray[np.int64], lengths: tuple[float, float]
     ) -> NDArray[np.int64]:
-        """Return the starts of `possible` whose routes may have these lengths.
+        """Return the starts of `possible` from which the route of every leaf can have a length in the range `lengths`.
 
         A route is never shorter than the geodesic distance to its goal, and equal to it if the leaf has a single stop.
         """

@@ -67,7 +67,9 @@ class EpisodePool:
         self.examples.setdefault(key, candidate.instruction_id)
 
     def reject_collisions(self, scene_id: str) -> None:
-        """Drop episodes whose id collides with another one of the scene, together with their counterfactual groups."""
+        """Drop episodes whose id collides with that of another episode of the scene, together with their counterfactual
+        groups.
+        """
         hashes = [content_hash(scene_id, e.instruction_id, e.placement.start, e.placement.yaw) for e in self.episodes]
         lost = {self.episodes[k].instruction_id for k in colliding([numeric_id(name) for name in hashes], hashes)}
         groups = {e.candidate.group_id for e in self.episodes if e.instruction_id in lost} - {None}
@@ -170,7 +172,9 @@ class _Filling:
         self._seen: set[Program] = set()
 
     def fill(self, tries: Sequence[_Try], most_of_label: int) -> None:
-        """Place candidates in order; then, where a cell is short, those postponed for their number of moves."""
+        """Place candidates in order; then, where a cell is short, place the candidates that were postponed for their
+        number of moves.
+        """
         for one in tries:
             one.refused = self._turned_away(one, most_of_label) or self._over_its_moves(one) or self._unplaceable(one)
             if one.refused is None:

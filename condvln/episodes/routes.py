@@ -172,7 +172,8 @@ class GoalField:
         return length
 
     def ordered_goals(self, start: F64, object_id: str) -> F64:
-        """Return a leaf's goal points (k, 3): the geodesically nearest to the start first, then in their own order.
+        """Return an object's goal points (k, 3): first the one geodesically nearest to the start, then the others in
+        the order of ``goals``.
 
         Stock sensors measure the distance to the first goal, stock measures to the nearest one; with this order both
         agree at the start. A route through stops may end at another goal point.

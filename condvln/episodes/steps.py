@@ -66,8 +66,8 @@ class DrawnPrograms:
 
 
 def look_around(scene: Scene, walkable: Walkable, *, eye_height: float, island_radius: float) -> list[Visibility]:
-    """Compute which objects are visible from where an agent can stand in their rooms; eye_height, island_radius in
-    metres.
+    """Compute which objects are visible from positions in their rooms where an agent can stand; eye_height,
+    island_radius in metres.
     """
     islands = wide_islands(walkable.pathfinder, PlacesConfig(island_radius=island_radius))
     obstacles = blocked_footprints(scene, walkable.pathfinder, walkable.max_climb)

@@ -139,7 +139,9 @@ def visibility_table(scene: Scene, found: Iterable[Visibility] | None, words: Vo
 
 
 def sightings_from_table(table: pa.Table) -> Sightings:
-    """Return the objects that can't be seen and those in doubt; none if all values are null."""
+    """Return the ids of the objects that can't be seen, and of those whose visibility is in doubt; both are empty if
+    all values are null.
+    """
     columns: Mapping[str, list[Any]] = table.select(["object_id", "seeable", "unseen"]).to_pydict()
     rows = list(zip(*columns.values(), strict=True))
     unseen = frozenset(name for name, _, out_of_sight in rows if out_of_sight)

@@ -113,7 +113,7 @@ AGENTS: Final[Mapping[str, Agent]] = {
 
 
 def agent_named(name: str) -> Agent:
-    """Return the reference agent of a name.
+    """Return the reference agent that is called ``name``.
 
     Raises
     ------

@@ -75,7 +75,7 @@ def summary(
     seed: int = 0,
     measures: Sequence[str] = MEASURES,
 ) -> Summary:
-    """Return the means over the episodes selected by the mask ``where`` (n,), or over all."""
+    """Return the means over the episodes selected by the mask ``where`` (n,), or over all episodes."""
     chosen = np.ones(len(evaluation), dtype=bool) if where is None else where
     scenes = evaluation.axes["scene"][chosen].astype(str)
     estimates = {name: estimate(evaluation.scores[name][chosen], scenes, seed=seed) for name in measures}

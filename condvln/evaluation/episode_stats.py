@@ -96,7 +96,7 @@ def is_episode_stats(path: Path) -> bool:
 
 
 def read_episode_stats(path: Path) -> dict[str, dict[str, float]]:
-    """Return the measures by episode id, under our names.
+    """Return each episode's measures by episode id, under the names that CondVLN gives these measures.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ def _refuse(path: Path, place: str, what: str) -> NoReturn:
 def evaluation_of_stats(
     tasks: Sequence[Judged], stats: Mapping[str, Mapping[str, float]], *, agent: str = "agent", where: str = ""
 ) -> Evaluation:
-    """Return the scores of a split from such results; an episode without a result is a failure.
+    """Return the scores of a split from another evaluator's results; an episode without a result is a failure.
 
     A measure that no result has is undefined: BSA and CSR are not derived from the success of stock VLN-CE's results.
 
@@ -233,7 +233,9 @@ def _row(task: Judged, stats: Mapping[str, float] | None, told: Set[str]) -> dic
 
 
 def _by_the_paper(task: Judged, success: float, bsa: float, csr: float) -> dict[str, float]:
-    """Return BSA and CSR over all episodes, and by the paper's rule for episodes without subgoals."""
+    """Return an episode's BSA and CSR twice: for means over all episodes, and by the paper's rule, which leaves out
+    failed episodes without subgoals (NaN).
+    """
     if task.subgoals:
         return {"bsa": bsa, "csr": csr, "bsa_all": bsa, "csr_all": csr}
     paper = 1.0 if success == 1 else math.nan

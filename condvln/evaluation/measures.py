@@ -166,8 +166,8 @@ def reached_in_order(nearness: Nearness, path: SnappedPath, subgoals: Points, ra
 
 
 def reached_in_order_euclidean(positions: Points, subgoals: Points, radius: float) -> int:
-    """Return the same count as the authors' public evaluator: 3-D straight line, at most ``radius``, one subgoal per
-    pose.
+    """Return :func:`reached_in_order` as the authors' public evaluator counts it: by straight-line distance in 3-D, at
+    most ``radius``, and at most one subgoal per pose.
     """
     reached = 0
     for position in positions:

@@ -21,8 +21,8 @@ class NavigationAction(Action):  # type: ignore[misc]
     """One call of a tool of `EpisodeTools`."""
 
     tool: Literal["forward", "turn", "look", "stop"]
-    steps: int = Field(1, description="of forward")
-    degrees: int = Field(0, description="of turn: positive to the right")
+    steps: int = Field(1, description="number of steps, for the tool forward")
+    degrees: int = Field(0, description="angle in degrees, for the tool turn; positive is to the right")
 
 
 class NavigationObservation(Observation):  # type: ignore[misc]
@@ -46,7 +46,9 @@ class NavigationEnvironment(Environment):  # type: ignore[misc]
         self._tools = tools()
 
     def reset(self, seed: int | None = None, episode_id: str | None = None, **row: Any) -> NavigationObservation:
-        """Begin the episode of an id, else the next one. `seed` and other values of the row are ignored."""
+        """Begin the episode `episode_id`, or the next one if no id is given. `seed` and other values of the row are
+        ignored.
+        """
         return self._observation(self._tools.reset(episode_id))
 
     def step(self, action: NavigationAction, timeout_s: float | None = None, **options: Any) -> NavigationObservation:

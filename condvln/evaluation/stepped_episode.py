@@ -69,12 +69,12 @@ class SteppedEpisode:
 
     @property
     def position(self) -> Points:
-        """(3,) metres, Habitat frame."""
+        """The agent's position (3,) in metres, in Habitat's frame."""
         return self._positions[-1].astype(np.float64)
 
     @property
     def heading(self) -> float:
-        """Radians counter-clockwise from −z."""
+        """The agent's heading in radians, counter-clockwise from −z."""
         return self._headings[-1]
 
     @property

@@ -54,7 +54,9 @@ class Column:
 
 @dataclass(frozen=True)
 class Cell:
-    """One number with its interval, the number of episodes with a value and of all episodes; or a text."""
+    """One number with its interval, the number of episodes that have a value, and the number of all episodes; or a
+    text.
+    """
 
     value: float | int | str | None
     low: float = float("nan")
@@ -246,7 +248,8 @@ def comparison_table(
 
 
 def twin_tables(pairs: Sequence[tuple[Evaluation, Evaluation]], *, seed: int = 0) -> list[Table]:
-    """Return agents on a split and on its oracle-linear twin; pairs : (original, oracle).
+    """Return tables that compare each agent's results on a split with its results on the split's oracle-linear twin;
+    ``pairs`` : (original, oracle).
 
     The difference is the cost of resolving the conditions; the gap to 100 % under oracle text is plain instruction
     following.

@@ -40,7 +40,7 @@ class LeafTask:
 
     @property
     def end(self) -> Points:
-        """The goal point (3,) at the end of its path."""
+        """The goal point (3,) at the end of the leaf's path."""
         found: Points = self.goals[np.square(self.goals - self.path[-1]).sum(axis=1).argmin()]
         return found
 

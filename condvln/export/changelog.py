@@ -55,7 +55,7 @@ class PublishedEpisodes:
 
     @classmethod
     def of_export(cls, export: Path) -> PublishedEpisodes | None:
-        """Read the manifests of an export; None if it has none, or none that can be read."""
+        """Read the manifests of an export; None if the export has no manifests, or if they can't be read."""
 
         def rows() -> Iterator[tuple[Split, str, dict[str, Any]]]:
             for split in SPLITS:
@@ -73,7 +73,7 @@ class PublishedEpisodes:
 
     @classmethod
     def of_rows(cls, snapshot: str, rows: Iterator[tuple[Split, str, dict[str, Any]]]) -> PublishedEpisodes:
-        """Build from (split, source, row of the manifest or of the episodes table)."""
+        """Build from triples (split, source, row); each row is of the manifest or of the episodes table."""
         codes: dict[str, int] = {}
         navmeshes: dict[str, str] = {}
         names: list[pa.Array] = []

@@ -44,12 +44,12 @@ _PROOFS: Final = (f"{CERTIFICATES}/*.jsonl", f"{CERTIFICATES}/{SUMMARY}")
 
 
 def read_index(folder: Path) -> dict[str, Any] | None:
-    """Return the export's index; None if the folder has none, or none that can be read."""
+    """Return the export's index; None if the folder has no index or the index can't be read."""
     return read_document(folder / INDEX)
 
 
 def read_document(path: Path) -> dict[str, Any] | None:
-    """Return the JSON object in a file; None if there is none, or none that can be read."""
+    """Return the JSON object in a file; None if the file does not exist or its JSON object can't be read."""
     try:
         document = orjson.loads(path.read_bytes())
     except (OSError, ValueError):
@@ -78,7 +78,8 @@ def file_hashes(folder: Path) -> dict[str, str]:
 
 
 def owned_files(folder: Path) -> set[str]:
-    """Return the paths below ``folder`` of the files that its export wrote, except proofs of it.
+    """Return the paths below ``folder`` of the files that the export wrote; certificates that prove the export are left
+    out.
 
     Paths that lead out of the folder are never included, whatever the index says.
     """
@@ -95,7 +96,9 @@ def owned_files(folder: Path) -> set[str]:
 
 
 def stale_proofs(folder: Path, files: dict[str, str]) -> set[str]:
-    """Return the paths of the proofs in ``folder``, unless they prove files of exactly these hashes (by path)."""
+    """Return the paths of the certificates in ``folder`` that no longer hold; none if they prove files with exactly the
+    hashes in ``files`` (by path).
+    """
     proofs = {path.relative_to(folder).as_posix() for pattern in _PROOFS for path in folder.glob(pattern)}
     try:
         proven = orjson.loads((folder / CERTIFICATES / SUMMARY).read_bytes())["files"]

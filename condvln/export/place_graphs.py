@@ -45,7 +45,7 @@ class Places:
         self._graphs: dict[str, tuple[list[str], npt.NDArray[np.float64], npt.NDArray[np.int64]]] = {}
 
     def add(self, scene_id: str, rows: Iterable[Row], viewpoints: ViewpointGraph | None = None) -> None:
-        """Add the places of one scene; without ``viewpoints``, those on the routes of its ``rows``.
+        """Add the places of one scene: its ``viewpoints``, or, without them, places on the routes of its ``rows``.
 
         scene_id : the episodes' scene id, ``<family>/<scene>/<scene>.glb``
         """
@@ -93,7 +93,7 @@ class _GraphPickler(pickle.Pickler):
 
 
 def _of_routes(rows: Iterable[Row]) -> tuple[list[str], npt.NDArray[np.float64], npt.NDArray[np.int64]]:
-    """Return the cells on the routes, each with its least point, and edges between cells that a route connects."""
+    """Return a name and a point for each grid cell on the routes, and the edges between cells that a route connects."""
     routes = [leaf["reference_path"] for row in rows for leaf in row["leaves"]]
     if not routes:
         return [], np.zeros((0, 3)), np.zeros((0, 2), dtype=np.int64)

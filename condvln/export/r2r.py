@@ -60,7 +60,7 @@ def _too_near(graph: GraphPathfinder, start: str, ends: list[str]) -> str | None
 
 
 def reason_against(start: str | None, stops: list[str | None], ends: list[str | None]) -> str | None:
-    """Return why an episode can't be an item on the graph; None if it can."""
+    """Return why an episode can't be an R2R item on the graph; None if it can."""
     if start is None or None in stops or None in ends:
         return "a start or goal with no viewpoint in reach"
     if len(set(ends)) < len(ends):

@@ -167,7 +167,9 @@ def _place(pool: ExportPool, config: SplitsConfig, left_out: Counter[str]) -> np
 
 
 def _seeded_order(pool: ExportPool, seed: int) -> npt.NDArray[np.int64]:
-    """Return all episodes ordered by the hash of their id, with one episode of each scene before the second of any."""
+    """Return all episodes ordered by the hash of their id, with one episode of each scene before the second of any
+    scene.
+    """
     by_hash = np.argsort(fractions(pool.episode, seed, "order"), kind="stable")
     by_scene = by_hash[np.argsort(pool.scene[by_hash], kind="stable")]
     scenes = pool.scene[by_scene]

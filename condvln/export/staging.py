@@ -165,8 +165,8 @@ def _remove(folder: Path) -> None:
 
 
 def _foreign(folder: Path, new: Path) -> Iterator[str]:
-    """Yield the paths in ``folder`` to keep when ``new`` replaces it: the user's files and links, proofs that hold for
-    both, and empty folders.
+    """Yield the paths in ``folder`` to keep when ``new`` replaces it: the user's files and links, certificates that
+    hold for the files of ``new`` too, and empty folders.
     """
     owned = owned_files(folder) | stale_proofs(folder, file_hashes(new))
     for parent, folders, files in os.walk(folder):

@@ -78,7 +78,9 @@ class Vocabulary:
 
     @classmethod
     def from_document(cls, document: dict[str, Any]) -> Vocabulary:
-        """Read the vocabulary of a VLN-CE file, such as the stock one that a trained agent's embeddings belong to."""
+        """Read the vocabulary of a VLN-CE file, such as the stock vocabulary that a trained agent's embeddings belong
+        to.
+        """
         return cls(tuple(document["word_list"]))
 
     def encode(self, text: str) -> list[int]:

@@ -40,8 +40,8 @@ class TwinReport:
 def rewrite_split(
     document: Path, manifest: Mapping[str, ManifestEpisode], out: Path, text_of: LinearText
 ) -> TwinReport:
-    """Write the twin of ``document`` as ``out``: the same vocabulary, ids, starts and paths, with other instructions.
-    differ.
+    """Write the twin of ``document`` as ``out``: with the same vocabulary, ids, starts and paths, but other
+    instructions.
 
     Parameters
     ----------

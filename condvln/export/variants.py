@@ -32,7 +32,7 @@ def subgoals(row: Row) -> list[dict[str, Any]]:
 
 
 def ansr_bytes(stock: bytes, row: Row) -> bytes:
-    """Return the encoded ANSR-v1 episode of an encoded stock one."""
+    """Return the encoded ANSR-v1 episode made from the encoded stock episode ``stock``."""
     return stock[:-1] + b',"subgoals":' + encode(subgoals(row)) + b"}"
 
 
@@ -41,8 +41,8 @@ RXR_LANGUAGES: Final = {"en": "en-US", "es": "es-ES"}
 
 
 def rxr_episode(stock: dict[str, Any], row: Row, split: str, language: str = "en") -> dict[str, Any]:
-    """Return the RxR guide episode of a stock one: the text under RxR's keys, without tokens (agents use their own
-    encoder).
+    """Return the RxR guide episode made from a stock episode: the text under RxR's keys, without tokens (agents use
+    their own encoder).
     """
     return {
         **stock,

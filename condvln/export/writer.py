@@ -253,6 +253,6 @@ class ExportWriter:
 
 
 def _says_bearings(instruction: Row) -> bool:
-    """Return whether an instruction has egocentric directions, which are true at its own start only."""
+    """Return whether an instruction has egocentric directions, which are true only at the start of its episode."""
     named = [*instruction["conditions"], *(move for leaf in instruction["leaves"] for move in leaf["moves"])]
     return any(one["qualifier"] is not None and one["qualifier"]["predicate"] in BEARINGS for one in named)

@@ -40,7 +40,9 @@ class Image:
 
 
 class MaterialReader:
-    """Materials, textures, samplers and images of one file; those requested, numbered from 0 within the part."""
+    """Reads materials of one file with their textures, samplers and images; only those requested are kept, numbered
+    from 0.
+    """
 
     def __init__(self, root: JsonNode, binary: bytes) -> None:
         self._root, self._binary = root, binary

@@ -90,7 +90,8 @@ class _Unpacked:
 
 @contextmanager
 def opened(path: Path) -> Iterator[BinaryIO]:
-    """Open a file of bytes, decompressed if it is gzip; read it by pieces or lines of a given size.
+    """Open a file for reading bytes, decompressed if the file is gzip; callers must read pieces or lines of a limited
+    size.
 
     Raises
     ------

@@ -145,7 +145,9 @@ class JsonLines:
             ) from None
 
     def _pieces(self, stream: BinaryIO, start: _Checkpoint) -> Iterator[tuple[bytes, _Checkpoint | None]]:
-        """Yield pieces of the text from `start` on, each with the checkpoint behind it if there is one."""
+        """Yield pieces of the text from `start` on, each with the checkpoint at its end, or None if there is no
+        checkpoint there.
+        """
         stream.seek(start.file)
         text, file = start.text, start.file
         if not self._packed:

@@ -66,7 +66,7 @@ def findings(words: Language, category: Category, template: Template) -> Iterato
 
 
 def leaf_by_listener(words: Language, template: Template, truths: Sequence[bool]) -> list[int]:
-    """Return the leaves that a listener goes to."""
+    """Return the leaves that a listener goes to if the conditions have these `truths`."""
     return [leaf for leaf, cs in _heard(words, template.pieces).items() if any(_holds(c, truths) for c in cs)]
 
 

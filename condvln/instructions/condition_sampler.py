@@ -136,7 +136,8 @@ class ConditionSampler:
         return tuple(asked)
 
     def twin(self, program: Program, index: int, draws: Draws) -> Condition | None:
-        """Return a condition of the opposite truth that can replace one of `program`'s; None if there is none.
+        """Return a condition of the opposite truth that can replace condition `index` of `program`; None if there is
+        none.
 
         It is about the same room, of the same kind and predicate and, if possible, of the same label.
         """

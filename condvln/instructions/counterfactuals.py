@@ -46,7 +46,9 @@ def counterfactual_group(
 
 
 def _decisive(program: Program) -> Iterator[tuple[int, int]]:
-    """Yield conditions on the gold path, last first, with the leaf to which their flip leads."""
+    """Yield each condition on the gold path whose flip leads to another leaf, with that leaf; the last condition comes
+    first.
+    """
     truths = [condition.truth for condition in program.conditions]
     for index in reversed(program.route()[0]):
         turned = [*truths[:index], not truths[index], *truths[index + 1 :]]
@@ -56,7 +58,7 @@ def _decisive(program: Program) -> Iterator[tuple[int, int]]:
 
 
 def flipped(program: Program, index: int, twin: Condition) -> Program:
-    """Return `program` with one condition replaced by its twin of the opposite truth."""
+    """Return `program` with condition `index` replaced by `twin`, which has the opposite truth."""
     conditions = (*program.conditions[:index], twin, *program.conditions[index + 1 :])
     return Program(category=program.category, conditions=conditions, branches=program.branches, leaves=program.leaves)
 

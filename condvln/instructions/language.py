@@ -171,7 +171,7 @@ class Language:
         return f"{phrase} {noun.text}"
 
     def answered(self, phrase: str, noun: Noun) -> str:
-        """Return an answer about a noun: "{lo} hay" becomes "la hay"."""
+        """Return an answer phrase with the pronoun of `noun` filled in: "{lo} hay" becomes "la hay"."""
         return phrase.replace("{lo}", self.articles["pronoun"][noun.kind]) if "{" in phrase else phrase
 
     def contracted(self, text: str) -> str:

@@ -183,8 +183,8 @@ class Eyes:
         return Look(views, np.concatenate(ghosts), np.concatenate(ghost_owner), things, rooms, here)
 
     def _error(self, number: int) -> tuple[str | None, str | None]:
-        """Return the label that an object is given (None if missed), and the label of a false detection at its
-        place, if any.
+        """Return the label that the detector gives to an object (None if it misses the object), and the label of a
+        false detection at the object's place (None if there is none).
         """
         noise, label = self._config.noise, self._label[number]
         if noise == NoiseConfig():
@@ -200,7 +200,9 @@ class Eyes:
 
 
 def _turned(points: F64, turn: float) -> F64:
-    """Return points (right, up, ahead) in the frame of a body from which theirs is turned left by `turn` radians."""
+    """Convert points (right, up, ahead) from a frame that is turned left by `turn` radians to the frame without that
+    turn.
+    """
     c, s = math.cos(turn), math.sin(turn)
     right, up, ahead = points[..., 0], points[..., 1], points[..., 2]
     return np.stack([c * right - s * ahead, up, s * right + c * ahead], axis=-1)

@@ -71,7 +71,8 @@ def holds(predicate: Predicate, thing: Thing, anchors: Sequence[Thing], north: f
 
 
 def ranked(predicate: Predicate, things: Sequence[Thing], anchors: Sequence[Thing]) -> list[Thing]:
-    """Return the objects of one label, ordered by a relation of `Compared`; the first is the one it refers to."""
+    """Return the objects of one label, ordered by a relation of `Compared`; the relation refers to the first of them.
+    """
     if predicate == "closest to":
         return sorted(things, key=lambda thing: gap(thing, anchors[0]))
     sign = -1.0 if predicate == "bigger" else 1.0
@@ -79,7 +80,9 @@ def ranked(predicate: Predicate, things: Sequence[Thing], anchors: Sequence[Thin
 
 
 def _centre(thing: Thing, north: float | None) -> F64:
-    """Return the centre (2,) on the ground of the object's box, aligned with the compass if north is known."""
+    """Return the centre (2,) on the ground of the object's bounding box, which is aligned with the compass if north is
+    known.
+    """
     angle = math.radians(north or 0.0)
     turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
     flat = thing.points[:, [0, 2]] @ turn.T

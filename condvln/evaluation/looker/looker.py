@@ -138,7 +138,8 @@ class Looker:
 
     @property
     def picked(self) -> int:
-        """Return the leaf that its answers lead to; undecided conditions are answered by the current evidence."""
+        """Return the leaf that the agent's answers lead to; undecided conditions are answered by the current evidence.
+        """
         if self.leaf is not None:
             return self.leaf
         shape = SHAPES[self.reading.category]

@@ -40,7 +40,7 @@ class Thing:
 
     @property
     def points(self) -> F64:
-        """Centres (n, 3) of its surface voxels in metres: x, height above the feet at the start, z."""
+        """Centres (n, 3) of the object's surface voxels in metres: x, height above the agent's feet at the start, z."""
         if self._points is None:
             keys = self.cubes
             keys = keys[:: max(1, -(-len(keys) // _MOST))] if len(keys) > 4 * _MOST else keys
@@ -56,7 +56,7 @@ class Thing:
 
     @property
     def middle(self) -> F64:
-        """Centre (3,) of that box."""
+        """Centre (3,) of the box of the seen points, in metres."""
         return np.asarray(self.box.mean(axis=0), np.float64)
 
 

@@ -90,7 +90,7 @@ def _from_start(position: F64, heading: float, start: F64, first: float) -> tupl
 
 
 def _reveal(looker: Looker, eyes: Eyes, pathfinder: Pathfinder, start: F64, first: float) -> None:
-    """Reveal all walkable floor connected to the start, as a given map."""
+    """Enter the walkable floor around the start into the agent's map, for an agent that is given the map."""
     reach = np.arange(-15.0, 15.0, 0.1) + 0.05
     x, z = (axis.ravel() for axis in np.meshgrid(reach, reach, indexing="ij"))
     c, s = math.cos(first), math.sin(first)

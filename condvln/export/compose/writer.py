@@ -62,7 +62,9 @@ class GlbWriter:
         return self._triangles
 
     def add(self, part: GlbPart) -> GlbPart:
-        """Add the meshes of a file; return the part for `place`, with its meshes numbered within this scene."""
+        """Add the meshes of `part`; return a copy of `part` whose meshes are numbered within this scene, as `place`
+        needs it.
+        """
         look = part.look
         first = {key: len(self._lists[key]) for key in ("materials", "textures", "samplers", "images")}
         if look is not None:
@@ -83,7 +85,9 @@ class GlbWriter:
         return GlbPart(nodes, part.roots, part.meshes, part.accessors, look)
 
     def place(self, name: str, instances: list[tuple[GlbPart, F64]]) -> None:
-        """Add a node of this name with the node trees of some parts below it, each with its own (4, 4) transform."""
+        """Add a node called `name`; below it, add the node tree of each part in `instances` with that part's (4, 4)
+        transform.
+        """
         body = self._node({"name": name, "children": []}, 0)
         for part, matrix in instances:
             stand = self._node({"matrix": _columns(matrix), "children": []}, body)

@@ -96,13 +96,13 @@ def _check_file(report: LintReport, file: Path, options: Options) -> Document | 
 
 
 def _without_shards(report: LintReport, file: Path) -> Iterator[Finding]:
-    """Yield the findings, except that a split is empty if its episodes are in shards."""
+    """Yield the findings; if the split's episodes are in shards, the finding "no-episodes" is left out."""
     has_shards = any((file.parent / _SHARDS).glob("*.json.gz"))
     return (finding for finding in report if not (has_shards and finding.code == "no-episodes"))
 
 
 def _joined(split: Document, shard: Document, file: str) -> Iterator[Finding]:
-    """Merge a shard into its split; yield findings about what they must or must not share."""
+    """Merge a shard into its split; yield findings about what a shard and its split must share or must not share."""
     for name in sorted(split.starts.keys() & shard.starts.keys()):
         yield Finding(file, f"episode {name}", "duplicate-id", f"id {name} is in another shard too", name)
     if None not in (split.vocabulary, shard.vocabulary) and split.vocabulary != shard.vocabulary:

@@ -160,7 +160,7 @@ def test_what_is_amiss_is_said(export: Path, tmp_path: Path) -> None:
         evaluate_split(tmp_path, "train", [graph], options(export))
     records = json.loads(graph.read_text())
     graph.write_text(json.dumps([*records, records[0]]))
-    with pytest.raises(FormatError, match="the file has two predictions of it"):
+    with pytest.raises(FormatError, match="the file has two predictions of this episode"):
         evaluate_split(export, "train", [graph], options(export))
     graph.write_text(json.dumps([{**records[0], "trajectory": []}]))
     items = json.loads((export / "r2r" / "R2R_train.json").read_text())

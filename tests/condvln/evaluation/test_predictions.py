@@ -139,7 +139,7 @@ def test_what_is_no_file_of_predictions_is_named(tmp_path: Path, text: str, says
 @pytest.mark.parametrize(
     ("document", "place", "says"),
     [
-        ('{"a": [{"position": [0, 0, 0]}], "a": []}', "episode a", "the file has two predictions of it"),
+        ('{"a": [{"position": [0, 0, 0]}], "a": []}', "episode a", "the file has two predictions of this episode"),
         (
             '{"a": {"position": [0, 0, 0]}}',
             "",
@@ -211,7 +211,7 @@ def test_vlnce_gone_wrong(tmp_path: Path, document: str, place: str, says: str) 
         (
             '{"instruction_id": 1, "path": []}\n{"instruction_id": 1, "path": []}',
             "episode 1",
-            "the file has two predictions of it",
+            "the file has two predictions of this episode",
         ),
         (
             '{"instruction_id": 1, "path": 3}',
@@ -253,7 +253,7 @@ def test_rxr_gone_wrong(tmp_path: Path, lines: str, place: str, says: str) -> No
 @pytest.mark.parametrize(
     ("document", "place", "says"),
     [
-        ([{"instr_id": "1", "trajectory": []}] * 2, "episode 1", "the file has two predictions of it"),
+        ([{"instr_id": "1", "trajectory": []}] * 2, "episode 1", "the file has two predictions of this episode"),
         ([{"instr_id": "1"}], "entry 0", "the entry is not an object with instr_id and a list trajectory"),
         ([{"trajectory": []}], "entry 0", "instr_id is missing"),
         ([{"instr_id": "1", "trajectory": [["v"], [3]]}], "instruction 1, step 1", "the step has no viewpoint id"),
