@@ -275,7 +275,10 @@ def _identity(path: Path, place: str, entry: dict[str, Any], key: str) -> str:
 def _refuse_repeat(path: Path, name: str, seen: set[str]) -> None:
     if name in seen:
         raise FormatError(
-            "the file has two predictions of this episode", where=path, place=f"episode {name}", remedy="Keep one of the two"
+            "the file has two predictions of this episode",
+            where=path,
+            place=f"episode {name}",
+            remedy="Keep one of the two",
         )
     seen.add(name)
 

@@ -71,8 +71,7 @@ def holds(predicate: Predicate, thing: Thing, anchors: Sequence[Thing], north: f
 
 
 def ranked(predicate: Predicate, things: Sequence[Thing], anchors: Sequence[Thing]) -> list[Thing]:
-    """Return the objects of one label, ordered by a relation of `Compared`; the relation refers to the first of them.
-    """
+    """Return objects of one label, ordered by a relation of `Compared`; the relation refers to the first of them."""
     if predicate == "closest to":
         return sorted(things, key=lambda thing: gap(thing, anchors[0]))
     sign = -1.0 if predicate == "bigger" else 1.0

@@ -138,8 +138,7 @@ class Looker:
 
     @property
     def picked(self) -> int:
-        """Return the leaf that the agent's answers lead to; undecided conditions are answered by the current evidence.
-        """
+        """Return the leaf that the answers so far lead to; current evidence answers the undecided conditions."""
         if self.leaf is not None:
             return self.leaf
         shape = SHAPES[self.reading.category]
