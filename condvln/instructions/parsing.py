@@ -137,7 +137,9 @@ class _GrammarWriter:
             "question: _is_there _noun [qualifier] [_where] QUESTION -> some",
             "    | _asks_is _THE _noun [_where_of] (qualifier | bearing) QUESTION -> the",
             "see: _see asserted",
-            "    | _check room _for _noun [qualifier] -> some",
+            *(
+                [] if w.room_first else ["    | _check room _for _noun [qualifier] -> some"]
+            ),  # it is "see" with the room first
             "_noun: NOUN | BOTH",
             "yes: yes_one | yes_it | asserted",
             "no: no_one | no_it | denied",
