@@ -143,13 +143,13 @@ class Language:
     rooms: Mapping[str, Noun]
 
     def noun(self, label: str, room: str) -> Noun:
-        """Return the noun of a label in a room of a type: Spanish has two words for "sink"."""
+        """Return the noun of `label` in rooms of type `room`: Spanish has two words for "sink"."""
         special = self.nouns_in.get(room) if self.nouns_in else None
         return special[label] if special is not None and label in special else self.nouns[label]
 
     @property
     def nouns_of_all_rooms(self) -> list[tuple[str, Noun]]:
-        """Return (label, noun), including nouns used in single room types only."""
+        """Return all pairs of a label and its noun, including nouns that are used in rooms of one type only."""
         special = [pair for those in self.nouns_in.values() for pair in those.items()]
         return [*self.nouns.items(), *dict.fromkeys(special)]
 

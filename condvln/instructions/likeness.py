@@ -38,8 +38,8 @@ SCANS: Final = ("gibson", "mp3d")
 
 
 def doubles(arrays: RoomArrays, meant: Bools) -> Bools:
-    """Return (n,): objects that may be the same as another one that a word for either might mean, though each has a
-    box.
+    """Return (n,): which objects may be the same thing as another object, annotated twice with a box each; a word
+    for one of the two might mean the other.
 
     meant (n, n) : a word for i might mean j
     """

@@ -157,7 +157,7 @@ class _GrammarWriter:
         return "\n".join([*rules, *self._terminal_lines()]) + "\n"
 
     def _either(self, slot: str) -> str:
-        """Return the rule of a slot, or an alternative of it and its form after a denial if that differs."""
+        """Return the rule of a slot; if the slot's form after a denial differs, return an alternative of both rules."""
         slots = self.words.slots
         return f"(_{slot} | _{slot}_again)" if set(slots[f"{slot}_again"]) - set(slots[slot]) else f"_{slot}"
 
@@ -193,7 +193,9 @@ class _GrammarWriter:
 
 
 def _split(right: str) -> Iterator[str]:
-    """Yield a template's sequence, and the same with long sentences split at colons and semicolons."""
+    """Yield a template's sequence, and every variant of this sequence that is split into sentences at colons or
+    semicolons.
+    """
     marks = ("SEMICOLON", "COLON")
     parts = right.split(" ")
     places = [k for k, part in enumerate(parts) if part in marks]
@@ -275,7 +277,7 @@ class _TreeReader:
                 (subtree,) = _subtrees(subtree)
                 if subtree.data in ANSWERS:
                     if str(subtree.data).endswith("_it") != conditions[slot.index].definite:
-                        raise FormatError(f"the answer to {conditions[slot.index]} asks for something else")
+                        raise FormatError(f"the answer to {conditions[slot.index]} does not fit the question")
                     continue
             phrase = self._asked(subtree)
             before = conditions.get(slot.index)
@@ -346,7 +348,7 @@ class _TreeReader:
             return self.last_room
         before = [place for place in self.introduced if place.label == label]
         if len(before) > 1:
-            raise FormatError(f"the text says 'the {_plain(room)}' where {len(before)} could be meant")
+            raise FormatError(f"the text says 'the {_plain(room)}' where {len(before)} rooms could be meant")
         self.last_room = before[0] if before else Place(label)
         return self.last_room
 

@@ -147,8 +147,8 @@ class LabelPriors:
         return cls((table,))
 
     def bits(self, scene: Scene, plausible_share: float) -> PriorBits:
-        """Return the bits that `scene` reads; a label is plausible in a room type if `plausible_share` of its rooms
-        have it.
+        """Return the bits that `scene` reads; a label is plausible in a room type if `plausible_share` of the rooms
+        of this type have an object with it.
         """
         types = sorted({room.label for room in scene.rooms})
         seen = sorted({o.label for o in scene.objects})

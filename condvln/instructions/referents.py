@@ -84,7 +84,7 @@ class Facts(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Qualification:
-    """A qualifier by indices: `anchors` into the room's objects."""
+    """A qualifier by indices: `anchors` are indices into the room's objects."""
 
     predicate: Predicate
     anchors: tuple[int, ...]
@@ -141,7 +141,9 @@ class Referents:
 
     @cached_property
     def qualifications(self) -> tuple[tuple[Qualification, ...], ...]:
-        """For each object the qualifiers that make it unique, best first; empty if it needs none or has none."""
+        """For each object, the qualifiers that make it unique, best first; empty if the object needs no qualifier or
+        if no qualifier makes it unique.
+        """
         return _qualifications(self)
 
     @cached_property
@@ -250,7 +252,8 @@ class Referents:
 def meant_by(
     words: Sequence[str], labels: Sequence[str], may_be: Sequence[frozenset[str]], vocabulary: Vocabulary
 ) -> Bools:
-    """Return (w, n): whether a word for label i might mean object j, by its label or by one that it may have.
+    """Return (w, n): whether a word for label i might mean object j, by the label of object j or by another label
+    that it may have.
 
     Parameters
     ----------
@@ -357,7 +360,7 @@ def _qualifications(referents: Referents) -> tuple[tuple[Qualification, ...], ..
 
 
 def room_refs(referents: Sequence[Referents], vocabulary: Vocabulary) -> dict[str, tuple[RoomRef, ...]]:
-    """Return all alternative names of each room that has a unique one, by room id.
+    """Return all alternative names of each room that has a unique name, by room id.
 
     A room's label suffices if no other room could be meant by it. Otherwise the name includes an object that is unique
     in the room and known to be absent from each of those others ("the bedroom with the piano"). The only room of a

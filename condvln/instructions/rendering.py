@@ -144,7 +144,7 @@ _PREPOSITIONS: Final = {"": "in", "_of": "of", "_anchor": "of_anchor"}
 
 
 class _Renderer:
-    """Renders one text from left to right; each chosen phrase is kept for the rest of it.
+    """Renders one text from left to right; each chosen phrase is kept for the rest of the text.
 
     short : of phrases with the same meaning, use one with the fewest words
     """
@@ -196,7 +196,9 @@ class _Renderer:
         return self.draws.uniform() < share
 
     def _scope(self, rooms: set[RoomRef]) -> str:
-        """Return the words that place everything in one room, if there is one; it then need not be named again."""
+        """Return the words that place the whole text in one room, which then need not be named again; empty if there
+        are several rooms or the room has no name.
+        """
         room = next(iter(rooms))
         if len(rooms) > 1 or room.label not in self.words.rooms:
             return ""
@@ -205,7 +207,9 @@ class _Renderer:
         return text
 
     def _elided(self, room: RoomRef) -> bool:
-        """Return whether nouns are said without their room, because it has no name or applies to everything."""
+        """Return whether nouns are said without their room, because the room has no name or the whole text is about
+        it.
+        """
         return self.scope is not None or room.label not in self.words.rooms
 
     def _slot(self, slot: Slot, program: Program) -> str:
@@ -246,7 +250,9 @@ class _Renderer:
         return beside and not self._is_shared(condition)
 
     def _is_shared(self, named: Condition | ObjectRef) -> bool:
-        """Return whether objects of one of the labels are named in another room too, so that the room must be named."""
+        """Return whether the text also names objects with one of the labels of `named` in another room, so that the
+        room must be named.
+        """
         return bool(self._shared) and not self._shared.isdisjoint(_labels(named))
 
     def _answer(self, form: str, condition: Condition) -> str:
@@ -275,7 +281,8 @@ class _Renderer:
         return f"{there}{self._relation(condition)}{self._where(condition.room, named=True)}"
 
     def _again(self, condition: Condition, kind: str) -> str:
-        """Return an earlier condition again, without its room. No "there" follows, since other rooms were named since.
+        """Return the words that repeat an earlier condition, without its room. The next stop says no "there", since
+        other rooms were named in between.
 
         kind : "" if it holds, "_not" if it doesn't, "_again" if it holds after a leaf for the case that it doesn't
         """
@@ -363,7 +370,7 @@ class _Renderer:
         return "".join(texts)
 
     def _stop(self, ref: ObjectRef, *, same_room: bool = False) -> str:
-        """Return a stop; without its room if that is the room of the stop before it."""
+        """Return the words for a stop; its room is left out if the stop before it is in the same room."""
         named = self._noun(ref)
         noun, kind = self.words.definite(named), "_of"
         if ref.qualifier is not None and ref.qualifier.predicate in SUPERLATIVES:

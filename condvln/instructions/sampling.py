@@ -172,7 +172,7 @@ class ProgramSampler:
         return TargetPool(self._members, weights)
 
     def candidates(self, category: Category) -> Iterator[Program]:
-        """Yield distinct programs of everything wanted of a category, in a seeded order."""
+        """Yield distinct programs for all wanted cells of a category, in a seeded order."""
         return (program for _, program in self.drawn(category))
 
     def drawn(self, category: Category) -> Iterator[tuple[InstructionCell, Program]]:
@@ -231,8 +231,8 @@ class ProgramSampler:
         return program
 
     def groups(self) -> Iterator[Group]:
-        """Yield distinct counterfactual groups, as many candidates as for the same number of episodes, cycling
-        through categories.
+        """Yield distinct counterfactual groups, cycling through categories; each wanted group gets as many
+        candidates as a wanted episode.
         """
         wanted = self.wanted.counterfactual_groups * self.sampling.candidates_per_episode
         cells = [cells for cells in map(self.wanted.cells_of, CATEGORIES) if cells]
@@ -299,8 +299,8 @@ class ProgramSampler:
         return tuple(room for room in self.condition_sampler.rooms if self._fits(self._held[room], n))
 
     def _fits(self, allowed: int, n: int, waypoints: int = 0, free: int | None = None) -> bool:
-        """Return whether `n` of the `allowed` targets (bits) have different labels and are pairwise apart, and whether
-        `waypoints` targets beside them do; these are of `free`, by default of `allowed` too.
+        """Return whether there are `n` targets among `allowed` (bits), and `waypoints` more targets among `free` (by
+        default `allowed`), that have different labels and are pairwise apart.
         """
         free = allowed if free is None else free
         if n < 2 and not waypoints:

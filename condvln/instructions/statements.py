@@ -42,17 +42,19 @@ class StatementTruths:
     false: Bools
 
     def anchor_key(self, column: int, own: Sequence[str]) -> str:
-        """The anchors' labels as the priors know them; `own` are the labels of the room's objects."""
+        """Return the key by which the priors know the anchors of a column; `own` are the labels of the room's
+        objects.
+        """
         return anchor_key(own[a] for a in self.anchors[column])
 
 
 def anchor_key(labels: Iterable[str]) -> str:
-    """Labels of a statement's anchors as one, whatever their order."""
+    """Return the labels of a statement's anchors joined to one key, whatever their order."""
     return " + ".join(sorted(labels))
 
 
 def statement_truths(referents: Referents, vocabulary: Vocabulary) -> Iterator[StatementTruths]:
-    """Yield all statements of relation about one room, one table per predicate."""
+    """Yield all statements with a relation about one room, one table per predicate."""
     own = referents.arrays.labels
     labels = tuple(sorted({label for label, fit in zip(own, referents.nameable, strict=True) if fit}))
     if not labels or not len(referents.anchors):

@@ -187,11 +187,13 @@ class Vocabulary:
         return self._label_of_word.get(text) or self._label_of_word.get(_NUMBER.sub("", text))
 
     def is_vague(self, label: str, family: str) -> bool:
-        """Return whether an object with this canonical label could be anything: ``unknown``, or a type of no list."""
+        """Return whether an object with this canonical label could be anything: the label is ``unknown``, or a type
+        that no list contains.
+        """
         return ANYTHING in self._written_may_be(label, family)
 
     def may_be(self, label: str, family: str, longest: float | None = None) -> frozenset[str]:
-        """Return the labels that an object could have without being annotated so; empty if its own label is specific.
+        """Return the labels that an object annotated with `label` could have instead; empty if `label` is specific.
 
         Parameters
         ----------

@@ -151,11 +151,11 @@ class Follower:
     ) -> None:
         if not 0 < stop_within <= arrive_within or not math.isfinite(arrive_within):
             raise UsageError(
-                f"stop_within is {stop_within} m and arrive_within {arrive_within} m",
+                f"the distances are out of order: stop_within {stop_within} m, arrive_within {arrive_within} m",
                 remedy="Give 0 < stop_within <= arrive_within",
             )
         if not 0 < max_actions <= 1_000_000:
-            raise UsageError(f"max_actions is {max_actions}", remedy="Give 1 to 1,000,000")
+            raise UsageError(f"max_actions is out of range: {max_actions}", remedy="Give 1 to 1,000,000")
         self.pathfinder, self.space, self.sliding = pathfinder, space, sliding
         self.stop_within, self.arrive_within, self.max_actions = stop_within, arrive_within, max_actions
 

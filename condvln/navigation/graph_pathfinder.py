@@ -68,7 +68,7 @@ class GraphPathfinder:
             raise InputError("a graph needs viewpoints with finite coordinates", remedy="Correct the graph")
         if len(pairs) and (pairs.min() < 0 or pairs.max() >= len(places) or (pairs[:, 0] == pairs[:, 1]).any()):
             raise InputError(
-                "an edge refers to an unknown viewpoint, or to the same one twice", remedy="Correct the graph"
+                "an edge refers to an unknown viewpoint, or to one viewpoint twice", remedy="Correct the graph"
             )
         pairs = np.unique(pairs, axis=0)
         lengths = np.linalg.norm(places[pairs[:, 0]].astype(float) - places[pairs[:, 1]], axis=1)
@@ -133,7 +133,7 @@ class GraphPathfinder:
         return bool((in_plane & (np.abs(away[:, 1]) <= max_y_delta)).any())
 
     def get_island(self, point: npt.ArrayLike) -> int:
-        """Return the index of the connected component; -1 off the graph."""
+        """Return the index of the connected component that the point snaps to; -1 if the point is off the graph."""
         return int(self.get_islands(one_point(point))[0])
 
     def get_islands(self, points: npt.ArrayLike) -> Ints:
@@ -142,8 +142,8 @@ class GraphPathfinder:
         return np.where(nearest == NOWHERE, -1, self._islands[nearest]).astype(np.int32)
 
     def island_radius(self, point_or_index: npt.ArrayLike) -> float:
-        """Return the distance in metres from the mean of a component (an index, or that of a point) to its farthest
-        viewpoint.
+        """Return the distance in metres from the mean of a component, given by its index or by a point of it, to its
+        farthest viewpoint.
         """
         where = np.asarray(point_or_index)
         index = self._island(int(where)) if where.ndim == 0 else self.get_island(where)

@@ -149,8 +149,8 @@ class HabitatPathfinder:
         return float(self._habitat.island_area(index))
 
     def get_random_navigable_points(self, count: int, rng: RandomSource, island: int | None = None) -> Floats:
-        """Return ``count`` random points (count, 3). The seed is drawn from ``rng``; the sequence is the C
-        library's.
+        """Return ``count`` random points (count, 3). The seed is drawn from ``rng``; the random numbers are those of
+        the C library.
         """
         self._habitat.seed(int(np.random.default_rng(rng).integers(2**31)))
         chosen = NO_ISLAND if island is None else island

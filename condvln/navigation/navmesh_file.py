@@ -120,7 +120,7 @@ class NavMeshFile:
         )
 
     def to_bytes(self) -> bytes:
-        """Return the file's bytes; equal to those it was read from."""
+        """Return the file's bytes; for a file that was read, these equal the bytes that were read."""
         header = np.zeros((), FILE_HEADER)
         header["magic"], header["version"], header["tile_count"] = FILE_MAGIC, self.version, 1
         header["origin"], header["max_tiles"], header["max_polys"] = self.origin, 1, self.max_polys

@@ -177,8 +177,8 @@ class Pathfinder:
         return np.where(polys == NO_POLYGON, -1, self._island_of_poly[polys]).astype(np.int32)
 
     def island_radius(self, point_or_index: npt.ArrayLike) -> float:
-        """Return the distance in metres from the mean corner of an island (an index, or that of a point) to the
-        farthest; 0 off the mesh.
+        """Return the distance in metres from the mean of an island's corners to the farthest corner; the island is
+        given by its index or by a point of it (0 if the point is off the mesh).
         """
         where = np.asarray(point_or_index)
         index = self._island_index(int(where)) if where.ndim == 0 else self.get_island(where)
@@ -333,7 +333,7 @@ class Pathfinder:
         rows = float(abs(grid[BMIN + 2] - grid[BMAX + 2]) / pixel)
         if columns * rows > MAX_PIXELS:
             raise UsageError(
-                f"the picture would have {columns:.0f} x {rows:.0f} pixels", remedy="Use more metres per pixel"
+                f"the picture would be too large: {columns:.0f} x {rows:.0f} pixels", remedy="Use more metres per pixel"
             )
         return top_down_view(self.query_mesh, int(columns), int(rows), pixel, np.float32(height), np.float32(eps))
 

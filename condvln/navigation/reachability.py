@@ -88,7 +88,9 @@ def reachability(geometry: SceneGeometry, positions: F64, hand: bool = True) -> 
 
 
 def _grid(geometry: SceneGeometry, theirs: set[tuple[int, int]]) -> tuple[NDArray[np.int64], F64]:
-    """Return integer grid coordinates (n, 2) that cover the scene and all known positions, and their points (n, 3)."""
+    """Return integer grid coordinates (n, 2) that cover the scene and the simulator's positions, and their points
+    (n, 3).
+    """
     ground = np.concatenate([geometry.vertices[:, [0, 2]] / GRID, np.array(sorted(theirs)).reshape(-1, 2)])
     low, high = np.floor(ground.min(axis=0)).astype(int), np.ceil(ground.max(axis=0)).astype(int)
     steps = np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high, strict=True)), indexing="ij")
@@ -108,8 +110,8 @@ def _at_hand(geometry: SceneGeometry) -> NDArray[np.int64]:
 def _on_floor(
     geometry: SceneGeometry, faces: NDArray[np.int64], radius: float, height: float, points: F64, main_only: bool
 ) -> NDArray[np.bool_]:
-    """Return which points are on the floor's navmesh for an agent of this size, or only on the island with most of
-    them.
+    """Return which points are on the floor's navmesh for an agent of this size; with `main_only`, only points on the
+    island that holds most points.
     """
     # Recast measures regions in cells and by default drops regions of 1 m² or less.
     settings = NavMeshSettings(

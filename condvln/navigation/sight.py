@@ -75,7 +75,7 @@ class SightTarget:
 
     @property
     def owners(self) -> npt.NDArray[np.int64]:
-        """The value of `own` for each sample."""
+        """The value of the argument `own` of :func:`visible_points` for each sample."""
         return np.broadcast_to(np.asarray(self.own, dtype=np.int64), len(self.samples))
 
 

@@ -85,7 +85,7 @@ def mesh_samples(vertices: npt.ArrayLike, faces: npt.ArrayLike, count: int = DEF
 
 
 def _by_area(area: Points, count: int, seed: int) -> tuple[npt.NDArray[np.int64], np.random.Generator]:
-    """Return the face of each of ``count`` points, one in each of as many equal slices of the area, and the
+    """Return the faces of ``count`` points, one point in each of ``count`` equal slices of the area, and the random
     generator.
     """
     if count < 1:

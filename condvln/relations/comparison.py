@@ -46,7 +46,8 @@ def closest_facts(distance: F64, labels: Sequence[str], rival: Mask, held: Mask,
 
 
 def size_facts(arrays: RoomArrays, rival: Mask, t: Thresholds) -> dict[str, Status]:
-    """Return the status (n,) of "the bigger" and "the smaller" of two objects of one label, if the room has no third.
+    """Return the status (n,) of "the bigger" and "the smaller" of two objects of one label, if the room has no third
+    object of this label.
 
     The volumes of their boxes decide; an object of several boxes is not compared. The status is 0 if the areas of their
     largest sides give the opposite order, as for pictures of different depth.

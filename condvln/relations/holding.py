@@ -1,4 +1,4 @@
-"""What the source itself states about which object is in or on which."""
+"""What the source itself states about which objects are in or on which other objects."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def holding_of(arrays: RoomArrays) -> Holding:
 
 
 def closure(direct: Mask) -> Mask:
-    """Return (n, n): pairs that are linked by a chain of one or more links."""
+    """Return (n, n): which pairs are connected by a chain of one or more links of `direct`."""
     found = direct
     while True:
         steps = found.astype(np.float32)

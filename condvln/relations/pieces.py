@@ -75,19 +75,27 @@ class Pieces:
         return values[np.ix_(self.owner, self.owner)] if self.several else values
 
     def any(self, mask: Mask) -> Mask:
-        """Return (n, n): whether the mask (m, m) is true for some pieces of both objects."""
+        """Return (n, n): whether the mask (m, m) is true for some pair of a piece of one object and a piece of the
+        other.
+        """
         return np.asarray(self._reduced(np.logical_or, mask), dtype=np.bool_)
 
     def all(self, mask: Mask) -> Mask:
-        """Return (n, n): whether the mask (m, m) is true for all pieces of both objects."""
+        """Return (n, n): whether the mask (m, m) is true for every pair of a piece of one object and a piece of the
+        other.
+        """
         return np.asarray(self._reduced(np.logical_and, mask), dtype=np.bool_)
 
     def least(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (n, n): the least value over all pieces of both objects; NaN if one is NaN."""
+        """Return (n, n): the least value over all pairs of pieces of both objects; NaN if any of these values is
+        NaN.
+        """
         return np.asarray(self._reduced(np.minimum, values), dtype=np.float64)
 
     def most(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (n, n): the greatest value over all pieces of both objects; NaN if one is NaN."""
+        """Return (n, n): the greatest value over all pairs of pieces of both objects; NaN if any of these values is
+        NaN.
+        """
         return np.asarray(self._reduced(np.maximum, values), dtype=np.float64)
 
     def _reduced(self, how: Callable[..., Any], values: NDArray[Any]) -> NDArray[Any]:

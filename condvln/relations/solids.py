@@ -213,8 +213,8 @@ def solid_of(item: SceneObject, aabb: F64, mesh: WorldMesh | None) -> Solid:
 
 
 def is_its_aabb(item: SceneObject, mesh: WorldMesh | None) -> bool:
-    """Return whether an object's solid is its axis-aligned box: it has nothing better, or its oriented box is the
-    same.
+    """Return whether an object's solid is its axis-aligned box: no better solid is known, or the oriented box is the
+    same box.
     """
     if (mesh is not None and len(mesh.faces) > 0) or item.parts:
         return False

@@ -112,8 +112,8 @@ def stacking_of(pieces: Pieces, holding: Holding, thresholds: Thresholds) -> Sta
 
 
 def held_by(pieces: Pieces, holding: Holding, s: Stacking, thresholds: Thresholds) -> tuple[Mask, Mask]:
-    """Return (n, n): whether the target supports or contains the subject, perhaps through others; and whether it
-    surrounds most of it.
+    """Return two masks (n, n): whether the target supports or contains the subject, directly or through other
+    objects; and whether the target surrounds most of the subject.
 
     Stricter than `Stacking.carries`, for which footprints only need to touch: objects that touch side by side are near.
     """

@@ -140,7 +140,9 @@ _Fact = tuple[Status, F64]
 
 
 def _fact(true: Mask, false: Mask, when_true: F64, when_false: F64) -> _Fact:
-    """Return status and margin from the masks usable as true and as false, and the margins on both sides."""
+    """Return the status and margin of a predicate from the masks of pairs where text may use it as true and as
+    false, and from its margins if true and if false.
+    """
     status = true.view(np.int8) - false.view(np.int8)
     np.fill_diagonal(status, 0)
     # Where a fact is usable on one side, the other side's margin is far below 1.
@@ -154,17 +156,23 @@ def _turned(fact: _Fact) -> _Fact:
 
 
 def _some(pieces: Pieces, fact: _Fact) -> _Fact:
-    """Return object facts from piece facts: true if true for some piece, false if false for all."""
+    """Return facts about objects from facts about their pieces: true if true for some piece, false if false for all
+    pieces.
+    """
     return _of_objects(pieces, fact, pieces.any(fact[0] == 1), pieces.all(fact[0] == -1), pieces.most(fact[1]))
 
 
 def _each(pieces: Pieces, fact: _Fact) -> _Fact:
-    """Return object facts from piece facts: true if true for all pieces, false if false for all."""
+    """Return facts about objects from facts about their pieces: true if true for all pieces, false if false for all
+    pieces.
+    """
     return _of_objects(pieces, fact, pieces.all(fact[0] == 1), pieces.all(fact[0] == -1), pieces.least(fact[1]))
 
 
 def _far_of(pieces: Pieces, fact: _Fact) -> _Fact:
-    """Return object facts from piece facts: true if true for all pieces, false if false for some."""
+    """Return facts about objects from facts about their pieces: true if true for all pieces, false if false for some
+    piece.
+    """
     return _of_objects(pieces, fact, pieces.all(fact[0] == 1), pieces.any(fact[0] == -1), pieces.least(fact[1]))
 
 
@@ -173,7 +181,9 @@ def _of_objects(pieces: Pieces, fact: _Fact, true: Mask, false: Mask, margin: F6
 
 
 def _said_on(fact: _Fact, holding: Holding) -> _Fact:
-    """Let the source decide what boxes leave open; status 0 where the two contradict each other."""
+    """Let the source decide "on" where boxes leave it open; the status is 0 where source and boxes contradict each
+    other.
+    """
     status, margin = fact
     true = (status == 1) | (holding.on & (status == 0))
     false = ((status == -1) & ~holding.on) | (holding.denied & (status == 0))
@@ -182,7 +192,7 @@ def _said_on(fact: _Fact, holding: Holding) -> _Fact:
 
 
 def _said_in(fact: _Fact, holding: Holding) -> _Fact:
-    """Return "in" as the source states it, for containers that are open."""
+    """Return status and margin of "in" as the source states it, for containers that are open."""
     status, margin = fact
     said = holding.inside & holding.open[None, :]
     true = (status == 1) | (said & (status == 0))
@@ -197,7 +207,8 @@ def _rising(value: F64, emitted: float, text: float) -> F64:
 
 
 def _near(s: Stacking, metrics: PairMetrics, radius: F64, surface: F64, t: Thresholds) -> _Fact:
-    """Return "near": close in space and not far above each other; it is false only by the distance along the ground.
+    """Return status and margin of "near": close in space and not far above each other; "near" is false only by the
+    distance along the ground.
 
     Footprints, and circles around bounding spheres, enclose their objects and so bound their ground distance; centres
     do not.
@@ -213,8 +224,8 @@ def _near(s: Stacking, metrics: PairMetrics, radius: F64, surface: F64, t: Thres
 
 
 def _unheld(fact: _Fact, held: Mask, around: Mask, holding: Holding) -> _Fact:
-    """Return a fact with status 0 for an object that is on or in the other one, about which neither "near" nor its
-    negation is said.
+    """Return `fact` ("near") with status 0 where one object is on or in the other: people say neither "near" nor
+    "not near" then.
 
     The contents of a container are found by the container, and near to nothing else.
     """
@@ -235,8 +246,8 @@ def _far(used: F64, t: Thresholds) -> _Fact:
 
 
 def _on(s: Stacking, t: Thresholds) -> _Fact:
-    """Return "on": bottom at the anchor's top. Below the box's top it is undecided: headboards and arm rests are in
-    the box.
+    """Return status and margin of "on": bottom at the anchor's top. Below the top of the anchor's box, "on" is
+    undecided, since the box includes headboards and arm rests.
     """
     true = (
         (np.abs(s.gap) <= exact_mm(t.on_gap_true))
@@ -250,8 +261,8 @@ def _on(s: Stacking, t: Thresholds) -> _Fact:
 
 
 def _under(s: Stacking, t: Thresholds) -> _Fact:
-    """Return "under": on the floor below an anchor with space beneath it; the anchor box's bottom bounds its
-    underside.
+    """Return status and margin of "under": on the floor below an anchor with space beneath it; the bottom of the
+    anchor's box bounds the anchor's underside.
     """
     floor = s.off_floor[:, None] <= exact_mm(t.on_floor)
     true = floor & (s.gap.T >= 0.0) & (s.covered >= t.under_footprint_true)
@@ -260,14 +271,16 @@ def _under(s: Stacking, t: Thresholds) -> _Fact:
 
 
 def _in(s: Stacking, container: Mask, t: Thresholds) -> _Fact:
-    """Return "in": inside an open container; false for anchors that are no container."""
+    """Return status and margin of "in": inside an open container; false for anchors that are no container."""
     true = container[None, :] & (s.inside >= t.in_share_true)
     false = container[None, :] & (s.distance > 0.0)
     return _fact(true, false, np.where(true, 0.2 + s.inside, -np.inf), 1.0 + s.distance / 1000.0)
 
 
 def _higher(s: Stacking, t: Thresholds) -> _Fact:
-    """Return "higher than" by centres and tops, for two objects off the floor of which neither supports the other."""
+    """Return status and margin of "higher than", by centres and tops; both objects must be off the floor, and
+    neither may support the other.
+    """
     fit = (s.off_floor >= exact_mm(t.off_floor)) & ~np.isnan(s.off_floor)
     fit = fit[:, None] & fit[None, :] & ~s.carries & ~s.carries.T
     rise, tops = (exact_mm(t.height_false), exact_mm(t.height_true)), (exact_mm(t.top_false), exact_mm(t.top_true))
@@ -278,7 +291,9 @@ def _higher(s: Stacking, t: Thresholds) -> _Fact:
 
 
 def _above(s: Stacking, horizontal: F64, footprint_overlap: F64, t: Thresholds) -> _Fact:
-    """Return "above": with a vertical gap between them, since an object that rests on another is "on" it."""
+    """Return status and margin of "above", which needs a vertical gap, since an object that rests on another is "on"
+    it.
+    """
     rise, air = exact_mm(t.height_true), exact_mm(t.over_gap_true)
     true = (
         (s.rise >= rise)
@@ -300,8 +315,8 @@ def _above(s: Stacking, horizontal: F64, footprint_overlap: F64, t: Thresholds) 
 
 
 def _compass(deviation: F64, beside: Mask, clear: Mask, clearance: F64, t: Thresholds) -> _Fact:
-    """Return a compass fact by centres, for objects side by side; one that is over, on or partly inside the other
-    has none.
+    """Return status and margin of one compass direction between the centres of two objects; the status is 0 unless
+    the objects are side by side, not one over, on or partly inside the other.
     """
     off = deviation - SECTOR_HALF_WIDTH
     when_true = np.minimum(off * (1.0 / (t.sector_true - SECTOR_HALF_WIDTH)), clearance)

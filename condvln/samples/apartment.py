@@ -28,7 +28,7 @@ ROOM_TRIES: Final = 8
 
 
 def make_layout(seed: int, n_rooms: int | None = None) -> Layout:
-    """Generate a whole apartment; equal arguments give the same one on every machine.
+    """Generate a whole apartment; equal arguments give the same apartment on every machine.
 
     Parameters
     ----------

@@ -57,7 +57,9 @@ def gibson_files(layouts: Mapping[str, Layout], form: Form | None = None) -> Ite
 
 
 def version_1(navmesh: NavMeshFile) -> NavMeshFile:
-    """Return the same navmesh in the format without settings that released scans have."""
+    """Return the same navmesh in version 1 of the file format, which has no settings; released scans have this
+    version.
+    """
     return dataclasses.replace(navmesh, version=1, settings=None)
 
 

@@ -138,7 +138,7 @@ class Door:
 
     @property
     def along_x(self) -> bool:
-        """Whether its wall runs along x."""
+        """Whether the door's wall runs along x."""
         return self.start[1] == self.end[1]
 
 

@@ -94,7 +94,9 @@ def make_samples(
     """
     if family not in FORMS:
         known = ", ".join(sorted(FORMS))
-        raise UsageError(f"no samples of a family {family!r}", place="family", remedy=f"Choose one of: {known}.")
+        raise UsageError(
+            f"no samples can be made of a family {family!r}", place="family", remedy=f"Choose one of: {known}."
+        )
     if scenes < 1:
         raise UsageError(f"{scenes} scenes were asked for", place="scenes", remedy="Ask for at least one.")
     layouts = make_layouts(scenes, seed)

@@ -109,21 +109,23 @@ class Piece:
 
     @property
     def size(self) -> tuple[int, int, int]:
-        """Width, height and depth in its own frame."""
+        """Width, height and depth in the piece's own frame."""
         return self.kind.sizes[self.variant]
 
     @property
     def top(self) -> int:
-        """Height of its upper edge."""
+        """Height of the piece's upper edge."""
         return self.bottom + self.size[1]
 
     @property
     def rect(self) -> Rect:
-        """Its axis-aligned box seen from above."""
+        """The piece's axis-aligned box seen from above."""
         return self.rect_of(0, 0)
 
     def rect_of(self, back: int, front: int) -> Rect:
-        """Return its box extended by `back` behind and `front` in front of it (the yaw must be a multiple of 90°)."""
+        """Return the piece's box, extended by `back` behind and by `front` in front of the piece (the yaw must be a
+        multiple of 90°).
+        """
         width, _, depth = self.size
         c, s = abs(self.yaw.cosine25), abs(self.yaw.sine25)
         half_x, half_z = (c * width + s * depth) // 50, (s * width + c * depth) // 50
@@ -136,12 +138,12 @@ class Piece:
 
     @property
     def facing(self) -> tuple[int, int]:
-        """Unit vector (x, z) in the direction of its front; its yaw is a multiple of 90°."""
+        """Unit vector (x, z) in the direction of the piece's front; the piece's yaw is a multiple of 90°."""
         return self.yaw.sine25 // 25, self.yaw.cosine25 // 25
 
     @property
     def front_zone(self) -> Rect | None:
-        """The floor that must stay free in front of it; None if it needs none."""
+        """The floor that must stay free in front of the piece; None if the piece needs no free floor."""
         if not self.kind.front or not self.yaw.square or self.soft:
             return None
         whole, own = self.rect_of(0, self.kind.front), self.rect
@@ -164,7 +166,7 @@ class Piece:
 
     @property
     def blocks(self) -> bool:
-        """Whether it is an obstacle for the agent."""
+        """Whether the piece is an obstacle for the agent."""
         return self.top > BLOCKING_HEIGHT and self.bottom < AGENT_HEIGHT
 
 
@@ -210,7 +212,7 @@ class RoomSpace:
         return [index for index, piece in enumerate(self.pieces) if piece.kind.kind in kinds]
 
     def add(self, piece: Piece) -> bool:
-        """Add `piece` at its position if it fits; return whether it did."""
+        """Add `piece` at its position if it fits; return whether it was added."""
         if not self._box_fits(piece) or not self._zones_fit(piece):
             return False
         if piece.blocks:

@@ -174,7 +174,7 @@ def _before(
 
 
 def around(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anchor: Piece | None) -> Iterator[Piece]:
-    """Yield seats at a table, facing it; opposite sides first, then the ends."""
+    """Yield positions of seats that face a table: opposite sides first, then the ends."""
     if anchor is None or not anchor.yaw.square:
         return
     width, _, depth = anchor.size

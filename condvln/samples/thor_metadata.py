@@ -150,7 +150,7 @@ def _object(piece: Furniture, layout: Layout) -> Json:
 
 
 def _pivot(piece: Furniture) -> dict[str, float]:
-    """Return the pivot of a piece: real prefabs have it anywhere, here it is at the lower edge."""
+    """Return the pivot of a piece; real prefabs have their pivot anywhere, but here it is at the lower edge."""
     return UnityFrame().point(piece.center[0], float(piece.aabb[0, 1]), piece.center[2])
 
 

@@ -79,8 +79,8 @@ def with_containment(objects: Sequence[SceneObject], family: str) -> tuple[Scene
 
 
 def stated_holders(objects: Sequence[SceneObject]) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
-    """Return, by object id, the ids that it is on and those that it is in, as its source states; other objects are
-    left out.
+    """Return, by object id, the ids of the objects that this object is on, and of those that it is in; only objects
+    for which the source states these.
     """
     links, of = _Links(), {item.object_id: item for item in objects}
     for item in objects:
@@ -179,7 +179,7 @@ def _resting(things: Sequence[SceneObject], boxes: F64, free: Sequence[int]) -> 
 
 
 def _hidden(of: Mapping[str, SceneObject], links: _Links) -> set[str]:
-    """Return the objects inside something shut, with everything in or on them."""
+    """Return the ids of the objects inside shut containers, and of everything in or on these objects."""
     above: dict[str, list[str]] = {}
     for upward in (links.inside, links.upon):
         for name, others in upward.items():
@@ -223,8 +223,8 @@ def _is_structure(item: SceneObject) -> bool:
 
 
 def _too_large(item: SceneObject, holder: SceneObject) -> bool:
-    """Return whether a stated holder is too small: simulators sometimes name a plate as the receptacle of the
-    counter below.
+    """Return whether `item` is too large for the holder that its source states: simulators sometimes name a plate as
+    the receptacle of the counter below it.
     """
     if item.box is None or holder.box is None:
         return False

@@ -189,8 +189,8 @@ def _way_around(
     contact: bool,
     points: Floats,
 ) -> Indices:
-    """Return the headings of steps that lead from ``point`` to where the path is shorter again; empty if none were
-    found.
+    """Return the headings of steps that lead from ``point`` around an obstacle to a position with a shorter path;
+    empty if no such steps were found.
 
     Best-first search over positions reached by steps, nearest to the goal first.
     """
@@ -265,8 +265,8 @@ def _plan(
     points: Floats,
     tried: Floats,
 ) -> tuple[Indices, np.float32, int]:
-    """Return the headings of the next steps: one that shortens the path, or those of a path around; empty if there is
-    neither.
+    """Return the headings of the next steps: of one step that shortens the path, or of several steps around an
+    obstacle; empty if there is no such step.
 
     The other values are those of :func:`_best_heading`: if the last one is not 0, the step has already been made.
     """

@@ -55,7 +55,9 @@ class QueryMesh(NamedTuple):
 
 
 def query_mesh(tile: NavMeshTile, island: Indices, origin: Floats, tile_width: float, tile_height: float) -> QueryMesh:
-    """Convert ``tile`` for queries. The grid (x, z origin and extent of the tile's cell) is that of its file."""
+    """Convert ``tile`` for queries. ``origin`` (x, z), ``tile_width`` and ``tile_height`` describe the grid as the
+    tile's file gives it.
+    """
     corners, poly = tile.detail_triangles
     counts = np.bincount(poly, minlength=len(tile.polys))
     start = np.zeros(len(tile.polys) + 1, np.int64)

@@ -140,7 +140,9 @@ def _stop_at_wall(mesh: QueryMesh, start: Floats, end: Floats, visited: Indices,
 
 @compiled
 def step(mesh: QueryMesh, start: Floats, end: Floats, sliding: bool, reached: Floats) -> None:
-    """habitat-sim's ``tryStep``: write where a move from ``start`` towards ``end`` ends to ``reached``."""
+    """habitat-sim's ``tryStep``: write the position where a move from ``start`` towards ``end`` ends into
+    ``reached``.
+    """
     start_at = np.empty(3, np.float32)
     start_poly, start_at[0], start_at[1], start_at[2] = nearest_polygon(mesh, start[0], start[1], start[2], ANY_ISLAND)
     end_poly, _, _, _ = nearest_polygon(mesh, end[0], end[1], end[2], ANY_ISLAND)

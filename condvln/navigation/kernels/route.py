@@ -41,8 +41,8 @@ def route_between(
     end_at: Floats,
     points: Floats,
 ) -> tuple[np.float32, int]:
-    """Return length and number of corner points (written to ``points``) between two projected points; infinite and 0 if
-    none.
+    """Return the length of the path between two projected points and the number of its corner points, which are
+    written to ``points``; infinite and 0 if there is no path.
 
     ``start`` and ``end`` are the requested points, ``start_at`` and ``end_at`` the snapped ones; the string is pulled
     between the requested ones.

@@ -96,7 +96,7 @@ def _cell(i: int, box: Array, width: int, column: Array) -> int:
 
 @compiled
 def _nearest_span(box: Array, corners: Array, width: int, start: Array, floor: Array) -> int:
-    """Return the span near a vertex that is nearest to it in height."""
+    """Return the span beside one of the polygon's ``corners`` whose floor is nearest in height to that corner."""
     nearest = UNSET
     best = -1
     for n in range(len(corners)):

@@ -62,7 +62,9 @@ def depth_inside(polygon: Array, n: int, p: Ground) -> np.float32:
 
 @compiled
 def height_error(p: Point, a: Point, b: Point, c: Point) -> np.float32:
-    """Return the vertical distance from a point to a triangle above or below it; FAR if there is none."""
+    """Return the vertical distance from a point to a triangle; FAR if the triangle is neither above nor below the
+    point.
+    """
     ux, uz = c[0] - a[0], c[2] - a[2]
     vx, vz = b[0] - a[0], b[2] - a[2]
     px, pz = p[0] - a[0], p[2] - a[2]

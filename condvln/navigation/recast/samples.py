@@ -35,8 +35,8 @@ def _sample_edge(
     edge: Array,
     kept: Array,
 ) -> int:
-    """Write the heights along an edge into ``edge`` and the necessary ones, with the ends, into ``kept``; return
-    their number.
+    """Write the heights along an edge into ``edge`` and the indices of the necessary heights, with the ends, into
+    ``kept``; return the number of necessary heights.
     """
     patch, box = surface
     dx, dy, dz = b[0] - a[0], b[1] - a[1], b[2] - a[2]

@@ -31,7 +31,7 @@ def checked_triangles(vertices: npt.ArrayLike, faces: npt.ArrayLike) -> tuple[Ar
         or np.iscomplexobj(points)
     ):
         raise FormatError(
-            f"vertices are {points.dtype} of shape {points.shape}",
+            f"vertices can't be {points.dtype} of shape {points.shape}",
             place="vertices",
             remedy="Give (n, 3) numbers in metres",
         )
@@ -43,7 +43,9 @@ def checked_triangles(vertices: npt.ArrayLike, faces: npt.ArrayLike) -> tuple[Ar
         )
     if corners.ndim != 2 or corners.shape[1] != 3 or not np.issubdtype(corners.dtype, np.integer):
         raise FormatError(
-            f"faces are {corners.dtype} of shape {corners.shape}", place="faces", remedy="Give (m, 3) integer indices"
+            f"faces can't be {corners.dtype} of shape {corners.shape}",
+            place="faces",
+            remedy="Give (m, 3) integer indices",
         )
     with np.errstate(over="ignore"):
         points = np.require(points, np.float32, ["C", "W"])  # kernels are compiled for plain arrays only

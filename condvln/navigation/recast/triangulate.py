@@ -92,7 +92,9 @@ def _shortest_ear(n: int, points: Array, corner: Array, ear: Array) -> int:
 
 @compiled
 def _shortest_loose_cut(n: int, points: Array, corner: Array) -> int:
-    """Fallback for overlapping segments. Recast measures to the corner after the cut's end, and so does this."""
+    """Return the first corner of the shortest cut under the loose test, for outlines whose segments overlap. As in
+    Recast, a cut's length is measured to the corner after its end.
+    """
     best = -1
     shortest = -1
     for i in range(n):

@@ -375,7 +375,7 @@ def test_a_reading_in_full() -> None:
         ("If there's a lamp, go to the sofa.", "can't be read"),
         ("If there's a lamp, go to the gizmo. If not, go to the bed.", "can't be read"),
         ("If there is a lamp, go to the sofa. Otherwise, go to the bed. Otherwise, go to the desk.", "can't be read"),
-        ("If there's no lamp, go to the sofa. If it is, go to the bed.", "asks for something else"),
+        ("If there's no lamp, go to the sofa. If it is, go to the bed.", "does not fit the question"),
         ("If there's a lamp, go to the sofa there. If not, go to the bed.", "before it names a room"),
         (
             "If there's a lamp, see if there's a bed. If there is, go to the sofa; if not, go to the desk. But if "
