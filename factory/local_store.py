@@ -85,7 +85,7 @@ class LocalStore:
         with self._errors(path), self._locked(place.parent):
             now = token_of(place.read_bytes()) if place.exists() else None
             if now != token:
-                raise PublishConflictError("it was moved by another publisher", where=path, remedy="Run again.")
+                raise PublishConflictError("another publisher moved this ref", where=path, remedy="Run again.")
             self.write(path, data)
 
     def copy(self, source: str, target: str) -> None:

@@ -137,7 +137,7 @@ class ObjectStore:
 
     def swap(self, path: str, data: Any, token: str | None) -> None:
         self._prove()
-        conflict = PublishConflictError("it was moved by another publisher", where=path, remedy="Run again.")
+        conflict = PublishConflictError("another publisher moved this ref", where=path, remedy="Run again.")
         condition = {"IfNoneMatch": "*"}
         if token is not None:
             try:

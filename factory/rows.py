@@ -30,7 +30,7 @@ ZSTD_LEVEL: Final = 3
 
 def canonical_table(table: pa.Table, spec: TableSpec | None, name: str) -> pa.Table:
     """Return ``table`` in canonical form: columns, types and order of ``spec``; a table without a contract keeps its
-    own.
+    own columns, types and order.
 
     Raises ``StageError`` on missing or extra columns, values that do not fit, nulls where none may be, and rows that
     the sort keys do not tell apart.

@@ -258,7 +258,9 @@ class Snapshot:
         )
 
     def local_paths(self, table: str) -> tuple[Path, ...]:
-        """Return the same paths on this machine's disk. Raises ``StoreError`` for a store that is elsewhere."""
+        """Return the paths of a table's files on this machine's disk. Raises ``StoreError`` for a store that is not on
+        this disk.
+        """
         found = tuple(self.store.local_path(path) for path in self.paths(table))
         local = tuple(path for path in found if path is not None)
         if len(local) != len(found):

@@ -64,8 +64,9 @@ class Stage(Protocol):
         return {}
 
     def dependencies(self, unit: Unit, upstream: Mapping[str, pa.Table], shared: Mapping[str, pa.Table]) -> JSON:
-        """Return what this unit's rows depend on in ``shared``; it is part of the key instead of the whole shared
-        tables."""
+        """Return what this unit's rows depend on in ``shared``; this value is part of the key, in place of the whole
+        shared tables.
+        """
         return None
 
     def run(self, unit: Unit, upstream: Mapping[str, pa.Table], shared: Mapping[str, pa.Table]) -> StageOutput:

@@ -50,18 +50,18 @@ class Store(Protocol):
         ...
 
     def write(self, path: str, data: Any, *, settle: bool = True) -> None:
-        """Write a whole file atomically; an older one is replaced.
+        """Write a whole file atomically; an older file of this path is replaced.
 
         settle : make its name outlast a power cut; not needed where another write into the same folder follows
         """
         ...
 
     def create(self, path: str, data: Any) -> bool:
-        """Write a whole file atomically if none exists. Return False, and change nothing, if one does."""
+        """Write a whole file atomically if no file has this path; else return False and change nothing."""
         ...
 
     def swap(self, path: str, data: Any, token: str | None) -> None:
-        """Replace the file if it is still the one that ``token_of`` was taken of (None: the file must not exist).
+        """Replace the file if ``token`` is still the token of its content (None: the file must not exist).
 
         Raises ``PublishConflictError`` otherwise.
         """

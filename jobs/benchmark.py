@@ -165,7 +165,7 @@ def check_benchmark(
 
 
 def read_record(path: Path) -> BenchmarkRecord:
-    """Read a record, or that of an export's folder.
+    """Read the record of a benchmark, from its own file or from the folder of an export.
 
     Raises
     ------

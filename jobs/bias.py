@@ -47,7 +47,9 @@ def add_bias(
 
 
 def priors_behind(snapshot: Snapshot, ref: str) -> tuple[int, int] | None:
-    """Return (scenes that the pinned priors were counted over, scenes published); None if no more are published."""
+    """Return (scenes that the pinned priors were counted over, scenes published); None unless more scenes are published
+    than were counted.
+    """
     now = max((stage.units - stage.skipped for stage in snapshot.manifest.stages.values()), default=0)
     for entry in snapshot.store.list("pins"):
         if entry.path.endswith(f"/{ref}.json"):

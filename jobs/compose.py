@@ -79,7 +79,7 @@ def refuse_export(export: Path | None, folder: Path) -> None:
 
 
 def write_changed(path: Path, data: bytes) -> bool:
-    """Write a file atomically; return False if it has these bytes already.
+    """Write a file atomically; return False if the file has these bytes already.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def shipped_navmesh(scene: Scene) -> NavMeshFile | None:
 
 
 def found_scene(config: Config, scene_id: str) -> tuple[Source, str]:
-    """Return the one source that has the scene, and the scene's id there.
+    """Return the one source that has the scene, and the scene's id in that source.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def found_scene(config: Config, scene_id: str) -> tuple[Source, str]:
         )
     if len(found) > 1:
         families = ", ".join(f"{source.family}/{name}" for source, name in found)
-        raise UsageError(f"several sources have it: {families}", place="SCENE", remedy="Name one of these.")
+        raise UsageError(f"several sources have this scene: {families}", place="SCENE", remedy="Name one of these.")
     return found[0]
 
 

@@ -138,7 +138,9 @@ def _item(items: list[Any], key: str, origin: str) -> Any:
 
 
 def _store(address: Path | str, base: Path, path: Path) -> Path | str:
-    """Resolve a folder relative to the file's own, or an object store's address, which is checked but not contacted."""
+    """Resolve a folder relative to the configuration file's own folder, or an object store's address, which is checked
+    but not contacted.
+    """
     if "://" not in str(address):
         return (base / address).resolve()
     try:

@@ -78,7 +78,9 @@ def makes_stale(path: str) -> tuple[str, ...]:
 
 
 def _read(config: Config) -> dict[str, JSON]:
-    """Return what each stage and aggregate reads of the configuration, as the documents in its key."""
+    """Return, for each stage and aggregate, the part of the configuration that it reads, in the form in which this part
+    enters its key.
+    """
     pipeline = build_pipeline(config)
     unit = Unit("replicacad/x", "replicacad", payload={"scene_id": "x", "navmesh": "navmeshes", "absence": "never"})
     read: dict[str, JSON] = {stage.name: stage.parameters(unit) for stage in pipeline.stages}
@@ -158,7 +160,7 @@ def _stale(path: str) -> str:
 
 
 def _section(annotation: Any) -> tuple[type[BaseModel] | None, bool]:
-    """Return the section that a key holds, and whether it is a list of them."""
+    """Return the section that a key holds, and whether the key holds a list of such sections."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation, False
     if get_origin(annotation) is tuple:

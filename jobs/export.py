@@ -146,7 +146,7 @@ def _left_out(done: ExportReport) -> list[str]:
 
 
 class _Guard:
-    """Compares a new export with the one that it would replace, and records what it is made of."""
+    """Compares a new export with the one that it would replace, and records what the new export is made of."""
 
     def __init__(self, config: Config, snapshot: Snapshot, allow_shrink: bool, renewed: bool) -> None:
         self._config = config
@@ -234,7 +234,9 @@ def _linear_text(seed: int, preamble: bool, wording: WordingConfig) -> Callable[
 
 
 def _former(config: Config, snapshot: Snapshot) -> FolderTables | None:
-    """Return the snapshot that the folder's export was made of, else the one published before; None if it was swept."""
+    """Return the snapshot that the export in the folder was made of, else the snapshot published before this one; None
+    if the store no longer holds it.
+    """
     ref, _ = read_ref(snapshot.store, config.name)
     states = [state for state in (ref.history if ref is not None else ()) if state.snapshot_id != snapshot.snapshot_id]
     exported = exported_snapshot(config.export) if config.export is not None else ""

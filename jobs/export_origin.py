@@ -66,7 +66,7 @@ class Origin(Document):
 
     @classmethod
     def of(cls, config: Config, snapshot: Snapshot) -> Origin:
-        """Return the origin of an export of a snapshot under a configuration."""
+        """Return the origin of the export that is made of `snapshot` under `config`."""
         index = snapshot.index().table
         columns = [f"{_FIRST_STAGE}.inputs", "content", f"{_LAST_STAGE}.key", f"{_LAST_STAGE}/episodes.rows"]
         known = [name for name in ("unit_id", "status", *columns) if name in index.column_names]
@@ -88,7 +88,7 @@ class Origin(Document):
 
     @classmethod
     def read(cls, folder: Path) -> Origin | None:
-        """Read the origin of the export in a folder; None if there is none that can be read."""
+        """Read the origin of the export in a folder; None if the folder has no readable record of it."""
         document = read_document(folder / ORIGIN)
         try:
             if document is None or document_digest(document) != document["digest"]:

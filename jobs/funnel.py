@@ -92,7 +92,9 @@ class Flow:
         }
 
     def why(self) -> str:
-        """Return the most frequent causes of a shortage in one line; beside TOO_FEW, what ended the draws."""
+        """Return the most frequent causes of a shortage in one line; the cause TOO_FEW is given with what ended the
+        draws.
+        """
         return ", ".join(self._cause(reason, count) for reason, count in _ranked(self.causes)[:SHOWN_REASONS])
 
     def _cause(self, reason: str, count: int) -> str:
@@ -146,7 +148,9 @@ class Funnel:
 
 
 def add_funnel(report: Report, snapshot: Snapshot) -> None:
-    """Add the funnel of a snapshot to `report`. Raises ``CorruptShardError`` where a file of it is damaged."""
+    """Add the funnel of a snapshot to `report`. Raises ``CorruptShardError`` where a file of the snapshot is
+    damaged.
+    """
     funnel = funnel_of(snapshot)
     if funnel is not None:
         report.document["funnel"] = funnel.document()
@@ -154,8 +158,9 @@ def add_funnel(report: Report, snapshot: Snapshot) -> None:
 
 
 def funnel_of(snapshot: Snapshot) -> Funnel | None:
-    """Count the funnel of all scenes of a snapshot, skipped ones included; None for snapshots of releases without
-    it."""
+    """Count the funnel of all scenes of a snapshot, skipped scenes included; None for a snapshot of a release that
+    recorded no funnel.
+    """
     if "funnel" not in snapshot.manifest.tables:
         return None
     scenes: defaultdict[str, Flow] = defaultdict(Flow)

@@ -66,7 +66,7 @@ def run_generate(
 
 
 def _whole_report(config: Config, done: RunReport, renewed: bool) -> Report:
-    """Report what a run did, the funnel of what is published, and the export of it."""
+    """Report what a run did, the funnel of the published snapshot, and its export."""
     report = run_report(done)
     if done.snapshot_id is not None:
         add_funnel(report, published(config))

@@ -33,7 +33,7 @@ def report_language(target: Path, overrides: Sequence[str] = ()) -> Report:
             )
         folder = config.export
     elif overrides:
-        raise UsageError("--set belongs to a configuration", where=str(target), remedy="Name the YAML file.")
+        raise UsageError("--set is only for a configuration", where=str(target), remedy="Name the YAML file.")
     found = language_report(read_texts(folder))
     return Report({"path": str(folder), **found.document()}, _lines(found), _sections(found))
 

@@ -72,7 +72,7 @@ def score_benchmark(
         for path, evaluation in zip(predictions, evaluations, strict=True):
             if evaluation.agent in REFERENCES:
                 raise UsageError(
-                    f"{evaluation.agent!r} is the name of a reference", where=str(path), remedy="Rename the file."
+                    f"{evaluation.agent!r} is the name of a reference agent", where=str(path), remedy="Rename the file."
                 )
             found.append((evaluation, _row(evaluation, path)))
     if references:

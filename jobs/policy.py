@@ -23,7 +23,7 @@ _COLUMNS = ["scene_id", "label", "center"]
 
 
 def is_policy(agent: str) -> bool:
-    """Whether this is the name of a user's agent (``module:Class``), and not of a reference agent."""
+    """Whether `agent` is the name of a user's agent (``module:Class``), and not of a reference agent."""
     return ":" in agent
 
 

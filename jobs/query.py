@@ -73,7 +73,7 @@ def _tables_of(sql: str) -> set[str]:
 
 
 def query_target(target: Target, sql: str, out: Path | None = None) -> Report:
-    """Run one query or a named one, and write its rows to `out` if given (Parquet, CSV or JSON by its suffix).
+    """Run an SQL query or a named query, and write its rows to `out` if given (Parquet, CSV or JSON by its suffix).
 
     Raises UsageError with DuckDB's own message.
     """

@@ -86,7 +86,7 @@ def render(
         shots = _episode(config, name, missing)
         if position is not None or heading is not None:
             raise UsageError(
-                "an episode has poses of its own", place="--position", remedy="Name a scene, or leave the pose out."
+                "no pose can be given for an episode", place="--position", remedy="Name a scene, or leave the pose out."
             ) from None
     else:
         shots = _scene(open_world(source, scene_id, config.agent), config.seed, position, heading)

@@ -90,8 +90,9 @@ def _chosen(snapshot: Snapshot, name: str | None, sample: int) -> list[dict[str,
 
 
 def named_rows(snapshot: Snapshot, episodes: pa.Table, name: str) -> list[dict[str, Any]]:
-    """Return episodes whose id begins with `name`; if there are none, those of the instruction whose id does, or it
-    alone."""
+    """Return the episodes whose id begins with `name`; if there are none, those of each instruction whose id begins
+    with `name`, or the instruction itself if it has no episode.
+    """
     for column in ("episode_id", "episode_hash"):
         if column not in episodes.column_names:  # a snapshot of a former release, whose ids are hashes
             continue

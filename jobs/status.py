@@ -163,7 +163,9 @@ def _runs(records: tuple[RunRecord, ...]) -> Section:
 
 
 def _pins(store: Store, found: StoreStatus, report: Report) -> Section:
-    """Return (scenes that the pinned tables were built from, scenes published now), a cheap sign of drift."""
+    """Return (scenes that the pinned tables were built from, scenes published now); a difference is a cheap sign of
+    drift.
+    """
     now = {
         status.ref.name: max((s.units - s.skipped for s in status.manifest.stages.values()), default=0)
         for status in found.refs
@@ -185,7 +187,7 @@ def _pins(store: Store, found: StoreStatus, report: Report) -> Section:
 
 def _drift(target: Target, store: Store, report: Report) -> Section:
     if target.config is None:
-        raise UsageError("drift is measured with the stages of a configuration", remedy="Name the YAML file.")
+        raise UsageError("--drift needs a configuration, whose stages it runs", remedy="Name the YAML file.")
     from jobs.pipeline import build_pipeline  # the science, needed for this alone
 
     found: tuple[AggregateDrift, ...] = drift(build_pipeline(target.config), store, target.config.name)

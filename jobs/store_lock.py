@@ -21,7 +21,7 @@ _READ_ONLY: Final = {errno.EROFS, errno.EACCES, errno.EPERM}
 
 @contextmanager
 def alone(state: Path, name: str) -> Iterator[bool]:
-    """Whether no other generate or rebuild of this name runs on this machine. A killed one blocks nobody.
+    """Whether no other generate or rebuild of this name runs on this machine. A killed command blocks nobody.
 
     Where nothing can be written nobody else is writing: no lock is needed to find that there is nothing to do.
     """
@@ -42,7 +42,9 @@ def alone(state: Path, name: str) -> Iterator[bool]:
 
 @contextmanager
 def alone_in_store(config: Config) -> Iterator[None]:
-    """Hold the configuration's name in its store. Raises ``StoreError`` when another command on this machine does."""
+    """Hold the lock of the configuration's name in its store. Raises ``StoreError`` when another command on this
+    machine holds it.
+    """
     with alone(local_state(config.store), config.name) as held:
         if not held:
             raise StoreError(

@@ -39,7 +39,7 @@ class Target:
         return sorted(entry.path.split("/", 1)[1].removesuffix(".json") for entry in self.store().list("refs"))
 
     def ref(self) -> str:
-        """Return the requested name; if none was given, the only ref, or 'main'.
+        """Return the requested ref; if none was requested, the only ref of the store, or 'main'.
 
         Raises ``UsageError`` when it is not clear which is meant.
         """
@@ -51,26 +51,30 @@ class Target:
         if "main" in names or not names:
             return "main"
         raise UsageError(
-            f"{len(names)} refs are published: {', '.join(names)}",
+            f"no ref is chosen, and {len(names)} are published: {', '.join(names)}",
             where=str(self.address),
             remedy="Choose one with --ref NAME.",
         )
 
     def snapshot(self) -> Snapshot:
-        """Open the snapshot that is published under the name; without a name, under the only ref or 'main'.
+        """Open the snapshot that is published under the requested ref; if none was requested, under the only ref or
+        'main'.
 
         Raises ``StoreError`` when nothing is published under it, ``UsageError`` when it is not clear which is meant.
         """
         return Snapshot.open(self.store(), self.ref())
 
     def folder(self, tables: Iterable[str] | None = None) -> Path:
-        """Return the snapshot as a folder on this disk. It is fetched where the store is elsewhere (only `tables`, if
-        named)."""
+        """Return the snapshot as a folder on this disk. If the store is elsewhere, the snapshot is fetched (only
+        `tables`, if given).
+        """
         return snapshot_folder(self.address, self.snapshot(), tables)
 
 
 def find_target(text: str, overrides: Sequence[str] = (), ref: str | None = None) -> Target:
-    """Read CONFIG|STORE. Raises ``UsageError`` on what is neither, ``ConfigError`` on a faulty configuration."""
+    """Read the argument CONFIG|STORE. Raises ``UsageError`` if it names neither, ``ConfigError`` if the configuration
+    is faulty.
+    """
     if "://" in text:
         open_store(text)
     path = Path(text)
@@ -80,7 +84,11 @@ def find_target(text: str, overrides: Sequence[str] = (), ref: str | None = None
         config = load_config(path, overrides, check_roots=False)
         return Target(config.store, ref or config.name, config)
     if overrides:
-        raise UsageError("--set belongs to a configuration", where=text, remedy="Name the YAML file, or leave it out.")
+        raise UsageError(
+            "--set is only for a configuration, and this is a store",
+            where=text,
+            remedy="Name the YAML file, or leave it out.",
+        )
     if "://" not in text:
         path = path.resolve()
         if not any((path / name).is_dir() for name in ("refs", "units", "snapshots")):

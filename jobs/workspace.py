@@ -51,8 +51,9 @@ def open_store(config: Config) -> Store:
 
 
 def local_state(address: Path | str) -> Path:
-    """Return the folder on this machine for hashes, copies and locks of the store at `address`: for a folder,
-    itself."""
+    """Return the folder on this machine for hashes, copies and locks of the store at `address`; for a store in a
+    folder, this is the same folder.
+    """
     if "://" not in str(address):
         return Path(address)
     base = os.environ.get(CACHE_VARIABLE) or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "condvln")
@@ -60,13 +61,16 @@ def local_state(address: Path | str) -> Path:
 
 
 def published(config: Config) -> Snapshot:
-    """Open what is published under the configuration's name. Raises StoreError when nothing is."""
+    """Open the snapshot that is published under the configuration's name. Raises StoreError when nothing is
+    published.
+    """
     return Snapshot.open(open_store(config), config.name)
 
 
 def snapshot_folder(address: Path | str, snapshot: Snapshot, tables: Iterable[str] | None = None) -> Path:
-    """Return the snapshot as a folder on this disk. It is fetched where the store is elsewhere (only `tables`, if
-    named)."""
+    """Return the snapshot as a folder on this disk. If the store is elsewhere, the snapshot is fetched (only `tables`,
+    if given).
+    """
     state = local_state(address)
     return local_copy(snapshot, state, tables, FileHashes(state / VERIFIED))
 

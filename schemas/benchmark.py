@@ -45,7 +45,7 @@ class BenchmarkCell(Document):
     source: str
     category: str
     episodes: Count
-    shortfall: Count = Field(description="episodes below the floor")
+    shortfall: Count = Field(description="number of episodes by which the cell is below the floor")
 
 
 class BenchmarkScene(Document):
@@ -53,8 +53,8 @@ class BenchmarkScene(Document):
 
     status: Literal["ok", "skipped", "quarantined"]
     reason: str = ""
-    inputs: Hash32 | None = Field(description="hash of its source files, with their paths below the dataset")
-    tables: dict[str, Hash32] = Field(description="hash of its rows, by <stage>/<table>")
+    inputs: Hash32 | None = Field(description="hash of the scene's source files, with their paths below the dataset")
+    tables: dict[str, Hash32] = Field(description="hash of the scene's rows, by <stage>/<table>")
 
 
 class BenchmarkRecord(VersionedDocument):

@@ -14,8 +14,10 @@ __all__ = ["ManifestEpisode"]
 class ManifestEpisode(VersionedDocument):
     """One row of ``manifest/<split>.jsonl``."""
 
-    episode_id: int | str = Field(description="an integer below 2^53; in exports of former releases the hash itself")
-    episode_hash: str = Field("", description="hash of scene, instruction and start pose; empty where it is the id")
+    episode_id: int | str = Field(description="an integer below 2^53; in exports of former releases the episode's hash")
+    episode_hash: str = Field(
+        "", description="hash of scene, instruction and start pose; empty where this hash is the episode id"
+    )
     instruction_id: str
     group_id: str | None = None
     source: str

@@ -135,7 +135,7 @@ class Qualifier(Frozen):
 
     @property
     def anchor_labels(self) -> tuple[str, ...]:
-        """Return the canonical labels of the anchors, in the same order."""
+        """Return the canonical labels of the anchors, in the order in which the text names them."""
         return tuple(anchor.label for anchor in self.anchors)
 
 

@@ -63,12 +63,12 @@ class ObjectRecord(Document):
         (), description="boxes that make up the object, where one box does not fit its shape"
     )
     receptacles: tuple[str, ...] | None = Field(
-        None, description="ids of the objects that it is in or on, according to the source"
+        None, description="ids of the objects that this one is in or on, according to the source"
     )
-    openness: Finite | None = Field(None, description="how far it is open, 0 to 1, according to the source")
-    parent: str | None = Field(None, description="id of the object that contains it")
-    support: str | None = Field(None, description="id of the object that it rests on")
-    hidden: bool = Field(False, description="a container around it is closed")
+    openness: Finite | None = Field(None, description="how far the object is open, 0 to 1, according to the source")
+    parent: str | None = Field(None, description="id of the object that contains this one")
+    support: str | None = Field(None, description="id of the object that this one rests on")
+    hidden: bool = Field(False, description="a container around the object is closed")
 
 
 class RoomRecord(Document):
@@ -87,7 +87,8 @@ class RoomRecord(Document):
     complete: bool = Field(description="annotated completely enough to say what is absent")
     asked: bool = Field(
         True,
-        description="conditions may be asked about this room; only about things that are there if it is not complete",
+        description="conditions may be asked about this room; if the room is not complete, only about things "
+        "that are there",
     )
 
 
@@ -97,7 +98,7 @@ class NavmeshChoice(Document):
     path: str
     sha256: str
     built: bool
-    fits: bool = Field(description="its settings match the configured agent")
+    fits: bool = Field(description="the navmesh's settings match the configured agent")
     agent_radius: Finite
     agent_height: Finite
     agent_max_climb: Finite

@@ -35,7 +35,10 @@ def benchmark_build(
 @group.command("check", epilog=EXIT_CODES)
 def benchmark_check(
     benchmark: BenchmarkPath,
-    record: Annotated[Path, typer.Argument(metavar="RECORD", help="published benchmark.json, or the export with it")],
+    record: Annotated[
+        Path,
+        typer.Argument(metavar="RECORD", help="published benchmark.json, or the folder of the export that holds it"),
+    ],
     overrides: Overrides = None,
     inline: Inline = False,
     as_json: AsJson = False,
@@ -53,7 +56,10 @@ def benchmark_score(
     export: ExportPath,
     split: SplitName,
     predictions: Annotated[
-        list[Path] | None, typer.Argument(metavar="[P...]", help="one file for each agent, named after it")
+        list[Path] | None,
+        typer.Argument(
+            metavar="[P...]", help="one file of predictions for each agent; the table names the agent after the file"
+        ),
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", help="file to write the leaderboard to, as JSON")] = None,
     navmesh_root: NavmeshRoots = None,

@@ -16,7 +16,7 @@ __all__ = ["demo", "generate", "plan", "rebuild", "samples"]
 def demo(
     out: Annotated[Path, typer.Option(help="folder to write to")] = Path("out/demo"),
     scenes: Annotated[int, typer.Option(min=1, help="number of made apartments, over all formats")] = 12,
-    seed: Annotated[int, typer.Option(help="seed of everything")] = 0,
+    seed: Annotated[int, typer.Option(help="seed of all random choices")] = 0,
     workers: Annotated[int | None, typer.Option(min=0, help="Ray workers; 0 runs inline")] = None,
 ) -> None:
     """Run everything on made scenes in four formats: generate, export, verify, walk, evaluate. Takes minutes."""
@@ -34,8 +34,8 @@ def samples(
             "ProcTHOR in Habitat's form with the houses for its rooms"
         ),
     ] = "replicacad",
-    scenes: Annotated[int, typer.Option(min=1, help="how many")] = 12,
-    seed: Annotated[int, typer.Option(help="seed; scene k of a seed is the same however many are made")] = 0,
+    scenes: Annotated[int, typer.Option(min=1, help="number of scenes")] = 12,
+    seed: Annotated[int, typer.Option(help="seed; scene k of a seed is the same however many scenes are made")] = 0,
     as_json: AsJson = False,
 ) -> None:
     """Write made scenes in a family's native format, and print the source entry for a configuration."""

@@ -114,7 +114,9 @@ def evaluate(
     oracle: Annotated[
         list[Path] | None,
         typer.Option(
-            "--oracle", help="predictions of the same agent on the oracle twin; once per P, in the same order"
+            "--oracle",
+            help="predictions of the same agent on the oracle twin; once for each file of predictions,"
+            " in the same order",
         ),
     ] = None,
     connectivity: Graphs = None,
@@ -143,7 +145,7 @@ def evaluate(
     from jobs.evaluate import ALL_TABLES, Question, evaluate_predictions
 
     if distance not in ("geodesic", "euclidean"):
-        raise UsageError(f"--distance {distance!r}", remedy="Say geodesic or euclidean.")
+        raise UsageError(f"--distance {distance!r} is not a distance", remedy="Say geodesic or euclidean.")
     asked = Question(
         export,
         split,

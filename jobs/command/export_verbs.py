@@ -30,7 +30,8 @@ def export(
         typer.Option(
             "--validate",
             metavar="PATH",
-            help="lint VLN-CE, ANSR-v1, RxR and R2R files below this path instead, of CondVLN or others",
+            help="export nothing; lint the VLN-CE, ANSR-v1, RxR and R2R files below this path, from "
+            "CondVLN or elsewhere",
         ),
     ] = None,
     navmesh_root: NavmeshRoots = None,
@@ -54,7 +55,7 @@ def export(
         leave(found.exit_code)
         return
     if config is None:
-        raise UsageError("neither a configuration nor --validate", remedy="Use condvln export CONFIG.")
+        raise UsageError("a configuration or --validate must be given", remedy="Use condvln export CONFIG.")
     from jobs.configuration import load_config
     from jobs.export import run_export
 
@@ -68,7 +69,7 @@ def oracle(
     split: SplitName,
     file: Annotated[
         Path | None,
-        typer.Option("--file", help="VLN-CE, ANSR-v1 or RxR file of these episodes; by default that in vlnce/"),
+        typer.Option("--file", help="VLN-CE, ANSR-v1 or RxR file of these episodes; by default the file in vlnce/"),
     ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", help="file to write; by default oracle/SPLIT/SPLIT.json.gz of the export")

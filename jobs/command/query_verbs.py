@@ -88,9 +88,9 @@ def show(
         ),
     ] = None,
     sample: Annotated[
-        int | None, typer.Option(min=1, help="show this many, spread over categories and sources")
+        int | None, typer.Option(min=1, help="show this many episodes, spread over categories and sources")
     ] = None,
-    picture: Annotated[Path | None, typer.Option(help="folder to write a top-down picture of each to")] = None,
+    picture: Annotated[Path | None, typer.Option(help="folder to write a top-down picture of each episode to")] = None,
     navmesh_root: NavmeshRoots = None,
     overrides: Overrides = None,
     as_json: AsJson = False,
@@ -111,7 +111,11 @@ def show(
     from jobs.show import show_episodes
 
     if navmesh_root:
-        raise UsageError("a configuration names its datasets", place="--navmesh-root", remedy="Name an export instead.")
+        raise UsageError(
+            "not allowed with a configuration, which names its datasets",
+            place="--navmesh-root",
+            remedy="Name an export instead.",
+        )
     loaded = load_config(target, overrides or (), check_roots=picture is not None)
     answer(show_episodes(loaded, episode=episode, sample=sample, picture=picture), as_json)
 
@@ -119,7 +123,10 @@ def show(
 def render(
     config: ConfigPath,
     name: Annotated[
-        str, typer.Argument(metavar="SCENE|EPISODE", help="scene id (FAMILY/ID where several have it), or episode id")
+        str,
+        typer.Argument(
+            metavar="SCENE|EPISODE", help="scene id (FAMILY/ID where several sources have it), or episode id"
+        ),
     ],
     out: Annotated[
         Path, typer.Argument(metavar="OUT", help=".png for one sheet, .gif for a clip, else a folder of frames")

@@ -54,7 +54,7 @@ def _check(context: typer.Context, verb: str, words: list[str]) -> None:
     try:
         command.make_context(verb, words)
     except typer.Exit:
-        raise UsageError(f"--help of {verb} is for this machine", remedy=f"condvln {verb} --help") from None
+        raise UsageError(f"the help of {verb} is not submitted as a job", remedy=f"condvln {verb} --help") from None
     except Exception as error:
         # The library's own errors, whose class depends on its version (it brings its own copy of click, or not).
         told = getattr(error, "format_message", None)

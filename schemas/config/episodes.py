@@ -23,15 +23,15 @@ class AgentConfig(Section):
 
     radius: Metres = Field(0.1, description="radius of the cylinder")
     height: Metres = Field(1.5, description="height of the cylinder")
-    max_climb: Metres = Field(0.2, description="highest step that it climbs")
-    max_slope: Degrees = Field(45.0, le=90, description="steepest floor that it walks on")
+    max_climb: Metres = Field(0.2, description="highest step that the agent climbs")
+    max_slope: Degrees = Field(45.0, le=90, description="steepest floor that the agent walks on")
 
 
 class PlacesConfig(Section):
     """Where an agent may stand, what it sees from there, and when it has arrived."""
 
     success_distance_single_room: Metres = Field(0.5, description="success distance τ where the scene is one room")
-    success_distance: Metres = Field(1.0, description="success distance τ in other scenes")
+    success_distance: Metres = Field(1.0, description="success distance τ where the scene has several rooms")
     leaf_gap: Metres = Field(0.5, description="leaves lie at least 2 success distances plus this apart")
     island_radius: Metres = Field(1.5, description="least radius of the island of the navmesh that an episode is on")
     sight_range: Metres = Field(5.0, description="how far an agent sees")
@@ -50,7 +50,11 @@ class GoalsConfig(Section):
     """Goal points: where an agent stands when it has reached an object."""
 
     reach: Metres = Field(0.5, le=10, description="goal points lie at most this far from the object's box")
-    reach_at_most: Metres = Field(1.0, le=10, description="the same for an object that has no navigable point nearer")
+    reach_at_most: Metres = Field(
+        1.0,
+        le=10,
+        description="goal points of an object without a navigable point within reach lie at most this far from its box",
+    )
     points: int = Field(8, ge=1, le=1000, description="most goal points of an object")
 
     @model_validator(mode="after")
@@ -68,7 +72,8 @@ class EpisodeConfig(Section):
         description="[least, most] geodesic distance from the start to any leaf where the scene is one room",
     )
     distance: Range = Field(
-        (2.0, 30.0), description="[least, most] geodesic distance from the start to any leaf in other scenes"
+        (2.0, 30.0),
+        description="[least, most] geodesic distance from the start to any leaf where the scene has several rooms",
     )
     detour_factor: float = Field(
         2.0,
@@ -77,7 +82,9 @@ class EpisodeConfig(Section):
         description="where a scene has several rooms, the route to any leaf through its stops is at most "
         "this many times the geodesic distance to the leaf, plus detour_slack",
     )
-    detour_slack: Metres = Field(4.0, description="length that such a route may have beyond that")
+    detour_slack: Metres = Field(
+        4.0, description="length that such a route may have beyond detour_factor times the distance"
+    )
     starts: int = Field(96, ge=1, le=100_000, description="starts drawn per scene, shared by its programs")
     starts_per_program: int = Field(24, ge=1, description="starts tried per program before it is given up")
     max_steps: StepBudget = Field(

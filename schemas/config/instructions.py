@@ -131,7 +131,7 @@ class WordingConfig(Section):
 
     @property
     def wording(self) -> WordingConfig:
-        """Return these keys alone."""
+        """Return the keys of the wording alone."""
         return WordingConfig(language=self.language, voices=self.voices, length=self.length)
 
 
@@ -195,23 +195,23 @@ class CompositionWeights(Section):
 
 
 class PredicateWeights(Section):
-    """Weights of the groups of predicates; 0 = used only where no other predicate can be."""
+    """Weights of the groups of predicates; a group with weight 0 is used only where no other predicate can be used."""
 
     # What people say most comes first; heights are correct but stilted.
-    on: Weight = Field(0.20, description="weight of on")
-    under: Weight = Field(0.10, description="weight of under, which only distinguishes stops")
-    inside: Weight = Field(0.10, description="weight of in")
-    near: Weight = Field(0.40, description="weight of near")
-    vertical: Weight = Field(0.10, description="weight of above and below")
-    between: Weight = Field(0.15, description="weight of between")
-    closest: Weight = Field(0.20, description="weight of closest to, which only distinguishes stops")
+    on: Weight = Field(0.20, description="weight of “on”")
+    under: Weight = Field(0.10, description="weight of “under”, which only distinguishes stops")
+    inside: Weight = Field(0.10, description="weight of “in”")
+    near: Weight = Field(0.40, description="weight of “near”")
+    vertical: Weight = Field(0.10, description="weight of “above” and “below”")
+    between: Weight = Field(0.15, description="weight of “between”")
+    closest: Weight = Field(0.20, description="weight of “closest to”, which only distinguishes stops")
     compass: Weight = Field(0.25, description="weight of the eight compass words")
     bearing: Weight = Field(
-        0.30, description="weight of left, right, ahead and behind, where directions are egocentric"
+        0.30, description="weight of “left”, “right”, “ahead” and “behind”, where directions are egocentric"
     )
-    size: Weight = Field(0.20, description="weight of the bigger and the smaller, which only distinguish stops")
-    height: Weight = Field(0.05, description="weight of higher than and lower than")
-    far: Weight = Field(0.0, description="weight of far from")
+    size: Weight = Field(0.20, description="weight of “the bigger” and “the smaller”, which only distinguish stops")
+    height: Weight = Field(0.05, description="weight of “higher than” and “lower than”")
+    far: Weight = Field(0.0, description="weight of “far from”")
 
 
 class SamplingConfig(Section):
@@ -274,8 +274,9 @@ class SamplingConfig(Section):
         return cell.count * self.candidates_per_episode * (SEEN_FACTOR if cell.observability or cell.route else 1)
 
     def label_only(self, single_room: bool) -> float:
-        """Return the share of label-only conditions. They are drawn whatever their truth, so that the kind does not
-        reveal it."""
+        """Return the share of label-only conditions. They are drawn whatever their truth, so that a condition's kind
+        does not reveal its truth.
+        """
         return PRESENCE_MARGIN * self.presence_false_share if single_room else self.presence_share
 
 

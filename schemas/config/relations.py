@@ -42,8 +42,12 @@ class Thresholds(Section):
     far_true: Metres = Field(3.45, description="text may say “far from” from this distance of boxes")
     far_false: Metres = Field(2.55, description="text may deny “far from” up to this distance of boxes")
     height: Metres = Field(0.30, description="“higher than” and “lower than” are emitted from this height of centres")
-    height_true: Metres = Field(0.45, description="text may say higher, lower, above and below from this height")
-    height_false: Metres = Field(0.15, description="text may deny higher, lower, above and below up to this height")
+    height_true: Metres = Field(
+        0.45, description="text may say “higher”, “lower”, “above” and “below” from this height"
+    )
+    height_false: Metres = Field(
+        0.15, description="text may deny “higher”, “lower”, “above” and “below” up to this height"
+    )
     over_horizontal: Metres = Field(
         0.50, description="“above” and “below” are emitted up to this horizontal distance of centres"
     )
@@ -65,7 +69,7 @@ class Thresholds(Section):
         description="text may say higher and lower where tops differ by at least this, in the same "
         "direction as the centres",
     )
-    top_false: Metres = Field(0.05, description="text may deny higher and lower where tops differ by at most this")
+    top_false: Metres = Field(0.05, description="text may deny “higher” and “lower” where tops differ by at most this")
     off_floor: Metres = Field(
         0.30,
         description="“higher” and “lower” are used only for things whose bottoms are at least this far above the floor",
@@ -118,10 +122,13 @@ class Thresholds(Section):
         0.5, description="text may use a compass word from this horizontal distance of centres"
     )
     bearing_true: Degrees = Field(
-        30.0, lt=45, description="text may say left, right, ahead and behind up to this angle off the direction"
+        30.0, lt=45, description="text may say “left”, “right”, “ahead” and “behind” up to this angle off the direction"
     )
     bearing_false: Degrees = Field(
-        60.0, gt=45, le=90, description="text may deny left, right, ahead and behind from this angle off the direction"
+        60.0,
+        gt=45,
+        le=90,
+        description="text may deny “left”, “right”, “ahead” and “behind” from this angle off the direction",
     )
     bearing_distance: Metres = Field(
         1.0,

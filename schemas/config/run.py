@@ -63,8 +63,10 @@ class SourceConfig(Section):
 
     family: Family = Field(description="dataset family")
     root: Path = Field(description="folder of the dataset")
-    scenes: tuple[str, ...] = Field(("*",), min_length=1, description="scene ids or patterns with * and ?")
-    exclude: tuple[str, ...] = Field((), description="scene ids or patterns that are left out")
+    scenes: tuple[str, ...] = Field(
+        ("*",), min_length=1, description="scene ids, or patterns with * and ?, that are included"
+    )
+    exclude: tuple[str, ...] = Field((), description="scene ids, or patterns with * and ?, that are left out")
     navmesh: str | None = Field(None, min_length=1, description="folder of navmeshes in root that is searched first")
     regions: Path | None = Field(None, description="side file or folder of user-drawn room zones")
     absence: Literal["complete", "never"] = Field(
@@ -75,7 +77,8 @@ class SourceConfig(Section):
         "something is absent (for annotations by detectors, such as Gibson's automated graphs)",
     )
     houses: Path | None = Field(
-        None, description="procthor only: folder of the house JSON, where root is Habitat's scene dataset of them"
+        None,
+        description="procthor only: folder of the houses' JSON, where root is Habitat's scene dataset of these houses",
     )
     connectivity: Path | None = Field(
         None, description="folder of <scan>_connectivity.json for discrete R2R; by default connectivity/ of the dataset"
@@ -129,7 +132,8 @@ class SplitsConfig(Section):
 
 
 class LimitsConfig(Section):
-    """Size limits of a scene. A larger scene is quarantined before memory is allocated for it, and the others go on.
+    """Size limits of a scene. A larger scene is quarantined before memory is allocated for it, and the run goes on with
+    the other scenes.
 
     Relations grow with the square of the objects in a room: about 2.6 rows and 600 bytes an ordered pair.
     """
@@ -175,7 +179,9 @@ class RayConfig(Section):
 class KeepConfig(Section):
     """What the sweep after a rebuild keeps in the store. Nothing that a ref names is ever removed."""
 
-    sweep: bool = Field(True, description="whether a rebuild that published removes what no ref needs")
+    sweep: bool = Field(
+        True, description="whether a rebuild that has published a snapshot then removes what no ref needs"
+    )
     snapshots: int = Field(3, ge=1, description="snapshots kept for each ref, the published one included")
     grace_hours: Hours = Field(24.0, description="files younger than this are never removed")
 

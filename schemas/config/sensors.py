@@ -75,20 +75,22 @@ class NoiseConfig(Section):
 class LookerConfig(Section):
     """The reference agent ``looker``: its cameras, its errors and its memory."""
 
-    noise: NoiseConfig = Field(NoiseConfig(), description="errors of its detector, pose and motor")
-    logic: Share = Field(0.0, description="share of conditions that it answers wrongly whatever it has seen")
+    noise: NoiseConfig = Field(NoiseConfig(), description="errors of the agent's detector, pose and motor")
+    logic: Share = Field(0.0, description="share of conditions that the agent answers wrongly whatever it has seen")
     memory: Annotated[int, Field(ge=1, json_schema_extra={"unit": "steps"})] | None = Field(
-        None, description="steps after which it forgets a thing that is out of view; null for never"
+        None, description="steps after which the agent forgets a thing that is out of view; null for never"
     )
     map: Literal["own", "given"] = Field(
-        "own", description="own: a map that it builds as it goes; given: the whole floor is known from the start"
+        "own",
+        description="own: a map that the agent builds as it goes; given: the agent knows the whole floor from"
+        " the start",
     )
     pixels: Pixels = Field(
-        128, description="rows and columns of each of its four cameras, which together cover all directions"
+        128, description="rows and columns of each of the agent's four cameras, which together cover all directions"
     )
     least_pixels: Annotated[int, Field(ge=1, json_schema_extra={"unit": "px"})] = Field(
         1, description="pixels of a thing that must be visible before the thing is known"
     )
     reach: Metres = Field(10.0, description="range of sight for things and floor")
     close: Metres = Field(3.0, description="distance from which a floor must be seen before a thing counts as absent")
-    patience: Share = Field(0.7, description="share of the budget after which it answers undecided conditions")
+    patience: Share = Field(0.7, description="share of the budget after which the agent answers undecided conditions")

@@ -89,7 +89,7 @@ def test_every_room_of_a_composed_house_is_reached(tmp_path: Path, datasets: Dat
 
 def test_a_scene_of_several_sources_is_to_be_named_with_its_family(tmp_path: Path, datasets: Datasets) -> None:
     config = configured(tmp_path, datasets, "replicacad", "mp3d")
-    with pytest.raises(UsageError, match="several sources have it: replicacad/made_000, mp3d/made_000"):
+    with pytest.raises(UsageError, match="several sources have this scene: replicacad/made_000, mp3d/made_000"):
         compose(config, "made_000", tmp_path / "a.glb")
     assert compose(config, "mp3d/made_000", tmp_path / "a.glb").document["scene"] == "mp3d/made_000"
 

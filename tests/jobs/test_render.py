@@ -92,7 +92,7 @@ def test_an_episode_is_shown_along_its_right_way(made_run: Run, tmp_path: Path) 
     assert done.exit_code == 0, done.output
     assert json.loads(done.output)["poses"] == report.document["poses"]
     assert (tmp_path / "sheet.png").is_file()
-    with pytest.raises(UsageError, match="poses of its own"):
+    with pytest.raises(UsageError, match="no pose can be given"):
         render(config, name, tmp_path / "x.png", heading=3.0)
     with pytest.raises(UsageError, match="no source has a scene 'nothing', and no episode id begins with it"):
         render(config, "nothing", tmp_path / "x.png")

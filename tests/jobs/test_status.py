@@ -112,7 +112,7 @@ def test_what_is_neither_configuration_nor_store_is_refused(tmp_path: Path) -> N
         find_target("gs://bucket")
     (tmp_path / "refs").mkdir()
     assert "nothing is published yet" in target_status(find_target(str(tmp_path))).lines
-    with pytest.raises(UsageError, match="belongs to a configuration"):
+    with pytest.raises(UsageError, match="only for a configuration"):
         find_target(str(tmp_path), ["seed=1"])
 
 
