@@ -61,7 +61,7 @@ def test_drift_and_sizes_are_told_when_asked(made_run: tuple[Config, Report], ma
         assert document["sizes"]["units"]["bytes"] > document["sizes"]["refs"]["bytes"] > 0
         (pinned,) = document["pinned"]
         assert (pinned["units"], pinned["units_now"]) == (2, 2)
-    with pytest.raises(UsageError, match="stages of a configuration"):
+    with pytest.raises(UsageError, match="needs a configuration, whose stages"):
         target_status(Target(made_run[0].store, None), measure_drift=True)
 
 
