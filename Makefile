@@ -46,6 +46,8 @@ $(VENV)-agents/.ready: requirements-agents.lock $(VENV)/.ready
 	@touch $@
 
 agents: $(VENV)-agents/.ready  ## tests of the tools for language agents, each driven by its own package
+	$(VENV)-agents/bin/python -m pip check
+	$(VENV)-agents/bin/python -c "import inspect_ai, openenv, transformers"
 	$(VENV)-agents/bin/python -m pytest -rs tests/condvln/evaluation/test_agent_packages.py
 
 bench: $(VENV)/.ready  ## side-by-side measurements, ratios in one run
