@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from jobs.benchmark import Benchmark
 from jobs.configuration import load_config
 from schemas.config import Config, RayConfig, SourceConfig
 from schemas.errors import ConfigError
@@ -141,8 +142,10 @@ def test_what_is_no_mapping_is_refused(tmp_path: Path, text: str) -> None:
 
 
 def test_shipped_configurations_are_valid(repository: Path) -> None:
-    paths = sorted((repository / "configs").glob("*.yaml"))
+    benchmarks = {*(repository / "configs").glob("benchmark-*.yaml")}
+    paths = sorted({*(repository / "configs").glob("*.yaml")} - benchmarks)
     assert paths
+    assert all(Benchmark.read(path, check_roots=False) for path in benchmarks)
     for path in paths:
         assert isinstance(load_config(path, environment={}, check_roots=False), Config)
 
