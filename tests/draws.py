@@ -8,6 +8,7 @@ property test N times, with N seeds in a row.
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import os
 import secrets
@@ -76,14 +77,33 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def seed_of(root: Path) -> int:
-    """Return the seed of the Python files below a folder, hidden folders and ``out`` left out."""
+    """Return the seed of the Python code below a folder, without comments, docstrings, hidden folders and ``out``."""
     digest = hashlib.sha256()
     for folder, below, files in os.walk(root):
         below[:] = sorted(name for name in below if not name.startswith(".") and name != "out")
         for path in sorted(Path(folder, name) for name in files if name.endswith(".py")):
-            for part in (path.relative_to(root).as_posix().encode(), path.read_bytes()):
-                digest.update(hashlib.sha256(part).digest())
+            for part in (path.relative_to(root).as_posix(), _code_of(path)):
+                digest.update(hashlib.sha256(part.encode()).digest())
     return int.from_bytes(digest.digest()[: SEED_BITS // 8], "big")
+
+
+def _code_of(path: Path) -> str:
+    """Return what the parser makes of a Python file, without docstrings; the text itself where it can't be parsed."""
+    text = path.read_text(encoding="utf-8")
+    try:
+        tree = ast.parse(text)
+    except SyntaxError:
+        return text
+    for node in ast.walk(tree):
+        body = getattr(node, "body", None)
+        if isinstance(body, list):
+            # A string that is a statement is a docstring, of a module, class, function or attribute.
+            node.body = [part for part in body if not _is_string(part)]  # type: ignore[attr-defined]
+    return ast.dump(tree)
+
+
+def _is_string(node: ast.AST) -> bool:
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
 
 
 def pytest_report_header(config: pytest.Config) -> str:

@@ -86,9 +86,11 @@ def test_draws_of_code_change_with_the_code_alone(project: Path, repository: Pat
     first, said = drawn(project, repository, "--draws", "code")
     (project / ".hidden").mkdir()
     (project / ".hidden" / "more.py").write_text("MORE = 1\n")
+    local = project / "local.py"
+    local.write_text('"""Numbers."""\n' + local.read_text() + '"""More of a docstring."""  # and a comment\n')
     again, said_again = drawn(project, repository, "--draws", "code", "-p", "local")
     assert (again, seed_in(said_again)) == (first, seed_in(said))
-    (project / "local.py").write_text("NUMBERS = []\n")
+    local.write_text("NUMBERS = []\n")
     changed, said_then = drawn(project, repository, "--draws", "code")
     assert changed != first
     assert seed_in(said_then) != seed_in(said)
