@@ -148,22 +148,13 @@ _QUERIES: Final = (
     ),
     NamedQuery(
         "funnel",
-        "for each cell: episodes wanted, drawn and placed",
+        "for each source, category and cell: episodes wanted, candidates drawn, rejected and placed, episodes missing",
         """
-        SELECT source, cell, count(*) AS scenes, sum(wanted)::BIGINT AS wanted, sum(candidates)::BIGINT AS candidates,
-               sum(rejected)::BIGINT AS rejected, sum(placed)::BIGINT AS placed,
-               sum(greatest(wanted - placed, 0))::BIGINT AS short
-        FROM funnel GROUP BY source, cell ORDER BY ALL
-        """,
-    ),
-    NamedQuery(
-        "funnel",
-        "for each category and cell: episodes wanted, candidates drawn, placed and rejected",
-        """
-        SELECT category, cell, sum(wanted)::BIGINT AS wanted, sum(candidates)::BIGINT AS candidates,
-               sum(placed)::BIGINT AS placed, sum(rejected)::BIGINT AS rejected,
-               round(sum(placed) / nullif(sum(candidates), 0), 3) AS share_placed
-        FROM funnel GROUP BY category, cell ORDER BY category, cell
+        SELECT source, category, cell, count(*) AS scenes, sum(wanted)::BIGINT AS wanted,
+               sum(candidates)::BIGINT AS candidates, sum(rejected)::BIGINT AS rejected,
+               sum(placed)::BIGINT AS placed, round(sum(placed) / nullif(sum(candidates), 0), 3) AS share_placed,
+               sum(greatest(wanted - placed, 0))::BIGINT AS missing
+        FROM funnel GROUP BY source, category, cell ORDER BY source, category, cell
         """,
     ),
     NamedQuery(

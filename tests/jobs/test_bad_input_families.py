@@ -50,7 +50,7 @@ def deep(path: Path, root: Path) -> str:
 def deep_line(path: Path, root: Path) -> str:
     """Before a line that is sound."""
     path.write_bytes(b'{"objects": ' + DEEP + b"}\n" + path.read_bytes())
-    return "lines.jsonl#0: nested 10001 levels deep"
+    return "lines.jsonl#0: the document is nested 10001 levels deep"
 
 
 def leaving(path: Path, root: Path) -> str:

@@ -86,13 +86,23 @@ def cut(row: Row, scene: Scene) -> Iterator[tuple[str, Scene]]:
         yield "a piece of one object", replace(scene, rooms=rooms, objects=(*others, item, rest))
 
 
+def denies_near(row: Row) -> bool:
+    """Whether a text says that nothing of a label is near something: few do, and each is tried."""
+    conditions = row.manifest.program.conditions
+    return any(
+        c.qualifier is not None and c.qualifier.predicate == "near" for c in conditions if not (c.truth or c.definite)
+    )
+
+
 def check(made_export, every: int) -> None:
     tried: Counter[str] = Counter()
     missed: Counter[str] = Counter()
     for run in made_export.runs:
         scene = made_export.scenes[run.scene_id]
         shapes = Shapes(scene.root)
-        for row in run.rows[::every]:
+        for number, row in enumerate(run.rows):
+            if number % every and not denies_near(row):
+                continue
             assert not problems(row, scene, made_export, shapes)
             for kind, mutant in nameless(row, scene):
                 tried[kind] += 1
