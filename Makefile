@@ -4,8 +4,8 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 OUT    ?= out/demo
 WORKERS ?= 2
-# code: new examples after each change of the code; fresh: new ones in each run; or the seed that a run printed
-DRAWS  ?= code
+# the seed of soak's examples: another number for each release; fresh: new ones in each run
+DRAWS  ?= 20261122
 
 .PHONY: help setup demo test soak agents lint bench docs
 

@@ -1,18 +1,13 @@
-"""The examples that Hypothesis draws: always the same, new ones after each change of the code, or fresh ones.
+"""What Hypothesis draws: the same examples for everyone, or fresh ones that can be drawn again.
 
-``--draws fixed`` (the default) depends on the test alone. ``--draws code`` takes its seed from the project's Python
-files: each change of the code is tried on new examples, and two runs of one state of it have the same outcome.
-``--draws fresh`` picks a seed and prints it, ``--draws SEED`` draws those examples again. ``--rounds N`` runs each
-property test N times, with N seeds in a row.
+``--draws fixed`` (the default) depends on the test alone. ``--draws fresh`` picks a seed and prints it, ``--draws
+SEED`` draws those examples again. ``--rounds N`` runs each property test N times, with N seeds in a row.
 """
 
 from __future__ import annotations
 
-import ast
 import hashlib
-import os
 import secrets
-from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, Phase, Verbosity, core, settings
@@ -20,7 +15,6 @@ from hypothesis.internal.conjecture import providers
 
 FIXED = "fixed"
 FRESH = "fresh"
-CODE = "code"
 SEED_BITS = 32
 
 ROUND = "draw_round"
@@ -57,7 +51,7 @@ providers._get_local_constants = lambda: _NO_CONSTANTS
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("draws")
-    group.addoption("--draws", default=FIXED, help="fixed (default), code, fresh, or a seed")
+    group.addoption("--draws", default=FIXED, help="fixed (default), fresh, or the seed of an earlier fresh run")
     group.addoption("--rounds", type=int, default=1, help="run each property test so many times, a seed each")
 
 
@@ -66,44 +60,12 @@ def pytest_configure(config: pytest.Config) -> None:
     if chosen == FRESH:
         # The processes of pytest-xdist get the options as they are now.
         chosen = config.option.draws = str(secrets.randbits(SEED_BITS))
-    if chosen == CODE:
-        chosen = config.option.draws = str(seed_of(config.rootpath))
     if chosen != FIXED:
         if not chosen.isdecimal():
-            raise pytest.UsageError(f"--draws is fixed, code, fresh or a whole number, not {chosen!r}")
+            raise pytest.UsageError(f"--draws is fixed, fresh or a whole number, not {chosen!r}")
         settings.load_profile(FRESH)
     if config.option.rounds < 1 or (config.option.rounds > 1 and chosen == FIXED):
-        raise pytest.UsageError("--rounds is a number from 1; more than one needs --draws code, fresh or a seed")
-
-
-def seed_of(root: Path) -> int:
-    """Return the seed of the Python code below a folder, without comments, docstrings, hidden folders and ``out``."""
-    digest = hashlib.sha256()
-    for folder, below, files in os.walk(root):
-        below[:] = sorted(name for name in below if not name.startswith(".") and name != "out")
-        for path in sorted(Path(folder, name) for name in files if name.endswith(".py")):
-            for part in (path.relative_to(root).as_posix(), _code_of(path)):
-                digest.update(hashlib.sha256(part.encode()).digest())
-    return int.from_bytes(digest.digest()[: SEED_BITS // 8], "big")
-
-
-def _code_of(path: Path) -> str:
-    """Return what the parser makes of a Python file, without docstrings; the text itself where it can't be parsed."""
-    text = path.read_text(encoding="utf-8")
-    try:
-        tree = ast.parse(text)
-    except SyntaxError:
-        return text
-    for node in ast.walk(tree):
-        body = getattr(node, "body", None)
-        if isinstance(body, list):
-            # A string that is a statement is a docstring, of a module, class, function or attribute.
-            node.body = [part for part in body if not _is_string(part)]  # type: ignore[attr-defined]
-    return ast.dump(tree)
-
-
-def _is_string(node: ast.AST) -> bool:
-    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+        raise pytest.UsageError("--rounds is a number from 1; more than one needs --draws fresh or a seed")
 
 
 def pytest_report_header(config: pytest.Config) -> str:

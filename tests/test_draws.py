@@ -82,20 +82,6 @@ def test_fresh_draws_differ_and_can_be_repeated(project: Path, repository: Path)
     assert sorted(drawn(project, repository, "--draws", seed, "-n", "2")[0].splitlines()) == sorted(first.splitlines())
 
 
-def test_draws_of_code_change_with_the_code_alone(project: Path, repository: Path) -> None:
-    first, said = drawn(project, repository, "--draws", "code")
-    (project / ".hidden").mkdir()
-    (project / ".hidden" / "more.py").write_text("MORE = 1\n")
-    local = project / "local.py"
-    local.write_text('"""Numbers."""\n' + local.read_text() + '"""More of a docstring."""  # and a comment\n')
-    again, said_again = drawn(project, repository, "--draws", "code", "-p", "local")
-    assert (again, seed_in(said_again)) == (first, seed_in(said))
-    local.write_text("NUMBERS = []\n")
-    changed, said_then = drawn(project, repository, "--draws", "code")
-    assert changed != first
-    assert seed_in(said_then) != seed_in(said)
-
-
 def test_each_round_has_a_seed_of_its_own(project: Path, repository: Path) -> None:
     rounds, said = drawn(project, repository, "--draws", "7", "--rounds", "3")
     assert "9 passed" in said
