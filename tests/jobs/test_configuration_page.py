@@ -197,6 +197,8 @@ RARE = {
     "thresholds.in_share_true",
     "thresholds.between_off_true",
     "thresholds.size_ratio",
+    "thresholds.held_footprint",
+    "thresholds.held_inside",
 }
 """Keys that decide about too few pairs of things in made scenes: they are tried in rooms full of such pairs."""
 
@@ -299,7 +301,7 @@ def test_a_rare_key_changes_what_is_true(stock, path: str) -> None:
             facts = text_facts(relate_room(RoomArrays.of("room", objects, 0.0), thresholds), thresholds)
             alike = np.array([[a.label == b.label and a is not b for b in objects] for a in objects])
             pairs = np.array(list(combinations(range(len(objects)), 2)))
-            found += [facts.status[p].tolist() for p in ("on", "under", "in", "higher than", "lower than")]
+            found += [facts.status[p].tolist() for p in ("on", "under", "in", "near", "higher than", "lower than")]
             found += [facts.between(pairs)[0].tolist(), facts.sizes(alike)["bigger"].tolist()]
         return found
 
