@@ -58,12 +58,13 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def register_warm_up(name: str, run: Callable[[], object]) -> None:
-    """Register ``run``, a small call that compiles the kernels called ``name``, for :func:`warm_up`."""
+    """Register ``run`` under ``name`` for :func:`warm_up`. It is a small call that compiles the kernels so named."""
     _warm_ups[name] = run
 
 
 def warm_up(report: Notify | None = None, only: Collection[str] | None = None) -> None:
-    """Compile all registered kernels now, or only the named groups, or load them from the cache.
+    """Compile all registered kernels now, or only the groups named in `only`. Kernels that are in the cache are loaded
+    from it.
 
     Call it before timing or before starting workers, which then find the code in the shared cache. ``report`` gets one
     line per group.
@@ -134,8 +135,8 @@ def _numba_cache_in(folder: Path | None) -> Iterator[None]:
 
 @cache
 def _cache_folder(kernels: Path, package: str) -> Path | None:
-    """Return the cache folder of the kernels in folder ``kernels``, named after their content; None if no folder is
-    writable.
+    """Return the cache folder of the kernels in folder ``kernels``; its name depends on their content. None if no
+    folder is writable.
     """
     digest = hashlib.sha256()
     for file in sorted(kernels.glob("*.py")):

@@ -1,4 +1,4 @@
-"""A tolerant reader of other people's conditional texts: the condition, and what to do in either case.
+"""Read other people's conditional texts tolerantly: find the condition, and what to do if it is true or false.
 
 English and Spanish. It reads "if …, …; otherwise, …", the same with "then", "… if …, otherwise …" and "check if ….
 If so, … . If not, …". A text with several conditions counts as conditional but is not split.
@@ -62,7 +62,7 @@ def is_conditional(text: str) -> bool:
 
 
 def read_clauses(text: str) -> Clauses | None:
-    """Return the parts of a text with exactly one condition; None if there are none or several, or they can't be
+    """Return the parts of a text with exactly one condition; None if the text has no condition or several, or can't be
     split.
     """
     low = " ".join(text.lower().split())
@@ -83,7 +83,7 @@ def read_clauses(text: str) -> Clauses | None:
 
 
 def motion(clause: str, clauses: Clauses) -> Motion:
-    """Return where a clause of a text ends."""
+    """Return how far a clause of a text leads: the walker stays, walks or changes floor."""
     if _NO_MOVE.search(clause) or _BACK.search(clause) or _returns(clause, clauses.start):
         return "stays"
     ahead = _WALK.search(_START.sub("", clauses.before))  # the shared beginning leads away from the start

@@ -96,7 +96,7 @@ def _episodes(item: JsonNode) -> Iterator[ForeignEpisode]:
 
 
 def _path(value: dict[str, Any]) -> tuple[float | None, float | None]:
-    """Return displacement and rise of an item's path in metres, None if it has none."""
+    """Return the displacement and the rise of an item's path in metres; each is None if it is unknown."""
     points = value.get("reference_path")
     goals = value.get("goals")
     start = value.get("start_position")
@@ -130,5 +130,7 @@ def _is_point(value: Any) -> bool:
 
 
 def _is_metres(value: Any) -> bool:
-    """A number of metres in a building; comparing refuses NaN, and whole numbers that no float holds."""
+    """Return whether a value is a number of at most MAX_COORDINATE. The comparison also refuses NaN, and whole numbers
+    too large for a float.
+    """
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= MAX_COORDINATE

@@ -66,7 +66,7 @@ class FileCounts:
 
 @dataclass(frozen=True)
 class ForeignReport:
-    """The counts of texts by path of the file, and the results of all tests on all files."""
+    """The counts of texts in each file, by the file's path, and the results of all tests on all files."""
 
     files: Mapping[str, FileCounts]
     bias: BiasReport
@@ -137,7 +137,7 @@ def _questions(episodes: Iterable[ForeignEpisode]) -> tuple[FileCounts, dict[str
 
 
 def _ends(clauses: Clauses | None) -> tuple[Motion, ...]:
-    """Return where the two clauses end; empty if the text does not have two clauses."""
+    """Return how far each of the two clauses leads, see `motion`; empty if the text does not have two clauses."""
     if clauses is None or not clauses.otherwise:
         return ()
     return motion(clauses.then, clauses), motion(clauses.otherwise, clauses)
@@ -201,7 +201,7 @@ def _majority(views: Sequence[_View]) -> Guesses:
 
 
 def _stays(view: _View) -> int:
-    """Return the clause that ends at the start, else the first."""
+    """Return the index of the clause that ends at the start, or 0, the first clause, if there is none."""
     ends = _ends(view.clauses)
     return ends.index("stays") if "stays" in ends else 0
 

@@ -92,7 +92,7 @@ class _Sample:
         self._cells: dict[tuple[str, str], list[tuple[int, str, GuesserView]]] = {}
 
     def add(self, view: GuesserView) -> None:
-        """Add one episode."""
+        """Add one episode to the sample."""
         counts = self.gold.setdefault((view.source, view.category), [0] * len(view.leaves))
         counts[view.gold] += 1
         rank = _rank(view.episode_hash)
@@ -152,7 +152,7 @@ def _findings(views: Sequence[GuesserView]) -> Iterator[Finding]:
 
 
 def _guesses(views: Sequence[GuesserView], source: NDArray[np.str_]) -> dict[str, NDArray[np.int64]]:
-    """Return the guessed leaf of each episode by guesser name; a learner learns from one source only."""
+    """Return the guessed leaf of each episode by guesser name. A learner learns and guesses each source separately."""
     found = {name: np.array([guesser(g) for g in views], dtype=np.int64) for name, guesser in FIXED.items()}
     for name, learner in LEARNED.items():
         found[name] = np.full(len(views), NO_GUESS, dtype=np.int64)
@@ -177,7 +177,7 @@ def _parts(
     asked: Mapping[str, NDArray[np.bool_]],
     guessed: NDArray[np.bool_],
 ) -> Iterator[tuple[str, str, str, NDArray[np.int64]]]:
-    """Yield each part to test as (source, category, predicate, indices of its episodes).
+    """Yield each part of the episodes to test, as (source, category, predicate, indices of the part's episodes).
 
     The parts are: all episodes, each source, each category of a source, and each predicate overall and within a source.
     The text states the predicates, so chance level is unchanged among the episodes that use one.

@@ -135,8 +135,8 @@ def majority_leaf(views: Sequence[GuesserView]) -> Guesses:
 
 
 def _prior(key: Callable[[Asked], tuple[str, ...]]) -> Learner:
-    """Return a learner that picks the leaf whose conditions' truths are likeliest, given how often such statements were
-    true.
+    """Return a learner that picks the leaf whose conditions' truths are likeliest. They are rated by how often
+    statements with the same `key` were true.
 
     `key` maps a condition to the statement that is counted. A condition's position in the tree alone changes how often
     it is true, so the estimate uses the ratio of observed to expected counts.
@@ -178,8 +178,8 @@ def _likeliest(
 
 
 def _in_layout(learner: Learner) -> Learner:
-    """Return a learner that is applied to each layout separately: it learns from and guesses variants of one layout
-    only.
+    """Return a learner that applies `learner` to each layout separately, so that it learns only from episodes of the
+    layout that it guesses.
     """
 
     def guesser(views: Sequence[GuesserView]) -> Guesses:
@@ -283,7 +283,7 @@ def _form(view: GuesserView) -> Iterator[str]:
 
 
 def _voice(view: GuesserView) -> Iterator[str]:
-    """Yield features of the phrasing: which connecting words a text has, how often, and its first three."""
+    """Yield features of the phrasing: which connecting words a text has, how often, and which three come first."""
     phrases = _voice_words()
     said = [word for word in _words(view) if word in phrases]
     yield from (f"{word} {min(count, MOST_TIMES)} times" for word, count in Counter(said).items())
@@ -380,7 +380,9 @@ def blocks(scenes: Sequence[str], count: int = BLOCKS) -> list[Indices]:
 
 
 def progressive(scenes: Sequence[str], count: int = BLOCKS) -> Iterator[tuple[Indices, Indices]]:
-    """Yield (indices to learn from, indices to guess): each block after the first, and all blocks before it."""
+    """For each block of episodes after the first, yield the indices to learn from, which are those of all earlier
+    blocks, and the indices to guess, which are those of the block.
+    """
     parts = blocks(scenes, count)
     for k in range(1, len(parts)):
         yield np.concatenate(parts[:k]), parts[k]

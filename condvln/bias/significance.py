@@ -24,7 +24,8 @@ Bools = NDArray[np.bool_]
 
 
 def binomial_tail(hits: int, trials: Mapping[float, int]) -> float:
-    """Return P(at least `hits` right), where each of the `trials[p]` guesses is right with probability p.
+    """Return the probability that at least `hits` guesses are right. `trials` has, by probability p, the number of
+    guesses that are right with probability p.
 
     For several values of p the distributions are convolved; the error is below 1e-12.
     """
@@ -40,7 +41,8 @@ def binomial_tail(hits: int, trials: Mapping[float, int]) -> float:
 
 
 def p_by_scenes(excess: F64, scenes: NDArray[np.int64]) -> float:
-    """Return the one-sided p-value that the scenes' sums of `excess` are above 0 (t-test over scenes).
+    """Return the one-sided p-value of a t-test over scenes. Its alternative hypothesis is that the scenes' sums of
+    `excess` are above 0 on average.
 
     excess : right − chance of each episode
 
@@ -80,8 +82,8 @@ def p_uniform(counts: Sequence[int]) -> float:
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
-    """Return the p-values after Holm's correction (1979), in the same order: the family-wise error of all below α is
-    at most α.
+    """Return the p-values after Holm's correction (1979), in the same order. Rejecting all hypotheses whose corrected
+    p-value is below α keeps the family-wise error at most α.
     """
     order = np.argsort(p_values, kind="stable")
     corrected = np.empty(len(order))

@@ -94,7 +94,8 @@ def candidates_from_table(table: pa.Table, cells: Iterable[InstructionCell]) -> 
 
 
 def unplaced_programs(candidates: Iterable[Candidate]) -> list[str]:
-    """Return the ids of the first programs of each cell, in order, up to the wanted number.
+    """Return the ids of the programs to keep where none can be placed: the first ones of each cell, up to the cell's
+    wanted number.
 
     As in a pool of episodes, no gold index gets more than its equal share of a cell. Without a navmesh there are
     neither starts, views nor routes, so a cell's limits on observability, routes and shared starts are ignored.

@@ -94,7 +94,7 @@ class Facings:
         return Headings(possible & fit.any(axis=1), headings, fit)
 
     def _all(self, claims: set[Claim], headings: F64) -> Bools:
-        """Return (s, h): whether all claims hold in each pose."""
+        """Return whether all `claims` hold in each pose, (s, h) bool, for s positions and h `headings`."""
         fit = np.ones((len(self._places), len(headings)), dtype=bool)
         for name, direction, truth in sorted(claims):
             seen = self._sighting(name)
@@ -115,8 +115,8 @@ class Facings:
         return found
 
     def _of_stops(self, program: Program) -> list[Claim]:
-        """Return the claims of egocentric stops: the stop's object lies in its direction, other objects that its label
-        might mean do not.
+        """Return the claims that a program's egocentric stops make: the object of the stop lies in the stated
+        direction, and no other object that its label might mean does.
         """
         found: list[Claim] = []
         for leaf in program.leaves:
@@ -134,7 +134,7 @@ class Facings:
 
     @cached_property
     def _in_room(self) -> Mapping[str, Bools]:
-        """By room id, a mask (s,) of the positions strictly inside that room and in no other room."""
+        """Return, by room id, a mask (s,) of the positions that are strictly inside that room and in no other room."""
         inside = {room.room_id: np.ones(len(self._places), dtype=bool) for room in self._scene.rooms}
         held = dict(inside)
         x, z = self._places[:, 0], self._places[:, 2]

@@ -24,7 +24,8 @@ ROUNDING: Final = 1e-6
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Footprint:
-    """A rectangle in the XZ plane: center (2,) as (x, z); half extents (2,); axes (2, 2), one unit axis a row. Metres.
+    """A rectangle in the XZ plane, in metres: `center` (2,) as (x, z), half extents `half` (2,), and `axes` (2, 2),
+    whose rows are unit vectors.
 
     parts : the rectangles of a footprint that is not a single one; center, half and axes are then those of the largest
     """
@@ -36,8 +37,8 @@ class Footprint:
 
     @classmethod
     def of(cls, item: SceneObject) -> Footprint | None:
-        """Return the footprint of `item`: from its parts, else its upright oriented box, else its AABB; None without
-        extent.
+        """Return the footprint of `item`, made from its parts, else from its upright oriented box, else from its AABB;
+        None if it has no extent.
         """
         own = [cls._upright(part) for part in item.parts]
         parts = tuple(part for part in own if part is not None)
@@ -107,8 +108,8 @@ class Footprint:
         return np.asarray(self.center + np.concatenate(points) @ self.axes, dtype=np.float64)
 
     def crossed_by(self, starts: F64, ends: F64) -> NDArray[np.bool_]:
-        """Return which horizontal segments (n, 3)-(n, 3) cross the footprint's interior; touching its edge does not
-        count.
+        """Return whether each of n horizontal segments crosses the footprint's interior, (n,) bool. `starts` and `ends`
+        are (n, 3); touching the edge does not count.
         """
         crossed: NDArray[np.bool_] = Footprints([self]).crossings(starts, ends)[0]
         return crossed
@@ -135,8 +136,8 @@ class Footprints:
         return len(self._center) > 0 and passes_through(path, *self._boxes)
 
     def crossings(self, starts: F64, ends: F64) -> NDArray[np.bool_]:
-        """Return (m, n): whether each horizontal segment (n, 3)-(n, 3) crosses the interior of each of the m
-        footprints.
+        """Return whether each of n horizontal segments crosses the interior of each of the m footprints, (m, n) bool.
+        `starts` and `ends` are (n, 3).
         """
         a = (starts[None][:, :, [0, 2]] - self._center) @ self._axes
         d = (ends[None][:, :, [0, 2]] - self._center) @ self._axes - a

@@ -44,7 +44,9 @@ def wide_islands(pathfinder: PathfinderProtocol, places: PlacesConfig) -> tuple[
 
 
 def is_standable(pathfinder: PathfinderProtocol, points: F64, places: PlacesConfig) -> NDArray[np.bool_]:
-    """Return which points (n, 3), already rounded to 1 mm, lie on an island that is wide enough."""
+    """Return whether each of `points` (n, 3) lies on an island that is wide enough, (n,) bool. The points must already
+    be rounded to 1 mm.
+    """
     snapped = pathfinder.snap_points(points)
     near = np.hypot(*(snapped - points)[:, [0, 2]].T) <= SNAP_TOLERANCE
     level = np.abs(snapped[:, 1] - points[:, 1]) <= SNAP_TOLERANCE
@@ -82,7 +84,9 @@ def blocked_footprints(
 
 
 def _stands_low(item: SceneObject, pathfinder: PathfinderProtocol) -> bool:
-    """Return whether the floor nearest to the object's bottom is less than FLOOR_STANDING below it."""
+    """Return whether an object stands on the floor: its bottom is less than FLOOR_STANDING above the floor nearest to
+    it.
+    """
     assert item.aabb is not None
     bottom = np.array([[item.center[0], item.aabb[0][1], item.center[2]]])
     snapped = pathfinder.snap_points(bottom)
@@ -135,16 +139,16 @@ def goal_points(
 
 
 def near_rings(rules: GoalsConfig) -> tuple[float, ...]:
-    """Return the offsets in metres of the rings within reach: evenly spaced, the last one 4 % short of the reach, since
-    snapping moves candidates a little.
+    """Return the offsets in metres of the rings within reach. They are evenly spaced; the last one is 4 % short of the
+    reach, since snapping moves candidates a little.
     """
     count = math.ceil(rules.reach / RING_GAP)
     return tuple(round(0.96 * rules.reach * (k + 1) / count, 6) for k in range(count))
 
 
 def far_rings(rules: GoalsConfig) -> tuple[float, ...]:
-    """Return the offsets in metres of the rings beyond reach: from 20 to 80 % of the way to the largest allowed
-    offset.
+    """Return the offsets in metres of the rings beyond reach. They lie between 20 and 80 % of the way from the reach to
+    the largest allowed offset.
     """
     span = rules.reach_at_most - rules.reach
     count = math.ceil(span / FAR_RING_GAP)
@@ -201,7 +205,7 @@ def _standing_places(
 
 
 def _seeing(points: F64, item: SceneObject, view: SceneView, places: PlacesConfig) -> NDArray[np.bool_]:
-    """Return from which points (n, 3) some part of the object is visible."""
+    """Return whether some part of the object is visible from each of the `points` (n, 3), (n,) bool."""
     seen = np.zeros(len(points), dtype=bool)
     for height in (places.eye_height, LOW_EYE):
         left = np.flatnonzero(~seen)
@@ -211,8 +215,8 @@ def _seeing(points: F64, item: SceneObject, view: SceneView, places: PlacesConfi
 
 
 def _spread(points: F64, box: Footprint, count: int) -> F64:
-    """Return up to `count` points: the first, then repeatedly the one farthest from those chosen (nearer to the box
-    on ties).
+    """Return up to `count` of `points`, spread out and sorted by distance to `box`. The first point is always chosen,
+    then repeatedly the point farthest from those already chosen (the earliest on ties).
     """
     taken = [0]
     gap = np.linalg.norm(points - points[0], axis=1)

@@ -60,8 +60,8 @@ class NotOnGraph(Exception):
 
 @dataclass(frozen=True, slots=True)
 class GraphLeaf:
-    """One leaf as if it were gold: viewpoints of its stops, viewpoints of the path from the start, length along the
-    graph.
+    """One leaf, computed as if it were gold: the viewpoints of its stops, the viewpoints of its path from the start,
+    and its lengths along the graph.
     """
 
     stops: tuple[str, ...]
@@ -170,8 +170,8 @@ class GraphPlacer:
         return np.asarray(level & inside, dtype=np.bool_)
 
     def _around(self, room: Room, own: Mapping[str, NDArray[np.bool_]]) -> NDArray[np.bool_]:
-        """Return which viewpoints belong to rooms that adjoin `room`; `own` are the viewpoints inside each room, by
-        room id.
+        """Return a mask of the viewpoints in rooms that adjoin `room`. `own` has, by room id, the mask of the
+        viewpoints inside that room.
         """
         found = np.zeros(len(self._places), dtype=np.bool_)
         if room.polygon is None:
@@ -184,7 +184,7 @@ class GraphPlacer:
 
 
 def viewpoint_stops(scene: Scene, graph: GraphPathfinder) -> Stops:
-    """Return the objects that have a viewpoint and which pairs of them are far enough apart, for the program sampler.
+    """Return, for the program sampler, the objects that have a viewpoint, and which pairs of them are far enough apart.
 
     Two objects are far enough apart if the distance between their viewpoints is at least R2R's success distance. The
     sampler then draws no program that `GraphPlacer` would have to reject for its objects.

@@ -35,7 +35,7 @@ def content_hash(scene_id: str, instruction_id: str, start: NDArray[np.float64],
 
 
 def numeric_id(episode_hash: str) -> int:
-    """Return the integer id of an episode: the first `ID_BITS` bits of a hash of its hash."""
+    """Return the integer id of an episode: the first `ID_BITS` bits of the SHA-256 of `episode_hash`."""
     return int.from_bytes(hashlib.sha256(episode_hash.encode()).digest()[:8], "big") >> (64 - ID_BITS)
 
 

@@ -20,12 +20,14 @@ __all__ = ["allowed_share", "most_leaves", "over_share"]
 
 
 def allowed_share(label_cap: float, labels: int) -> float:
-    """Return the largest share of leaves that a label may have when there are `labels` labels."""
+    """Return the maximum share of leaves that one label may have, if `labels` labels occur."""
     return max(label_cap, FEW_LABELS_SLACK / max(1, labels))
 
 
 def most_leaves(share: float, leaves: int) -> int:
-    """Return how many of `leaves` leaves one label may have; rounded up, so that small sets are not dropped."""
+    """Return the maximum number of ``leaves`` leaves that one label may have. It is rounded up, so that small sets are
+    not dropped.
+    """
     return math.ceil(share * leaves)
 
 

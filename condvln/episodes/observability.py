@@ -48,7 +48,9 @@ _Needs = tuple[frozenset[_Target], ...]
 
 @dataclass(frozen=True, slots=True)
 class ConditionEvidence:
-    """Where the evidence for one condition is visible; `in_view` : in the first view, without turning."""
+    """Where the evidence for one condition is visible. `in_view` tells whether all of it is in the first view, without
+    turning.
+    """
 
     condition: int
     observability: Observability
@@ -73,11 +75,11 @@ class Observation:
 
     @property
     def in_view(self) -> bool:
-        """Whether an agent sees all evidence without turning."""
+        """Whether an agent sees all evidence in its first view, without turning."""
         return all(e.in_view for e in self.evidence)
 
     def fits(self, asked: str) -> bool:
-        """Return whether this observation matches the level `asked` by a cell; O0f stands for O0 with all evidence in
+        """Return whether this observation has the level `asked` by a cell. The level O0f means O0 with all evidence in
         the first view.
         """
         return self.in_view if asked == FIRST_VIEW else self.observability == asked
@@ -194,8 +196,8 @@ class Observer:
             self._seen.update({(name, key): row for key, row in zip(places_of, seen, strict=True)})
 
     def _known(self, ways: _Needs, eyes: F64, yaw: float | None = None) -> bool:
-        """Return whether all evidence of one of the `ways` to know a condition's truth is visible from some of the
-        `eyes`; with a `yaw`, only in the view straight ahead.
+        """Return whether, for at least one of the `ways` to know a condition's truth, all its evidence is visible from
+        the `eyes`. With a `yaw`, only the view straight ahead counts.
         """
         return any(all(self._is_seen(name, eyes, yaw) for name in way) for way in ways)
 

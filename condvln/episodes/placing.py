@@ -62,7 +62,7 @@ class Rejected(Exception):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PlacedLeaf:
-    """One leaf as if it were gold: goals, route, geodesic distance and ground-truth walk.
+    """One leaf, computed as if it were gold: its goals, route, geodesic distance and ground-truth walk.
 
     goals : (k, 3) metres, the one nearest to the start first; the route ends at one of them
     The distance is the geodesic from start to goal as Habitat measures it; the walk is that of a map-aware follower.
@@ -126,7 +126,7 @@ def heading_degrees(yaw: float) -> float:
 
 
 def reachable_stops(pathfinder: Pathfinder, field: GoalField, separation: float) -> Stops:
-    """Return which objects have goal points and which pairs are far enough apart, for the program sampler.
+    """Return, for the program sampler, which objects have goal points, and which pairs of them are far enough apart.
 
     separation : least geodesic distance in metres between goals of two leaves
     """
@@ -139,8 +139,8 @@ def reachable_stops(pathfinder: Pathfinder, field: GoalField, separation: float)
 
 
 class Placer:
-    """Places programs in one scene; a pure function of (scene, navmesh, goals, rules, seed), whatever the order of
-    calls.
+    """Places programs in one scene. The result depends only on scene, navmesh, goals, rules and seed, not on the order
+    of calls.
 
     Parameters
     ----------
@@ -178,8 +178,8 @@ class Placer:
 
     @cached_property
     def starts(self) -> F64:
-        """The start positions (s, 3) to try: seeded, on a wide island, on the floor, outside all objects that stand
-        there.
+        """The start positions (s, 3) to try, drawn by the seed. They are on a wide island, on the floor, and outside
+        all objects that stand there.
         """
         islands = wide_islands(self.pathfinder, self.places)
         if not islands:
@@ -211,8 +211,8 @@ class Placer:
         return self.places.leaf_separation(self.scene.single_room)
 
     def gap(self, one: str, other: str) -> float:
-        """Return the least geodesic distance between two objects' goal points; the leaf separation if they are
-        farther apart.
+        """Return the least geodesic distance in metres between the goal points of two objects, capped at the leaf
+        separation.
         """
         order = self._order
         return float(self._gaps[order[one], order[other]])
@@ -299,7 +299,9 @@ class Placer:
         raise Rejected(max(sorted(failures), key=lambda reason: failures[reason]))
 
     def _facing(self, programs: Sequence[Program], rng: np.random.Generator) -> Headings | None:
-        """Return the start poses that the egocentric statements allow; None if there are none."""
+        """Return the start poses that the egocentric statements of `programs` allow; None if there are no such
+        statements.
+        """
         if all(program.start_room is None for program in programs):
             return None
         return self._facings.headings(programs, float(rng.uniform(0.0, 360.0 / HEADINGS)))

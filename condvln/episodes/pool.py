@@ -172,8 +172,8 @@ class _Filling:
         self._seen: set[Program] = set()
 
     def fill(self, tries: Sequence[_Try], most_of_label: int) -> None:
-        """Place candidates in order; then, where a cell is short, place the candidates that were postponed for their
-        number of moves.
+        """Place candidates in order. Then, where a cell is still short, place the candidates that were postponed for
+        their number of moves.
         """
         for one in tries:
             one.refused = self._turned_away(one, most_of_label) or self._over_its_moves(one) or self._unplaceable(one)
@@ -227,7 +227,9 @@ class _Filling:
         return pool
 
     def _turned_away(self, one: _Try, most_of_label: int) -> str | None:
-        """Return the quota that is full for these candidates, as a reason, or None; this may change later."""
+        """Return the reason why the candidates `one` are not wanted now, or None. A quota is full, or one of the
+        programs is already placed; both may change later.
+        """
         cell = one.cell
         if any(member.program in self._seen for member in one.members):
             return "program_placed"
@@ -243,7 +245,9 @@ class _Filling:
         return None
 
     def _over_its_moves(self, one: _Try) -> str | None:
-        """Return `LATER` if the cell has enough leaves with as many moves as these candidates, else None."""
+        """Return `LATER` if the quota cell of the candidates `one` already has enough leaves with their number of
+        moves, else None.
+        """
         cell = one.cell
         if self._move_shares is None or cell is None or cell.moves is not None:
             return None
@@ -259,7 +263,9 @@ class _Filling:
         return LATER if over else None
 
     def _unplaceable(self, one: _Try) -> str | None:
-        """Return the reason why these candidates can't be placed from one start, or None; this is final."""
+        """Place the candidates `one` from one start, unless they are placed already. Return the reason if this is
+        impossible, else None; the reason is final.
+        """
         if one.placement is not None:
             return None
         first, cell = one.members[0], one.cell

@@ -87,11 +87,13 @@ class GoalField:
         return table
 
     def nearest(self, rows: F64, object_id: str) -> F64:
-        """Return the least distance (s,) of each of `rows` (s, P) to an object's goal points."""
+        """Return the least distance (s,) from each of s starts to any goal point of an object. `rows` (s, P) has the
+        distances from the starts to all P goal points.
+        """
         return np.asarray(rows[:, self._span[object_id]].min(axis=1), dtype=np.float64)
 
     def gaps(self, enough: float) -> F64:
-        """Return the least geodesic distances (n, n) between the goal points of each two objects, in the order of
+        """Return the least geodesic distances (n, n) between the goal points of every two objects, in the order of
         ``goals``.
 
         Both directions are computed: Detour's path from a to b may be up to 2 m longer than its path from b to a on
@@ -152,8 +154,8 @@ class GoalField:
         return Route(np.array(stops), np.concatenate(pieces), length)
 
     def route_lengths(self, rows: F64, moves: Sequence[str]) -> F64:
-        """Return the lengths (s,) in metres of the routes through `moves`, as `route` builds them, from each of
-        `rows` (s, P).
+        """Return the lengths (s,) in metres of the routes through `moves` from each of s starts, as `route` builds
+        them. `rows` (s, P) has the distances from the starts to all P goal points.
         """
         span = rows[:, self._span[moves[0]]]
         ends = np.argmin(span, axis=1)

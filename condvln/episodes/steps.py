@@ -43,8 +43,8 @@ __all__ = ["DrawnPrograms", "Walkable", "draw_programs", "look_around", "place_p
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Walkable:
-    """Where an agent can walk in a scene and what it can see from there; max_climb : largest step in metres it can
-    climb.
+    """Where an agent can walk in a scene and what it can see from there. `max_climb` is the height in metres of the
+    largest step that it can climb.
     """
 
     pathfinder: Pathfinder
@@ -66,8 +66,8 @@ class DrawnPrograms:
 
 
 def look_around(scene: Scene, walkable: Walkable, *, eye_height: float, island_radius: float) -> list[Visibility]:
-    """Compute which objects are visible from positions in their rooms where an agent can stand; eye_height,
-    island_radius in metres.
+    """Return which objects are visible from positions in their rooms where an agent can stand. `eye_height` and
+    `island_radius` are in metres.
     """
     islands = wide_islands(walkable.pathfinder, PlacesConfig(island_radius=island_radius))
     obstacles = blocked_footprints(scene, walkable.pathfinder, walkable.max_climb)
@@ -140,7 +140,8 @@ def draw_programs(
 def _placeable(
     candidates: list[Candidate], placer: GraphPlacer
 ) -> tuple[list[Candidate], Counter[tuple[InstructionCell | None, str]]]:
-    """Return the candidates that can be placed on the viewpoints, and the rejections; groups are kept or dropped whole.
+    """Return the candidates that can be placed on the viewpoints, and the numbers of rejections by cell and reason.
+    Counterfactual groups are kept or dropped whole.
 
     Every leaf is checked as if it were gold, so that the selection is independent of the truth.
     """
@@ -160,7 +161,7 @@ def _placeable(
 
 
 def _filled(candidates: list[Candidate], others: list[Candidate]) -> list[Candidate]:
-    """Return `candidates`, filled up from `others` for cells that are short.
+    """Return `candidates`, filled up from `others` for those cells that have too few.
 
     At most one other is added per two candidates, so that most published instructions have an episode.
     """
@@ -224,8 +225,8 @@ def published_texts(
     wording: WordingConfig,
     seed: int,
 ) -> tuple[dict[str, str], dict[int, str]]:
-    """Return the text of each program by instruction id, and of each episode (which may begin with the heading) by
-    episode id.
+    """Return two mappings: the text of each program by instruction id, and the text of each episode by episode id. The
+    text of an episode may begin with its heading.
 
     placements : rows of PLACEMENTS
     """

@@ -100,11 +100,13 @@ class SceneView:
         return SightTarget(np.concatenate(samples), np.repeat(numbers, [len(points) for points in samples]))
 
     def seen(self, eyes: F64, target: SightTarget, view: View) -> Bools:
-        """Return (n, k): which samples of a target are visible from each of n eyes (n, 3), in any direction."""
+        """Return whether each of the k samples of a target is visible from each of the `eyes` (n, 3), (n, k) bool, in
+        any direction.
+        """
         return visible_points(self._occluders, eyes, target.samples, view, own=target.owners)
 
     def glimpsed(self, eyes: F64, object_id: str, view: View) -> Bools:
-        """Return (n,): from which of n eyes (n, 3) any sample of an object is visible.
+        """Return whether any sample point of an object is visible from each of the `eyes` (n, 3), (n,) bool.
 
         A few samples are tested first, since they decide most cases.
         """

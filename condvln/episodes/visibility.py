@@ -115,7 +115,9 @@ def _looked_for(item: SceneObject, eyes: F64, view: SceneView, target: SightTarg
 
 
 def visibility_table(scene: Scene, found: Iterable[Visibility] | None, words: Vocabulary = vocabulary) -> pa.Table:
-    """Return the rows of the visibility table; if `found` is None (no positions are known), all values are null."""
+    """Return the rows of the visibility table. If `found` is None, since no positions are known, the visibility values
+    are null.
+    """
     rows: list[dict[str, Any]]
     if found is None:
         unknown = dict.fromkeys(VISIBILITY.names)

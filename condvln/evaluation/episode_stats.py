@@ -1,5 +1,6 @@
-"""Read per-episode results of other evaluators: ``stats_<id>.json`` files, one object of results by episode id, or
-the lines that StreamVLN, JanusVLN and InternNav write, ``{"scene_id", "episode_id", "success", "spl", "os", "ne", …}``.
+"""Read per-episode results of other evaluators. They may be ``stats_<id>.json`` files, one object of results by episode
+id, or the lines that StreamVLN, JanusVLN and InternNav write, ``{"scene_id", "episode_id", "success", "spl", "os",
+"ne", …}``.
 
 They are aggregated into the same tables and intervals as our own scores. Their goals, budgets and success distances are
 those of the other evaluator (see docs/metrics.md before comparing). Numbers that are not finite count as undefined,
@@ -63,7 +64,7 @@ _HEAD: Final = 1 << 12
 
 
 class Judged(Protocol):
-    """What is needed of the episode that a result belongs to: a task, or an episode of a stock file."""
+    """The properties that are needed of a result's episode, which is a task or an episode of a stock file."""
 
     @property
     def episode_id(self) -> str: ...
@@ -213,7 +214,9 @@ def evaluation_of_stats(
 
 
 def _row(task: Judged, stats: Mapping[str, float] | None, told: Set[str]) -> dict[str, float]:
-    """Return the scores of one task; ``told`` : the measures that any of the results has."""
+    """Return the scores of one task; it counts as failed if ``stats`` is None. ``told`` has the measures that occur in
+    any of the results.
+    """
     branches = "bsa_all" in told or "csr_all" in told
     if stats is None:
         failed = dict.fromkeys(told - {"navigation_error", "steps", "collisions"}, 0.0)
@@ -233,8 +236,8 @@ def _row(task: Judged, stats: Mapping[str, float] | None, told: Set[str]) -> dic
 
 
 def _by_the_paper(task: Judged, success: float, bsa: float, csr: float) -> dict[str, float]:
-    """Return an episode's BSA and CSR twice: for means over all episodes, and by the paper's rule, which leaves out
-    failed episodes without subgoals (NaN).
+    """Return an episode's BSA and CSR by two rules. ``bsa_all`` and ``csr_all`` are for means over all episodes;
+    ``bsa`` and ``csr`` follow the paper's rule, which leaves out failed episodes without subgoals (NaN).
     """
     if task.subgoals:
         return {"bsa": bsa, "csr": csr, "bsa_all": bsa, "csr_all": csr}

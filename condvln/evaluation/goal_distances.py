@@ -31,7 +31,7 @@ _WAVE: Final = 8
 
 @dataclass(frozen=True, eq=False)
 class SnappedPath:
-    """A path (n, 3), the snapped position of each point (NaN if there is none), and which points snapping moved."""
+    """A path (n, 3), the snapped position of each point (NaN if there is none), and whether snapping moved it."""
 
     positions: Points
     snapped: Points
@@ -46,7 +46,7 @@ class Nearness:
         self._prune = prune
 
     def snap(self, positions: Points) -> SnappedPath:
-        """Return a path with its snapped positions, as input of the methods below."""
+        """Return a path together with its snapped positions, as the methods below take it."""
         # Turning does not change the position: equal consecutive positions are snapped once.
         fresh = np.concatenate(([True], (np.diff(positions, axis=0) != 0).any(axis=1)))
         once = np.asarray(self._pathfinder.snap_points(positions[fresh]), dtype=np.float64).reshape(-1, 3)
@@ -84,8 +84,8 @@ class Nearness:
         return None
 
     def _candidates(self, path: SnappedPath, goals: Points, radius: float) -> tuple[npt.NDArray[np.intp], Points]:
-        """Return the positions whose distance must be computed, and all straight-line distances to the nearest
-        snapped goal.
+        """Return the indices of the positions on ``path`` whose geodesic distance must be computed, and the
+        straight-line distance of every position to the nearest snapped goal.
         """
         targets = self.snap(goals)
         apart = path.snapped[:, None, :] - targets.snapped[None, :, :]

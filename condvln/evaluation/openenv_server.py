@@ -35,8 +35,8 @@ class NavigationObservation(Observation):  # type: ignore[misc]
 
 
 class NavigationEnvironment(Environment):  # type: ignore[misc]
-    """One session, with one episode at a time. The reward is that of `EpisodeTools`; an invalid call returns the
-    reason.
+    """One session, with one episode at a time. The reward is that of `EpisodeTools`. For an invalid call, the
+    observation states the reason.
     """
 
     SUPPORTS_CONCURRENT_SESSIONS = True
@@ -46,7 +46,7 @@ class NavigationEnvironment(Environment):  # type: ignore[misc]
         self._tools = tools()
 
     def reset(self, seed: int | None = None, episode_id: str | None = None, **row: Any) -> NavigationObservation:
-        """Begin the episode `episode_id`, or the next one if no id is given. `seed` and other values of the row are
+        """Begin the episode `episode_id`, or the next one if no id is given. `seed` and all further arguments are
         ignored.
         """
         return self._observation(self._tools.reset(episode_id))

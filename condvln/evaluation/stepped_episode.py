@@ -132,7 +132,7 @@ class SteppedEpisode:
         )
 
     def _stagger(self, action: int, noise: NoiseConfig) -> tuple[npt.NDArray[np.float32], float]:
-        """Return the position and heading after an action with actuation noise."""
+        """Return the agent's position and heading after an action, with simulated actuation noise."""
         names = (self.task.episode_id, self.steps)
         forward, turn = noisy_move(self._space.forward, math.radians(self._space.turn), noise, self._seed, names)
         place, heading = self._positions[-1], self._headings[-1]

@@ -189,7 +189,7 @@ def group_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Table:
 
 
 def confusion_tables(evaluation: Evaluation) -> list[Table]:
-    """Return, for each category, the gold leaf against the leaf reached."""
+    """Return, for each category, a table that counts episodes by gold leaf and reached leaf."""
     tables = []
     for category, counts in leaf_confusion(evaluation).items():
         leaves = counts.shape[0]
@@ -205,8 +205,8 @@ def confusion_tables(evaluation: Evaluation) -> list[Table]:
 
 
 def divergence_table(evaluations: Sequence[Evaluation], tasks: Sequence[Task]) -> Table:
-    """Return the share of wrong answers at each condition of the gold path, among agents that answered all earlier ones
-    correctly.
+    """Return a table of the share of wrong answers at each condition of the gold path, among the episodes in which all
+    earlier conditions were answered correctly.
     """
     columns = (
         _AGENT,
@@ -248,8 +248,8 @@ def comparison_table(
 
 
 def twin_tables(pairs: Sequence[tuple[Evaluation, Evaluation]], *, seed: int = 0) -> list[Table]:
-    """Return tables that compare each agent's results on a split with its results on the split's oracle-linear twin;
-    ``pairs`` : (original, oracle).
+    """Return tables that compare each agent's results on a split with its results on the split's oracle-linear twin.
+    Each of ``pairs`` is (original, oracle).
 
     The difference is the cost of resolving the conditions; the gap to 100 % under oracle text is plain instruction
     following.

@@ -69,7 +69,7 @@ class EpisodeTools:
     # Trainers read all attributes of a new instance before any episode.
     @property
     def prediction(self) -> Prediction:
-        """The trajectory so far; without poses before the first episode."""
+        """The trajectory so far; it has no poses before the first episode."""
         if self._episode is None:
             return Prediction("", np.empty((0, 3)), False, True, None, None)
         return self._episode.prediction()

@@ -113,7 +113,7 @@ class PublishedEpisodes:
 
 @dataclass(frozen=True, eq=False)
 class Generated:
-    """Which episodes a snapshot has, published or not, and why some could be in no split."""
+    """All episodes that a snapshot has, published or not, and the reasons why some of them can be in no split."""
 
     ids: Hashes
     unfit: npt.NDArray[np.int64]
@@ -126,7 +126,9 @@ class Generated:
         return cls(pool.episode[order], pool.unfit[order], pool.reasons)
 
     def reason(self, name: int) -> str | None:
-        """Return why the episode could be in no split: empty if it could, None if it was not generated."""
+        """Return the reason why an episode can be in no split. It is empty if the episode can be in a split, and None
+        if the snapshot does not have the episode.
+        """
         at = int(np.searchsorted(self.ids, np.uint64(name)))
         if at == len(self.ids) or int(self.ids[at]) != name:
             return None
@@ -147,7 +149,7 @@ class Changes:
     kept: int = 0
 
     def note(self, kind: Counter[str], title: str, reason: str, name: str) -> None:
-        """Count one episode."""
+        """Count one episode under a reason, and collect its name as an example."""
         kind[reason] += 1
         found = self.examples.setdefault(f"{title} {reason}", [])
         found.append(name)
@@ -173,7 +175,7 @@ def changes_between(
     before: Generated | None = None,
     now: Generated | None = None,
 ) -> Changes:
-    """Compare two exports; each changed episode is counted under its most likely reason.
+    """Compare two exports. Each episode that differs is counted under its most likely reason.
 
     Parameters
     ----------
@@ -217,7 +219,9 @@ _DROPPED: Final = _Words("left out now", "their scene is gone", "no longer gener
 def _why_alone(
     words: _Words, own: PublishedEpisodes, row: int, navmeshes: Mapping[str, str], other: Generated | None
 ) -> str:
-    """Return why an episode is in one export only; `navmeshes` and generated episodes are those of the other export."""
+    """Return the reason why an episode is in only one of two exports. `own` and `row` give the episode in the export
+    that has it; `navmeshes` and `other` belong to the export that lacks it.
+    """
     told = other.reason(int(own.ids[row])) if other is not None else None
     if told is not None:
         return f"{words.left_out}: {told or 'beyond the balance'}"

@@ -91,7 +91,7 @@ def _success_distance(report: ExportReport) -> tuple[float, bool]:
 
 @dataclass(frozen=True)
 class _AnsrAgent:
-    """How one of the public conditional evaluators moves, and where its data is."""
+    """The movements of one of the public conditional evaluators, and the folder of its data."""
 
     root: str
     forward: float
@@ -184,7 +184,9 @@ def _ansr(split: str, radius: float, agent: _AnsrAgent, steps: int) -> dict[str,
 
 
 def _navid(split: str, radius: float, steps: int) -> dict[str, Any]:
-    """NaVid outputs angles, which its evaluator splits into turns of 30°, and uses the map that VLN-CE draws."""
+    """Return NaVid's task file. NaVid outputs angles, which its evaluator splits into turns of 30°, and it uses the map
+    that VLN-CE draws.
+    """
     document = _vlnce("vlnce", "VLN-CE-v1", split, radius, steps)
     document["SIMULATOR"]["TURN_ANGLE"] = 30
     document["TASK"]["MEASUREMENTS"].append(_MAP)
@@ -193,8 +195,8 @@ def _navid(split: str, radius: float, steps: int) -> dict[str, Any]:
 
 
 def _rxr(split: str, radius: float, steps: int, language: str) -> dict[str, Any]:
-    """RxR's agent size, cameras and actions (turns of 30°), with the text sensor: RxR's own sensor reads BERT features
-    of each text from files, which an export does not have.
+    """Return RxR's task file, with RxR's agent size, cameras and actions (turns of 30°), but with the text sensor.
+    RxR's own sensor reads BERT features of each text from files, which an export does not have.
     """
     document = _vlnce("rxr", "RxR-VLN-CE-v1", split, radius, steps)
     folder = f"{LINK}/rxr"

@@ -78,8 +78,8 @@ def file_hashes(folder: Path) -> dict[str, str]:
 
 
 def owned_files(folder: Path) -> set[str]:
-    """Return the paths below ``folder`` of the files that the export wrote; certificates that prove the export are left
-    out.
+    """Return the paths below ``folder`` of the files that the export wrote, without the certificates that prove the
+    export.
 
     Paths that lead out of the folder are never included, whatever the index says.
     """
@@ -96,8 +96,8 @@ def owned_files(folder: Path) -> set[str]:
 
 
 def stale_proofs(folder: Path, files: dict[str, str]) -> set[str]:
-    """Return the paths of the certificates in ``folder`` that no longer hold; none if they prove files with exactly the
-    hashes in ``files`` (by path).
+    """Return the paths of the certificates in ``folder`` that no longer hold. All of them hold if the files that they
+    prove have exactly the hashes in ``files`` (by path).
     """
     proofs = {path.relative_to(folder).as_posix() for pattern in _PROOFS for path in folder.glob(pattern)}
     try:

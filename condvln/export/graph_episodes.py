@@ -128,7 +128,9 @@ class GraphEpisodes:
 
     @cached_property
     def _whole(self) -> dict[str, pa.Table]:
-        """The tables that are queried scan by scan, read once: a hundred scans have about ten thousand instructions."""
+        """The tables that are queried for each scan, all read once. A hundred scans have about ten thousand
+        instructions.
+        """
         found = {}
         for name in ("scenes", "rooms", "objects", "instructions"):
             try:

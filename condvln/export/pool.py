@@ -109,7 +109,7 @@ class _Names:
         return self.codes.setdefault(name, len(self.codes))
 
     def all(self, names: pa.Array) -> npt.NDArray[np.int32]:
-        """Return the codes of a whole column."""
+        """Return the code of each name in a column."""
         encoded = names.dictionary_encode()
         own = np.array([self(name) for name in encoded.dictionary.to_pylist()], dtype=np.int32)
         return own[encoded.indices.to_numpy()] if len(own) else own
@@ -145,8 +145,8 @@ class PoolBuilder:
             self._asked.append((names, pc.list_value_length(listed).to_numpy().astype(np.int64), kinds, truths))
 
     def add_episodes(self, source: str, batch: pa.RecordBatch, barred: Mapping[str, str] | None = None) -> None:
-        """Add episodes of ``source`` (columns :data:`POOL_COLUMNS`); ``barred`` : reason by scene id for excluded
-        scenes.
+        """Add episodes of ``source`` (columns :data:`POOL_COLUMNS`). ``barred`` has the excluded scenes by id, each
+        with the reason.
         """
         column = {name: batch.column(name).to_pylist() for name in POOL_COLUMNS if name not in _NUMBERS}
         number = {name: batch.column(name).to_numpy().astype(np.int64) for name in _NUMBERS}

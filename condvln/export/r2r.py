@@ -50,7 +50,9 @@ def r2r_episode(row: Row, graph: GraphPathfinder) -> dict[str, Any] | str:
 
 
 def _too_near(graph: GraphPathfinder, start: str, ends: list[str]) -> str | None:
-    """Return a reason if leaves are too close: R2R's evaluator always uses 3 m, so that both would count as reached."""
+    """Return a reason if two leaves, or a leaf and the start, are too close to each other, else None. R2R's evaluator
+    counts everything within 3 m as reached.
+    """
     between = graph.viewpoint_distance
     if any(between(one, other) < ERROR_MARGIN for one, other in combinations(ends, 2)):
         return f"two leaves within {ERROR_MARGIN:g} m on the graph"

@@ -86,7 +86,9 @@ class ExportReport:
 
     @property
     def lopsided(self) -> dict[str, str]:
-        """Splits with too few episodes or scenes compared with the others, with a description."""
+        """The splits that have too few episodes or scenes compared with the others, each with a description of what it
+        lacks.
+        """
         largest = max(self.episodes.values(), default=0)
         total = sum(self.episodes.values())
         categories = _sums(found.get("category", {}) for found in self.shapes.values())

@@ -109,8 +109,8 @@ def select(pool: ExportPool, config: SplitsConfig) -> Selection:
 
 
 def _empty_splits(pool: ExportPool, config: SplitsConfig, selection: Selection) -> dict[Split, str]:
-    """Return why splits have no episodes. Splits without a share and without scenes in the configuration are left
-    out.
+    """Return, for each split without episodes, the reason. Splits without a share and without scenes in the
+    configuration are left out.
     """
     groups = Counter(scene_group(family, scene, config) for family, scene in pool.scenes)
     shares = dict(zip(GROUPS, config.fractions, strict=True))
@@ -167,8 +167,8 @@ def _place(pool: ExportPool, config: SplitsConfig, left_out: Counter[str]) -> np
 
 
 def _seeded_order(pool: ExportPool, seed: int) -> npt.NDArray[np.int64]:
-    """Return all episodes ordered by the hash of their id, with one episode of each scene before the second of any
-    scene.
+    """Return the indices of all episodes, ordered by the hash of their id. One episode of each scene comes before the
+    second one of any scene.
     """
     by_hash = np.argsort(fractions(pool.episode, seed, "order"), kind="stable")
     by_scene = by_hash[np.argsort(pool.scene[by_hash], kind="stable")]
@@ -188,8 +188,8 @@ def _groups(pool: ExportPool, block: npt.NDArray[np.int64]) -> list[list[int]]:
 
 
 def _with_fitting_groups(pool: ExportPool, block: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """Return the block without the counterfactual groups that can't be selected whole while every leaf is equally
-    frequent.
+    """Return the episodes of ``block`` without those counterfactual groups that can't be selected if every leaf is to
+    be equally frequent.
 
     A group is selected whole or not at all, so a surplus of one leaf within groups can't be compensated.
     """
@@ -213,7 +213,7 @@ def _with_fitting_groups(pool: ExportPool, block: npt.NDArray[np.int64]) -> npt.
 
 
 def _quotas(pool: ExportPool, blocks: dict[int, npt.NDArray[np.int64]], per_cell: int | None) -> dict[int, int]:
-    """Return the number of episodes of each leaf that each source contributes.
+    """Return, by source, the number of episodes of each leaf that it contributes.
 
     It is at most the number for the source's scarcest leaf; the sources share ``per_cell`` evenly.
     """
@@ -231,8 +231,8 @@ def _quotas(pool: ExportPool, blocks: dict[int, npt.NDArray[np.int64]], per_cell
 
 
 def _wanted(pool: ExportPool, quotas: dict[int, int], per_cell: int | None) -> dict[int, int]:
-    """Return the number of episodes of each leaf wanted of each source, ``per_cell`` in total: its quota, plus its
-    share of what all sources lack together.
+    """Return, by source, the wanted number of episodes of each leaf, ``per_cell`` in total. It is the source's quota,
+    plus a share of the number that all sources together lack.
     """
     wanted = dict(quotas)
     left = (per_cell or 0) - sum(quotas.values())
@@ -305,7 +305,9 @@ class _Picker:
         return queues
 
     def _take(self, by_stratum: dict[int, _Queue]) -> int:
-        """Return the candidate that balances the truths best, from the stratum with the fewest selected episodes."""
+        """Take the candidate that balances the truths best, from the stratum with the fewest selected episodes, and
+        return its row.
+        """
         stratum = min((q.taken, self._pool.strata[s], s) for s, q in by_stratum.items() if q.window or q.waiting)[2]
         queue = by_stratum[stratum]
         queue.taken += 1
@@ -315,7 +317,9 @@ class _Picker:
         return rows[0]
 
     def _evenest(self, queue: _Queue) -> list[int] | None:
-        """Remove and return the next candidate that adds least to Σ (true − false)²; the earliest on ties."""
+        """Remove and return that one of the queue's next candidates which increases Σ (true − false)² least; the
+        earliest on ties. The sum is over the kinds of condition.
+        """
         while queue.waiting and len(queue.window) < LOOKAHEAD:
             rows = queue.waiting.pop()
             queue.window.append((rows, self._terms(rows)))
@@ -341,7 +345,7 @@ class _Picker:
 
 @dataclass
 class _Queue:
-    """Candidates of one leaf and stratum: the next ones in ``window``, the later ones in ``waiting`` in reverse
+    """The candidates of one leaf and stratum. The next ones are in ``window``, the later ones in ``waiting`` in reverse
     order.
     """
 
@@ -369,7 +373,9 @@ def _cells(
 
 
 def _imbalance(pool: ExportPool, inside: npt.NDArray[np.bool_]) -> float:
-    """Return Σ |true − false| ÷ Σ (true + false) over the kinds of condition of the episodes ``inside``."""
+    """Return how uneven the truths of the conditions of the episodes ``inside`` are: Σ |true − false| ÷ Σ (true +
+    false), summed over the kinds of condition.
+    """
     chosen = np.repeat(inside, np.diff(pool.offsets))
     kinds, truths = pool.conditions[chosen], pool.truths[chosen]
     if len(kinds) == 0:

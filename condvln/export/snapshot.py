@@ -183,8 +183,8 @@ def _write_documents(out: Path, name: str, report: ExportReport) -> None:
 def _formerly(
     out: Path, exported: str, now: str, former: SnapshotTables | None, config: ExportConfig
 ) -> tuple[PublishedEpisodes | None, Generated | None]:
-    """Return the episodes of the export that is replaced, and all episodes that the snapshot of that export held,
-    published or not.
+    """Return the published episodes of the export that is replaced, and all episodes of the snapshot from which it was
+    made. Either is None if it is unknown or does not exist.
 
     The first is read from the folder's manifests, or else from what exporting ``former`` would give; the second is
     known if ``former`` is the published snapshot.

@@ -143,7 +143,9 @@ def _take_place(place: _Place) -> None:
 
 
 def _clear(place: _Place) -> None:
-    """Remove the temporary siblings; files that the user added to the former export during the exchange are kept."""
+    """Remove the temporary siblings of the export's folder. Files that the user added to the former export during the
+    exchange are moved into the new one.
+    """
     _remove(place.new)
     for former in (place.ready, place.old):
         if former.exists():
@@ -181,7 +183,9 @@ def _foreign(folder: Path, new: Path) -> Iterator[str]:
 
 
 def _keep_foreign(former: Path, new: Path) -> None:
-    """Link the user's files into the new export, except where it has a file of that name."""
+    """Link the user's files of the former export into the new export, except where the new export has a file of the
+    same name.
+    """
     for path in _foreign(former, new):
         source, target = former / path, new / path
         if os.path.lexists(target) or not _parent_made(new, target):
@@ -227,7 +231,9 @@ def _folders(folder: Path) -> Iterator[Path]:
 
 
 def _sync_folders(folder: Path) -> None:
-    """Sync all folders, since new names are on disk only then; files were synced when they were closed."""
+    """Sync all folders to disk, since new file names are on disk only then. The files themselves were synced when they
+    were closed.
+    """
     for parent in [*_folders(folder), folder]:
         if not parent.is_symlink():
             sync(parent)

@@ -99,8 +99,8 @@ class FolderTables:
 
 
 def _stored(columns: Sequence[str] | None, there: Sequence[str]) -> list[str]:
-    """Return the columns to read: the id instead of ``episode_hash`` if the latter is not ``there``, since in snapshots
-    of former releases the id is the hash.
+    """Return the names of the columns to read. Snapshots of former releases have no ``episode_hash``; their id is the
+    hash and is read instead.
     """
     wanted = there if columns is None else columns
     return list(dict.fromkeys(ID if name == HASH and HASH not in there else name for name in wanted))
@@ -139,7 +139,7 @@ def rows_by_scene(batches: Iterator[pa.RecordBatch], where: str) -> Iterator[tup
 def joined_by_scene(
     tables: SnapshotTables, source: str, columns: Sequence[str] | None = None
 ) -> Iterator[tuple[str, list[Row], dict[str, Row]]]:
-    """Yield for each scene its id, its episodes, and its instructions by id; one scene at a time is in memory.
+    """Yield for each scene its id, its episodes, and its instructions by id. Only one scene at a time is in memory.
 
     Raises
     ------

@@ -42,7 +42,7 @@ def tokenize(text: str) -> list[str]:
 
 
 def longer_than(texts: pa.Array, limit: int) -> npt.NDArray[np.bool_]:
-    """Return which of ``texts`` have more than ``limit`` tokens.
+    """Return whether each of ``texts`` has more than ``limit`` tokens.
 
     A fast upper bound comes from counting spaces and punctuation (each mark is a token and may separate two words);
     only texts above the limit by this bound are tokenised.

@@ -1,4 +1,6 @@
-"""Write the oracle-linear twin of an existing split, ours or another file whose manifest we have."""
+"""Write the oracle-linear twin of an existing split: a split of our own, or any other file for which there is a
+manifest.
+"""
 
 from __future__ import annotations
 
@@ -91,7 +93,9 @@ def _twin(episode: dict[str, Any], text: str, vocabulary: Vocabulary | None) -> 
 
 
 def _tokens(vocabulary: Vocabulary | None, text: str, former: Any) -> list[int]:
-    """Return the tokens, padded if the split's own instructions are padded; none without a vocabulary."""
+    """Return the tokens of ``text``; none without a vocabulary. They are padded to the length of ``former``, the tokens
+    that the split has, if those are padded.
+    """
     if vocabulary is None:
         return []
     if isinstance(former, list) and former and former[-1] == PAD_INDEX:

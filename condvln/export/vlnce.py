@@ -80,7 +80,9 @@ def vlnce_episode(row: Row, scene_id: str, tokens: list[int]) -> dict[str, Any]:
 
 
 def _info(row: Row, leaf: Row) -> dict[str, Any]:
-    """Return the extra fields under ``info``, which stock loaders ignore. The gold leaf is only in the manifest."""
+    """Return an episode's extra fields under ``info``, which stock loaders ignore. The gold leaf is not among them;
+    only the manifest has it.
+    """
     shape = SHAPES[row["category"]]
     return {
         "geodesic_distance": row["geodesic_distance"],

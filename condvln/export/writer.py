@@ -155,8 +155,8 @@ class ExportWriter:
 
     @contextmanager
     def _documents(self, files: _SplitFiles, source: str, scene: str) -> Iterator[dict[str, DocumentWriter]]:
-        """Yield the documents to which the scene's episodes are written: the split's own files, or shards as in
-        Habitat's ``content`` folders.
+        """Yield the open documents, by variant, to which the scene's episodes are written. They are the split's own
+        files, or shards as in Habitat's ``content`` folders.
         """
         if not self._layout.sharded:
             yield files.documents

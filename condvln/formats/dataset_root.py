@@ -74,7 +74,7 @@ class DatasetRoot:
         return os.path.isfile(self.path(relative))
 
     def signature(self, relative: str) -> tuple[int, int]:
-        """Return size and modification time of a file, (0, 0) if it does not exist; a cache key."""
+        """Return the size and the modification time of a file, as a cache key; (0, 0) if the file does not exist."""
         try:
             status = self.path(relative).stat()
         except OSError:

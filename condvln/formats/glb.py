@@ -90,7 +90,7 @@ def _undecodable(error: Exception, where: str) -> FormatError:
 
 
 def _part(scene: trimesh.Scene, node: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the vertices in the root frame and the faces of one node's mesh."""
+    """Return the vertices, in the root frame, and the faces of the mesh of one node."""
     matrix, name = scene.graph[node]
     mesh = scene.geometry[name]
     with np.errstate(invalid="ignore", over="ignore"):  # non-finite vertices are rejected after all parts are collected
@@ -119,7 +119,7 @@ def _joined(parts: list[tuple[NDArray[np.float64], NDArray[np.int64]]], where: s
 
 
 def _watertight(faces: NDArray[np.int64], n: int) -> bool:
-    """Return whether each directed edge occurs exactly once, and its reverse once."""
+    """Return whether each directed edge occurs exactly once, and so does its reverse."""
     if not len(faces):
         return False
     start = faces[:, [0, 1, 2]].ravel()
@@ -163,7 +163,9 @@ def glb_chunks(data: bytes, where: str) -> tuple[JsonNode, bytes]:
 
 
 def _packed(tree: dict[str, Any], binary: bytes) -> bytes:
-    """Return a GLB file of a reduced tree with only the bytes that its views use, without textures."""
+    """Return the bytes of a GLB file with the reduced `tree` and, of `binary`, only the bytes that its buffer views
+    use. Textures are left out.
+    """
     views, pieces, size = [], [], 0
     for view in tree["bufferViews"]:
         piece = binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]

@@ -40,8 +40,8 @@ class Image:
 
 
 class MaterialReader:
-    """Reads materials of one file with their textures, samplers and images; only those requested are kept, numbered
-    from 0.
+    """Reads materials of one file with their textures, samplers and images. Only those that are requested are kept;
+    they are numbered from 0.
     """
 
     def __init__(self, root: JsonNode, binary: bytes) -> None:
@@ -108,7 +108,7 @@ class MaterialReader:
         return found
 
     def _placement(self, slot: JsonNode) -> Tree:
-        """Return the settings of a texture reference other than its index."""
+        """Return the settings of a texture reference, without its index."""
         made: Tree = {"texCoord": _one_of(slot["texCoord"], _COORDINATES)} if "texCoord" in slot else {}
         made |= {key: slot[key].number(_LIMIT) for key in ("scale", "strength") if key in slot}
         extensions = slot.get("extensions")
@@ -199,7 +199,7 @@ class MaterialReader:
 
 
 def shifted(material: Tree, textures: int) -> Tree:
-    """Return a material with its texture numbers shifted."""
+    """Return a copy of a material whose texture numbers are increased by `textures`."""
 
     def moved(inner: Tree, names: tuple[str, ...]) -> Tree:
         return {

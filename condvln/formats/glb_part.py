@@ -71,7 +71,7 @@ class Node:
 
 @dataclass(slots=True)
 class GlbPart:
-    """The copied content of one file; `look` : materials and their textures."""
+    """The content copied from one file. `look` has its materials and their textures."""
 
     nodes: list[Node] = field(default_factory=list)
     roots: tuple[int, ...] = ()
@@ -194,7 +194,7 @@ class _Copier:
         return self.accessor_of[index, name]
 
     def _packed(self, source: JsonNode, component: int, width: int) -> NDArray[Any]:
-        """Return the numbers of an accessor as (count, width), without padding between them."""
+        """Return the numbers of an accessor as an array (count, width), read without the padding between them."""
         if "sparse" in source:
             source.fail("sparse accessors can't be read", "Export it with plain accessors")
         dtype = np.dtype(_TYPES[component]).newbyteorder("<")

@@ -159,7 +159,9 @@ class _GeometryTree:
             yield primitive, corners // 3 if mode == _TRIANGLES else corners - 2
 
     def _accessor(self, node: JsonNode, kind: str) -> int:
-        """Return the index of an accessor in the reduced tree, with its own view."""
+        """Return the index, in the reduced tree, of the accessor to which `node` refers. In that tree each accessor has
+        its own buffer view.
+        """
         index = node.index(len(self.lists["accessors"]))
         if (index, kind) not in self.accessor_of:
             source = self.lists["accessors"][index]

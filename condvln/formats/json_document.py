@@ -76,7 +76,7 @@ def canonical_json(value: Any) -> bytes:
 
 
 def nesting_depth(data: bytes) -> int:
-    """Return the largest nesting depth of brackets and braces, without those inside strings."""
+    """Return the maximum nesting depth of brackets and braces. Those inside strings do not count."""
     at, depth, deepest = 0, 0, 0
     while at < len(data):
         end = min(at + _PIECE, len(data))

@@ -295,7 +295,9 @@ def _python_parsed(data: bytes, path: Path, place: str) -> Any:
 
 
 def _nonfinite(value: Any) -> tuple[tuple[str | int, ...], float] | None:
-    """Return the keys that lead to the first non-finite number, and the number; nesting is at most `MAX_DEPTH`."""
+    """Return the keys that lead to the first non-finite number in `value`, and that number; None if all numbers are
+    finite. The nesting must not exceed `MAX_DEPTH`.
+    """
     if isinstance(value, float) and not np.isfinite(value):
         return (), value
     inside = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
@@ -306,8 +308,8 @@ def _nonfinite(value: Any) -> tuple[tuple[str | int, ...], float] | None:
 
 
 def _refuse_repeated_keys(value: Any, data: bytes, path: Path, place: str) -> None:
-    """Raise a FormatError for repeated keys: the parser keeps the last of them, and counting colons shows that one
-    was lost.
+    """Raise a FormatError if an object in `data` repeats a key. The parser keeps only the last of equal keys; counting
+    colons shows that one was lost.
     """
     colons = data.count(b":")
     if colons == _own_keys(value):
@@ -319,7 +321,7 @@ def _refuse_repeated_keys(value: Any, data: bytes, path: Path, place: str) -> No
 
 
 def _own_keys(value: Any) -> int:
-    """Return the keys of an object, or of the objects in an array."""
+    """Return the number of keys of an object, or of all objects that are elements of an array."""
     if isinstance(value, dict):
         return len(value)
     return sum(len(item) for item in value if type(item) is dict) if isinstance(value, list) else 0

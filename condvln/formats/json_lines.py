@@ -41,7 +41,7 @@ class _Checkpoint:
     unpacker: Any
 
     def kept(self) -> _Checkpoint:
-        """Return a copy that is unaffected by further reading."""
+        """Return a copy of this checkpoint that further reading does not change."""
         return self if self.unpacker is None else replace(self, unpacker=self.unpacker.copy())
 
 
@@ -145,8 +145,8 @@ class JsonLines:
             ) from None
 
     def _pieces(self, stream: BinaryIO, start: _Checkpoint) -> Iterator[tuple[bytes, _Checkpoint | None]]:
-        """Yield pieces of the text from `start` on, each with the checkpoint at its end, or None if there is no
-        checkpoint there.
+        """Yield pieces of the text from `start` on, each with the checkpoint at its end. The checkpoint is None where
+        reading can't be resumed.
         """
         stream.seek(start.file)
         text, file = start.text, start.file

@@ -96,14 +96,14 @@ def _scalar(dtype: Any, content: Any = None) -> Any:
 
 
 def _encode(text: Any, encoding: Any = "latin1") -> bytes:
-    """Replaces `_codecs.encode`, by which protocol 2 writes bytes."""
+    """Return a text as bytes, in place of `_codecs.encode`, which pickles of protocol 2 call to make bytes."""
     if not isinstance(text, str) or encoding != "latin1":
         raise UnsafePickleError("bytes are not encoded as Latin-1")
     return text.encode("latin1")
 
 
 def _no_bytes(*content: Any) -> bytes:
-    """Replaces the `bytes` constructor, by which protocol 2 writes empty bytes."""
+    """Return empty bytes, in place of the `bytes` constructor, which pickles of protocol 2 call to make them."""
     if content:
         raise UnsafePickleError("bytes are created by their class")
     return b""

@@ -160,7 +160,7 @@ def _matrix(values: npt.ArrayLike, place: str) -> Array:
 
 
 def _product(a: Array, b: Array) -> Array:
-    """Return the float32 matrix product with sums in Magnum's order; numpy's may use wider or fused steps."""
+    """Return the float32 matrix product, summed in Magnum's order. numpy's product may use wider or fused steps."""
     product: Array = ((a[:, :1] * b[:1] + a[:, 1:2] * b[1:2]) + a[:, 2:3] * b[2:3]) + a[:, 3:] * b[3:]
     return product
 

@@ -80,7 +80,7 @@ def _holds(context: Context, truths: Sequence[bool]) -> bool:
 
 
 def _heard(words: Language, pieces: Sequence[str | Slot]) -> dict[int, list[Context]]:
-    """Return the contexts in which a listener goes to each leaf. Raises ValueError for a wording that no listener
+    """Return, by leaf, the contexts in which a listener goes to it. Raises ValueError for a wording that no listener
     understands.
     """
     listener = _Listener()
@@ -134,7 +134,7 @@ def _heard(words: Language, pieces: Sequence[str | Slot]) -> dict[int, list[Cont
 
 
 def _hear_slot(listener: _Listener, slot: Slot, supposing: bool, agreeing: bool) -> None:
-    """Take in one slot.
+    """Update the listener's state with one slot of a template.
 
     agreeing : whether "yes" is said as "if so", which agrees with a denial too
     """
@@ -170,7 +170,9 @@ def _latest(listener: _Listener) -> tuple[Context, int, bool | None]:
 
 
 def _names(text: str, connectives: dict[tuple[str, ...], str]) -> Iterator[str]:
-    """Yield the connectives and punctuation of a piece of template, in order; the longest match at each position."""
+    """Yield the names of the connectives and the punctuation in a piece of a template, in order. At each position the
+    longest match counts.
+    """
     tokens = _WORD.findall(text)
     longest = max(map(len, connectives))
     at = 0

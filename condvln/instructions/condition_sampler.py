@@ -28,8 +28,8 @@ Statements = PresencePool | RelationPool
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Asked:
-    """A condition about a room under one of the room's names; `clumsy` : it repeats the object that distinguishes
-    the room.
+    """A condition about a room under one of the room's names. It is `clumsy` if it repeats the object that
+    distinguishes the room.
     """
 
     condition: Condition
@@ -106,7 +106,8 @@ class ConditionSampler:
         start_room: str | None = None,
         bearings: int = 0,
     ) -> tuple[Condition, ...]:
-        """Draw conditions with the given truths, in order, that violate no rule together with each other and the stops.
+        """Draw conditions with the given `truths`, in that order. They violate no rule together with each other and
+        with the `stops`.
 
         Parameters
         ----------
@@ -169,7 +170,9 @@ class ConditionSampler:
     def _pair(
         self, room: RoomRef, statements: Statements, claims: Sequence[Claim], given: Presupposed, draws: Draws
     ) -> dict[bool, Condition] | None:
-        """Return a true and a false condition of one kind and predicate, both usable; None if there are none."""
+        """Return a true and a false condition of one kind and predicate, by truth, that can both be used; None if there
+        is no such pair.
+        """
         # Pools live as long as this sampler, so their ids are valid cache keys.
         asked = self._asked.setdefault((room, id(statements)), {})
         found: dict[bool, Condition] = {}
@@ -194,8 +197,8 @@ class ConditionSampler:
         return found
 
     def _statements(self, room: str, draws: Draws, start: bool) -> Statements | None:
-        """Return the statements of one kind and predicate; None if there are none, or only for a start in another
-        room.
+        """Draw a kind of condition and a predicate for a room, and return their statements; None if there are none.
+        Egocentric statements are possible only if `start`: the room is that of the start.
         """
         part = self._rooms[room]
         groups = part.here(start)

@@ -66,7 +66,7 @@ class RelationPool:
     mass: float
 
     def question(self, truth: bool, cell: int) -> Question:
-        """Return the statement of one cell."""
+        """Return the statement with index `cell` among the statements with this `truth`."""
         row, column = self.cells[truth][cell]
         witnesses = np.flatnonzero(self.truths.exact[row] & self.truths.held[:, column]) if truth else ()
         return Question(
@@ -80,19 +80,21 @@ class RelationPool:
 
 @dataclass(frozen=True, eq=False)
 class PresencePool:
-    """The statements of presence about one room, and their cumulative weights."""
+    """The statements of presence about one room, and their cumulative weights, each by truth."""
 
     questions: Mapping[bool, tuple[Question, ...]]
     sums: Mapping[bool, tuple[float, ...]]
 
     def question(self, truth: bool, place: int) -> Question:
-        """Return the statement at an index."""
+        """Return the statement with index `place` among the statements with this `truth`."""
         return self.questions[truth][place]
 
 
 @dataclass(frozen=True, eq=False)
 class ConditionPool:
-    """All statements about one room, by kind and predicate; only those with both true and false statements."""
+    """All statements about one room, by kind and predicate. A kind or predicate is included only if it has both true
+    and false statements.
+    """
 
     presence: PresencePool | None
     relations: Mapping[Predicate, RelationPool]
@@ -169,7 +171,8 @@ def _relations(
 
 
 def _bearings(referents: Referents, asked: Container[str]) -> dict[Predicate, RelationPool]:
-    """Return the egocentric statements, about objects that are not small and whose label is unique.
+    """Return the egocentric statements about a room by predicate. They use only objects that are not small and whose
+    label is unique.
 
     The start pose is chosen to give the wanted truths, so each object can be used with either truth.
     """
@@ -203,7 +206,8 @@ def _bearings(referents: Referents, asked: Container[str]) -> dict[Predicate, Re
 
 
 def informative_weights(n_true: int, n_false: int, evidence: int = EVIDENCE) -> dict[bool, float]:
-    """Return the sampling weights of a statement where it is true and where it is false, from the counts of both.
+    """Return the sampling weights of a statement, by truth, from the number of rooms in which it is true and the number
+    in which it is false.
 
     True occurrences are weighted by the share of false ones and vice versa, so that over all rooms a statement is
     sampled as often true as false, and rarely if its truth hardly varies. Both weights are 0 if it did not vary in at
@@ -216,7 +220,9 @@ def informative_weights(n_true: int, n_false: int, evidence: int = EVIDENCE) -> 
 
 
 def _informative_tables(referents: Referents, truths: StatementTruths, bits: PriorBits) -> dict[bool, F64] | None:
-    """Return weights of all statements from their counts in rooms of this type; None if there is too little data."""
+    """Return the weights of all statements by truth. They are computed from counts in rooms of this type; None if there
+    is too little data.
+    """
     room_type, own = referents.room.label, referents.arrays.labels
     tables = {True: np.zeros(truths.true.shape), False: np.zeros(truths.true.shape)}
     known, evidence = False, bits.evidence(room_type)
@@ -230,7 +236,8 @@ def _informative_tables(referents: Referents, truths: StatementTruths, bits: Pri
 
 
 def balanced_weights(true: Bools, false: Bools) -> dict[bool, F64] | None:
-    """Return weights over the true and the false cells of a (labels, anchors) table, with equal marginals.
+    """Return weights for the true cells and for the false cells of a (labels, anchors) table, such that both have equal
+    marginals.
 
     For room types that are too rare for priors. With these weights neither the label nor the anchor predicts whether
     the statement is true. Method: iterative proportional fitting (Deming & Stephan 1940) of both tables towards the

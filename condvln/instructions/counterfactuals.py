@@ -46,8 +46,8 @@ def counterfactual_group(
 
 
 def _decisive(program: Program) -> Iterator[tuple[int, int]]:
-    """Yield each condition on the gold path whose flip leads to another leaf, with that leaf; the last condition comes
-    first.
+    """Yield the index of each condition on the gold path that leads to another leaf when flipped, together with that
+    leaf. The last condition comes first.
     """
     truths = [condition.truth for condition in program.conditions]
     for index in reversed(program.route()[0]):

@@ -96,7 +96,7 @@ class Presupposed:
 
     @classmethod
     def by(cls, stops: Iterable[ObjectRef]) -> Presupposed:
-        """Return the presuppositions of all phrases of `stops` together."""
+        """Return what the phrases of all `stops` together presuppose."""
         stops = tuple(stops)
         named = {(s.room.room_id, s.label) for s in stops}
         qualified = [
@@ -108,7 +108,9 @@ class Presupposed:
 
 
 def clash(claim: Claim, others: Sequence[Claim], given: Presupposed, vocabulary: Vocabulary) -> str | None:
-    """Return the first rule that a condition violates together with `others` and the stops' phrases; None if none."""
+    """Return the first rule that `claim` violates together with `others` and the stops' phrases, `given`; None if it
+    violates none.
+    """
     words = vocabulary.overlapping(claim.label)
     if words.intersection(claim.anchors) or claim.room_anchor in words:
         return "tautology"
@@ -142,7 +144,9 @@ def clash(claim: Claim, others: Sequence[Claim], given: Presupposed, vocabulary:
 
 
 def _closes_cycle(claim: Claim, others: Sequence[Claim], vocabulary: Vocabulary) -> bool:
-    """Return whether relations form a cycle of labels: a north of b and b north of c decide c against a."""
+    """Return whether `claim` closes a cycle of labels with the relations of `others`. Claims in a cycle may decide each
+    other: "a north of b" and "b north of c" make "c north of a" false.
+    """
     reached, grown = set(vocabulary.overlapping(claim.label)), True
     edges = [(o.label, anchor) for o in others for anchor in o.anchors]
     while grown:
@@ -187,8 +191,8 @@ def outcomes(category: Category) -> dict[tuple[bool, ...], int]:
 
 
 def idle_conditions(category: Category, goals: Sequence[str]) -> tuple[int, ...]:
-    """Return conditions that never matter: negating them leaves the goal the same for every assignment of the
-    others.
+    """Return the indices of the conditions that never matter: negating one leaves the goal the same for every
+    assignment of truths to the others.
     """
     table = outcomes(category)
     return tuple(

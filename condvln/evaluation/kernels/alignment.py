@@ -39,7 +39,7 @@ def dtw(path: Points, reference: Points) -> float:
 
 @compiled
 def dtw_of_costs(costs: Points) -> float:
-    """Return :func:`dtw` for given (n, m) distances, as on a graph."""
+    """Return the dynamic time warping of :func:`dtw` for given distances (n, m), such as distances on a graph."""
     n, m = costs.shape
     row = np.full(m + 1, np.inf)
     row[0] = 0.0
@@ -82,7 +82,9 @@ _FROM_PATH, _FROM_REFERENCE, _FROM_BOTH = 0, 1, 2
 
 @compiled
 def _windowed(path: Points, reference: Points, low: Ints, high: Ints) -> tuple[float, Ints]:
-    """Return DTW restricted to columns ``low[i] <= j < high[i]`` of each row i, and its alignment as (k, 2) pairs."""
+    """Return DTW with row i of the table restricted to the columns ``low[i] <= j < high[i]``, and the alignment as (k,
+    2) pairs.
+    """
     n = path.shape[0]
     starts = np.zeros(n + 1, np.int64)
     for i in range(n):
@@ -134,8 +136,8 @@ def _everything(n: int, m: int) -> tuple[Ints, Ints]:
 
 @compiled
 def _around(pairs: Ints, n: int, m: int, radius: int) -> tuple[Ints, Ints]:
-    """Return the columns of each row of the fine table that are within ``radius`` cells of a coarse table's
-    alignment.
+    """Return, for each row of an (n, m) table, the first column and the end of the columns within ``radius`` cells of
+    an alignment. ``pairs`` is the alignment in a coarser table of half the size.
     """
     low = np.full(n, m, np.int64)
     high = np.zeros(n, np.int64)

@@ -93,7 +93,8 @@ def chart(
 
 @compiled
 def ways(cost: F32, start: int) -> tuple[F32, I32]:
-    """Return the least costs from one cell to all others on a grid of eight neighbours, by Dijkstra's algorithm.
+    """Return the least costs from the cell `start` to all cells of a grid, by Dijkstra's algorithm. Each cell has eight
+    neighbours.
 
     Parameters
     ----------

@@ -200,8 +200,8 @@ class Eyes:
 
 
 def _turned(points: F64, turn: float) -> F64:
-    """Convert points (right, up, ahead) from a frame that is turned left by `turn` radians to the frame without that
-    turn.
+    """Convert points (right, up, ahead) of a frame that is turned left by `turn` radians to the frame that is not
+    turned.
     """
     c, s = math.cos(turn), math.sin(turn)
     right, up, ahead = points[..., 0], points[..., 1], points[..., 2]

@@ -44,7 +44,8 @@ LEAST_FRONTIER: Final = 3
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Ground:
-    """The map between two views; all arrays (n, m), rows along x, from the cell `corner` on.
+    """The part of the map around everything seen, valid until the next view. All arrays are (n, m) with rows along x;
+    `corner` is the cell of the whole map at which they begin.
 
     passable : cells that the agent can enter; cost : cost of walking in them, infinite elsewhere
     frontier : passable cells next to unseen floor
@@ -76,7 +77,8 @@ class Ground:
         return Ways(self, distance.reshape(self.cost.shape), before, start)
 
     def open_between(self, one: F64, other: F64, ignored: float = 0.0, *, tight: bool = True) -> bool:
-        """Return whether there is no obstacle between two positions (2,), ignoring the last `ignored` metres.
+        """Return whether no obstacle is between two positions (2,). The last `ignored` metres of the line are not
+        tested.
 
         tight : whether cells that the agent can't enter count as obstacles, too
         """
@@ -116,7 +118,7 @@ class Ways:
 
 
 class FloorMap:
-    """The grid map; its centre is the start, and x and z are in the frame of the agent's own pose estimates."""
+    """The agent's grid map. Its centre is the start; x and z are in the frame of the agent's own pose estimates."""
 
     def __init__(self) -> None:
         size = 2 * HALF
@@ -155,7 +157,7 @@ class FloorMap:
         self._seen |= hit | clear
 
     def reveal(self, places: F64, regions: NDArray[np.int16]) -> None:
-        """Mark unseen cells at positions (k, 2) as open floor, each of a room."""
+        """Mark the unseen cells at k positions (k, 2) as open floor, and assign each to its room in `regions` (k,)."""
         cells = np.floor(places / CELL).astype(np.intp) + HALF
         fits = ((cells >= 0) & (cells < 2 * HALF)).all(axis=1)
         a, b = cells[fits].T
@@ -169,7 +171,9 @@ class FloorMap:
             self._bumped[a, b] = self._seen[a, b] = True
 
     def ground(self, x: float, z: float) -> Ground:
-        """Return the map around everything seen; the agent's own cell can always be left."""
+        """Return the part of the map around everything seen, for an agent at (x, z). The agent's own cell can always be
+        left.
+        """
         known = np.nonzero(self._seen)
         low = [max(int(axis.min()) - 2, 0) for axis in known]
         high = [min(int(axis.max()) + 3, 2 * HALF) for axis in known]

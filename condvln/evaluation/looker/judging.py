@@ -38,7 +38,8 @@ def gap(one: Thing, other: Thing) -> float:
 
 
 def holds(predicate: Predicate, thing: Thing, anchors: Sequence[Thing], north: float | None, t: Thresholds) -> float:
-    """Return the score of a relation between an object and its anchors; not for the relations of `Compared`.
+    """Return the score of a relation between an object and its anchors. `predicate` must not be a relation of
+    `Compared`.
 
     north : agent's heading at the start in degrees clockwise from north; None if the text does not state it
     """
@@ -71,7 +72,9 @@ def holds(predicate: Predicate, thing: Thing, anchors: Sequence[Thing], north: f
 
 
 def ranked(predicate: Predicate, things: Sequence[Thing], anchors: Sequence[Thing]) -> list[Thing]:
-    """Return objects of one label, ordered by a relation of `Compared`; the relation refers to the first of them."""
+    """Return objects of one label in the order of a relation of `Compared`; the first of them is the one that the
+    relation describes.
+    """
     if predicate == "closest to":
         return sorted(things, key=lambda thing: gap(thing, anchors[0]))
     sign = -1.0 if predicate == "bigger" else 1.0
@@ -89,7 +92,7 @@ def _centre(thing: Thing, north: float | None) -> F64:
 
 
 def _bearing(away: F64) -> float:
-    """Return the direction in degrees clockwise from the agent's heading at the start."""
+    """Return the direction of the vector `away` (x, z) in degrees clockwise from the agent's heading at the start."""
     return math.degrees(math.atan2(away[0], -away[1]))
 
 
@@ -121,8 +124,8 @@ def _inside(thing: Thing, anchor: Thing) -> float:
 
 
 def _on(thing: Thing, anchor: Thing) -> float:
-    """Return the score of "on": above the anchor's footprint, and not above its top, since headboards and arm rests are
-    higher than what a bed or sofa carries.
+    """Return the score of "on": `thing` is above the anchor's footprint, and its bottom is not above the anchor's top.
+    It may be below that top, since headboards and arm rests are higher than what a bed or sofa carries.
 
     Text never denies a true "on".
     """

@@ -155,7 +155,9 @@ class Looker:
     # Perception
 
     def _bump(self) -> None:
-        """Shut the place ahead; the more often it could not move at all, the more around it."""
+        """Mark the place just ahead as blocked on the map. The more often in a row the agent could not move at all, the
+        wider the marked area.
+        """
         still = self._before is not None and float(np.hypot(*(self._place[[0, 2]] - self._before))) < CELL / 2
         self._blocked = self._blocked + 1 if still else 1
         wide = min(self._blocked - 1, 4)
@@ -218,7 +220,7 @@ class Looker:
         self._aim = None
 
     def _verdict(self, number: int) -> bool | None:
-        """Return the answer to a condition; None if more must be seen, with the target set accordingly."""
+        """Return the answer to a condition. If more must be seen first, set a target and return None."""
         if number in self.verdicts:
             return self.verdicts[number]
         phrase = self.reading.conditions[number]
@@ -237,7 +239,7 @@ class Looker:
         return answer
 
     def _judge(self, phrase: Phrase) -> tuple[bool | None, bool]:
-        """Return the answer that is certain now, if any, and the answer to give if nothing more is seen."""
+        """Return the answer that is certain now (None if none is), and the answer to give if nothing more is seen."""
         rooms = self._rooms(phrase)
         things = self._known(phrase.label, rooms)
         if phrase.qualifier is None:
@@ -296,7 +298,9 @@ class Looker:
         return best or (things[0] if things else self._fallback(move, None)), None
 
     def _fallback(self, move: Phrase, target: F64 | None) -> Thing | None:
-        """Return an object of the label in any room, for when there is nothing left to explore."""
+        """Return a known object with the label of `move` in any room, if nothing is left to explore (`target` is None);
+        else None.
+        """
         if target is not None:
             return None
         things = self._known(move.label, None)
@@ -319,7 +323,9 @@ class Looker:
         return rooms
 
     def _room_is_sure(self, phrase: Phrase) -> bool:
-        """Return whether the room that a phrase means is known for certain, not just a room of its type."""
+        """Return whether it is certain which room a phrase means. If the phrase names an object in the room, that
+        object must have been seen in a room of this type.
+        """
         place = phrase.room
         if place is None or place.anchor is None:
             return True
@@ -347,8 +353,8 @@ class Looker:
     # Where to go
 
     def _unseen(self, phrase: Phrase) -> F64 | None:
-        """Return a position from which something new of the phrase's possible rooms is visible; None if there is
-        none.
+        """Return a position from which the agent may see something new in the rooms that `phrase` may mean; None if
+        there is none.
         """
         ground, ways = self._now()
         rooms = self._rooms(phrase)
@@ -383,7 +389,7 @@ class Looker:
         return None if cell is None else ways.ground.places(np.array([cell[0]]), np.array([cell[1]]))[0]
 
     def _stop_at(self, thing: Thing) -> F64 | None:
-        """Return the position at an object that is nearest to the previous stop."""
+        """Return the position beside `thing` that is nearest to the previous stop."""
         ground, ways = self._now()
         rows, columns = np.nonzero(ground.passable & np.isfinite(ways.distance))
         if not len(rows):
@@ -417,7 +423,7 @@ class Looker:
         self._best, self._since = math.inf, self._step
 
     def _come_there(self, look: Callable[[], Look]) -> None:
-        """Handle a target that was reached, or that can't be reached."""
+        """Handle the agent's arrival at its target, or a target that can't be reached."""
         assert self._aim is not None
         aim, self._aim = self._aim, None
         if self._stopping:

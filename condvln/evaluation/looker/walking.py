@@ -27,8 +27,8 @@ F64 = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LookerWalk:
-    """A walk of the looker agent: its prediction, the chosen leaf (or its guess if it never chose one), its answers by
-    condition, and which of them it gave without sufficient evidence.
+    """A walk of the looker agent: its prediction, its leaf, its answers by condition, and the conditions that it
+    answered without sufficient evidence. The leaf is the chosen one, or the agent's guess if it never chose one.
     """
 
     prediction: Prediction
@@ -83,14 +83,16 @@ class LookingAgent:
 
 
 def _from_start(position: F64, heading: float, start: F64, first: float) -> tuple[F64, float]:
-    """Return a pose in the frame of the start, whose heading becomes −z."""
+    """Return a pose in the frame of the start pose, whose position is `start` and whose heading `first` becomes −z."""
     east, up, south = position - start
     c, s = math.cos(first), math.sin(first)
     return np.array([c * east - s * south, up, s * east + c * south]), (heading - first) % (2 * math.pi)
 
 
 def _reveal(looker: Looker, eyes: Eyes, pathfinder: Pathfinder, start: F64, first: float) -> None:
-    """Enter the walkable floor around the start into the agent's map, for an agent that is given the map."""
+    """Add the walkable floor around the start to the agent's map. It is used for an agent that is given the map in
+    advance.
+    """
     reach = np.arange(-15.0, 15.0, 0.1) + 0.05
     x, z = (axis.ravel() for axis in np.meshgrid(reach, reach, indexing="ij"))
     c, s = math.cos(first), math.sin(first)

@@ -99,7 +99,9 @@ def compose_scene(scene: Scene, geometry: SceneGeometry | None, agent: AgentConf
 
 
 def _assemble(writer: GlbWriter, scene: Scene) -> int:
-    """Add stage and objects, each file once; return the number of textures that can't be copied."""
+    """Add stage and objects to the file, the meshes of each source file only once. Return the number of textures that
+    can't be copied.
+    """
     files = DatasetRoot(scene.root)
     known: dict[str, GlbPart] = {}
     lost = 0

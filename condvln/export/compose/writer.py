@@ -62,8 +62,8 @@ class GlbWriter:
         return self._triangles
 
     def add(self, part: GlbPart) -> GlbPart:
-        """Add the meshes of `part`; return a copy of `part` whose meshes are numbered within this scene, as `place`
-        needs it.
+        """Add the meshes of `part` to the scene. Return a copy of `part` whose mesh numbers are those of the scene, as
+        `place` needs it.
         """
         look = part.look
         first = {key: len(self._lists[key]) for key in ("materials", "textures", "samplers", "images")}
@@ -103,7 +103,9 @@ class GlbWriter:
                 number[own] = self._node(tree, number[parent[own]] if own in parent else stand)
 
     def surface(self, name: str, pieces: list[tuple[F64, NDArray[np.int64], tuple[float, float, float]]]) -> None:
-        """Add a node of this name with its own mesh: for each piece vertices (n, 3), faces (m, 3) and a colour."""
+        """Add a node called `name` with a mesh of its own. Each of `pieces` has vertices (n, 3), faces (m, 3) and a
+        colour.
+        """
         primitives = []
         for vertices, faces, colour in pieces:
             points = np.ascontiguousarray(vertices, "<f4")

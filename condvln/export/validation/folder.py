@@ -96,13 +96,15 @@ def _check_file(report: LintReport, file: Path, options: Options) -> Document | 
 
 
 def _without_shards(report: LintReport, file: Path) -> Iterator[Finding]:
-    """Yield the findings; if the split's episodes are in shards, the finding "no-episodes" is left out."""
+    """Yield the findings of ``report``, but not "no-episodes" if the split's episodes are in shards."""
     has_shards = any((file.parent / _SHARDS).glob("*.json.gz"))
     return (finding for finding in report if not (has_shards and finding.code == "no-episodes"))
 
 
 def _joined(split: Document, shard: Document, file: str) -> Iterator[Finding]:
-    """Merge a shard into its split; yield findings about what a shard and its split must share or must not share."""
+    """Merge a shard into its split. Yield a finding for everything that both must share and do not, or must not share
+    and do.
+    """
     for name in sorted(split.starts.keys() & shard.starts.keys()):
         yield Finding(file, f"episode {name}", "duplicate-id", f"id {name} is in another shard too", name)
     if None not in (split.vocabulary, shard.vocabulary) and split.vocabulary != shard.vocabulary:
@@ -129,7 +131,7 @@ def _shown(file: Path, root: Path) -> str:
 
 
 def _place(file: Path) -> tuple[Path, str]:
-    """Return the variant's folder and the split of ``<variant>/<split>/<split>.json.gz`` or
+    """Return the variant's folder and the name of the split from a path like ``<variant>/<split>/<split>.json.gz`` or
     ``…/<split>/content/<scene>.json.gz``.
     """
     folder = file.parent
@@ -171,7 +173,9 @@ def _check_truth_file(file: Path, root: Path, documents: Mapping[Path, Document]
 
 
 def _of_shards(truth: Path, documents: Mapping[Path, Document]) -> Document | None:
-    """Return the episodes of all shards as one document."""
+    """Return the episodes of all shards that belong to the ground-truth file ``truth``, as one document; None if there
+    are none.
+    """
     together = Document("vlnce")
     for file, document in documents.items():
         if file.parent == truth.parent / _SHARDS:
