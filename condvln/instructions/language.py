@@ -83,7 +83,9 @@ class Template:
 
     @property
     def length(self) -> int:
-        """Return the approximate number of words, without leaves, which are the same in all templates."""
+        """Return the approximate number of words of the template. The words of leaves are not counted: they are the
+        same in all templates.
+        """
         own = sum(len(piece.split()) for piece in self.pieces if isinstance(piece, str))
         return own + sum(_WORDS_OF[piece.form] for piece in self.pieces if isinstance(piece, Slot))
 

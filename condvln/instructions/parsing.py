@@ -84,8 +84,8 @@ def grammar_source(words: Language) -> str:
 
 
 class _GrammarWriter:
-    """Writes the grammar: one terminal per phrase, shared by the slots that have it, so that the lexer takes the
-    longest match.
+    """Writes the grammar of a language. Each phrase is one terminal, shared by all slots that have it, so that the
+    lexer takes the longest match.
     """
 
     def __init__(self, words: Language) -> None:
@@ -157,7 +157,9 @@ class _GrammarWriter:
         return "\n".join([*rules, *self._terminal_lines()]) + "\n"
 
     def _either(self, slot: str) -> str:
-        """Return the rule of a slot; if the slot's form after a denial differs, return an alternative of both rules."""
+        """Return the rule of a slot. If the slot has other forms after a denial, return an alternative of
+        both rules.
+        """
         slots = self.words.slots
         return f"(_{slot} | _{slot}_again)" if set(slots[f"{slot}_again"]) - set(slots[slot]) else f"_{slot}"
 
@@ -193,8 +195,8 @@ class _GrammarWriter:
 
 
 def _split(right: str) -> Iterator[str]:
-    """Yield a template's sequence, and every variant of this sequence that is split into sentences at colons or
-    semicolons.
+    """Yield the sequence of symbols of a template, and its variants in which some colons or semicolons end
+    a sentence.
     """
     marks = ("SEMICOLON", "COLON")
     parts = right.split(" ")
@@ -217,8 +219,8 @@ def _pattern(phrase: str) -> str:
 
 
 def _alternatives(texts: Iterable[str], others: Iterable[str] = ()) -> str:
-    """Return a pattern of any of `texts` that does not begin one of `others`: "the television" is not "the
-    television room".
+    """Return a pattern that matches any of `texts`, except where it is the beginning of one of `others`: "the
+    television" is not matched in "the television room".
     """
     longest_first = sorted({text.lower() for text in texts}, key=lambda text: (-len(text), text))
     patterns = []
@@ -309,13 +311,17 @@ class _TreeReader:
         return tuple(found)
 
     def _asked(self, tree: Node) -> Phrase:
-        """Return a condition. In a request to check something, the condition is the clause inside it."""
+        """Return the phrase of a condition. In a request to check something, the condition is the clause inside the
+        request.
+        """
         inner = [child for child in _subtrees(tree) if child.data in ("some", "the")]
         clause = inner[0] if inner else tree
         return replace(self._stop(clause), definite=clause.data == "the")
 
     def _stop(self, tree: Node) -> Phrase:
-        """Return the named object and room, in the order of the words: the room may come before or after the object."""
+        """Return the object and room that a stop names. The words are read in order, since the room may come before or
+        after the object.
+        """
         label, room = "", self.scope
         qualifier: tuple[Predicate, tuple[str, ...]] | None = None
         for child in tree.children:

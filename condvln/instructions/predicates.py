@@ -50,7 +50,7 @@ ASKED: Final[tuple[Predicate, ...]] = tuple(p for p in OF_THINGS if p not in QUA
 
 
 def sayable(directions: str, *, placed: bool = True) -> frozenset[Predicate]:
-    """Return the predicates that text may use under a value of ``instructions.directions``.
+    """Return the predicates that text may use if ``instructions.directions`` has the value `directions`.
 
     placed : programs are placed on a navmesh, so that the start can be chosen for egocentric statements
     """

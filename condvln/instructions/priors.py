@@ -63,8 +63,8 @@ _KEYS: Final = ("layout", "room_type", "label", "predicate", "anchor")
 
 @dataclass(frozen=True, slots=True)
 class PriorBits:
-    """The part of the priors that one scene reads: for its room types, and for its labels (all labels if it is one
-    room).
+    """The part of the priors that one scene reads. It covers the scene's room types and labels; if the scene is a
+    single room, it covers all labels.
 
     plausible : by room type, labels found in enough rooms of that type
     varies : those of them that are also absent from enough rooms of the type, so that their presence is informative
@@ -79,11 +79,13 @@ class PriorBits:
     staged: frozenset[str] = frozenset()
 
     def evidence(self, room_type: str) -> int:
-        """Return the number of rooms of a type that a statement's counts need before they say whether it varies."""
+        """Return the minimum number of rooms of type `room_type` in which a statement must be counted before its counts
+        can show whether its truth varies.
+        """
         return STAGINGS if room_type in self.staged else EVIDENCE
 
     def document(self) -> dict[str, JSON]:
-        """Return the bits as sorted JSON, and the rates as a hash: equal bits give equal bytes."""
+        """Return these priors as sorted JSON, with the rates replaced by their hash. Equal priors give equal bytes."""
         rates = [(*key, round(RATE_STEPS * t / (t + f))) for key, (t, f) in sorted(self.counts.items())]
         return {
             "plausible": {room_type: sorted(labels) for room_type, labels in sorted(self.plausible.items())},
@@ -147,8 +149,8 @@ class LabelPriors:
         return cls((table,))
 
     def bits(self, scene: Scene, plausible_share: float) -> PriorBits:
-        """Return the bits that `scene` reads; a label is plausible in a room type if `plausible_share` of the rooms
-        of this type have an object with it.
+        """Return the part of the priors that `scene` reads. A label is plausible in a room type if at least the share
+        `plausible_share` of the rooms of this type have an object with it.
         """
         types = sorted({room.label for room in scene.rooms})
         seen = sorted({o.label for o in scene.objects})
@@ -241,7 +243,9 @@ def _seen(arrays: RoomArrays) -> set[str]:
 
 
 def _rows(labels: Any, predicate: str, anchors: Any, true: Any, false: Any) -> pa.Table:
-    """Return rows of counts, without layout and room type; a single value fills its whole column."""
+    """Return rows of the counts `true` and `false`, with empty layout and room type. An argument that is a single value
+    fills its whole column.
+    """
     n = len(labels)
 
     def column(values: Any, kind: pa.DataType) -> pa.Array:

@@ -33,7 +33,9 @@ def instruction_id(family: str, scene_id: str, program: Program) -> str:
 
 
 def leaves_below(program: Program, target: int) -> tuple[int, ...]:
-    """Return the indices of the leaves under a branch's target (a branch if ≥ 0, else the leaf ``-1 - target``)."""
+    """Return the indices of the leaves below `target`, the target of a branch. It is the index of a branch if ≥ 0, else
+    it is ``-1 - leaf``.
+    """
     if target < 0:
         return (-1 - target,)
     branch = program.branches[target]
@@ -60,5 +62,5 @@ def composition(program: Program) -> Composition:
 
 
 def oracle_linear(program: Program) -> tuple[ObjectRef, ...]:
-    """Return the moves of the gold leaf only, waypoints in order; the last is the goal."""
+    """Return the moves of the gold leaf only: its waypoints in order, then its goal."""
     return program.leaves[program.gold_leaf()].moves

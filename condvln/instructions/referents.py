@@ -70,21 +70,25 @@ class Facts(Protocol):
     def denied(self) -> Mapping[str, NDArray[np.bool_]]: ...
 
     def between(self, pairs: NDArray[np.intp]) -> tuple[NDArray[np.int8], NDArray[np.float64]]:
-        """Return status and margin (n, p) of "between a and b" for pairs (p, 2) of indices."""
+        """Return status and margin (n, p) of "between a and b", for each of n objects and each of the `pairs` (p, 2) of
+        indices of a and b.
+        """
         ...
 
     def closest(self, rival: NDArray[np.bool_]) -> tuple[NDArray[np.int8], NDArray[np.float64]]:
-        """Return status and margin (n, n) of "closest to", among each object and its rivals."""
+        """Return status and margin (n, n) of "object i is the closest to object j" among object i and its rivals."""
         ...
 
     def sizes(self, rival: NDArray[np.bool_]) -> Mapping[str, NDArray[np.int8]]:
-        """Return the status (n,) of "the bigger" and "the smaller", for an object and its only rival."""
+        """Return, by predicate, the status (n,) of "the bigger" and "the smaller". Each object is compared with its
+        only rival.
+        """
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Qualification:
-    """A qualifier by indices: `anchors` are indices into the room's objects."""
+    """A qualifier whose `anchors` are indices into the room's objects."""
 
     predicate: Predicate
     anchors: tuple[int, ...]
@@ -130,7 +134,7 @@ class Referents:
         return self.room.complete and not meant & self.blocked and meant.isdisjoint(self.arrays.labels)
 
     def decides(self, label: str, vocabulary: Vocabulary) -> bool:
-        """Return whether "a `label` near …" can be claimed to be false.
+        """Return whether the statement "a `label` near …" may be claimed to be false.
 
         This is so if the only object that the label fits is elsewhere, which claims no absence; otherwise only if
         everything that may have the label, unlabelled objects included, is known and elsewhere.
@@ -141,8 +145,8 @@ class Referents:
 
     @cached_property
     def qualifications(self) -> tuple[tuple[Qualification, ...], ...]:
-        """For each object, the qualifiers that make it unique, best first; empty if the object needs no qualifier or
-        if no qualifier makes it unique.
+        """For each object, the qualifiers that make it unique, best first. There are none if the object needs no
+        qualifier, or if no qualifier makes it unique.
         """
         return _qualifications(self)
 
@@ -153,8 +157,8 @@ class Referents:
         return np.stack([self.anchors[one], self.anchors[other]], axis=1).astype(np.intp)
 
     def related(self, predicate: Predicate) -> tuple[NDArray[np.intp], NDArray[np.int8], NDArray[np.float64], Bools]:
-        """Return the facts of a predicate with anchors: anchors (a, k); status, margin and `suits` (n, a) of all
-        objects.
+        """Return the facts of a predicate with anchors. These are the indices (a, k) of the k anchors of each column,
+        then status, margin and `suits`, (n, a) each, of all n objects.
         """
         columns = self.anchor_pairs if predicate == "between" else self.anchors[:, None]
         if predicate == "between":
@@ -167,8 +171,8 @@ class Referents:
         return columns, status, margin, np.asarray(self.suits[:, columns].all(axis=2))
 
     def denied(self, predicate: Predicate, status: NDArray[np.int8]) -> Bools:
-        """Return (n, a): whether a condition may state that a predicate is false, from its status as `related`
-        returns it.
+        """Return (n, a): whether a condition may state that `predicate` is false. `status` (n, a) is the status that
+        `related` returns.
         """
         found = self.facts.denied.get(predicate)
         return np.asarray(status == -1) if found is None else np.asarray(found[:, self.anchors])
@@ -179,7 +183,9 @@ class Referents:
 
     @cached_property
     def unique_labels(self) -> frozenset[str]:
-        """Labels that fit exactly one object of the room, under any word for them."""
+        """Labels that belong to exactly one object of the room, and whose words can mean no other object
+        of the room.
+        """
         return frozenset(self.arrays.labels[i] for i in np.flatnonzero(self.unique))
 
     @cached_property
@@ -252,8 +258,8 @@ class Referents:
 def meant_by(
     words: Sequence[str], labels: Sequence[str], may_be: Sequence[frozenset[str]], vocabulary: Vocabulary
 ) -> Bools:
-    """Return (w, n): whether a word for label i might mean object j, by the label of object j or by another label
-    that it may have.
+    """Return (w, n): whether each of the w `words`, which are labels, might mean each of n objects. It may mean an
+    object by the object's own label or by another label that the object may have.
 
     Parameters
     ----------
@@ -272,7 +278,9 @@ def meant_by(
 def things_meant(
     scene: Scene, room_id: str, label: str, vocabulary: Vocabulary, sightings: Sightings = EVERYTHING_SEEN
 ) -> tuple[str, ...]:
-    """Return the ids of visible objects of a room that a word for `label` might mean, unlabelled ones included."""
+    """Return the ids of the visible objects of a room that a word for `label` might mean. Unlabelled objects are
+    included.
+    """
     arrays = scene.arrays(room_id)
     meant = meant_by((label,), arrays.labels, _nameless(arrays, vocabulary, scene.family)[0], vocabulary)[0]
     return tuple(arrays.object_ids[i] for i in np.flatnonzero(meant & ~sightings.hidden(arrays)))
@@ -281,8 +289,8 @@ def things_meant(
 def _nameless(
     arrays: RoomArrays, vocabulary: Vocabulary, family: str | None
 ) -> tuple[tuple[frozenset[str], ...], tuple[frozenset[str], ...], frozenset[str], frozenset[str]]:
-    """Return labels that objects may have besides their own: `may_be`, `open`, `blocked` and `unplaced` of
-    `Referents`.
+    """Return the labels that objects may have besides their own, as the fields `may_be`, `open`, `blocked` and
+    `unplaced` of `Referents`.
     """
     none: frozenset[str] = frozenset()
     if family is None:
@@ -307,7 +315,9 @@ def _nameless(
 
 
 def _suits(sizes: NDArray[np.float64], fixed: Bools) -> Bools:
-    """Return (n, n): whether j may be the anchor of i: larger in ground area or volume (sizes (n, 3)), or fixed."""
+    """Return (n, n): whether object j may be the anchor of object i. It may if it is fixed, or if its ground area or
+    its volume is at least that of i. `sizes` is (n, 3).
+    """
     area, volume = sizes[:, 0] * sizes[:, 2], sizes.prod(axis=1)
     suits = fixed[None, :] | (area[None, :] >= area[:, None]) | (volume[None, :] >= volume[:, None])
     np.fill_diagonal(suits, False)
@@ -315,8 +325,8 @@ def _suits(sizes: NDArray[np.float64], fixed: Bools) -> Bools:
 
 
 def _longest_side(arrays: RoomArrays) -> NDArray[np.float64]:
-    """Return the longest sides (n,) in metres; infinite if the extent is unknown, so that the object counts as
-    large.
+    """Return the longest side of each object, (n,) in metres. It is infinite if the extent is unknown, so that the
+    object counts as large.
     """
     sides = np.max(arrays.aabb_max - arrays.aabb_min, axis=1, initial=-np.inf)
     sides = np.where(np.isnan(sides), 2.0 * arrays.radius, sides)

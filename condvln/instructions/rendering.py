@@ -69,7 +69,9 @@ def heading_name(heading_degrees: float) -> str:
 
 
 def voice_of(seed: int, instruction_id: str, wording: WordingConfig | str = "en") -> Voice:
-    """Return the voice of an instruction, one of those allowed; a plain language code allows all."""
+    """Return the voice of an instruction, chosen from the allowed voices. If `wording` is only a language code, all
+    voices of the language are allowed.
+    """
     said = _wording(wording)
     voices, sums = _allowed(said)
     share = stable_hash("voice", seed, instruction_id, said.language) / 2**256
@@ -78,7 +80,7 @@ def voice_of(seed: int, instruction_id: str, wording: WordingConfig | str = "en"
 
 @lru_cache
 def _allowed(said: WordingConfig) -> tuple[tuple[Voice, ...], tuple[float, ...]]:
-    """Return the allowed voices in the language's order, and their cumulative weights."""
+    """Return the voices that `said` allows, in the language's order, and their cumulative weights."""
     voices = tuple(voice for voice in language(said.language).voices if voice.name in said.voices)
     return voices, tuple(accumulate(voice.weight for voice in voices))
 
@@ -103,7 +105,8 @@ def with_preamble(
 
 
 def render(program: Program, seed: int, instruction_id: str, wording: WordingConfig | str = "en") -> str:
-    """Return the rendering of `program` for (seed, instruction id, wording); a plain language code allows all voices.
+    """Return the text of `program`, which is determined by `seed`, `instruction_id` and `wording`. If `wording` is only
+    a language code, all voices of the language are allowed.
 
     With the length "short" it has the shortest phrases and templates of its voice.
     """
@@ -117,7 +120,8 @@ def render(program: Program, seed: int, instruction_id: str, wording: WordingCon
 def word_count(
     program: Program, seed: int, instruction_id: str, wording: WordingConfig | str = "en", *, preamble: bool
 ) -> int:
-    """Return the number of words of the published text of `program` before placing: every heading's name is one word.
+    """Return the number of words that the published text of `program` will have. The start heading need not be known,
+    since the name of every heading is one word.
 
     preamble : whether texts that use compass words begin with the start heading
     """
@@ -207,8 +211,8 @@ class _Renderer:
         return text
 
     def _elided(self, room: RoomRef) -> bool:
-        """Return whether nouns are said without their room, because the room has no name or the whole text is about
-        it.
+        """Return whether nouns are said without their room. This is so if `room` has no name, or if the whole text is
+        about one room.
         """
         return self.scope is not None or room.label not in self.words.rooms
 
@@ -245,7 +249,9 @@ class _Renderer:
         return self._clause(condition, asserted=asserted)
 
     def _is_in_room_asked(self, condition: Condition) -> bool:
-        """Return whether a known object is in the room asked about last, which then need not be named again."""
+        """Return whether a condition is about a known object in the room of the last question. This room then need not
+        be named again.
+        """
         beside = condition.definite and self._room_asked == condition.room.room_id
         return beside and not self._is_shared(condition)
 
@@ -256,7 +262,9 @@ class _Renderer:
         return bool(self._shared) and not self._shared.isdisjoint(_labels(named))
 
     def _answer(self, form: str, condition: Condition) -> str:
-        """Return an answer: "there is", "it isn't". It repeats "is there" only after a question with these words."""
+        """Return the short answer that stands for a condition, such as "there is" or "it isn't". An answer that repeats
+        "there is" is used only after a question with these words.
+        """
         slot = f"{form}_{'it' if condition.definite else 'one'}"
         answer = self._phrase(slot)
         if answer in self.words.elliptic and not self._asked_by_exists:
@@ -281,8 +289,8 @@ class _Renderer:
         return f"{there}{self._relation(condition)}{self._where(condition.room, named=True)}"
 
     def _again(self, condition: Condition, kind: str) -> str:
-        """Return the words that repeat an earlier condition, without its room. The next stop says no "there", since
-        other rooms were named in between.
+        """Return the words that repeat an earlier condition, without its room. The next stop then does not use "there",
+        since other rooms were named in between.
 
         kind : "" if it holds, "_not" if it doesn't, "_again" if it holds after a leaf for the case that it doesn't
         """
@@ -310,7 +318,9 @@ class _Renderer:
         return f"{self._phrase('check')} {room} {self._filled('for', condition)}{self._relation(condition)}"
 
     def _request(self) -> str:
-        """Return "see if" or "check whether": the voice's phrases in turn."""
+        """Return the phrase of the next request, such as "see if" or "check whether". The phrases of the voice take
+        turns.
+        """
         phrases = _shortest(self.voice.slots["see"]) if self.short else self.voice.slots["see"]
         first = phrases.index(self._phrase("see"))
         self._requests += 1
@@ -343,14 +353,16 @@ class _Renderer:
         return f" {relation} {f' {self.words.both} '.join(anchors)}"
 
     def _lying(self) -> str:
-        """Return the words between the noun of a stop and its relation: the same throughout a text."""
+        """Return the words between the noun of a stop and its relation. They are the same throughout a text."""
         found = self._chosen.get("lying")
         if found is None:
             found = self._chosen["lying"] = self._choice(self.words.lying)
         return found
 
     def _at_start(self, bearing: Predicate, of_stop: bool) -> str:
-        """Return an egocentric phrase, "on your left as you start"; a text has the same form throughout."""
+        """Return the phrase of an egocentric direction, such as "on your left as you start". A text uses the same form
+        throughout.
+        """
         phrases = (self.words.bearing_stops if of_stop else self.words.bearings)[bearing]
         if self._bearing is None:
             self._bearing = self.draws.index(len(phrases))
@@ -441,8 +453,8 @@ def _shared(program: Program) -> set[str]:
 
 
 def _sayable(templates: tuple[Template, ...], program: Program) -> tuple[Template, ...]:
-    """Return the templates without questions like "is the lamp in the bedroom with the desk near the bed?", if there
-    are any.
+    """Return the templates without questions like "is the lamp in the bedroom with the desk near the bed?". If no
+    template is without them, return all templates.
     """
     long = {k for k, c in enumerate(program.conditions) if c.definite and c.room.anchor_label is not None}
     if not long:

@@ -140,7 +140,7 @@ class ProgramSampler:
 
     @cached_property
     def _held(self) -> dict[str, int]:
-        """Targets of each nameable room, as bits."""
+        """The positions of each nameable room's targets, as the set bits of one integer."""
         held = dict.fromkeys(sorted(self._names), 0)
         for target in self.targets:
             held[target.room_id] |= 1 << target.position
@@ -148,7 +148,7 @@ class ProgramSampler:
 
     @cached_property
     def _members(self) -> dict[str, int]:
-        """Targets of each label, as bits."""
+        """The positions of each label's targets, as the set bits of one integer."""
         members: dict[str, int] = {}
         for k, target in enumerate(self.targets):
             members[target.label] = members.get(target.label, 0) | 1 << k
@@ -161,11 +161,15 @@ class ProgramSampler:
 
     @cached_property
     def label_cap(self) -> float:
-        """Largest share of leaf targets that a label may have; an equal share if the scene has too few labels."""
+        """Maximum share of leaf targets that may have the same label. If the scene has too few labels for it, this is
+        an equal share for each label.
+        """
         return max(self.wanted.label_cap, 1.0 / max(1, len(self._members)))
 
     def _target_pool(self, category: Category, used: Counter[str]) -> TargetPool:
-        """Return the pool of goals: labels by weight and rarity, none above its share."""
+        """Return the pool from which goals are drawn. Labels count by their weight and rarity; a label that has reached
+        its maximum share is left out.
+        """
         candidates = sum(self.sampling.candidates(cell) for cell in self.wanted.cells_of(category))
         most = max(1.0, self.label_cap * candidates * SHAPES[category].leaves)
         weights = {t.label: t.weight / (1 + used[t.label]) for t in self.targets if used[t.label] + 1 <= most}
@@ -258,7 +262,9 @@ class ProgramSampler:
 
     @contextmanager
     def _counted(self, cell: InstructionCell | None) -> Iterator[None]:
-        """Count why a draw was rejected, and the conditions that clashed with others."""
+        """Count for `cell` the reason if the draw in this context is rejected, and the conditions that clashed with
+        others.
+        """
         try:
             yield
         except GivenUp as given_up:
@@ -294,13 +300,13 @@ class ProgramSampler:
         return _Shape(wanted, tuple(1 + draws.cumulative(shares) for _ in range(n_leaves)), bearings, gold)
 
     def _roomy(self, category: Category) -> tuple[str, ...]:
-        """Return the rooms that can hold a whole program."""
+        """Return the rooms that each have enough targets for all leaves of a program of `category`."""
         n = SHAPES[category].leaves
         return tuple(room for room in self.condition_sampler.rooms if self._fits(self._held[room], n))
 
     def _fits(self, allowed: int, n: int, waypoints: int = 0, free: int | None = None) -> bool:
-        """Return whether there are `n` targets among `allowed` (bits), and `waypoints` more targets among `free` (by
-        default `allowed`), that have different labels and are pairwise apart.
+        """Return whether `n` targets among `allowed` and `waypoints` more targets among `free` exist that have
+        different labels and are pairwise apart. `allowed` and `free` are bits; the default of `free` is `allowed`.
         """
         free = allowed if free is None else free
         if n < 2 and not waypoints:
@@ -311,7 +317,9 @@ class ProgramSampler:
         return self._fitting[key]
 
     def _search(self, allowed: int, free: int, n: int, waypoints: int, left: list[int]) -> bool:
-        """As `_fits`; `left` [1] is the number of targets that may still be searched."""
+        """Search for the targets that `_fits` asks for. `left` holds one number, the targets that may still be tried;
+        if it runs out, the answer is True.
+        """
         if not n:
             return not waypoints or self._fits(free, waypoints)
         while allowed.bit_count() >= n:
@@ -379,8 +387,8 @@ class ProgramSampler:
         return self._few(2 if wanted == "C1" else MOST_ROOMS, shape, draws)
 
     def _few(self, most: int, shape: _Shape, draws: Draws) -> list[str]:
-        """Return some rooms that the stops fit in, at least one with conditions; preferably rooms whose name needs no
-        distinguishing object.
+        """Return up to `most` rooms that together have targets for all stops; the first of them has conditions. Rooms
+        that are named by their label alone are preferred.
         """
         few = [draws.choice(self.condition_sampler.rooms)]
         while len(few) < most:
@@ -411,8 +419,8 @@ class ProgramSampler:
         return self._names[room_id][0].anchor_label is None
 
     def _goals(self, shape: _Shape, allowed: int, draws: Draws, pool: TargetPool) -> list[Target]:
-        """Return one goal per leaf, of different labels and pairwise apart, preferring rarely used labels. The
-        waypoints of the longest leaf still fit beside them.
+        """Return one goal for each leaf. The goals have different labels and are pairwise apart; rarely used labels are
+        preferred. Enough targets are left for the waypoints of the longest leaf.
         """
         n, waypoints = len(shape.moves), shape.waypoints
         if not self._fits(allowed & pool.drawable, n):
@@ -435,7 +443,9 @@ class ProgramSampler:
         return goals
 
     def _moves(self, goal: Target, goals: Sequence[Target], count: int, allowed: int, draws: Draws) -> list[Target]:
-        """Return the stops of one leaf: waypoints apart from each other and from every leaf's goal, then the goal."""
+        """Return the stops of one leaf: first `count` - 1 waypoints, then `goal`. The waypoints are apart from one
+        another and from the goals of all leaves.
+        """
         allowed &= ~self._members[goal.label]
         for other in goals:
             allowed &= other.apart
@@ -463,7 +473,9 @@ class ProgramSampler:
         return names[:ALTERNATIVES]
 
     def _named(self, target: Target, room: RoomRef, draws: Draws, start: bool) -> ObjectRef:
-        """Return one of the names of a target; an egocentric one only if the start is in its room."""
+        """Return one of the names of a target, drawn by preference. An egocentric name is possible only if `start` is
+        true: the start is in the target's room.
+        """
         key = (room, target.object_id)
         if key not in self._refs:
             refs = object_refs(self.referents[target.room_id], target.index, room)

@@ -23,7 +23,7 @@ Bools = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class StatementTruths:
-    """The statements "there is a <label> <predicate> the <anchor>" for one room and one predicate.
+    """The truths of all statements "there is a <label> <predicate> the <anchor>" about one room, for one predicate.
 
     labels (l,) : nameable labels of the room; anchors (a, k) : indices of the k anchors of each column
     exact (l, n) : which visible objects have a label; held (n, a) : which objects are in the relation, with margin
@@ -42,19 +42,19 @@ class StatementTruths:
     false: Bools
 
     def anchor_key(self, column: int, own: Sequence[str]) -> str:
-        """Return the key by which the priors know the anchors of a column; `own` are the labels of the room's
-        objects.
+        """Return the key that the priors use for the anchors of `column`. `own` are the labels of the
+        room's objects.
         """
         return anchor_key(own[a] for a in self.anchors[column])
 
 
 def anchor_key(labels: Iterable[str]) -> str:
-    """Return the labels of a statement's anchors joined to one key, whatever their order."""
+    """Return the key of a statement's anchors: their labels, sorted and joined."""
     return " + ".join(sorted(labels))
 
 
 def statement_truths(referents: Referents, vocabulary: Vocabulary) -> Iterator[StatementTruths]:
-    """Yield all statements with a relation about one room, one table per predicate."""
+    """Yield one table for each predicate with anchors: the truths of all statements about one room that use it."""
     own = referents.arrays.labels
     labels = tuple(sorted({label for label, fit in zip(own, referents.nameable, strict=True) if fit}))
     if not labels or not len(referents.anchors):

@@ -88,7 +88,9 @@ class TargetPool:
 
 
 def apart_by_centres(scene: Scene, places: PlacesConfig) -> Stops:
-    """Return the stops of a scene without geodesics: objects are apart by the horizontal distance of their centres."""
+    """Return the stops of a scene without computing geodesics. Two objects are apart if the horizontal distance of
+    their centres is large enough.
+    """
     ordered = sorted(scene.objects, key=lambda o: o.object_id)
     least = places.leaf_separation(scene.single_room)
     ground = np.array([o.center[[0, 2]] for o in ordered], dtype=np.float64).reshape(-1, 2)

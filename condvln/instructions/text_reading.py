@@ -23,7 +23,8 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Phrase:
-    """A noun phrase: label, qualifier as (predicate, anchors' labels), and the room; None if the text does not name it.
+    """A noun phrase: the label, the qualifier as (predicate, labels of the anchors), and the room. Qualifier and room
+    are None if the text does not state them.
 
     definite : for a condition, whether it is about one definite object ("the lamp is near the bed")
     """

@@ -187,8 +187,8 @@ class Vocabulary:
         return self._label_of_word.get(text) or self._label_of_word.get(_NUMBER.sub("", text))
 
     def is_vague(self, label: str, family: str) -> bool:
-        """Return whether an object with this canonical label could be anything: the label is ``unknown``, or a type
-        that no list contains.
+        """Return whether an object with the canonical label `label` could be anything. This holds for the label
+        ``unknown`` and for types that no list contains.
         """
         return ANYTHING in self._written_may_be(label, family)
 
@@ -236,8 +236,8 @@ class Vocabulary:
         return entry is not None and entry.kind == "structure"
 
     def container(self, label: str) -> ContainerKind | None:
-        """Return how objects with `label` hold others: ``shut`` if they can be closed, ``open`` if not; None for no
-        container.
+        """Return how objects with `label` hold others: ``shut`` if they can be closed, ``open`` if they can't, None if
+        they are no containers.
 
         An unlisted label takes the value of its alphabetically first listed hypernym.
         """
@@ -246,8 +246,8 @@ class Vocabulary:
         return next((self._containers[name] or None for name in names if name in self._containers), None)
 
     def is_frame(self, label: str) -> bool:
-        """Return whether objects with `label`, or one of its hypernyms, are open frames, whose box does not hide
-        what is in or on it.
+        """Return whether objects with `label` are open frames, whose box does not hide what is in or on it. A hypernym
+        of `label` can decide this.
         """
         entry = self._entries.get(label)
         names = {label} if entry is None else {label, *entry.hypernyms}
@@ -353,7 +353,7 @@ def _several(cell: str) -> frozenset[str]:
 
 
 def _with_normalised_keys(raw: Mapping[tuple[str, str], T]) -> dict[tuple[str, str], T]:
-    """Return `raw` plus each key in normal form, unless that normal form is itself a listed label."""
+    """Return `raw` with an additional entry for the normal form of each key, unless this form is already a key."""
     keys: dict[tuple[str, str], T] = {}
     for (source, text), label in raw.items():
         if len(text) > 1:  # for a one-letter label, case carries the meaning

@@ -176,7 +176,7 @@ def _lint(texts: Sequence[InstructionText]) -> dict[str, int] | None:
 
 
 def _is_said(one: InstructionText, code: str) -> bool:
-    """Return whether the text parses in language `code` to exactly its own program."""
+    """Return whether the text, parsed in the language `code`, means exactly its own program."""
     assert one.program is not None
     try:
         reading = parse(one.text, code)

@@ -30,8 +30,8 @@ _REMEDY: Final = "Name an export, or a file of R2R, VLN-CE, RxR or NavSpace (.js
 
 @dataclass(frozen=True, slots=True)
 class InstructionText:
-    """One instruction text. A text of our own also has its category, its program, and the heading that it may begin
-    with.
+    """One instruction text. A text of our own also has its category, its program, and the start heading that it may
+    state.
     """
 
     text: str

@@ -156,7 +156,9 @@ def manifest_row(
 
 
 def published_row(episode: ManifestEpisode) -> dict[str, Any]:
-    """Return a manifest row in the form of the episodes table: points by axis, start heading in degrees."""
+    """Return a manifest row in the form of the episodes table: each point as a mapping with x, y and z, the start
+    heading in degrees.
+    """
     row = episode.model_dump(mode="json")
     leaves = [
         {

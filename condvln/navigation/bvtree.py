@@ -13,7 +13,8 @@ Cells = npt.NDArray[np.uint16]
 
 
 def quantise_bounds(lower: Floats, upper: Floats, tile_min: Floats, cell_size: float) -> tuple[Cells, Cells]:
-    """Return boxes in cells of the tile, truncated and clamped to 16 bits. Detour uses the cell size in all directions.
+    """Return boxes in whole cells, counted from the tile's lowest corner. They are truncated and clamped to 16 bits;
+    Detour uses the cell size in all directions.
 
     Parameters
     ----------
@@ -53,7 +54,9 @@ def build_bv_tree(lower: Cells, upper: Cells) -> Records:
 def _split(
     nodes: Records, position: int, order: npt.NDArray[np.int64], begin: int, end: int, lower: Cells, upper: Cells
 ) -> int:
-    """Write the subtree over ``order[begin:end]`` from ``position`` on and return the position after it."""
+    """Write the subtree over the boxes ``order[begin:end]`` to ``nodes``, beginning at ``position``. Return the
+    position after the subtree.
+    """
     items = order[begin:end]
     low, high = lower[items].min(axis=0), upper[items].max(axis=0)
     nodes["bmin"][position], nodes["bmax"][position] = low, high

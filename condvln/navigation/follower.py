@@ -205,7 +205,7 @@ class Follower:
 
 
 class SteppedWalk:
-    """A walk executed action by action, with the poses of :meth:`Follower.walk` bit for bit.
+    """A walk that is executed one action at a time. Its poses equal those of :meth:`Follower.walk` bit for bit.
 
     Attributes
     ----------
@@ -233,7 +233,9 @@ class SteppedWalk:
 
 
 def _headings(first: float, facing: Indices, space: ActionSpace) -> npt.NDArray[np.float64]:
-    """Return the headings, in radians within [0, 2π), after given numbers of turns from the first one."""
+    """Return headings in radians within [0, 2π). ``first`` is the first heading, ``facing`` the number of turns from it
+    to each of the others.
+    """
     turned: npt.NDArray[np.float64] = np.mod(first + facing * math.radians(space.turn), 2 * math.pi)
     return turned
 

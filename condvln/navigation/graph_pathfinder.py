@@ -184,8 +184,8 @@ class GraphPathfinder:
         return float(self.geodesic_distances(start, end)[0])
 
     def geodesic_distances(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> Floats:
-        """Return :meth:`geodesic_distance` of n pairs, (n,) float32; a single start or end is paired with all
-        others.
+        """Return :meth:`geodesic_distance` of n pairs, (n,) float32. A single start is paired with every end, and a
+        single end with every start.
         """
         first, second = (self._nearest(points) for points in paired_points(starts, ends))
         lost = (first == NOWHERE) | (second == NOWHERE)

@@ -104,8 +104,8 @@ class HabitatPathfinder:
         return self.find_path(start, end).geodesic_distance
 
     def geodesic_distances(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> Floats:
-        """Return :meth:`geodesic_distance` of n pairs, (n,) float32; a single start or end is paired with all
-        others.
+        """Return :meth:`geodesic_distance` of n pairs, (n,) float32. A single start is paired with every end, and a
+        single end with every start.
         """
         pairs = np.broadcast_arrays(*paired_points(starts, ends))
         return np.array([self.geodesic_distance(a, b) for a, b in zip(*pairs, strict=True)], np.float32)
@@ -149,8 +149,8 @@ class HabitatPathfinder:
         return float(self._habitat.island_area(index))
 
     def get_random_navigable_points(self, count: int, rng: RandomSource, island: int | None = None) -> Floats:
-        """Return ``count`` random points (count, 3). The seed is drawn from ``rng``; the random numbers are those of
-        the C library.
+        """Return ``count`` random points (count, 3). They are drawn by the C library's generator, with a seed from
+        ``rng``.
         """
         self._habitat.seed(int(np.random.default_rng(rng).integers(2**31)))
         chosen = NO_ISLAND if island is None else island

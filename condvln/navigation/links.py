@@ -57,7 +57,9 @@ def disable_zero_area(tile: NavMeshTile) -> NavMeshTile:
 
 
 def polygon_areas(tile: NavMeshTile) -> Floats:
-    """Return (p,) float32 square metres of each polygon, summed in float32 over its detail triangles in order."""
+    """Return the area of each polygon in square metres, (p,) float32. It is summed in float32 over the polygon's detail
+    triangles, in order.
+    """
     corners, poly = tile.detail_triangles
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 1]
     cross = a[:, [1, 2, 0]] * b[:, [2, 0, 1]] - a[:, [2, 0, 1]] * b[:, [1, 2, 0]]

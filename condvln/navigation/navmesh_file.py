@@ -108,7 +108,9 @@ class NavMeshFile:
 
     @property
     def known_settings(self) -> NavMeshSettings:
-        """Return the settings; for version 1 the defaults with agent sizes and cell size from the tile's header."""
+        """Return the settings of the navmesh. A file of version 1 has none: then agent and cell sizes are those of the
+        tile's header, and the others are defaults.
+        """
         if self.settings is not None:
             return self.settings
         header = self.tile.header
@@ -215,7 +217,7 @@ def parse_navmesh(data: bytes, where: str | os.PathLike[str] = "<bytes>") -> Nav
 
 
 class _Reader:
-    """A cursor that never returns more bytes than exist."""
+    """A cursor over ``data`` that never reads beyond its end."""
 
     def __init__(self, data: bytes, where: str) -> None:
         self.data, self.where, self.offset = data, where, 0
@@ -238,7 +240,7 @@ class _Reader:
         raise FormatError(what, where=self.where, place=place, remedy=REMEDY)
 
     def require(self, sound: Any, what: str, place: str) -> None:
-        """Raise an error for the first record that is not ``sound``."""
+        """Raise an error that names the first record whose value in ``sound`` is false, if there is one."""
         if not sound.all():
             first = tuple(int(i) for i in np.argwhere(~sound)[0])
             self.fail(what, f"{place} {first[0]}")

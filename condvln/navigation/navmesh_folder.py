@@ -37,7 +37,7 @@ class OnNavmesh(Protocol):
 
 
 class NavmeshFolder:
-    """Pathfinders by the path and hash of their navmesh.
+    """Loads pathfinders by the path and hash of their navmesh, and keeps the most recent ones in memory.
 
     Parameters
     ----------
@@ -59,8 +59,8 @@ class NavmeshFolder:
         return self.load(episode.navmesh, episode.navmesh_sha256, f"episode {episode.episode_id}")
 
     def load(self, navmesh: str, sha256: str, place: str) -> Pathfinder:
-        """Return the pathfinder of a navmesh by its path below a root and its hash; ``place`` names the caller in
-        messages.
+        """Return the pathfinder of the navmesh with the path ``navmesh`` below a root and the hash ``sha256``.
+        ``place`` names the caller in error messages.
 
         Raises
         ------

@@ -31,10 +31,13 @@ class Occluders(Protocol):
 
     @property
     def approximate(self) -> bool:
-        """Whether these are boxes rather than the scene's surfaces; recorded with all derived results."""
+        """Whether the occluders are boxes rather than the scene's surfaces. This is recorded with all results derived
+        from them.
+        """
 
     def hidden(self, eyes: Points, points: Points, own: npt.NDArray[np.int64] | None = None) -> Flags:
-        """Return which of k lines of sight, each from an eye to a point, (k, 3) and (k, 3) metres, are blocked, (k,).
+        """Return whether each of k lines of sight is blocked, (k,) bool. ``eyes`` and ``points`` are the ends of these
+        lines, (k, 3) each, in metres.
 
         ``own`` (k,) : the occluder that each point belongs to, -1 for none; used for boxes only.
         """
@@ -67,7 +70,7 @@ class MeshOccluders:
         self._caster = RayMeshIntersector(trimesh.Trimesh(points, corners, process=False))
 
     def hidden(self, eyes: Points, points: Points, own: npt.NDArray[np.int64] | None = None) -> Flags:
-        """See :class:`Occluders`."""
+        """Return whether each line of sight is blocked; see :meth:`Occluders.hidden`."""
         out = np.zeros(len(eyes), bool)
         for begin in range(0, len(eyes), _RAYS):
             part = slice(begin, begin + _RAYS)
@@ -157,7 +160,7 @@ class BoxOccluders:
         return len(self._centers)
 
     def __add__(self, other: BoxOccluders) -> BoxOccluders:
-        """Return these boxes followed by the others."""
+        """Return the boxes of ``self`` followed by those of ``other``."""
         pairs = (
             (self._centers, other._centers),
             (self._half, other._half),
@@ -167,7 +170,9 @@ class BoxOccluders:
         return BoxOccluders(*(np.concatenate(pair) for pair in pairs))
 
     def hidden(self, eyes: Points, points: Points, own: npt.NDArray[np.int64] | None = None) -> Flags:
-        """See :class:`Occluders`; ``own`` indexes the boxes in the given order."""
+        """Return whether each line of sight is blocked; see :meth:`Occluders.hidden`. ``own`` holds indices of boxes in
+        the order in which they were given.
+        """
         mine = np.full(len(eyes), -1, np.int64) if own is None else np.require(own, np.int64, ["C", "W"])
         begin, end = (np.require(values, np.float64, ["C", "W"]) for values in (eyes, points))
         return blocked_looks(begin, end, mine, self._centers, self._half, self._axes, self._headroom, TOUCH)
@@ -185,7 +190,7 @@ class JoinedOccluders:
         self._mesh, self._boxes = mesh, boxes
 
     def hidden(self, eyes: Points, points: Points, own: npt.NDArray[np.int64] | None = None) -> Flags:
-        """See :class:`Occluders`."""
+        """Return whether each line of sight is blocked; see :meth:`Occluders.hidden`."""
         out = self._mesh.hidden(eyes, points)
         left = np.flatnonzero(~out)
         out[left] = self._boxes.hidden(eyes[left], points[left], None if own is None else own[left])

@@ -114,7 +114,7 @@ class Pathfinder:
 
     @property
     def settings(self) -> NavMeshSettings:
-        """The build settings (version 1 has agent and cell sizes only; the rest are defaults)."""
+        """The build settings. A file of version 1 has only agent and cell sizes; the other settings are defaults."""
         return self.navmesh.known_settings
 
     @property
@@ -177,8 +177,8 @@ class Pathfinder:
         return np.where(polys == NO_POLYGON, -1, self._island_of_poly[polys]).astype(np.int32)
 
     def island_radius(self, point_or_index: npt.ArrayLike) -> float:
-        """Return the distance in metres from the mean of an island's corners to the farthest corner; the island is
-        given by its index or by a point of it (0 if the point is off the mesh).
+        """Return the distance in metres from the mean of an island's corners to the farthest corner. The island is
+        given by its index or by a point of it; the result is 0 if the point is off the mesh.
         """
         where = np.asarray(point_or_index)
         index = self._island_index(int(where)) if where.ndim == 0 else self.get_island(where)
@@ -221,8 +221,8 @@ class Pathfinder:
         return float(routes(self.query_mesh, one_point(start), one_point(end), False)[0][0])
 
     def geodesic_distances(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> Floats:
-        """Return :meth:`geodesic_distance` of n pairs, (n,) float32; a single start or end is paired with all
-        others.
+        """Return :meth:`geodesic_distance` of n pairs, (n,) float32. A single start is paired with every end, and a
+        single end with every start.
         """
         return routes(self.query_mesh, *paired_points(starts, ends), False)[0]
 
@@ -233,15 +233,15 @@ class Pathfinder:
     # -- movement ------------------------------------------------------------------------------------------------------
 
     def try_step(self, start: npt.ArrayLike, end: npt.ArrayLike) -> Floats:
-        """Return where a move from ``start`` towards ``end`` ends (3,), sliding along walls; ``start`` if it is
-        impossible.
+        """Return the point (3,) where a move from ``start`` towards ``end`` ends. The move slides along walls; the
+        result is ``start`` if it is impossible.
         """
         reached: Floats = self.try_steps(one_point(start), one_point(end))[0]
         return reached
 
     def try_step_no_sliding(self, start: npt.ArrayLike, end: npt.ArrayLike) -> Floats:
-        """Return where a move from ``start`` towards ``end`` ends (3,), stopping at the first wall (habitat-sim
-        0.3.4).
+        """Return the point (3,) where a move from ``start`` towards ``end`` ends. The move stops at the first wall, as
+        in habitat-sim 0.3.4.
         """
         reached: Floats = self.try_steps(one_point(start), one_point(end), sliding=False)[0]
         return reached
@@ -260,7 +260,9 @@ class Pathfinder:
         return self.closest_obstacle_surface_point(point, max_search_radius).hit_dist
 
     def closest_obstacle_surface_point(self, point: npt.ArrayLike, max_search_radius: float = 2.0) -> HitRecord:
-        """Return the nearest wall's point, the normal towards the given point, and the distance."""
+        """Return the nearest point on a wall, the wall's normal towards the given point, and the distance between the
+        two points.
+        """
         distances, hits, normals = nearest_walls(self.query_mesh, one_point(point), np.float32(max_search_radius))
         return HitRecord(hits[0], normals[0], float(distances[0]))
 
@@ -316,8 +318,8 @@ class Pathfinder:
     # -- pictures ------------------------------------------------------------------------------------------------------
 
     def top_down_view(self, metres_per_pixel: float, height: float, eps: float = MAX_Y_DELTA) -> npt.NDArray[np.bool_]:
-        """Return the navigability (rows along z, columns along x) of points at ``height``, within ``eps`` metres in
-        height.
+        """Return whether each point of a grid at ``height`` is navigable, within ``eps`` metres in height. Rows run
+        along z, columns along x.
 
         Raises
         ------

@@ -14,7 +14,7 @@ __all__ = ["many_points", "one_point", "paired_points"]
 
 
 def one_point(point: npt.ArrayLike) -> Floats:
-    """Return a point [x, y, z] as (1, 3) float32."""
+    """Return a single point [x, y, z] as a float32 array of one row, (1, 3)."""
     array = np.array(point, np.float32, order="C")
     if array.shape != (3,):
         raise UsageError(f"a point must have the shape (3,), got {array.shape}", remedy="Give [x, y, z]")
@@ -32,7 +32,9 @@ def many_points(points: npt.ArrayLike) -> Floats:
 
 
 def paired_points(starts: npt.ArrayLike, ends: npt.ArrayLike) -> tuple[Floats, Floats]:
-    """Return starts and ends as (n, 3) each; a single point (3,), or one row, is paired with all on the other side."""
+    """Return starts and ends as float32 arrays of rows, (n, 3) each. Either side may be a single point, (3,) or (1, 3),
+    which becomes one row and is paired with all points of the other side.
+    """
     first, second = (one_point(p) if np.ndim(p) == 1 and np.size(p) else many_points(p) for p in (starts, ends))
     if len(first) != len(second) and 1 not in (len(first), len(second)):
         raise UsageError(

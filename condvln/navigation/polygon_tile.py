@@ -84,8 +84,8 @@ def tile_of_polygons(
 
 
 def _wound(verts: Floats, corners: list[int], number: int) -> list[int]:
-    """Return the corners counter-clockwise seen from above (x east, z south), the winding that string pulling
-    expects.
+    """Return the corners in counter-clockwise order seen from above (x east, z south). String pulling expects this
+    order.
     """
     place = f"polygon {number}"
     if not 3 <= len(corners) <= MAX_VERTS_PER_POLYGON or len(set(corners)) != len(corners):
@@ -128,8 +128,8 @@ def _polygon_records(corners: list[list[int]]) -> Records:
 
 
 def _fans(corners: list[list[int]]) -> tuple[Records, npt.NDArray[np.uint8]]:
-    """Return a detail mesh for each polygon: the fan of triangles around its first corner, without additional
-    vertices.
+    """Return the detail meshes and detail triangles of polygons. Each polygon is a fan of triangles around its first
+    corner, without additional vertices.
     """
     meshes = np.zeros(len(corners), DETAIL_MESH)
     triangles: list[tuple[int, int, int, int]] = []

@@ -49,7 +49,9 @@ class PathfinderProtocol(Protocol):
         """Return the geodesic distance in metres to ``end``, or to the nearest of several ends."""
 
     def geodesic_distances(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> Floats:
-        """Return the distances in metres of n pairs, (n,) float32; a single start or end is paired with all others."""
+        """Return the distances in metres of n pairs, (n,) float32. A single start is paired with every end, and a
+        single end with every start.
+        """
 
     def distance_table(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> Floats:
         """Return the distances in metres from each of n starts to each of m ends, (n, m) float32."""

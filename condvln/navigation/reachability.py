@@ -67,8 +67,8 @@ class Reachability:
 
 
 def reachability(geometry: SceneGeometry, positions: F64, hand: bool = True) -> Reachability:
-    """Compare the navmesh of a geometry with reachable positions (n, 2) as (x, z) in Habitat's frame, on a grid of
-    `GRID`.
+    """Return the numbers of grid positions that are reachable by the simulator, on our navmesh of `geometry`, and by
+    both. `positions` (n, 2) are the simulator's, as (x, z) in Habitat's frame; the grid's spacing is `GRID`.
 
     Parameters
     ----------
@@ -88,8 +88,8 @@ def reachability(geometry: SceneGeometry, positions: F64, hand: bool = True) -> 
 
 
 def _grid(geometry: SceneGeometry, theirs: set[tuple[int, int]]) -> tuple[NDArray[np.int64], F64]:
-    """Return integer grid coordinates (n, 2) that cover the scene and the simulator's positions, and their points
-    (n, 3).
+    """Return the points of a grid that covers the scene and the simulator's positions. They are given as integer grid
+    coordinates (n, 2) and as positions (n, 3).
     """
     ground = np.concatenate([geometry.vertices[:, [0, 2]] / GRID, np.array(sorted(theirs)).reshape(-1, 2)])
     low, high = np.floor(ground.min(axis=0)).astype(int), np.ceil(ground.max(axis=0)).astype(int)
@@ -99,7 +99,7 @@ def _grid(geometry: SceneGeometry, theirs: set[tuple[int, int]]) -> tuple[NDArra
 
 
 def _at_hand(geometry: SceneGeometry) -> NDArray[np.int64]:
-    """Return the faces of the floor, and of everything that extends into the range of hand heights."""
+    """Return the faces of the floor, and those that extend into the range of hand heights."""
     heights = geometry.vertices[geometry.faces][:, :, 1]
     low, high = heights.min(axis=1), heights.max(axis=1)
     at_hand = (low <= HAND_HEIGHTS[1]) & (high >= HAND_HEIGHTS[0])
@@ -110,8 +110,8 @@ def _at_hand(geometry: SceneGeometry) -> NDArray[np.int64]:
 def _on_floor(
     geometry: SceneGeometry, faces: NDArray[np.int64], radius: float, height: float, points: F64, main_only: bool
 ) -> NDArray[np.bool_]:
-    """Return which points are on the floor's navmesh for an agent of this size; with `main_only`, only points on the
-    island that holds most points.
+    """Return whether each of the points is on the floor's navmesh for an agent of this size. With `main_only`, only the
+    island that holds most of the points counts.
     """
     # Recast measures regions in cells and by default drops regions of 1 m² or less.
     settings = NavMeshSettings(

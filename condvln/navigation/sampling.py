@@ -46,8 +46,8 @@ class Sampler:
         return points
 
     def draw_near(self, centre: Floats, radius: float, rng: RandomSource, max_tries: int, island: int | None) -> Floats:
-        """Return a uniform point (3,) on the floor within ``radius`` of ``centre`` in the plane; NaN after
-        ``max_tries``.
+        """Return a random point (3,) that is uniform over the floor within ``radius`` metres of ``centre`` in the
+        ground plane. It is NaN if none of ``max_tries`` draws is within the radius.
         """
         weights = self._weights_of(island) * self._within(centre, radius)
         nothing = np.full(3, np.nan, np.float32)

@@ -75,12 +75,12 @@ class SightTarget:
 
     @property
     def owners(self) -> npt.NDArray[np.int64]:
-        """The value of the argument `own` of :func:`visible_points` for each sample."""
+        """The occluder that each sample belongs to: the argument `own` of :func:`visible_points`."""
         return np.broadcast_to(np.asarray(self.own, dtype=np.int64), len(self.samples))
 
 
 def eyes_at(positions: npt.ArrayLike, height: float = EYE_HEIGHT) -> Points:
-    """Return the eyes (n, 3) above the feet (n, 3) of agents, in metres."""
+    """Return the positions of agents' eyes, (n, 3) in metres: ``height`` above the positions of their feet, (n, 3)."""
     eyes: Points = np.asarray(positions, np.float64).reshape(-1, 3) + np.array([0.0, height, 0.0])
     return eyes
 
@@ -93,7 +93,7 @@ def visible_points(
     headings: npt.ArrayLike | None = None,
     own: npt.ArrayLike | None = None,
 ) -> Flags:
-    """Return which points each eye sees, (n, m).
+    """Return whether each of n eyes sees each of m points, (n, m) bool.
 
     Parameters
     ----------
@@ -119,7 +119,8 @@ def visible_points(
 
 
 def in_view(eyes: Points, points: Points, view: View, headings: npt.ArrayLike | None = None) -> Flags:
-    """Return which points (m, 3) are in the field of view of each eye (n, 3), ignoring occluders, (n, m).
+    """Return whether each of m points is in the range and field of view of each of n eyes, (n, m) bool. Occluders are
+    ignored.
 
     Raises
     ------
@@ -176,8 +177,8 @@ def first_sights(
     headings: npt.ArrayLike | None = None,
     least_share: float = 0.0,
 ) -> npt.NDArray[np.int64]:
-    """Return for each target the index (t,) of the first eye of ``path`` (n, 3) that sees more than ``least_share``;
-    -1 if none.
+    """Return, for each of t targets, the index of the first eye of ``path`` (n, 3) that sees more than ``least_share``
+    of the target. It is -1 if no eye does.
     """
     seen = visible_shares(occluders, path, targets, view, headings) > least_share
     if not len(seen):

@@ -29,8 +29,8 @@ def box_samples(
     count: int = DEFAULT_SAMPLES,
     seed: int = 0,
 ) -> Points:
-    """Return points (count, 3) on the faces of a box, distributed by area; those of a flat box are on its two large
-    faces.
+    """Return points (count, 3) on the faces of a box, distributed by area. The points of a flat box are on its two
+    large faces.
 
     Parameters
     ----------
@@ -85,8 +85,8 @@ def mesh_samples(vertices: npt.ArrayLike, faces: npt.ArrayLike, count: int = DEF
 
 
 def _by_area(area: Points, count: int, seed: int) -> tuple[npt.NDArray[np.int64], np.random.Generator]:
-    """Return the faces of ``count`` points, one point in each of ``count`` equal slices of the area, and the random
-    generator.
+    """Return the face of each of ``count`` random points, and the random generator. The total area is divided into
+    ``count`` equal slices with one point each.
     """
     if count < 1:
         raise UsageError(f"{count} samples were asked for", remedy="Request at least one")

@@ -137,7 +137,7 @@ class NavMeshTile:
         detail_tris: npt.NDArray[np.uint8],
         bv_nodes: Records,
     ) -> NavMeshTile:
-        """Return a tile of these parts with the header that ``dtCreateNavMeshData`` writes, without links.
+        """Return a tile of the given arrays, without links. Its header is the one that ``dtCreateNavMeshData`` writes.
 
         ``link_tile`` makes the links. One link is reserved per polygon edge, as in Detour.
         """
@@ -219,8 +219,8 @@ class NavMeshTile:
 
 
 def base_reference(poly_count: int) -> int:
-    """Return Detour's reference of polygon 0 of a single-tile mesh, which is also the tile's reference (salt 1, tile
-    0).
+    """Return Detour's reference of polygon 0 of a mesh with a single tile. It is also the reference of the tile (salt
+    1, tile 0).
 
     A 32-bit reference packs salt, tile and polygon; with one tile no bit goes to the tile, and the polygon has
     ``ilog2(nextPow2(poly_count))``.

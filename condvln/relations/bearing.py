@@ -43,7 +43,9 @@ class Sighting:
 
 
 def sighted(places: F64, box: F64, thresholds: Thresholds) -> Sighting:
-    """Return the direction and angular width of an axis-aligned box (2, 3) from positions (s, 3), metres."""
+    """Return the direction and angular width of an axis-aligned box (2, 3), as seen from each of the positions (s, 3)
+    in metres.
+    """
     x, z = places[:, 0], places[:, 2]
     (west, north), (east, south) = box[0, [0, 2]], box[1, [0, 2]]
     east_of, north_of = (west + east) / 2 - x, z - (north + south) / 2
@@ -55,7 +57,8 @@ def sighted(places: F64, box: F64, thresholds: Thresholds) -> Sighting:
 
 
 def bearing_status(seen: Sighting, direction: str, headings: Sequence[float] | F64, t: Thresholds) -> NDArray[np.int8]:
-    """Return (s, h): 1 where an object surely lies in `direction`, −1 where it surely does not, else 0.
+    """Return a status (s, h) for each of s positions and h headings: 1 if the object surely lies in `direction`, −1 if
+    it surely does not, else 0.
 
     headings (h,) : degrees clockwise from north
     """

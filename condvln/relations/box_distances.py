@@ -83,8 +83,8 @@ def _corners_to_box(corners: F64, center: F64, half: F64, axes: F64) -> F64:
 
 
 def _edges(from_a: F64, along_a: F64, from_b: F64, along_b: F64, normal: F64) -> F64:
-    """Return (p,): the least distance of four edges to four others at interior points of both; infinite if there are
-    none.
+    """Return, for each of p pairs of boxes, the least distance between four edges of one box and four edges of the
+    other, (p,). Only pairs of edges that are nearest at interior points of both count; infinite if there are none.
 
     from_a, from_b : (p, 4, 3) where they begin; along_a, along_b : (p, 3) vectors to their ends
     normal : (p, 3) perpendicular to both

@@ -20,7 +20,8 @@ Status = NDArray[np.int8]
 
 
 def closest_facts(distance: F64, labels: Sequence[str], rival: Mask, held: Mask, t: Thresholds) -> tuple[Status, F64]:
-    """Return status and margin (n, n) of "closest to": the subject against all objects that its label might mean.
+    """Return status and margin (n, n) of "object i is the closest to object j". Object i is compared with all objects
+    that its label might mean.
 
     distance (n, n) : of the boxes, or of their nearest pieces, in millimetres; NaN where one is unknown
     rival (n, n) : j could be meant by i's label; an object without a rival of its own label gets status 0
@@ -46,8 +47,8 @@ def closest_facts(distance: F64, labels: Sequence[str], rival: Mask, held: Mask,
 
 
 def size_facts(arrays: RoomArrays, rival: Mask, t: Thresholds) -> dict[str, Status]:
-    """Return the status (n,) of "the bigger" and "the smaller" of two objects of one label, if the room has no third
-    object of this label.
+    """Return the status (n,) of "the bigger" and "the smaller" for each object. They compare the only two objects of
+    one label, so the status is 0 if the room has a third object that the label might mean.
 
     The volumes of their boxes decide; an object of several boxes is not compared. The status is 0 if the areas of their
     largest sides give the opposite order, as for pictures of different depth.

@@ -59,8 +59,8 @@ def sectors(azimuth: F64) -> NDArray[np.int8]:
 
 
 def sector_deviation(azimuth: F64, sector: int) -> F64:
-    """Return the angles in [0, 180] degrees between azimuths in [−180, 180] and a sector's centre; NaN without
-    azimuth.
+    """Return the angles, in [0, 180] degrees, between azimuths and the centre of a sector. The azimuths are in [−180,
+    180] degrees; NaN gives NaN.
     """
     turn = np.abs(azimuth - SECTOR_DEGREES * sector)
     deviation: F64 = np.minimum(turn, np.abs(360.0 - turn))
@@ -68,7 +68,7 @@ def sector_deviation(azimuth: F64, sector: int) -> F64:
 
 
 def canonical_codes(azimuth: F64, elevation: F64, dy: F64, level: float) -> NDArray[np.int8]:
-    """Return the index into `CANONICAL` of each pair.
+    """Return, for each pair, the index of its canonical predicate in `CANONICAL`.
 
     azimuth : degrees, NaN where the horizontal distance is below 1 mm
     elevation : degrees of the subject above the target

@@ -56,7 +56,7 @@ def holding_of(arrays: RoomArrays) -> Holding:
 
 
 def closure(direct: Mask) -> Mask:
-    """Return (n, n): which pairs are connected by a chain of one or more links of `direct`."""
+    """Return (n, n): whether each pair is connected by a chain of one or more links of `direct`."""
     found = direct
     while True:
         steps = found.astype(np.float32)

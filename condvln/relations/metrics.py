@@ -91,15 +91,17 @@ def pair_metrics(centers: F64, aabb_min: F64, aabb_max: F64, radius: F64) -> Pai
 
 
 def _between(low: F64, high: F64) -> F64:
-    """Return (n, n): the gap between intervals (n,) along one axis; negative by the depth of an overlap."""
+    """Return the gap between each two of n intervals along one axis, (n, n). The gap of intervals that overlap is
+    negative.
+    """
     one_way = low[:, None] - high[None, :]
     gap: F64 = np.maximum(one_way, one_way.T)
     return gap
 
 
 def _footprint_overlap(gap_x: F64, gap_z: F64, sizes: F64) -> F64:
-    """Return the shared ground area divided by the smaller area; gaps (n, n) along x and z, sizes (n, 2) of the
-    rectangles.
+    """Return, for each two of n rectangles, the ground area that they share, divided by the area of the smaller one.
+    The gaps (n, n) are along x and z; `sizes` (n, 2) are the sides of the rectangles.
     """
     shared_x, shared_z = (
         np.maximum(np.minimum(-gap, np.minimum(size[:, None], size[None, :])), 0.0)

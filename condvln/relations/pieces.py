@@ -71,7 +71,9 @@ class Pieces:
         return self.arrays is not self.whole
 
     def spread(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return (m, m) values of pieces from values (n, n) of pairs of objects."""
+        """Return values (m, m) of all pairs of pieces. Each pair has the value, from `values` (n, n), of the two
+        objects that the pieces belong to.
+        """
         return values[np.ix_(self.owner, self.owner)] if self.several else values
 
     def any(self, mask: Mask) -> Mask:

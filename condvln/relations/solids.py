@@ -62,7 +62,7 @@ def _bvh(vertices: F64, faces: NDArray[np.int32]) -> Any:
 
 @lru_cache(maxsize=ASSETS_KEPT)
 def _bvh_of(asset: GlbGeometry) -> Any:
-    """Return the hierarchy of an asset in its own frame, shared by all scenes that contain it."""
+    """Return the bounding volume hierarchy of an asset in its own frame. All scenes that contain the asset share it."""
     return _bvh(asset.vertices, asset.faces)
 
 
@@ -96,7 +96,7 @@ class BoxSolid:
         return self.vertices[:1]
 
     def contains(self, points: F64) -> NDArray[np.bool_]:
-        """Return which of the points (n, 3) lie inside or on the box."""
+        """Return whether each of the points (n, 3) lies inside or on the box."""
         local = (points - self.center) @ self.rotation
         return np.asarray((np.abs(local) <= self.half_extents).all(axis=-1), dtype=np.bool_)
 
@@ -137,7 +137,7 @@ class MeshSolid:
         return points
 
     def contains(self, points: F64) -> NDArray[np.bool_]:
-        """Return which of the points (n, 3) lie inside; none if the mesh is not watertight.
+        """Return whether each of the points (n, 3) lies inside the mesh. None does if the mesh is not watertight.
 
         Uses the winding number: the triangles' solid angles seen from a point sum to 4π inside and 0 outside
         (van Oosterom and Strackee, 1983). Unlike ray casting it has no grazing cases.
@@ -179,7 +179,7 @@ class CompoundSolid:
         return np.concatenate([part.pieces for part in self.parts])
 
     def contains(self, points: F64) -> NDArray[np.bool_]:
-        """Return which of the points (n, 3) lie inside or on a part."""
+        """Return whether each of the points (n, 3) lies inside or on a part."""
         return np.asarray(np.any([part.contains(points) for part in self.parts], axis=0), dtype=np.bool_)
 
 

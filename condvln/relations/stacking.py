@@ -26,7 +26,9 @@ _GROUND: Final = [0, 2]
 
 
 def exact_mm(metres: float) -> float:
-    """Return a threshold in millimetres, rounded to a nanometre, since 1.15 · 1000 is not an integer in binary."""
+    """Return a threshold in metres as millimetres, rounded to a nanometre. The rounding is needed since 1.15 · 1000 is
+    not an integer in binary.
+    """
     return round(metres * 1000.0, 6)
 
 
@@ -112,8 +114,8 @@ def stacking_of(pieces: Pieces, holding: Holding, thresholds: Thresholds) -> Sta
 
 
 def held_by(pieces: Pieces, holding: Holding, s: Stacking, thresholds: Thresholds) -> tuple[Mask, Mask]:
-    """Return two masks (n, n): whether the target supports or contains the subject, directly or through other
-    objects; and whether the target surrounds most of the subject.
+    """Return two masks (n, n) of pairs of objects: whether the target supports or contains the subject, directly or
+    through other objects, and whether the target surrounds most of the subject.
 
     Stricter than `Stacking.carries`, for which footprints only need to touch: objects that touch side by side are near.
     """

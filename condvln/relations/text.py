@@ -75,11 +75,13 @@ class TextFacts:
         return between_facts(self._arrays.centers, self._whole, self._compound, pairs, self._thresholds)
 
     def closest(self, rival: Mask) -> tuple[Status, F64]:
-        """Return status and margin (n, n) of "closest to"; `rival` (n, n) : j could be meant by i's label."""
+        """Return status and margin (n, n) of "closest to". `rival` (n, n) is whether object j could be meant by the
+        label of object i.
+        """
         return closest_facts(self._distance, self._arrays.labels, rival, self._held, self._thresholds)
 
     def sizes(self, rival: Mask) -> dict[str, Status]:
-        """Return the status (n,) of each predicate of `SIZE_PREDICATES`, with the same `rival` as `closest`."""
+        """Return the status (n,) of each predicate of `SIZE_PREDICATES`. `rival` is the same as for `closest`."""
         return size_facts(self._arrays, rival, self._thresholds)
 
 
@@ -140,8 +142,8 @@ _Fact = tuple[Status, F64]
 
 
 def _fact(true: Mask, false: Mask, when_true: F64, when_false: F64) -> _Fact:
-    """Return the status and margin of a predicate from the masks of pairs where text may use it as true and as
-    false, and from its margins if true and if false.
+    """Return the status and margin of a predicate. `true` and `false` are the masks of the pairs for which text may use
+    it as true and as false; `when_true` and `when_false` are its margins in these two cases.
     """
     status = true.view(np.int8) - false.view(np.int8)
     np.fill_diagonal(status, 0)
@@ -156,22 +158,22 @@ def _turned(fact: _Fact) -> _Fact:
 
 
 def _some(pieces: Pieces, fact: _Fact) -> _Fact:
-    """Return facts about objects from facts about their pieces: true if true for some piece, false if false for all
-    pieces.
+    """Return facts about objects from facts about their pieces. A fact is true if it is true for some pair of pieces,
+    and false if it is false for all pairs.
     """
     return _of_objects(pieces, fact, pieces.any(fact[0] == 1), pieces.all(fact[0] == -1), pieces.most(fact[1]))
 
 
 def _each(pieces: Pieces, fact: _Fact) -> _Fact:
-    """Return facts about objects from facts about their pieces: true if true for all pieces, false if false for all
-    pieces.
+    """Return facts about objects from facts about their pieces. A fact is true if it is true for all pairs of pieces,
+    and false if it is false for all pairs.
     """
     return _of_objects(pieces, fact, pieces.all(fact[0] == 1), pieces.all(fact[0] == -1), pieces.least(fact[1]))
 
 
 def _far_of(pieces: Pieces, fact: _Fact) -> _Fact:
-    """Return facts about objects from facts about their pieces: true if true for all pieces, false if false for some
-    piece.
+    """Return facts about objects from facts about their pieces. A fact is true if it is true for all pairs of pieces,
+    and false if it is false for some pair.
     """
     return _of_objects(pieces, fact, pieces.all(fact[0] == 1), pieces.any(fact[0] == -1), pieces.least(fact[1]))
 
@@ -181,8 +183,8 @@ def _of_objects(pieces: Pieces, fact: _Fact, true: Mask, false: Mask, margin: F6
 
 
 def _said_on(fact: _Fact, holding: Holding) -> _Fact:
-    """Let the source decide "on" where boxes leave it open; the status is 0 where source and boxes contradict each
-    other.
+    """Return the fact "on" after adding what the source states. The source decides where boxes leave "on" open; the
+    status is 0 where the source says "on" and the boxes deny it.
     """
     status, margin = fact
     true = (status == 1) | (holding.on & (status == 0))
@@ -192,7 +194,9 @@ def _said_on(fact: _Fact, holding: Holding) -> _Fact:
 
 
 def _said_in(fact: _Fact, holding: Holding) -> _Fact:
-    """Return status and margin of "in" as the source states it, for containers that are open."""
+    """Return the fact "in" after adding what the source states about open containers. The source decides where boxes
+    leave "in" open; the status is 0 where the source says "in" and the boxes deny it.
+    """
     status, margin = fact
     said = holding.inside & holding.open[None, :]
     true = (status == 1) | (said & (status == 0))
@@ -201,14 +205,16 @@ def _said_in(fact: _Fact, holding: Holding) -> _Fact:
 
 
 def _rising(value: F64, emitted: float, text: float) -> F64:
-    """Return how far `value` is from `emitted` in the direction of `text`, in units of the distance between the two."""
+    """Return the distance of `value` from `emitted` in the direction of `text`, divided by the distance between
+    `emitted` and `text`.
+    """
     scaled: F64 = (value - emitted) * (1.0 / (text - emitted))
     return scaled
 
 
 def _near(s: Stacking, metrics: PairMetrics, radius: F64, surface: F64, t: Thresholds) -> _Fact:
-    """Return status and margin of "near": close in space and not far above each other; "near" is false only by the
-    distance along the ground.
+    """Return status and margin of "near". It is true if two objects are close in space and neither is far above the
+    other; it is false only by their distance along the ground.
 
     Footprints, and circles around bounding spheres, enclose their objects and so bound their ground distance; centres
     do not.
@@ -246,8 +252,8 @@ def _far(used: F64, t: Thresholds) -> _Fact:
 
 
 def _on(s: Stacking, t: Thresholds) -> _Fact:
-    """Return status and margin of "on": bottom at the anchor's top. Below the top of the anchor's box, "on" is
-    undecided, since the box includes headboards and arm rests.
+    """Return status and margin of "on": the subject's bottom is at the anchor's top. Below the top of the anchor's box,
+    "on" is undecided, since the box includes headboards and arm rests.
     """
     true = (
         (np.abs(s.gap) <= exact_mm(t.on_gap_true))
@@ -261,8 +267,8 @@ def _on(s: Stacking, t: Thresholds) -> _Fact:
 
 
 def _under(s: Stacking, t: Thresholds) -> _Fact:
-    """Return status and margin of "under": on the floor below an anchor with space beneath it; the bottom of the
-    anchor's box bounds the anchor's underside.
+    """Return status and margin of "under": the subject is on the floor, below an anchor with space beneath it. The
+    bottom of the anchor's box is taken as the anchor's underside.
     """
     floor = s.off_floor[:, None] <= exact_mm(t.on_floor)
     true = floor & (s.gap.T >= 0.0) & (s.covered >= t.under_footprint_true)
@@ -271,15 +277,17 @@ def _under(s: Stacking, t: Thresholds) -> _Fact:
 
 
 def _in(s: Stacking, container: Mask, t: Thresholds) -> _Fact:
-    """Return status and margin of "in": inside an open container; false for anchors that are no container."""
+    """Return status and margin of "in". It is true for subjects inside an open container, and false for subjects apart
+    from it; the status is 0 if the anchor is no open container.
+    """
     true = container[None, :] & (s.inside >= t.in_share_true)
     false = container[None, :] & (s.distance > 0.0)
     return _fact(true, false, np.where(true, 0.2 + s.inside, -np.inf), 1.0 + s.distance / 1000.0)
 
 
 def _higher(s: Stacking, t: Thresholds) -> _Fact:
-    """Return status and margin of "higher than", by centres and tops; both objects must be off the floor, and
-    neither may support the other.
+    """Return status and margin of "higher than", which compares both centres and tops. The status is 0 unless both
+    objects are off the floor and neither may support the other.
     """
     fit = (s.off_floor >= exact_mm(t.off_floor)) & ~np.isnan(s.off_floor)
     fit = fit[:, None] & fit[None, :] & ~s.carries & ~s.carries.T
@@ -291,8 +299,8 @@ def _higher(s: Stacking, t: Thresholds) -> _Fact:
 
 
 def _above(s: Stacking, horizontal: F64, footprint_overlap: F64, t: Thresholds) -> _Fact:
-    """Return status and margin of "above", which needs a vertical gap, since an object that rests on another is "on"
-    it.
+    """Return status and margin of "above". It needs a vertical gap, since an object that rests on another
+    is "on" it.
     """
     rise, air = exact_mm(t.height_true), exact_mm(t.over_gap_true)
     true = (
@@ -315,8 +323,8 @@ def _above(s: Stacking, horizontal: F64, footprint_overlap: F64, t: Thresholds) 
 
 
 def _compass(deviation: F64, beside: Mask, clear: Mask, clearance: F64, t: Thresholds) -> _Fact:
-    """Return status and margin of one compass direction between the centres of two objects; the status is 0 unless
-    the objects are side by side, not one over, on or partly inside the other.
+    """Return status and margin of one compass direction between the centres of two objects. The status is 0 unless the
+    objects are side by side: neither is over, on or partly inside the other.
     """
     off = deviation - SECTOR_HALF_WIDTH
     when_true = np.minimum(off * (1.0 / (t.sector_true - SECTOR_HALF_WIDTH)), clearance)

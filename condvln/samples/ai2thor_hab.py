@@ -57,7 +57,9 @@ def ai2thor_hab_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, byte
 
 
 def in_house_frame(layout: Layout) -> Layout:
-    """Return the same apartment in its house's frame: Unity's lowest corner at the origin, then z mirrored."""
+    """Return the same apartment in its house's frame. The lowest corner in Unity's frame becomes the origin; then z is
+    mirrored.
+    """
     (x0, _), (_, z1) = layout.bounds
 
     def point(x: float, z: float) -> tuple[float, float]:
@@ -91,13 +93,15 @@ def _dataset(content: bytes) -> bytes:
 
 
 def _lexicon(content: bytes) -> bytes:
-    """Return the semantic lexicon with AI2-THOR's object types in place of the catalogue's words."""
+    """Return the semantic lexicon with each of the catalogue's words replaced by AI2-THOR's object type."""
     classes = [{**c, "name": native_labels()[c["name"]].ai2thor} for c in orjson.loads(content)["classes"]]
     return orjson.dumps({"classes": classes})
 
 
 def _articulated(name: str) -> bytes:
-    """Return an articulated body under its own type, since Habitat's ProcTHOR has no names for types."""
+    """Return the configuration of an articulated body, with the semantic id of its own type. Habitat's ProcTHOR has no
+    names for such types.
+    """
     (label,) = {kind.label for kind in catalogue().values() if kind.urdf == name}
     number = sorted({kind.label for kind in catalogue().values()}).index(label) + 1
     return orjson.dumps({"urdf_filepath": f"{name}.urdf", "semantic_id": number})

@@ -48,7 +48,7 @@ class Kind:
 
     @property
     def scales(self) -> tuple[float, ...]:
-        """Uniform scale of each variant of an articulated kind."""
+        """The uniform scales of an articulated kind, one for each of its variants."""
         return ARTICULATED_SCALES
 
 

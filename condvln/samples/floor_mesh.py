@@ -114,8 +114,8 @@ def _length(vertices: NDArray[np.float64], edge: tuple[int, int]) -> float:
 def _joined(
     vertices: NDArray[np.float64], left: list[int], right: list[int], edge: tuple[int, int]
 ) -> list[int] | None:
-    """Return both polygons merged; None if the result has too many corners or is not convex, or if the polygons
-    share more than this edge.
+    """Return the polygons `left` and `right` merged at `edge`. Return None if the result has too many corners or is not
+    convex, or if the polygons share more than this edge.
     """
     if len(left) + len(right) - 2 > MAX_CORNERS or len(set(left) & set(right)) > 2:
         return None

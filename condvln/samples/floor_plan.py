@@ -35,8 +35,8 @@ DOOR_CORNER_MARGIN: Final = 250
 
 
 class RoomKind(NamedTuple):
-    """The dimensions of a room type: range of area in square metres and least length of its shorter side in
-    millimetres.
+    """The allowed size of rooms of one type. `area` is the minimum and maximum area in square metres, `side` the
+    minimum length of the shorter side in millimetres.
     """
 
     area: tuple[float, float]
@@ -109,8 +109,8 @@ CUT_TRIES: Final = 400
 
 @dataclass(frozen=True, slots=True)
 class PlanRoom:
-    """A cell: its type, one or two rectangles (to the middle of the walls), and the corners (x, z) of their union,
-    mm.
+    """A cell of a floor plan: a room type and one or two rectangles, in mm. The rectangles extend to the middle of the
+    walls.
     """
 
     label: str
@@ -127,8 +127,8 @@ class PlanRoom:
 
 
 class PlanDoor(NamedTuple):
-    """An opening between cells `a` and `b`: on x = `at` (or z = `at` if `along_x`), centred at `middle`, `width`
-    wide, mm.
+    """An opening between the cells `a` and `b`; lengths are in mm. Its wall is at x = `at`, or at z = `at` if
+    `along_x`. Its centre is at `middle` along the wall.
     """
 
     a: int
@@ -185,7 +185,9 @@ def _fits(room: PlanRoom) -> bool:
 
 
 def _cut_cells(rng: random.Random, programme: Sequence[str]) -> list[PlanRoom] | None:
-    """Divide one rectangle recursively by area, across its longer side; None if a room does not fit."""
+    """Return the rooms made by dividing one rectangle recursively across its longer side, in proportion to their areas.
+    Return None if a room does not fit.
+    """
     for _ in range(CUT_TRIES):
         labels = rng.sample(programme, len(programme))
         areas = [_area(rng, label) for label in labels]
@@ -244,7 +246,9 @@ def _corridor_cells(rng: random.Random, programme: Sequence[str]) -> list[PlanRo
 
 
 def _shorten_hallway(rng: random.Random, cells: list[PlanRoom], strip: Rect) -> list[PlanRoom]:
-    """Add the hallway; a shared room at its east end may take part of it and become L-shaped."""
+    """Return the cells with the hallway added. One shared room at its east end may take a part of the hallway and
+    become L-shaped.
+    """
     ends = [i for i, cell in enumerate(cells) if cell.rects[0].x1 == strip.x1 and cell.label in WIDE]
     taken = None
     if ends and rng.random() < 0.6:
@@ -278,7 +282,7 @@ def _placed(rng: random.Random, cells: Sequence[PlanRoom]) -> tuple[PlanRoom, ..
 
 
 def _walls(rooms: Sequence[PlanRoom]) -> list[_Wall]:
-    """Return the longest wall that each pair of adjacent cells shares."""
+    """Return, for each pair of adjacent cells, the longest wall that they share."""
     walls = []
     for b in range(len(rooms)):
         for a in range(b):
@@ -301,7 +305,9 @@ def _shared_side(a: int, b: int, p: Rect, q: Rect) -> _Wall | None:
 
 
 def _reluctance(one: str, other: str) -> float:
-    """Return the cost of a door between two room types; the doors of a plan are the cheapest spanning tree."""
+    """Return the cost of a door between rooms of two types. The doors of a plan form the spanning tree of least total
+    cost.
+    """
     pair = {one, other}
     if "hallway" in pair:
         return 1.0

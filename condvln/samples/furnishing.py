@@ -65,8 +65,8 @@ def furnish(rng: random.Random, room: RoomSpace) -> bool:
 
 
 def _follow(rng: random.Random, room: RoomSpace, step: Step, most: int) -> bool:
-    """Carry out one step while the room holds fewer than `most` pieces; return True if the step placed a piece or
-    was skipped by chance.
+    """Carry out one step while the room holds fewer than `most` pieces. Return True if the step placed a piece, or if
+    it was skipped as its recipe allows.
     """
     # All random draws are made first, so that a step depends as little as possible on earlier steps.
     used, count = rng.random() < step.chance, rng.randint(*step.count)

@@ -57,14 +57,14 @@ def gibson_files(layouts: Mapping[str, Layout], form: Form | None = None) -> Ite
 
 
 def version_1(navmesh: NavMeshFile) -> NavMeshFile:
-    """Return the same navmesh in version 1 of the file format, which has no settings; released scans have this
+    """Return the same navmesh in version 1 of the file format, which has no settings. The released scans have this
     version.
     """
     return dataclasses.replace(navmesh, version=1, settings=None)
 
 
 def _records(layout: Layout, building: int) -> tuple[list[Json], list[Json]]:
-    """Return rooms and objects with ids from 1."""
+    """Return the records of a building's rooms and of its objects, both with ids from 1."""
     rooms = [_room(room, layout.ceiling, i, building) for i, room in enumerate(layout.rooms, start=1)]
     number = {room.room_id: i for i, room in enumerate(layout.rooms, start=1)}
     return rooms, [_object(piece, i, number[piece.room_id]) for i, piece in enumerate(layout.furniture, start=1)]
@@ -116,8 +116,8 @@ def _object(piece: Furniture, number: int, room: int) -> Json:
 
 
 def _npz(name: str, number: int, layout: Layout, rooms: list[Json], objects: list[Json]) -> bytes:
-    """Return the original format: vectors are arrays, entries are keyed by id, and the building's own arrays are
-    included.
+    """Return a building in the original format (``.npz``). Vectors are arrays, entries are keyed by id, and the
+    building's own arrays are included.
     """
     (x0, z0), (x1, z1) = layout.bounds
     low, high = np.array([x0, 0.0, z0]), np.array([x1, layout.ceiling, z1])

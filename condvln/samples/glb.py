@@ -31,8 +31,8 @@ DECIMALS: Final = 9
 
 
 def box_placements(boxes: F64) -> F64:
-    """Return (n, 4, 4) transforms of the unit cube about the origin to boxes (n, 2, 3), given by lower and upper
-    corners.
+    """Return the transforms (n, 4, 4) that turn the unit cube about the origin into the boxes (n, 2, 3). A box is given
+    by its lower and upper corner.
     """
     placements = np.zeros((len(boxes), 4, 4))
     placements[:, [0, 1, 2], [0, 1, 2]] = boxes[:, 1] - boxes[:, 0]

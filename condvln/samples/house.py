@@ -145,7 +145,7 @@ def _outline(room: Room) -> list[list[float]]:
 
 
 def _region_box(room: Room, ceiling: float) -> tuple[list[float], list[float]]:
-    """Return the boxes of the floor and of the whole prism."""
+    """Return two boxes of a region: its floor, and the whole prism from floor to ceiling."""
     x0, z0, x1, z1 = room.shape.bounds
     low, high = np.array([x0, 0.0, z0]), np.array([x1, ceiling, z1])
     return _box(low, high * [1, 0, 1]), _box(low, high)

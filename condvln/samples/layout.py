@@ -32,7 +32,9 @@ rational, so the axis-aligned box of a rotated piece stays on the millimetre gri
 
 @dataclass(frozen=True, slots=True)
 class Yaw:
-    """Rotation about +Y as (cosine, sine) in 25ths. At yaw 0 a piece faces +Z (south), at 90° +X (east)."""
+    """A rotation about +Y, stored as its cosine and sine in units of 1/25. At yaw 0 a piece faces +Z (south), at 90° +X
+    (east).
+    """
 
     cosine25: int = YAW_DENOMINATOR
     sine25: int = 0
@@ -62,8 +64,8 @@ class Yaw:
         return 0 in (self.cosine25, self.sine25)
 
     def turned(self, by: Yaw) -> Yaw:
-        """Return this rotation followed by `by`; one of them must be a multiple of 90° (else the result is not in
-        25ths).
+        """Return this rotation followed by `by`. One of the two must be a multiple of 90°, since the result is
+        otherwise not in 25ths.
         """
         cosine = self.cosine25 * by.cosine25 - self.sine25 * by.sine25
         sine = self.sine25 * by.cosine25 + self.cosine25 * by.sine25

@@ -72,8 +72,8 @@ class SampleReport:
 
 
 def make_layouts(scenes: int, seed: int) -> dict[str, Layout]:
-    """Return layouts by scene name ``made_000`` …. Scene k of a seed is the same for any number of scenes and any
-    family.
+    """Return layouts by scene name, ``made_000`` and so on. Scene k of a seed is the same for any number of scenes and
+    any family.
     """
     return {
         f"made_{k:03d}": make_layout(stable_hash("sample", seed, k) >> (256 - SEED_BITS), _n_rooms(seed, k))
@@ -116,8 +116,8 @@ def write_ai2thor_hab(folder: Path, layouts: Mapping[str, Layout]) -> SampleRepo
 
 
 def _n_rooms(seed: int, k: int) -> int:
-    """Return the number of rooms of scene k: every seven consecutive scenes have all sizes from two to eight,
-    shuffled.
+    """Return the number of rooms of scene k. Every seven consecutive scenes have all sizes from two to eight, in random
+    order.
     """
     sizes = list(range(MIN_ROOMS, MAX_ROOMS + 1))
     random.Random(f"sizes/{seed}/{k // len(sizes)}").shuffle(sizes)

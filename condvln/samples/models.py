@@ -34,7 +34,9 @@ class Model:
 
 
 def model_of(kind: Kind, variant: int) -> Model:
-    """Return the asset of one size of a kind; its origin is not the centre of its box, as with artists' pivots."""
+    """Return the asset of one variant (size) of a kind. Its origin is not the centre of its box, as in models made by
+    artists.
+    """
     width, height, depth = (v / 1000 for v in kind.sizes[variant])
     # Pivots are at floor level or slightly above, at a corner, edge or side of the plan, depending on the kind.
     side, front, up = kind.number % 3 - 1, kind.number // 3 % 3 - 1, kind.number % 2

@@ -157,8 +157,8 @@ def _asset(kind: str, variant: int) -> str:
 
 
 def _asset_database() -> dict[str, list[Json]]:
-    """Return assets by type, with every kind and size of the catalogue, so that the database is the same for all
-    datasets.
+    """Return all assets by object type. Every kind and size of the catalogue is included, so that the database is the
+    same for all datasets.
     """
     database: dict[str, list[Json]] = {}
     for kind in catalogue().values():

@@ -93,7 +93,9 @@ def wall_records(walls: list[HouseWall], ceiling: float) -> list[Json]:
 
 
 def door_record(door: Door, number: Mapping[str, int], walls: list[HouseWall], frame: UnityFrame) -> Json:
-    """Return the record of a door on the wall of its first room; the hole's position is measured along that wall."""
+    """Return the record of a door on the wall of its first room. The position of the hole is measured
+    along that wall.
+    """
     first, second = (number[room] for room in door.rooms)
     ends = [frame.ground(*door.start), frame.ground(*door.end)]
     opening = shapely.LineString(ends)

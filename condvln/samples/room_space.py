@@ -52,7 +52,9 @@ SLIT: Final = 50
 
 
 def opened(floor: shapely.Geometry, slit: float = SLIT, grid: float = 1.0) -> shapely.Geometry:
-    """Return `floor` without parts narrower than `slit` (morphological opening with square corners), on a grid."""
+    """Return `floor` without its parts that are narrower than `slit`, with coordinates on a grid of size `grid`. This
+    is a morphological opening with square corners.
+    """
     # GEOS handles parallel edges when computing the mitre, but leaves numpy's warning flags raised.
     with np.errstate(divide="ignore", invalid="ignore"):
         wide = floor.buffer(-slit / 2, join_style="mitre").buffer(slit / 2, join_style="mitre")
@@ -61,7 +63,9 @@ def opened(floor: shapely.Geometry, slit: float = SLIT, grid: float = 1.0) -> sh
 
 
 class Edge(NamedTuple):
-    """The free side of a wall: from (x, z), `length` along (dx, dz); the normal (nx, nz) points into the room."""
+    """The free side of a wall. It begins at (x, z) and is `length` long in the direction (dx, dz); its normal points
+    into the room.
+    """
 
     x: int
     z: int
@@ -172,7 +176,7 @@ class Piece:
 
 @dataclass
 class RoomSpace:
-    """The room's free wall sides, door zones and pieces."""
+    """A room that is being furnished: its free wall sides, its door zones, and the pieces placed so far."""
 
     label: str
     polygon: shapely.Polygon

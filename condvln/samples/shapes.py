@@ -16,7 +16,7 @@ __all__ = ["SHAPES", "Part", "part_boxes"]
 
 
 class Part(NamedTuple):
-    """One box of a shape, in shares of the whole."""
+    """One box of a shape. Its bounds are shares, from 0 to 1, of the whole shape's width, height and depth."""
 
     x0: float
     x1: float
@@ -185,8 +185,8 @@ SHAPES: Final[dict[str, tuple[Part, ...]]] = {
 
 
 def part_boxes(shape: str, size: tuple[float, float, float]) -> NDArray[np.float64]:
-    """Return the parts of a piece of `size` as boxes (n, 2, 3), lower and upper corners in metres about the box's
-    centre.
+    """Return the parts of a piece of furniture as boxes (n, 2, 3), for a piece of `size`. Lower and upper corners are
+    in metres from the centre of the piece.
     """
     shares = np.array(SHAPES[shape])
     corners = np.stack([shares[:, 0::2], shares[:, 1::2]], axis=1)

@@ -46,7 +46,7 @@ Spot = Callable[[random.Random, RoomSpace, Kind, int, "Piece | None"], Iterator[
 
 
 def _pick(rng: random.Random, low: int, high: int) -> int:
-    """Draw a multiple of STEP above `low`, up to `high`."""
+    """Return `low` plus a random multiple of STEP, at most `high`."""
     return low + STEP * rng.randint(0, max(0, (high - low) // STEP))
 
 
@@ -62,7 +62,7 @@ def _against(edge: Edge, kind: Kind, variant: int, along: int, gap: int = WALL_G
 
 
 def along_wall(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anchor: Piece | None) -> Iterator[Piece]:
-    """Yield positions with the back to a wall: in its corner, in its middle, or anywhere."""
+    """Yield positions with the back to a wall: first at both ends of the wall, then anywhere along it."""
     width = kind.sizes[variant][0]
     for edge in _walls(rng, room, width):
         low, high = WALL_GAP + width // 2, edge.length - WALL_GAP - width // 2
@@ -83,7 +83,7 @@ def wall_middle(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, a
 
 
 def opposite(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anchor: Piece | None) -> Iterator[Piece]:
-    """Yield positions against a wall that the anchor faces, as directly in front of it as possible."""
+    """Yield positions against a wall that the anchor faces, as directly in front of the anchor as possible."""
     if anchor is None or not anchor.yaw.square:
         return
     fx, fz = anchor.facing

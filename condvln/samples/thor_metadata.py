@@ -81,7 +81,7 @@ def ithor_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, bytes]]:
 
 
 def robothor_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, bytes]]:
-    """Yield each layout as one scene without rooms, its walls as panels; see ``ROBOTHOR_SCENES`` for the names.
+    """Yield each layout as one scene without rooms, whose walls are panels. The names are those of ``ROBOTHOR_SCENES``.
 
     Raises
     ------
@@ -150,7 +150,7 @@ def _object(piece: Furniture, layout: Layout) -> Json:
 
 
 def _pivot(piece: Furniture) -> dict[str, float]:
-    """Return the pivot of a piece; real prefabs have their pivot anywhere, but here it is at the lower edge."""
+    """Return the pivot of a piece, here the middle of its lower face. In real prefabs the pivot can be anywhere."""
     return UnityFrame().point(piece.center[0], float(piece.aabb[0, 1]), piece.center[2])
 
 

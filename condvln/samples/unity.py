@@ -16,7 +16,7 @@ DECIMALS = 6
 
 @dataclass(frozen=True, slots=True)
 class UnityFrame:
-    """Unity's axes with the origin moved by (x, z)."""
+    """Unity's coordinate frame, with its origin moved by (x, z)."""
 
     x: float = 0.0
     z: float = 0.0

@@ -35,8 +35,8 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Viewpoints:
-    """Positions (n, 2) as (x, z), the room of each, and (n, n) whether two see each other and have a free straight
-    path.
+    """The positions (n, 2) of n viewpoints as (x, z), and the room of each. Two masks (n, n) say whether two viewpoints
+    see each other, and whether the straight path between them is free.
     """
 
     places: F64
@@ -64,8 +64,8 @@ def _walks(places: F64, floor: shapely.Geometry) -> Flags:
 
 
 def _bridged(places: F64, floor: shapely.Geometry) -> F64:
-    """Add viewpoints where the given ones are not connected: along the shortest path over the floor's convex
-    polygons.
+    """Return the given viewpoints, with more added where they are not connected. The new ones are along shortest paths
+    over the floor's convex polygons.
     """
     ways: nx.Graph[Place] = nx.Graph()
     vertices, polygons = convex_polygons(floor)
@@ -115,7 +115,9 @@ def _grid(layout: Layout, floor: shapely.Geometry) -> F64:
 
 
 def _thinned(places: F64, distance: float, kept: int = 0) -> F64:
-    """Return the positions in order, without those too near an earlier one; the first `kept` are always included."""
+    """Return `places` in order, without those nearer than `distance` to an earlier place. The first `kept` places are
+    always included.
+    """
     chosen: list[F64] = list(places[:kept])
     for place in places[kept:]:
         if all(np.linalg.norm(place - other) >= distance for other in chosen):
@@ -124,7 +126,7 @@ def _thinned(places: F64, distance: float, kept: int = 0) -> F64:
 
 
 def _joined(places: F64, area: shapely.Geometry) -> Flags:
-    """Return (n, n): which pairs of different viewpoints are connected by a straight line inside `area`."""
+    """Return (n, n): whether two different viewpoints are connected by a straight line inside `area`."""
     n = len(places)
     pairs = np.stack(np.broadcast_arrays(places[:, None], places[None]), axis=2)
     joined: Flags = shapely.covers(area, shapely.linestrings(pairs.reshape(-1, 2, 2))).reshape(n, n)

@@ -61,7 +61,8 @@ def box_corners(box: OrientedBox) -> F64:
 
 
 def oriented_box(local: ArrayLike, transform: F64) -> OrientedBox | None:
-    """Return the (2, 3) box of a body in its own frame, placed in the scene; None if the transform shears it.
+    """Return the oriented box, in the scene, of a body whose box in its own frame is `local` (2, 3). Return None if
+    `transform` shears the body.
 
     Scale along the body's axes goes into the half extents; mirroring gives the same box.
     """
@@ -80,6 +81,6 @@ def oriented_box(local: ArrayLike, transform: F64) -> OrientedBox | None:
 
 
 def rounded_box(box: OrientedBox) -> OrientedBox:
-    """Return a box with centre and half extents rounded to 1 mm, and its rotation as it is stored."""
+    """Return the box as it is stored: centre and half extents are rounded to 1 mm, and the rotation as a quaternion."""
     rotation = to_matrix(round_quaternion(from_matrix(box.rotation)))
     return OrientedBox(round_mm(box.center), round_mm(box.half_extents), rotation)

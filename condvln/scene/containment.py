@@ -79,8 +79,8 @@ def with_containment(objects: Sequence[SceneObject], family: str) -> tuple[Scene
 
 
 def stated_holders(objects: Sequence[SceneObject]) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
-    """Return, by object id, the ids of the objects that this object is on, and of those that it is in; only objects
-    for which the source states these.
+    """Return two mappings by object id: the ids of the objects that an object is on, and of those that it is in. They
+    include only objects for which the source states these.
     """
     links, of = _Links(), {item.object_id: item for item in objects}
     for item in objects:
@@ -91,14 +91,18 @@ def stated_holders(objects: Sequence[SceneObject]) -> tuple[dict[str, list[str]]
 
 @dataclass(frozen=True, slots=True)
 class _Links:
-    """By object: (rank, id) of all containers around it and of all objects it rests on; the lowest rank comes first."""
+    """The containers around each object, and the objects it rests on, by object id. Each is given as (rank, id); the
+    one with the lowest rank comes first.
+    """
 
     inside: dict[str, list[tuple[float, str]]] = field(default_factory=dict)
     upon: dict[str, list[tuple[float, str]]] = field(default_factory=dict)
 
 
 def _stated(item: SceneObject, of: Mapping[str, SceneObject], links: _Links) -> None:
-    """Add the links that the source states; containers rank by volume, supports by the distance to their top."""
+    """Add the links that the source states for an object. The rank of a container is its volume, that of a support the
+    distance to its top.
+    """
     for name in dict.fromkeys(item.receptacles or ()):
         holder = of.get(name)
         if holder is None or holder is item or _is_structure(holder) or _too_large(item, holder):
@@ -117,7 +121,7 @@ def _stated(item: SceneObject, of: Mapping[str, SceneObject], links: _Links) -> 
 
 
 def _is_inside(item: SceneObject, holder: SceneObject) -> bool:
-    """Return whether an object is in, not on top of, a receptacle that its source names.
+    """Return whether an object is in a receptacle that its source names, rather than on top of it.
 
     Boxes of cabinets and drawers may cover a door alone, so being below the top suffices.
     """
@@ -132,7 +136,9 @@ def _is_inside(item: SceneObject, holder: SceneObject) -> bool:
 
 
 def _measured(members: Sequence[SceneObject], links: _Links) -> None:
-    """Add links from the boxes of one room: containers and supports of objects for which the source states none."""
+    """Add the links that follow from the boxes of one room. They give containers and supports to objects for which the
+    source states none.
+    """
     things = [item for item in members if item.box is not None and not _is_structure(item)]
     if not things:
         return
@@ -153,8 +159,8 @@ def _measured(members: Sequence[SceneObject], links: _Links) -> None:
 
 
 def _resting(things: Sequence[SceneObject], boxes: F64, free: Sequence[int]) -> Iterator[tuple[int, int, float]]:
-    """Yield (object, support, share of its footprint over the support), by index: supports are larger and just
-    below.
+    """Yield (object, support, share) by index, where share is the part of the object's footprint over the support.
+    Supports are larger than the object and just below it.
     """
     bearing = [(k, item) for k, item in enumerate(things) if item.label not in WITHOUT_TOP]
     tops = [(k, _mm(aabb_of(box_corners(part)))) for k, item in bearing for part in item.parts]
@@ -196,7 +202,7 @@ def _hidden(of: Mapping[str, SceneObject], links: _Links) -> set[str]:
 
 
 def _without_cycles(parent: dict[str, str], support: dict[str, str]) -> None:
-    """Remove links that lead back to their own object, in order of id."""
+    """Remove the links by which an object would contain or support itself, in order of object id."""
     for links in (support, parent):
         for name in sorted(links):
             seen: set[str] = set()

@@ -22,8 +22,8 @@ OPEN, CLOSED = 1, 2
 
 
 class Search(NamedTuple):
-    """Working memory of one thread over p polygons; a node is its polygon, and is visited if marked in the current
-    ``round``.
+    """Working memory of one thread for searches over p polygons. Each polygon is one node, which is visited if it is
+    marked in the current ``round``.
     """
 
     round: Indices
@@ -56,7 +56,7 @@ def new_search(polygons: int) -> Search:
 
 @compiled
 def bubble_up(search: Search, place: int, node: int) -> None:
-    """Move ``node`` from ``place`` towards the root while its total is strictly less."""
+    """Move ``node`` from ``place`` towards the root of the heap as long as its total is less than its parent's."""
     heap = search.heap
     total = search.total[node]
     parent = (place - 1) // 2

@@ -45,7 +45,9 @@ TURN_SLACK = 1e-6
 
 
 class Gait(NamedTuple):
-    """How the agent moves. Headings are counted in turns from the first one, counter-clockwise."""
+    """The steps and turns of an agent. A heading is given as its number of counter-clockwise turns from the first
+    heading.
+    """
 
     moves: Floats
     """(h, 2) step along x and z for each heading, metres"""
@@ -59,7 +61,7 @@ class Gait(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """Geodesic distances in metres at which a goal counts as reached."""
+    """The geodesic distances in metres within which a goal counts as reached."""
 
     stop_within: np.float32
     """at any time"""
@@ -77,7 +79,9 @@ class Goal(NamedTuple):
 
 @compiled
 def _remaining(mesh: QueryMesh, search: Search, point: Floats, goal: Goal, points: Floats) -> tuple[np.float32, int]:
-    """Return the geodesic distance to the goal, and the number of corner points of the path that were written."""
+    """Return the geodesic distance from ``point`` to the goal, and the number of corners of the path. The corners are
+    written to ``points``.
+    """
     at = np.empty(3, np.float32)
     poly, at[0], at[1], at[2] = nearest_polygon(mesh, point[0], point[1], point[2], ANY_ISLAND)
     return route_between(mesh, search, point, poly, at, goal.asked, goal.poly, goal.at, points)
@@ -85,7 +89,9 @@ def _remaining(mesh: QueryMesh, search: Search, point: Floats, goal: Goal, point
 
 @compiled
 def _turns_to_aim(gait: Gait, heading: int, points: Floats, count: int) -> float:
-    """Return the turns (counter-clockwise, fractional, -h/2 to h/2) between a heading and the direction of a path."""
+    """Return the number of turns, fractional and counter-clockwise, from ``heading`` to the direction of the path
+    ``points``. It is at most half a circle either way.
+    """
     for i in range(1, count):
         dx = points[i, 0] - points[0, 0]
         dz = points[i, 2] - points[0, 2]
@@ -99,7 +105,7 @@ def _turns_to_aim(gait: Gait, heading: int, points: Floats, count: int) -> float
 
 @compiled
 def _candidate(number: int, off: float) -> int:
-    """Return the ``number``-th nearest integer to ``off``."""
+    """Return the integer that is nearest to ``off`` if ``number`` is 0, the second nearest if it is 1, and so on."""
     nearest = math.floor(off + 0.5)
     side = 1 if off >= nearest else -1
     away = (number + 1) // 2
@@ -131,8 +137,8 @@ def _best_heading(
     points: Floats,
     tried: Floats,
 ) -> tuple[int, np.float32, int]:
-    """Return the heading for a step from ``point``, and the geodesic distance after it; -1 and infinite if there is
-    none.
+    """Return the heading of the best step from ``point``, and the geodesic distance after this step. They are -1 and
+    infinite if there is no such step.
 
     The current heading is tried first if it is within one turn of the path's direction, then the headings nearest to
     that direction. The first with good progress is taken, otherwise the one with most progress. In the first case
@@ -189,7 +195,7 @@ def _way_around(
     contact: bool,
     points: Floats,
 ) -> Indices:
-    """Return the headings of steps that lead from ``point`` around an obstacle to a position with a shorter path;
+    """Return the headings of steps that lead from ``point`` around an obstacle to a position with a shorter path. It is
     empty if no such steps were found.
 
     Best-first search over positions reached by steps, nearest to the goal first.
@@ -265,8 +271,8 @@ def _plan(
     points: Floats,
     tried: Floats,
 ) -> tuple[Indices, np.float32, int]:
-    """Return the headings of the next steps: of one step that shortens the path, or of several steps around an
-    obstacle; empty if there is no such step.
+    """Return the headings of the next steps. This is one step that shortens the path, or several steps around an
+    obstacle; empty if neither exists.
 
     The other values are those of :func:`_best_heading`: if the last one is not 0, the step has already been made.
     """
@@ -379,7 +385,9 @@ def follow(
 
 @compiled
 def replay(mesh: QueryMesh, gait: Gait, start: Floats, actions: npt.NDArray[np.int8]) -> tuple[Floats, Indices]:
-    """Return positions (n + 1, 3) and headings (n + 1,) before the first of n actions and after each."""
+    """Return the positions (n + 1, 3) and headings (n + 1,) of an agent before the first of n actions and after each
+    action.
+    """
     headings = gait.moves.shape[0]
     places = np.empty((actions.shape[0] + 1, 3), np.float32)
     facing = np.empty(actions.shape[0] + 1, np.int64)

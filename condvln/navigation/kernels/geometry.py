@@ -108,9 +108,7 @@ def height_in_triangle(corner: Floats, x: np.float32, z: np.float32) -> tuple[bo
 def clamp_to_polygon(
     mesh: QueryMesh, poly: int, x: np.float32, y: np.float32, z: np.float32
 ) -> tuple[np.float32, np.float32, np.float32]:
-    """Return the point itself if it is above or below the polygon, else the nearest point of its edges (polygon
-    heights).
-    """
+    """Return the point itself if it is above or below the polygon, else the nearest point on the polygon's edges."""
     if inside_polygon(mesh, poly, x, z):
         return x, y, z
     size = mesh.poly_size[poly]

@@ -41,8 +41,8 @@ def _node_of(polys: Indices, count: int, poly: int) -> int:
 def move_along_surface(
     mesh: QueryMesh, start_poly: int, start: Floats, end: Floats, reached: Floats, visited: Indices
 ) -> int:
-    """Slide from ``start`` towards ``end``; write the end position and the polygons on the path, and return their
-    number.
+    """Slide from ``start`` towards ``end``. Write the final position to ``reached`` and the polygons on the path to
+    ``visited``; return the number of these polygons.
     """
     polys = np.empty(MAX_VISITED, np.int64)
     parent = np.empty(MAX_VISITED, np.int64)
@@ -106,8 +106,8 @@ def move_along_surface(
 
 @compiled
 def _stop_at_wall(mesh: QueryMesh, start: Floats, end: Floats, visited: Indices, count: int, reached: Floats) -> None:
-    """Move ``reached`` back to the wall of the visited polygons that the segment start–end crosses nearest to its
-    end.
+    """Move ``reached`` back to the wall that the segment start–end crosses nearest to its end. Only walls of the
+    visited polygons count.
     """
     best = GREATEST
     for i in range(count):
@@ -140,9 +140,7 @@ def _stop_at_wall(mesh: QueryMesh, start: Floats, end: Floats, visited: Indices,
 
 @compiled
 def step(mesh: QueryMesh, start: Floats, end: Floats, sliding: bool, reached: Floats) -> None:
-    """habitat-sim's ``tryStep``: write the position where a move from ``start`` towards ``end`` ends into
-    ``reached``.
-    """
+    """Write to ``reached`` the position where a move from ``start`` towards ``end`` ends: habitat-sim's ``tryStep``."""
     start_at = np.empty(3, np.float32)
     start_poly, start_at[0], start_at[1], start_at[2] = nearest_polygon(mesh, start[0], start[1], start[2], ANY_ISLAND)
     end_poly, _, _, _ = nearest_polygon(mesh, end[0], end[1], end[2], ANY_ISLAND)

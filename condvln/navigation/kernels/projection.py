@@ -134,7 +134,9 @@ def nearest_polygon(
 def _nearest_within(
     mesh: QueryMesh, x: np.float32, y: np.float32, z: np.float32, island: int, reach: np.float32, over_only: bool
 ) -> tuple[int, np.float32, np.float32, np.float32]:
-    """Return :func:`nearest_polygon` within a box; with ``over_only``, only the first polygon at distance 0, if any."""
+    """Return the result of :func:`nearest_polygon` for the polygons in a box around the point. With ``over_only``, only
+    polygons at distance 0 count, and the first of them is returned.
+    """
     grid = mesh.grid
     low_x, low_y, low_z = x - reach, y - REACH_HEIGHT, z - reach
     high_x, high_y, high_z = x + reach, y + REACH_HEIGHT, z + reach
@@ -197,7 +199,9 @@ def _nearest_within(
 
 @compiled
 def _too_far(mesh: QueryMesh, poly: int, x: np.float32, z: np.float32, best: np.float32) -> bool:
-    """Return whether the polygon's box, minus a margin, is horizontally farther than the best so far."""
+    """Return whether the polygon's box is too far away to contain a nearer point. Its squared horizontal distance,
+    after subtracting a margin, is compared with ``best``.
+    """
     box = mesh.boxes[poly]
     dx = max(max(box[0] - x, x - box[2]) - mesh.grid[SLACK], ZERO)
     dz = max(max(box[1] - z, z - box[3]) - mesh.grid[SLACK], ZERO)
@@ -244,8 +248,8 @@ def all_navigable(mesh: QueryMesh, points: Floats, max_y_delta: np.float32) -> n
 def top_down_view(
     mesh: QueryMesh, columns: int, rows: int, metres_per_pixel: np.float32, height: np.float32, eps: np.float32
 ) -> npt.NDArray[np.bool_]:
-    """habitat-sim's ``getTopDownView``: navigability on a grid from the lower bound on; positions are accumulated in
-    float32.
+    """Return whether each point of a horizontal grid is navigable: habitat-sim's ``getTopDownView``. The grid begins at
+    the mesh's lower bound; positions are accumulated in float32.
     """
     view = np.empty((rows, columns), np.bool_)
     z = mesh.grid[BMIN + 2]

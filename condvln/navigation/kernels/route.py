@@ -41,8 +41,8 @@ def route_between(
     end_at: Floats,
     points: Floats,
 ) -> tuple[np.float32, int]:
-    """Return the length of the path between two projected points and the number of its corner points, which are
-    written to ``points``; infinite and 0 if there is no path.
+    """Return the length of the path between two projected points, and its number of corners. The corners are written to
+    ``points``. Without a path, the results are infinite and 0.
 
     ``start`` and ``end`` are the requested points, ``start_at`` and ``end_at`` the snapped ones; the string is pulled
     between the requested ones.
@@ -81,7 +81,8 @@ def route_between(
 
 @compiled
 def routes(mesh: QueryMesh, starts: Floats, ends: Floats, keep_points: bool) -> tuple[Floats, Indices, Floats]:
-    """Return the paths of n pairs: lengths (n,), numbers of points (n,), and all points concatenated if they are kept.
+    """Return the paths of n pairs: lengths (n,), numbers of corners (n,), and the corners of all paths in one array.
+    This array is empty unless ``keep_points``.
 
     A single start or end serves all the others, and is projected once.
     """
@@ -146,7 +147,8 @@ def distance_table(mesh: QueryMesh, starts: Floats, ends: Floats) -> Floats:
 def route_to_nearest(
     mesh: QueryMesh, start: Floats, ends: Floats, bounds: Floats, order: npt.NDArray[np.int64]
 ) -> tuple[np.float32, int, Floats]:
-    """Return the shortest of the paths to several ends: length, index of the end (-1 for none), corner points.
+    """Return the shortest of the paths to several ends: its length, the index of its end (-1 for none), and its
+    corners.
 
     Ends are tried in ``order``; an end whose lower bound exceeds the best length so far is skipped, as in habitat-sim.
     """

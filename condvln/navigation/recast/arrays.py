@@ -20,7 +20,7 @@ Point: TypeAlias = "tuple[Any, Any, Any]"
 
 @compiled
 def grown(array: Array, needed: int) -> Array:
-    """Return ``array`` itself if it holds ``needed`` items, else a copy of at least twice its length."""
+    """Return ``array`` itself if it has room for ``needed`` items, else a copy of at least twice its length."""
     if needed <= len(array):
         return array
     larger = np.empty(max(needed, 2 * len(array)), array.dtype)
@@ -30,7 +30,7 @@ def grown(array: Array, needed: int) -> Array:
 
 @compiled
 def grown_rows(array: Array, needed: int) -> Array:
-    """Return a two-dimensional array that holds ``needed`` rows, as `grown` does for items."""
+    """Return ``array`` itself if it has room for ``needed`` rows, else a copy of at least twice as many rows."""
     if needed <= len(array):
         return array
     larger = np.empty((max(needed, 2 * len(array)), array.shape[1]), array.dtype)
@@ -40,11 +40,11 @@ def grown_rows(array: Array, needed: int) -> Array:
 
 @compiled
 def ground(points: Array, i: int) -> Ground:
-    """Return x and z of row i."""
+    """Return x and z of the point in row i."""
     return points[i, 0], points[i, 2]
 
 
 @compiled
 def point(points: Array, i: int) -> Point:
-    """Return x, y and z of row i."""
+    """Return x, y and z of the point in row i."""
     return points[i, 0], points[i, 1], points[i, 2]

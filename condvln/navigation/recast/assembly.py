@@ -91,7 +91,9 @@ def _detail_records(mesh: PolyMesh, detail: DetailMesh) -> Records:
 
 
 def _beyond_corners(mesh: PolyMesh, detail: DetailMesh) -> Records:
-    """Return (v,) bool: which detail vertices are not corners of their polygon; a polygon's corners come first."""
+    """Return (v,) bool: whether each detail vertex is additional to the corners of its polygon. The vertices of a
+    polygon begin with its corners.
+    """
     within = np.arange(len(detail.vertices)) - np.repeat(detail.meshes[:, 0], detail.meshes[:, 1])
     beyond: Records = within >= np.repeat(mesh.vert_counts, detail.meshes[:, 1])
     return beyond

@@ -86,7 +86,9 @@ def compare_builds(first: BuildStages, second: BuildStages) -> Difference | None
 
 
 def compare_navmeshes(first: NavMeshFile, second: NavMeshFile) -> Difference | None:
-    """Return the earliest stage whose result differs, as far as files show; None if they are equal byte for byte."""
+    """Return the difference in the earliest build stage that the files show to differ; None if they are equal byte for
+    byte.
+    """
     return _first(_parts(first), _parts(second), STAGE_OF_PART)
 
 
@@ -115,7 +117,9 @@ def _first(first: Mapping[str, Array], second: Mapping[str, Array], stages: Mapp
 
 
 def _unequal(a: Array, b: Array) -> Array:
-    """Return (n,) bool: which rows differ, bitwise if the types are equal (so that NaN equals NaN), else by value."""
+    """Return (n,) bool: whether each row of ``a`` differs from that of ``b``. Rows of the same type are compared
+    bitwise, so that NaN equals NaN, and others by value.
+    """
     count = len(a)
     if count and a.dtype == b.dtype:
         a, b = (np.frombuffer(rows.tobytes(), np.uint8).reshape(count, -1) for rows in (a, b))

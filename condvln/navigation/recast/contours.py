@@ -83,7 +83,9 @@ def _open_edges(neighbour: Array, region: Array) -> Array:
 
 @compiled
 def _corner_height(i: int, direction: int, floor: Array, neighbour: Array) -> int:
-    """Return the highest floor of the up to four spans that meet at the corner after edge ``direction``."""
+    """Return the height of the highest floor among the spans that meet at the corner after edge ``direction``. These
+    are at most four.
+    """
     height = floor[i]
     turned = (direction + 1) & 3
     for first, second in ((direction, turned), (turned, direction)):
@@ -108,8 +110,8 @@ def _walk(
     edges: Array,
     out: Array,
 ) -> int:
-    """Write the points of the outline through ``start`` into ``out``, removing its edges from ``edges``; return
-    their number.
+    """Write the points of the outline that passes ``start`` to ``out``, and remove its edges from ``edges``. Return the
+    number of points.
     """
     i = start
     direction = 0
@@ -161,8 +163,8 @@ def _insert_after(kept: Array, n: int, i: int, value: int) -> None:
 
 @compiled
 def _corner_stones(raw: Array, n: int, kept: Array) -> int:
-    """Return the points that a simplified outline must keep: where the adjacent region changes, else two extreme
-    corners.
+    """Write to ``kept`` the indices of the points that a simplified outline must keep; return their number. These are
+    the points where the adjacent region changes, or else two extreme corners.
     """
     m = 0
     inner = False
@@ -189,15 +191,15 @@ def _corner_stones(raw: Array, n: int, kept: Array) -> int:
 
 @compiled
 def _forward(a: Ground, b: Ground) -> bool:
-    """Return whether b comes after a by x, then z. Edges are processed in that direction, so that both their sides
-    agree.
+    """Return whether b comes after a, ordered by x and then by z. Edges are processed in this order, so that both sides
+    of an edge give the same result.
     """
     return bool(b[0] > a[0] or (b[0] == a[0] and b[1] > a[1]))
 
 
 @compiled
 def _simplify(raw: Array, n: int, max_error: np.float32, max_edge_length: int, kept: Array) -> int:
-    """Write the indices of the raw points to keep into ``kept``; return their number."""
+    """Write the indices of the raw points that the simplified outline keeps to ``kept``; return their number."""
     m = _corner_stones(raw, n, kept)
     # Add the farthest raw point until all are close enough. Edges between two regions stay straight.
     i = 0
@@ -303,7 +305,9 @@ def _trace(
 
 @compiled
 def _without_doubles(points: Array, n: int) -> int:
-    """Remove points that are directly above or below the next one; return the number left. One pass, as in Recast."""
+    """Remove the points that are directly above or below the next point; return the number of points left. There is
+    only one pass, as in Recast.
+    """
     i = 0
     while i < n:
         if coincide(ground(points, i), ground(points, (i + 1) % n)):

@@ -94,7 +94,7 @@ def _set_left(edges: Array, e: int, s: int, t: int, face: int) -> None:
 
 @compiled
 def _attach(edges: Array, n_edges: int, most: int, s: int, t: int, face: int) -> int:
-    """Set the face to the left of edge s-t, adding the edge if needed; return the number of edges."""
+    """Set the face to the left of edge s-t and return the number of edges. The edge is added if it does not exist."""
     e = _find_edge(edges, n_edges, s, t)
     if e < 0:
         return _add_edge(edges, n_edges, most, s, t, face, UNDECIDED)
@@ -104,8 +104,8 @@ def _attach(edges: Array, n_edges: int, most: int, s: int, t: int, face: int) ->
 
 @compiled
 def _circle(a: Ground, b: Ground, c: Ground, centre: Array) -> np.float32:
-    """Compute the circle through three points: write ``centre`` and return the radius; 0 around a if they are
-    collinear.
+    """Write the centre of the circle through three points to ``centre`` and return its radius. If the points are
+    collinear, the centre is a and the radius is 0.
     """
     bx, bz = b[0] - a[0], b[1] - a[1]
     cx, cz = c[0] - a[0], c[1] - a[1]
@@ -145,7 +145,7 @@ def _crosses_any(points: Array, edges: Array, n_edges: int, s: int, t: int) -> b
 
 @compiled
 def _third_point(points: Array, n: int, edges: Array, n_edges: int, s: int, t: int) -> int:
-    """Return the point left of s-t whose circle contains no other point; n if there is none."""
+    """Return the point to the left of s-t whose circle through s and t contains no other point; n if there is none."""
     best = n
     centre = np.zeros(2, np.float32)
     radius = np.float32(-1)
@@ -169,7 +169,9 @@ def _third_point(points: Array, n: int, edges: Array, n_edges: int, s: int, t: i
 
 @compiled
 def _complete(points: Array, n: int, edges: Array, n_edges: int, most: int, faces: int, e: int) -> tuple[int, int]:
-    """Put a triangle or the hull on an open side of edge e; return the numbers of edges and triangles."""
+    """Put a new triangle on an open side of edge e, or mark this side as the hull if no point fits. Return the numbers
+    of edges and of triangles.
+    """
     s, t = edges[e, 0], edges[e, 1]
     if edges[e, 2] != UNDECIDED:
         s, t = t, s
@@ -185,7 +187,9 @@ def _complete(points: Array, n: int, edges: Array, n_edges: int, most: int, face
 
 @compiled
 def _collect(edges: Array, n_edges: int, faces: int, triangles: Array) -> int:
-    """Collect the corners of each triangle from its edges; an incomplete triangle is replaced by the last one."""
+    """Write the corners of each triangle, collected from its edges, to ``triangles``; return the number of complete
+    triangles. The last triangle takes the place of an incomplete one.
+    """
     for f in range(faces):
         triangles[f, 0] = triangles[f, 1] = triangles[f, 2] = -1
     for e in range(n_edges):

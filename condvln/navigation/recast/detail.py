@@ -81,7 +81,9 @@ def build_detail(mesh: PolyMesh, field: CompactHeightfield, region: Array, confi
 
 
 def _boxes(mesh: PolyMesh, counts: Array, width: int, depth: int) -> Array:
-    """Return (p, 4) int32: least x and z, columns and rows of the cells around each polygon."""
+    """Return the box of cells around each polygon, (p, 4) int32: its least x, its least z, its number of columns, its
+    number of rows.
+    """
     corners = mesh.vertices[
         np.where(
             np.arange(mesh.verts_per_poly) < counts[:, None],
@@ -96,8 +98,8 @@ def _boxes(mesh: PolyMesh, counts: Array, width: int, depth: int) -> Array:
 
 @compiled
 def _fan(points: Array, hull: Array, n: int, n_corners: int, triangles: Array) -> int:
-    """Triangulate a ring, starting at the corner with the least perimeter and adding the next point of the nearer
-    side.
+    """Write the triangles of the ring ``hull`` to ``triangles`` and return their number. The first is the corner
+    triangle of least perimeter; each other one adds the nearer of the next points on both sides.
     """
     start = 0
     left = 1

@@ -22,7 +22,9 @@ BLUR_FROM = 2
 
 
 def erode(field: CompactHeightfield, walkable_radius: int) -> Array:
-    """Return area ids (s,) uint8, with all spans nearer than ``walkable_radius`` cells to a border set to 0."""
+    """Return the area id of each span, (s,) uint8. It is set to 0 for spans nearer than ``walkable_radius`` cells to a
+    border.
+    """
     distance = _border_distance(field.neighbour, field.area, FAR_8)
     return np.where(distance < 2 * walkable_radius, np.uint8(0), field.area)
 
@@ -45,7 +47,9 @@ def distance_field(field: CompactHeightfield, area: Array) -> tuple[Array, int]:
 
 @compiled
 def _border_distance(neighbour: Array, area: Array, far: int) -> Array:
-    """Two-pass chamfer distance to the nearest span without four neighbours of its own area."""
+    """Return the distance of each span to the nearest span without four neighbours of its own area. It is a chamfer
+    distance, computed in two passes.
+    """
     spans = len(area)
     distance = np.full(spans, far, np.int32)
     for i in range(spans):
@@ -78,7 +82,9 @@ def _relax(neighbour: Array, distance: Array, i: int, straight: int, turn: int) 
 
 @compiled
 def _blurred(neighbour: Array, distance: Array) -> Array:
-    """Return the mean over the 3 x 3 neighbourhood, where missing spans count as the span itself."""
+    """Return the mean of ``distance`` over the 3 x 3 neighbourhood of each span. A missing neighbour counts as the span
+    itself; distances up to `BLUR_FROM` are kept.
+    """
     out = np.empty(len(distance), np.int32)
     for i in range(len(distance)):
         own = distance[i]

@@ -21,12 +21,12 @@ DZ = np.array([0, 1, 0, -1], np.int64)
 
 
 def filter_low_hanging_obstacles(field: Heightfield, walkable_climb: int) -> Array:
-    """Make an obstacle walkable if its top is within a step of a walkable span just below it (kerbs, stairs)."""
+    """Mark an obstacle as walkable if its top is within a step of a walkable span just below it (kerbs, stairs)."""
     return _low_hanging(field.start, field.top, field.area, walkable_climb)
 
 
 def filter_ledges(field: Heightfield, walkable_height: int, walkable_climb: int) -> Array:
-    """Make spans beside a drop of more than a step not walkable. The border of the grid counts as a drop.
+    """Mark spans beside a drop of more than a step as not walkable. The border of the grid counts as a drop.
 
     Also spans whose reachable neighbours differ by more than a step: too steep a slope.
     """
@@ -36,7 +36,7 @@ def filter_ledges(field: Heightfield, walkable_height: int, walkable_climb: int)
 
 
 def filter_low_height(field: Heightfield, walkable_height: int, height_must_exceed: bool) -> Array:
-    """Make spans without clearance for an agent not walkable.
+    """Mark spans without enough clearance for an agent as not walkable.
 
     ``height_must_exceed`` requires more than ``walkable_height`` voxels, as Recast did up to the version in habitat-sim
     0.3.3.

@@ -110,7 +110,8 @@ def _cut_row(
 def _cut_cell(
     x: Array, y: Array, source: int, corners: int, line: np.float32, rest: int
 ) -> tuple[int, int, np.float32, np.float32]:
-    """Cut a cell off the polygon of a row where x equals ``line``; the part after it goes to ``rest``.
+    """Cut the polygon of a row at x equal to ``line`` into the piece in one cell and the rest, which goes to row
+    ``rest``.
 
     Returns the numbers of corners of the cell's piece and of the rest, and the least and greatest y of the piece, for
     which alone it is needed.
@@ -277,7 +278,9 @@ def _rasterize(
 
 @compiled
 def _in_column_order(first: Array, spans: Array) -> tuple[Array, Array, Array, Array]:
-    """Convert linked columns to contiguous ones."""
+    """Return the spans of all columns as contiguous arrays in column order. The input has a linked list of spans for
+    each column.
+    """
     start = np.empty(len(first) + 1, np.int32)
     bottom = np.empty(len(spans), np.int32)
     top = np.empty(len(spans), np.int32)

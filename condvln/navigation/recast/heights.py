@@ -86,7 +86,7 @@ def fill_patch(
 
 @compiled
 def _cell(i: int, box: Array, width: int, column: Array) -> int:
-    """Return the cell of the patch that contains span i, -1 if none."""
+    """Return the index of the cell of the patch in which span i lies; -1 if it lies outside the patch."""
     x = column[i] % width - box[0]
     z = column[i] // width - box[1]
     if x < 0 or z < 0 or x >= box[2] or z >= box[3]:
@@ -127,8 +127,8 @@ def _seed(
     neighbour: Array,
     stack: Array,
 ) -> int:
-    """For a polygon without spans of its region, return the span at which a walk from a vertex to the middle ends,
-    -1 if none.
+    """Return the span from which to fill the patch of a polygon that has no spans of its own region; -1 if there is
+    none. It is where a walk from a vertex to the polygon's middle ends.
     """
     i = _nearest_span(box, corners, width, start, floor)
     if i < 0:
@@ -180,7 +180,7 @@ def sample_height(
     patch: Array,
     box: Array,
 ) -> int:
-    """Return the height in cells at a position in metres from the grid's corner.
+    """Return the height of the surface, in cells, at a position in metres from the grid's corner.
 
     If the patch has none, the surrounding cells are searched in square rings up to ``radius``; of the first ring with
     heights, the one nearest to ``y`` is returned. UNSET if there is none.

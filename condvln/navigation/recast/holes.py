@@ -49,15 +49,17 @@ def _doubled_area(polygon: Array) -> int:
 
 
 def _leftmost(polygon: Array) -> tuple[int, int, int]:
-    """Return x, z and index of the corner with least x, then z, then index."""
+    """Return x, z and index of the leftmost corner: the one with the least x, on ties the least z, then the least
+    index.
+    """
     i = int(np.lexsort((polygon[:, 2], polygon[:, 0]))[0])
     return int(polygon[i, 0]), int(polygon[i, 2]), i
 
 
 @compiled
 def _blocked(a: Ground, b: Ground, polygon: Array, ignored: int) -> bool:
-    """Return whether segment ab touches the polygon, except its edges at corner ``ignored`` and those that end in a
-    or b.
+    """Return whether segment ab touches the polygon. The polygon's edges at corner ``ignored``, and those that end in a
+    or b, do not count.
     """
     n = len(polygon)
     for i in range(n):
@@ -74,7 +76,9 @@ def _blocked(a: Ground, b: Ground, polygon: Array, ignored: int) -> bool:
 
 @compiled
 def _joined(outline: Array, i: int, hole: Array, j: int) -> Array:
-    """Return the outline from corner i around to i, then the hole from corner j around to j."""
+    """Return the outline with the hole inserted. It runs around the outline from corner i back to i, then around the
+    hole from corner j back to j.
+    """
     n, m = len(outline), len(hole)
     out = np.empty((n + m + 2, 4), np.int32)
     for k in range(n + 1):
@@ -86,7 +90,7 @@ def _joined(outline: Array, i: int, hole: Array, j: int) -> Array:
 
 @compiled
 def _merge_all(outline: Array, points: Array, start: Array, leftmost: Array) -> tuple[Array, Array]:
-    """Return the outline with as many holes as possible merged, and which holes these were.
+    """Return the outline with as many holes as possible merged into it, and whether each hole was merged.
 
     Hole h is ``points[start[h]:start[h + 1]]``; the leftmost hole comes first.
     """

@@ -84,7 +84,9 @@ def height_error(p: Point, a: Point, b: Point, c: Point) -> np.float32:
 
 @compiled
 def least_extent(polygon: Array, n: int) -> np.float32:
-    """Return the width of the polygon in metres: the least over its edges of the greatest distance of a vertex."""
+    """Return the width of the polygon in metres. For each edge, the distance of the farthest vertex is measured; the
+    width is the least of these distances.
+    """
     least = FAR
     for i in range(n):
         after = (i + 1) % n

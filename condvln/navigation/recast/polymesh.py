@@ -47,7 +47,7 @@ class PolyMesh:
 
     @property
     def verts_per_poly(self) -> int:
-        """Largest number of vertices of a polygon, k."""
+        """Maximum number of vertices of a polygon, k."""
         return int(self.polygons.shape[1] // 2)
 
     @property
@@ -89,8 +89,8 @@ def _too_many(what: str, most: int) -> FormatError:
 
 @compiled
 def _vertex(x: int, y: int, z: int, vertices: Array, first: Array, after: Array, count: int) -> int:
-    """Return the index of the newest vertex at (x, z) of about this height; if there is none, add one and return
-    ``count``.
+    """Return the index of the vertex at (x, z) with about this height; if several exist, the newest. If none exists,
+    add one and return its index, ``count``.
     """
     bucket = (x * 73856093 ^ z * 19349663) % VERTEX_BUCKETS
     i = first[bucket]
@@ -157,7 +157,9 @@ def _polygons(
 
 @compiled
 def _shared_edge(p: Array, n: int, q: Array, m: int) -> tuple[int, int]:
-    """Return the edges of p and q with the same two vertices, the last such edge of p; (-1, -1) if there is none."""
+    """Return the index in p and the index in q of the edge that both polygons share; (-1, -1) if there is none. If they
+    share several, it is the last one of p.
+    """
     at = -1
     other = -1
     for i in range(n):
@@ -173,8 +175,8 @@ def _shared_edge(p: Array, n: int, q: Array, m: int) -> tuple[int, int]:
 
 @compiled
 def _merge_gain(p: Array, n: int, q: Array, m: int, vertices: Array, most: int) -> int:
-    """Return the squared length of the edge that a merge would remove; -1 if the result were too large or not
-    convex.
+    """Return the squared length of the edge that merging p and q would remove. It is -1 if they share no edge, or if
+    the result would be too large or not convex.
     """
     if n + m - 2 > most:
         return -1
@@ -193,7 +195,9 @@ def _merge_gain(p: Array, n: int, q: Array, m: int, vertices: Array, most: int) 
 
 @compiled
 def _best_partner(j: int, parts: Array, size: Array, n: int, vertices: Array, most: int) -> tuple[int, int]:
-    """Return the first polygon after j with the largest merge gain, and the gain; (-1, 0) if there is none."""
+    """Return the index of the polygon after j that gives the largest merge gain with j, and this gain; (-1, 0) if there
+    is none. The first one is taken on ties.
+    """
     best = -1
     gain = 0
     for k in range(j + 1, n):
@@ -206,7 +210,8 @@ def _best_partner(j: int, parts: Array, size: Array, n: int, vertices: Array, mo
 
 @compiled
 def _merge(parts: Array, size: Array, n: int, vertices: Array, most: int) -> int:
-    """Repeatedly merge the pair that removes the longest edge, the first on ties; return the number of polygons left.
+    """Repeatedly merge the two polygons whose merge removes the longest edge, on ties the first such pair. Return the
+    number of polygons left.
 
     The best partner of each polygon is cached, so that a merge updates a few rows and not all pairs.
     """

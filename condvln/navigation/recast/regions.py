@@ -50,8 +50,8 @@ def merge_regions(
 
 
 def _stacked(start: Array, region: Array, count: int, overlaps: Array) -> tuple[Array, Array, Array]:
-    """Return the regions that share a column with each region (one list, starts, lengths); mark regions above
-    themselves.
+    """Return, for each region, the regions that share a column with it, as one list with starts and lengths. Set
+    ``overlaps`` for regions that have two spans in one column.
     """
     pairs = _column_pairs(start, region)
     pairs = np.unique(pairs[:, 0].astype(np.int64) * (count + 1) + pairs[:, 1])
@@ -64,7 +64,7 @@ def _stacked(start: Array, region: Array, count: int, overlaps: Array) -> tuple[
 
 @compiled
 def _column_pairs(start: Array, region: Array) -> Array:
-    """Return (n, 2) int32, ordered pairs of regions whose spans share a column."""
+    """Return the ordered pairs (n, 2) int32 of regions that have spans in the same column."""
     needed = 0
     for column in range(len(start) - 1):
         layers = start[column + 1] - start[column]
@@ -85,7 +85,9 @@ def _column_pairs(start: Array, region: Array) -> Array:
 def _survey(
     neighbour: Array, area: Array, region: Array, count: int
 ) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """Return size, area id, an empty overlap mark, and the neighbours along the first outline, of each region."""
+    """Return the size and area id of each region, an all-False array for ``overlaps``, and the neighbours along
+    the region's first outline, as one list with starts and lengths.
+    """
     size = np.zeros(count + 1, np.int32)
     kind = np.zeros(count + 1, np.uint8)
     overlaps = np.zeros(count + 1, np.bool_)
@@ -114,8 +116,8 @@ def _survey(
 
 @compiled
 def _walk_outline(span: int, direction: int, neighbour: Array, region: Array, out: Array) -> int:
-    """Write the regions along the outline that passes ``span``'s edge in ``direction``, changes only; return their
-    number.
+    """Write to ``out`` the adjacent regions along the outline that passes the edge of ``span`` in ``direction``; return
+    their number. A region is written wherever it differs from the one before.
     """
     first_span = span
     first_direction = direction

@@ -35,8 +35,8 @@ def _sample_edge(
     edge: Array,
     kept: Array,
 ) -> int:
-    """Write the heights along an edge into ``edge`` and the indices of the necessary heights, with the ends, into
-    ``kept``; return the number of necessary heights.
+    """Sample the heights along the edge from a to b into ``edge``. Write the indices of the heights that must be kept,
+    with both ends, to ``kept``, and return their number.
     """
     patch, box = surface
     dx, dy, dz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -82,8 +82,8 @@ def sample_border(
     edge: Array,
     kept: Array,
 ) -> tuple[int, int]:
-    """Write the border of a polygon with the necessary height samples; return the number of points, and of those on
-    the hull.
+    """Write the border of a polygon, with the height samples that must be kept, to ``points`` and ``hull``. Return the
+    number of points, and the number of points on the hull.
     """
     n_points = n
     n_hull = 0
@@ -146,8 +146,8 @@ def _jitter(i: int, factor: int) -> np.float32:
 def worst_sample(
     samples: Array, count: int, spacing: np.float32, scale: Array, points: Array, triangles: Array, n_triangles: int
 ) -> tuple[int, np.float32, Point]:
-    """Return the sample farthest above or below the triangles, its distance and position; (-1, 0, ...) if there is
-    none.
+    """Return the sample with the greatest vertical distance from the triangles: its index, this distance and its
+    position. The result is (-1, 0, ...) if there is none.
     """
     worst = -1
     error = np.float32(0)

@@ -60,7 +60,7 @@ class BuildStages:
     tile: NavMeshTile
 
     def arrays(self) -> dict[str, Array]:
-        """Return flat arrays of all stages in order, named and laid out as in the reference dumps
+        """Return the flat arrays of all stages by name, in order. Names and layout are those of the reference dumps
         (``*.stages.npz``).
         """
         solid, field = self.solid, self.compact

@@ -92,8 +92,8 @@ def _shortest_ear(n: int, points: Array, corner: Array, ear: Array) -> int:
 
 @compiled
 def _shortest_loose_cut(n: int, points: Array, corner: Array) -> int:
-    """Return the first corner of the shortest cut under the loose test, for outlines whose segments overlap. As in
-    Recast, a cut's length is measured to the corner after its end.
+    """Return the corner at which the shortest cut begins under the loose test, which is for outlines whose segments
+    overlap; -1 if there is none. As in Recast, a cut's length is measured to the corner after its end.
     """
     best = -1
     shortest = -1

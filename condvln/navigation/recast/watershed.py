@@ -107,8 +107,8 @@ def _watershed(neighbour: Array, area: Array, distance: Array, highest: int) -> 
 
 @compiled
 def _sort_by_level(level: int, area: Array, region: Array, distance: Array, spans: Array, bucket: Array) -> None:
-    """Sort the free spans of the next levels into ``spans``, level k at ``bucket[k]:bucket[k + 1]``, each in span
-    order.
+    """Sort the free spans of the next levels into ``spans``. Level k is ``bucket[k]:bucket[k + 1]``, in the order of
+    spans.
     """
     top = level >> LEVEL_SHIFT
     bucket[:] = 0
@@ -140,8 +140,8 @@ def _expand(
     held: int,
     dirty: Array,
 ) -> int:
-    """Grow regions into the ``held`` spans of ``work``, one ring per step; return the number of free spans, listed
-    first.
+    """Grow regions into the first ``held`` spans of ``work``, one ring per step. Return the number of spans that are
+    still free; these are then listed first in ``work``.
 
     A span joins the neighbour that is nearest to its region's seed. At level 0 growth continues until nothing changes.
     """
@@ -195,8 +195,8 @@ def _flood(
     reach: Array,
     stack: Array,
 ) -> bool:
-    """Fill the basin around ``seed``, down to one level below, as region ``new_id``; return whether any of it is not
-    adjacent to other regions.
+    """Assign the basin around ``seed``, down to one level below, to the region ``new_id``. Return whether some of its
+    spans are not adjacent to other regions.
     """
     floor = max(level - 2, 0)
     region[seed] = new_id
