@@ -14,7 +14,7 @@ memory."""
 
 @dataclass(frozen=True, slots=True)
 class TableReceipt:
-    """One table of one stage: 16-byte logical hash, rows, bytes of its canonical buffers."""
+    """One table of one stage: its 16-byte logical hash, number of rows, and size in bytes of its canonical buffers."""
 
     table: str
     hash: bytes
@@ -24,7 +24,7 @@ class TableReceipt:
 
 @dataclass(frozen=True, slots=True)
 class StageReceipt:
-    """One stage of a unit: its key with the key's parts (16 bytes each), and what it cost.
+    """One stage of a unit: its key, the hashes of the key's parts (16 bytes each), and its cost.
 
     seconds : by the clock
     made : it was made just now, rather than found committed
@@ -88,20 +88,24 @@ class Receipt:
 
     @property
     def made(self) -> int:
-        """Return the number of stages that were run just now."""
+        """Return the number of stages that this run executed. Stages that were found committed do not count."""
         return sum(stage.made for stage in self.stages)
 
     @property
     def seconds(self) -> float:
-        """Return the wall-clock seconds spent just now."""
+        """Return the wall-clock seconds of the stages that this run executed. Stages that were found committed do not
+        count.
+        """
         return sum(stage.seconds for stage in self.stages if stage.made)
 
     @property
     def cpu_seconds(self) -> float:
-        """Return the CPU seconds spent just now."""
+        """Return the CPU seconds of the stages that this run executed. Stages that were found committed do not
+        count.
+        """
         return sum(stage.cpu_seconds for stage in self.stages if stage.made)
 
     @property
     def rows(self) -> int:
-        """Return the rows of all tables."""
+        """Return the total number of rows of all tables."""
         return sum(table.rows for stage in self.stages for table in stage.tables)

@@ -38,7 +38,7 @@ RECORDED_FAILURES: Final = 100
 
 @dataclass(frozen=True)
 class FailureBudget:
-    """How many units may be quarantined before a run stops: a number, or a share of all units."""
+    """The maximum number of units that may be quarantined before a run stops: a number, or a share of all units."""
 
     units: int | None = None
     share: float | None = None
@@ -53,7 +53,7 @@ class FailureBudget:
         return cls(share=value) if isinstance(value, float) else cls(units=int(value))
 
     def exceeded(self, failed: int, units: int) -> bool:
-        """Whether ``failed`` of ``units`` are too many."""
+        """Whether ``failed`` quarantined units out of ``units`` exceed this budget."""
         if self.units is not None and failed > self.units:
             return True
         return self.share is not None and failed > self.share * units
@@ -63,23 +63,23 @@ class Progress(Protocol):
     """Receives the events of a run, to draw, log or measure them. Called from the driver's thread, except ``busy``."""
 
     def phase(self, name: str, total: int, seconds: float, workers: int = 1) -> None:
-        """A phase begins; its name, number of steps, expected CPU seconds, and number of workers."""
+        """Called when a phase begins, with its name, number of steps, expected CPU seconds, and number of workers."""
         ...
 
     def unit(self, receipt: Receipt) -> None:
-        """A unit is finished, whether it succeeded or failed."""
+        """Called when a unit is finished, whether it succeeded or failed."""
         ...
 
     def step(self) -> None:
-        """A step of a phase without units is done (a file packed)."""
+        """Called when a step of a phase without units is done (a file is packed)."""
         ...
 
     def note(self, message: str) -> None:
-        """A message for the user."""
+        """Called with a message for the user."""
         ...
 
     def busy(self, unit: Busy, message: str) -> None:
-        """A unit takes long; called from a thread of its own."""
+        """Called when a unit takes long. The call comes from a thread of its own."""
         ...
 
 
@@ -176,7 +176,7 @@ and caches, does not decide alone."""
 
 
 class Remaining:
-    """Estimates the seconds left, by the clock.
+    """Estimates the wall-clock seconds that are left in a phase.
 
     seconds : CPU seconds expected of the whole phase
     workers : how many share them
@@ -189,13 +189,15 @@ class Remaining:
         self._took = 0.0
 
     def unit(self, receipt: Receipt) -> None:
-        """Count a finished unit. Its wall-clock time counts, since others may share the machine."""
+        """Count a finished unit by its wall-clock time, since other processes may share the machine."""
         self._done += receipt.expected
         self._took += receipt.seconds
 
     @property
     def seconds(self) -> float:
-        """Return the work left ÷ workers, times wall-clock seconds per expected CPU second so far."""
+        """Return the expected wall-clock seconds left: the CPU seconds left ÷ workers × the pace so far. The pace is
+        the number of wall-clock seconds per expected CPU second.
+        """
         pace = (self._took + PRIOR_SECONDS) / (self._done + PRIOR_SECONDS)
         return max(self._expected - self._done, 0.0) * pace / self._workers
 

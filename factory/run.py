@@ -250,7 +250,9 @@ class _Run:
     # ---- working off
 
     def _begin(self) -> None:
-        """Reset the counts: units are counted in the last pass over them, stages in all passes."""
+        """Reset the counts of units, so that the report has those of the last pass only. Stages are counted over all
+        passes.
+        """
         self.report.counts.clear()
         self.report.failures.clear()
 
@@ -280,7 +282,8 @@ class _Run:
         raise StoreError("committed files keep getting damaged", where=self.store.url, remedy="Check the disk.")
 
     def _pass(self, units: Iterable[Unit], again: frozenset[str], made: int) -> pa.Table | None:
-        """Return the new index; None when nothing changed. Units in ``again`` are processed in any case.
+        """Run one pass over ``units``; return the new index, or None when nothing changed. Units in ``again`` are
+        processed in any case.
 
         made : how many stages the first passes of this run made for every unit
         """

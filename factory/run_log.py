@@ -18,7 +18,7 @@ __all__ = ["RunLog"]
 
 
 class RunLog:
-    """Progress that is logged to a file and passed on. Every line has ``at`` (UTC) and ``event``.
+    """A ``Progress`` that writes each event to a log file and passes it on. Every line has ``at`` (UTC) and ``event``.
 
     path : appended to; its folder is made
     inner : progress that receives the same calls (a bar)

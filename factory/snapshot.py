@@ -55,7 +55,7 @@ class Composition:
 
     @classmethod
     def of(cls, pipeline: Pipeline, index: pa.Table) -> Composition:
-        """Compose from an index sorted by unit id."""
+        """Compose a snapshot of ``pipeline`` from a unit index that is sorted by unit id."""
         done = pc.not_equal(index.column("status"), "quarantined")
         partitions = sorted(pc.unique(index.column("partition").filter(done)).to_pylist())
         members: dict[tuple[str, str], pa.Table] = {}
@@ -135,7 +135,9 @@ class Composition:
 
 
 def _members(index: pa.Table, here: pa.Array, table: str, stages: tuple[str, ...]) -> pa.Table:
-    """Return the units of ``here`` with rows in ``table``, by id and then by the order of ``stages``."""
+    """Return one row for each unit in the mask ``here`` and each of ``stages`` that has rows in ``table``. The rows are
+    sorted by unit id, then by the order of ``stages``.
+    """
     parts = []
     for order, stage in enumerate(stages):
         prefix = f"{stage}/{table}"
@@ -179,7 +181,7 @@ def _first_line(error: Exception) -> str:
 
 
 def ref_path(name: str) -> str:
-    """Return the path of a ref. Raises ``UsageError`` when the name is not a plain one."""
+    """Return the path of a ref. Raises ``UsageError`` if ``name`` is not a plain file name."""
     if not plain_name(name):
         raise UsageError(f"{name!r} is not a valid name of a ref", remedy="Use letters, digits, '-', '_' and '.'.")
     return f"refs/{name}.json"

@@ -94,5 +94,5 @@ class Aggregate(Protocol):
         return {}
 
     def build(self, tables: Iterator[tuple[str, Mapping[str, pa.Table]]]) -> pa.Table:
-        """Fold ``(unit_id, tables)``, sorted by unit id, into one table."""
+        """Fold the pairs ``(unit_id, tables)``, which come sorted by unit id, into one table."""
         ...

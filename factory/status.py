@@ -60,7 +60,7 @@ class StoreStatus:
 
 
 def store_status(store: Store, *, sizes: bool = False) -> StoreStatus:
-    """Summarize a store. ``sizes`` lists every file of it, which takes long for a large store."""
+    """Summarize a store. With ``sizes``, all its files are listed and counted, which takes long for a large store."""
     refs = []
     for entry in sorted(store.list("refs"), key=lambda entry: entry.path):
         ref, _ = read_ref(store, entry.path.split("/", 1)[1].removesuffix(".json"))

@@ -38,7 +38,9 @@ class Store(Protocol):
 
     @property
     def lists_cheaply(self) -> bool:
-        """Whether requests for single files cost no more than a listing (a disk, not an object store)."""
+        """Whether a request for a single file costs no more than a listing. This holds on a disk, but not in an object
+        store.
+        """
         ...
 
     def read(self, path: str) -> bytes:
@@ -57,11 +59,13 @@ class Store(Protocol):
         ...
 
     def create(self, path: str, data: Any) -> bool:
-        """Write a whole file atomically if no file has this path; else return False and change nothing."""
+        """Write a whole file atomically and return True if no file has this path; else return False and change
+        nothing.
+        """
         ...
 
     def swap(self, path: str, data: Any, token: str | None) -> None:
-        """Replace the file if ``token`` is still the token of its content (None: the file must not exist).
+        """Replace a file if ``token`` is still the token of its content. With None as token, the file must not exist.
 
         Raises ``PublishConflictError`` otherwise.
         """
@@ -85,7 +89,7 @@ class Store(Protocol):
         ...
 
     def local_path(self, path: str) -> Path | None:
-        """Return the file's path on this machine's disk, if it has one."""
+        """Return the file's path on this machine's disk; None if the store is elsewhere."""
         ...
 
 

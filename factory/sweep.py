@@ -39,7 +39,8 @@ _KINDS: Final = ("snapshots", "indexes", "units", "aggregates", "quarantine", "r
 
 @dataclass
 class SweepReport:
-    """What was removed (or would be): files and bytes by folder, and ids of the snapshots that stay and go.
+    """The result of a sweep: number and bytes of the removed files by folder, and the ids of the kept and the removed
+    snapshots. In a dry run, what would be removed.
 
     unreadable : indexes and manifests of kept states that are gone or damaged: because of them no unit went
     """
@@ -167,8 +168,9 @@ def _keys(index: pa.Table) -> Iterator[tuple[str, str]]:
 
 
 def _whole(store: Store, kind: str, before: float) -> Iterator[tuple[str, list[Entry]]]:
-    """Yield (name, files) of every unit or snapshot of which all files are older than ``before``; the commit comes
-    first."""
+    """Yield (name, files) of every unit or snapshot whose files are all older than ``before``. Its commit file is the
+    first of ``files``.
+    """
     groups: dict[str, list[Entry]] = {}
     for entry in store.list(kind):
         parts = entry.path.split("/")

@@ -1,1 +1,1 @@
-"""The verbs that a person or a scheduler runs. Only this package wires the others together."""
+"""The verbs that a person or a scheduler runs. Only this package connects the other packages with each other."""

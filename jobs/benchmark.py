@@ -74,7 +74,7 @@ class Benchmark:
 def build_benchmark(
     path: Path, overrides: Sequence[str] = (), *, inline: bool = False, console: Console | None = None
 ) -> Report:
-    """Generate, export, and write the record into the export.
+    """Generate and export the benchmark, and write its record into the export.
 
     Raises
     ------
@@ -116,7 +116,7 @@ def check_benchmark(
     inline: bool = False,
     console: Console | None = None,
 ) -> Report:
-    """Process the copies that the configuration names, and compare the rows with a published record.
+    """Process your copies of the datasets, which the configuration names, and compare the rows with a published record.
 
     The exit code is 3 where the snapshot has another id.
 
@@ -217,7 +217,7 @@ def _record(benchmark: Benchmark) -> BenchmarkRecord:
 
 
 def _scenes(snapshot: Snapshot) -> Iterator[tuple[str, BenchmarkScene]]:
-    """Return each scene by its name, from the index of units."""
+    """Yield (name, scene) of each scene, from the index of units."""
     table = Index.read(snapshot.store, snapshot.index_hash).table
     stages = list(snapshot.manifest.stages)
     hashes = [
@@ -237,7 +237,7 @@ def _scenes(snapshot: Snapshot) -> Iterator[tuple[str, BenchmarkScene]]:
 
 
 def _portable(config: Config) -> dict[str, Any]:
-    """Return the keys that affect rows, without paths of this machine."""
+    """Return the configuration keys that affect rows, without paths of this machine."""
     document = config.model_dump(mode="json", exclude=_OF_THIS_MACHINE)
     document["sources"] = [
         {key: value for key, value in source.items() if key not in _PATHS} for source in document["sources"]

@@ -24,7 +24,8 @@ def add_bias(
     action: Literal["off", "warn", "fail"],
     behind: tuple[int, int] | None = None,
 ) -> None:
-    """Add the verdict and the table; exit code 3 if a guesser beats chance and the configuration says ``fail``.
+    """Add the verdict and the table of the bias gate to `report`. The exit code is 3 if a guesser beats chance and
+    `action` is ``fail``.
 
     behind : where the priors were counted over fewer scenes than are published, both numbers; a likely cause
     """
@@ -47,8 +48,8 @@ def add_bias(
 
 
 def priors_behind(snapshot: Snapshot, ref: str) -> tuple[int, int] | None:
-    """Return (scenes that the pinned priors were counted over, scenes published); None unless more scenes are published
-    than were counted.
+    """Return (number of scenes that the pinned priors were counted over, number of scenes published). Returns None
+    unless the second number is larger.
     """
     now = max((stage.units - stage.skipped for stage in snapshot.manifest.stages.values()), default=0)
     for entry in snapshot.store.list("pins"):

@@ -29,7 +29,7 @@ SHOWN: Final = 5
 
 
 def compose(config: Config, scene_id: str, out: Path, *, own_navmesh: bool = False) -> Report:
-    """Write `out` and, with the suffix ``.navmesh``, its navmesh for the configured agent.
+    """Write the scene to `out`, and its navmesh for the configured agent beside it, with the suffix ``.navmesh``.
 
     Parameters
     ----------
@@ -65,7 +65,8 @@ def compose(config: Config, scene_id: str, out: Path, *, own_navmesh: bool = Fal
 
 
 def refuse_export(export: Path | None, folder: Path) -> None:
-    """Refuse a folder inside an export: composed scenes hold meshes of their datasets, which must not be published.
+    """Raise an error if `folder` is the folder of an export or lies in it: composed scenes hold meshes of their
+    datasets, which must not be published.
 
     Raises
     ------

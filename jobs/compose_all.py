@@ -90,7 +90,9 @@ def _composed(family: str) -> bool:
 
 
 def _known(config: Config) -> dict[Name, Source | InputError]:
-    """Return every scene of the sources that are composed, with its reader or the error that listing it raised."""
+    """Return, by name, every scene of the sources that are composed. Each has the reader of its source, or the error
+    that listing the scene raised.
+    """
     known: dict[Name, Source | InputError] = {}
     hashed = cache(hash_file)  # scenes share most of their files
     for one in config.sources:

@@ -40,7 +40,7 @@ _BOUNDS: Final = {
 
 
 def config_error(error: ValidationError, path: Path) -> ConfigError:
-    """Return one error that names every wrong key, what its value must be, and what it is."""
+    """Return one error that names every wrong key, the value that it must have, and the value that it has."""
     faults = _faults(error)
     if len(faults) == 1:
         place, what, remedy = faults[0]
@@ -71,14 +71,17 @@ def _faults(error: ValidationError) -> list[tuple[str, str, str]]:
 
 
 def _is_echo(fault: Mapping[str, Any], faults: Sequence[Mapping[str, Any]]) -> bool:
-    """Whether a list is too short only because its entries are wrong, which are reported themselves."""
+    """Whether `fault` only follows from the faults of its entries, as when a list is too short because its entries are
+    wrong. Those faults are reported themselves.
+    """
     own = fault["loc"]
     return any(other["loc"][: len(own)] == own for other in faults if len(other["loc"]) > len(own))
 
 
 def _location(fault: Mapping[str, Any]) -> tuple[str | int, ...]:
-    """Return the key in the file. pydantic's location also names the alternative of a type, and marks keys of
-    mappings."""
+    """Return the key as the file has it. pydantic's location also names the alternative of a type, and marks keys of
+    mappings.
+    """
     loc: tuple[str | int, ...] = fault["loc"]
     if loc and loc[0] == "store":
         return loc[:1]

@@ -138,8 +138,8 @@ def _item(items: list[Any], key: str, origin: str) -> Any:
 
 
 def _store(address: Path | str, base: Path, path: Path) -> Path | str:
-    """Resolve a folder relative to the configuration file's own folder, or an object store's address, which is checked
-    but not contacted.
+    """Resolve the address of a store. A folder is relative to the configuration file's own folder; an object store's
+    address is checked but not contacted.
     """
     if "://" not in str(address):
         return (base / address).resolve()
@@ -186,8 +186,9 @@ def _resolve(config: Config, base: Path, path: Path, check_roots: bool) -> Confi
 
 
 def _apart(store: Path | str, export: Path | None, roots: Sequence[Path], path: Path) -> None:
-    """Require that store and export lie outside of the datasets: otherwise every rebuild would take them for
-    changes."""
+    """Require that store and export lie outside of the datasets. Otherwise every rebuild would take them for changes of
+    a dataset.
+    """
     written = [(key, folder) for key, folder in (("store", store), ("export", export)) if isinstance(folder, Path)]
     for k, (key, folder) in enumerate(written):
         for other, taken in (*((f"sources.{j}.root", root) for j, root in enumerate(roots)), *written[:k]):

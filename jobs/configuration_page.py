@@ -46,7 +46,7 @@ NO_STAGE: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """One key, with N for the entries of a list: type, unit, default and description."""
+    """One configuration key, with N in place of a position in a list: its path, type, unit, default and description."""
 
     path: str
     type: str
@@ -88,8 +88,9 @@ def _read(config: Config) -> dict[str, JSON]:
 
 
 def _sample() -> Config:
-    """Return a configuration with every section, and a cell that bounds words, so that stages read all they may
-    read."""
+    """Return a configuration with every section and with a cell that bounds words. With it, every stage reads all that
+    it may read.
+    """
     return Config(
         name="x",
         store="x",
@@ -189,7 +190,7 @@ def _type(annotation: Any) -> str:
 
 
 def _unit(field: FieldInfo) -> str:
-    """Return the unit from the metadata of the field, or of the numbers inside it."""
+    """Return the unit of a key, from the metadata of its field or of the numbers inside it; empty if there is none."""
     found: list[object] = [field.json_schema_extra]
     pending: list[Any] = [field.annotation]
     while pending:

@@ -1,4 +1,4 @@
-"""``condvln demo``: the whole pipeline on made scenes in four formats: generate, export, verify and evaluate."""
+"""``condvln demo``: the whole pipeline on synthetic scenes in four formats: generate, export, verify and evaluate."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ FRACTIONS: Final = (0.5, 0.25, 0.25)
 
 
 def run_demo(out: Path, *, scenes: int, seed: int, workers: int | None, console: Console) -> int:
-    """Make scenes, generate, export, show, prove, walk and evaluate. Returns the exit code.
+    """Make synthetic scenes, generate, export, show, prove, walk and evaluate. Returns the exit code.
 
     scenes : over all families together
-    workers : Ray workers; 0 runs in this process; None is one a core
+    workers : number of Ray workers; 0 = run in this process; None = one for each core
     """
     began = time.monotonic()
     out = out.resolve()

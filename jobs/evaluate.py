@@ -74,7 +74,7 @@ class Question:
 
 @dataclass(frozen=True)
 class HandedIn:
-    """How many episodes of a split have a prediction or a result in one file.
+    """The number of episodes of a split that have a prediction or a result in one file.
 
     missing : ids of those without, in the order of the split; an empty path counts as none
     """
@@ -93,7 +93,9 @@ class HandedIn:
 
 
 class EvaluationReport:
-    """The tables of one evaluation and what the files lack, printed on a terminal by rich."""
+    """The tables of one evaluation, and the episodes that each file of predictions lacks; rich prints them on a
+    terminal.
+    """
 
     def __init__(
         self,

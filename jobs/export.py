@@ -130,7 +130,7 @@ def _check_rows(snapshot: Snapshot, report: ExportReport) -> None:
 
 
 def _left_out(done: ExportReport) -> list[str]:
-    """Format splits that stayed empty, and episodes that are in no split, with the reasons."""
+    """Format as lines the splits that stayed empty, and the episodes that are in no split, with the reasons."""
     chosen, left = sum(done.episodes.values()), sum(done.left_out.values())
     lines = [f"split {split} is EMPTY: {why}" for split, why in done.empty_splits.items()]
     lines += [
@@ -157,7 +157,9 @@ class _Guard:
         self.said: list[str] = []
 
     def check(self, episodes: Mapping[str, int], left_out: Mapping[str, int]) -> None:
-        """Refuse what :func:`refuse_losses` refuses, unless ``--allow-shrink`` is given."""
+        """Raise the error of :func:`refuse_losses` if the export lost episodes without a reason, unless
+        ``--allow-shrink`` is given.
+        """
         assert self._config.export is not None
         try:
             self.said = refuse_losses(

@@ -188,7 +188,9 @@ _KINDS: Final = {
 
 
 def _kind(before: SceneOrigin, here: SceneOrigin, explained: bool) -> str:
-    """Return the kind of change by which a scene has fewer episodes now; empty if nothing explains it."""
+    """Return the kind of change of a scene: ``lost``, ``data``, ``explained``, ``quarantine``, ``skipped`` or
+    ``other``. Returns an empty text if its data are the same and it has no fewer episodes than before.
+    """
     fewer = before.episodes > here.episodes
     if fewer and here.status == "ok" and before.key and before.key == here.key:
         return "lost"
@@ -204,7 +206,9 @@ def _kind(before: SceneOrigin, here: SceneOrigin, explained: bool) -> str:
 def _gone(
     former: Origin, now: Origin, found: Shrinkage, changed: list[str], listed: Callable[[], set[str] | None] | None
 ) -> None:
-    """Classify scenes that the snapshot no longer has: removed from the source, lost, or in a missing source."""
+    """Classify the scenes that the snapshot no longer has: removed from the source, lost, or of a missing source. The
+    result is added to `found`.
+    """
     gone = {name for name, scene in former.scenes.items() if scene.episodes and name not in now.scenes}
     if not gone:
         return
@@ -288,8 +292,9 @@ def refuse_losses(
 
 
 def _counts(folder: Path) -> dict[str, int] | None:
-    """Return the episodes by split of the export in place, from its record or its manifests; None if there is
-    neither."""
+    """Return the number of episodes of each split of the export in place, from its record or its manifests; None if
+    there is neither.
+    """
     index = read_index(folder)
     if index is not None and isinstance(index.get("episodes"), dict):
         return {str(split): int(count) for split, count in index["episodes"].items()}

@@ -92,7 +92,7 @@ class Flow:
         }
 
     def why(self) -> str:
-        """Return the most frequent causes of a shortage in one line; the cause TOO_FEW is given with what ended the
+        """Return the most frequent causes of a shortage in one line. The cause TOO_FEW is followed by what ended the
         draws.
         """
         return ", ".join(self._cause(reason, count) for reason, count in _ranked(self.causes)[:SHOWN_REASONS])
@@ -106,7 +106,7 @@ class Flow:
 
 @dataclass
 class Funnel:
-    """Flows by scene and by (source, cell). `barren` : by scene, why it has no episodes."""
+    """Flows by scene and by (source, cell). `barren` gives the reason why a scene has no episodes, by scene."""
 
     scenes: dict[str, Flow]
     cells: dict[tuple[str, str], Flow]

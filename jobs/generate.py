@@ -123,7 +123,7 @@ def bring_up_to_date(
 
 
 def add_export(report: Report, config: Config, *, renewed: bool = False) -> bool:
-    """Export what is published, and add it to `report`; False where the export in place was kept instead.
+    """Export what is published, and add it to `report`. Returns False if the export in place was kept instead.
 
     The folder is held by the caller (``jobs.export_lock``). renewed : the priors were renewed on purpose
     """

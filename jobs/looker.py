@@ -43,7 +43,7 @@ def looking_agent(datasets: Sequence[str], keys: Sequence[str]) -> LookingAgent:
 
 
 def datasets_of(texts: Sequence[str]) -> dict[str, Path]:
-    """Parse the folders by family.
+    """Parse texts ``FAMILY=FOLDER``; return the folders by family.
 
     Raises
     ------

@@ -99,7 +99,7 @@ def open_configured(config: Config, source: SourceConfig, hash_file: HashFile) -
 
 
 def list_units(config: Config, hash_file: HashFile) -> list[Unit]:
-    """List all scenes of all sources as units. A scene that can't be listed is a unit with its error."""
+    """List all scenes of all sources as units. A scene that can't be listed becomes a unit that holds its error."""
     units = []
     wanted = config.instructions
     asked = sum(cell.count for cell in wanted.wanted) + GROUP_SIZE * wanted.counterfactual_groups
@@ -136,7 +136,8 @@ def list_units(config: Config, hash_file: HashFile) -> list[Unit]:
 
 
 def built_navmeshes(config: Config, snapshot: Snapshot) -> NavmeshBytes:
-    """Yield the navmeshes that were built for the units of a snapshot, by source and row of the scenes table.
+    """Return a function that gives the navmesh built for a scene, from its source and its row of the scenes table. It
+    gives None if no navmesh was built.
 
     Asking for one raises ``CorruptShardError`` where the unit's file is missing or damaged: leaving its scene out would
     shrink an export silently.

@@ -84,7 +84,7 @@ class RayJobs:
         self._pause = pause
 
     def version(self) -> str:
-        """Version of Ray on the cluster."""
+        """Return the version of Ray on the cluster."""
         answer = self._ask("GET", "/api/version")
         if "ray_version" not in answer:
             raise UsageError(
@@ -128,7 +128,7 @@ class RayJobs:
         return JobState(str(answer["status"]), str(answer.get("message") or ""), None if code is None else int(code))
 
     def log(self, job: str) -> str:
-        """Return everything that the command has printed so far."""
+        """Return everything that the job's command has printed so far."""
         answer = self._ask("GET", f"/api/jobs/{quote(job, safe='')}/logs", missing=True)
         return "" if answer is None else str(answer.get("logs") or "")
 

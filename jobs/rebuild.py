@@ -104,7 +104,7 @@ def _rebuild(job: _Rebuild, *, asked: bool) -> Report:
 
 
 def _work(job: _Rebuild, units: list[Unit], found: Plan) -> Report:
-    """Run what the plan found, publish, export, sweep."""
+    """Process the work that the plan found, publish, export, and sweep the store."""
     from jobs.generate import add_export, bring_up_to_date, run_report
 
     config, watch = job.config, job.watch

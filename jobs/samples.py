@@ -1,4 +1,4 @@
-"""``condvln samples``: write whole made scenes in a family's native format."""
+"""``condvln samples``: write whole synthetic scenes in a family's native format."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["write_samples"]
 
 
 def write_samples(folder: Path, *, family: str, scenes: int, seed: int) -> Report:
-    """Write `scenes` made scenes under `folder`; the report ends with the source entry for a configuration."""
+    """Write `scenes` synthetic scenes under `folder`; the report ends with the source entry for a configuration."""
     made = make_samples(folder, family=family, scenes=scenes, seed=seed)
     source = {"family": made.family, **{key: str(path.resolve()) for key, path in made.parts.items()}}
     document = {

@@ -1,4 +1,4 @@
-"""What a run will make of one scene, predicted from its rooms and labels before any relation is computed."""
+"""The expected output of a run for one scene, predicted from its rooms and labels before any relation is computed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["SceneYield", "scene_yield"]
 
 @dataclass(frozen=True, slots=True)
 class SceneYield:
-    """What a run will make of one scene.
+    """The expected output of a run for one scene.
 
     nothing : why there will be no instructions; empty where there may be some
     rooms, named : its rooms, and those that text can tell apart
@@ -43,7 +43,7 @@ class SceneYield:
 
 @dataclass(frozen=True, slots=True)
 class _NoFacts:
-    """A stand-in for facts about a scene without extents: rooms are named by labels alone."""
+    """A stand-in for the facts about a scene, in which no relation is known: rooms are named by labels alone."""
 
     status: Mapping[str, NDArray[np.int8]]
     margin: Mapping[str, NDArray[np.float64]]
@@ -60,7 +60,7 @@ class _NoFacts:
 
 
 def scene_yield(scene: Scene, anchor_size: float) -> SceneYield:
-    """Predict what a run can make of a scene, from its rooms and labels.
+    """Predict the output of a run for a scene, from its rooms and labels.
 
     anchor_size : least longest side of a thing that names a room, metres
     """

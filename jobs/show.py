@@ -119,7 +119,7 @@ def _instructions(snapshot: Snapshot, source: str) -> pa.Table:
 
 
 def _unplaced(instructions: pa.Table) -> list[dict[str, Any]]:
-    """Return rows of instructions in the form of episodes, with the reason why there is no episode."""
+    """Return rows of instructions in the form of rows of episodes, each with the reason why it has no episode."""
     rows = [{"episode_id": None, "no_episode": "no navmesh", **row} for row in instructions.to_pylist()]
     return [{**row, "instruction_text": row.pop("text")} for row in rows]
 
@@ -149,7 +149,9 @@ def _programs(snapshot: Snapshot, rows: list[dict[str, Any]]) -> dict[tuple[str,
 
 
 def _seen(row: dict[str, Any]) -> str:
-    """Return the observability of an episode: O0f where all evidence is in the first view."""
+    """Return the observability class of an episode: O0f if all evidence is in the first view. Returns "not told" for a
+    row without observability.
+    """
     if row.get("observability") is None:
         return "not told"
     return str(observability_class(row["observability"], row["evidence_in_view"]))

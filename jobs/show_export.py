@@ -75,7 +75,9 @@ def show_export(
 
 
 def _chosen(export: Path, episode: str | None, sample: int) -> list[ManifestLine]:
-    """Return the chosen lines of the manifests; a sample has the first ids of each category and source."""
+    """Return the lines of the manifests that `episode` names, or else a sample. A sample has the first ids of each
+    category and source.
+    """
     found: list[ManifestLine] = []
     exact: list[ManifestLine] = []
     first: dict[tuple[str, str], list[tuple[str, ManifestLine]]] = {}

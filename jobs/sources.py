@@ -135,8 +135,8 @@ def _yield_row(found: Survey) -> tuple[int, ...]:
 
 
 def _may_be(raw: str, family: str) -> str:
-    """Return the labels that an object of an unmapped type may have; no text may say that a thing with one of these
-    labels is absent.
+    """Return, as one text, the labels that an object of an unmapped type may have. No instruction may say that a thing
+    with one of these labels is absent.
     """
     label = vocabulary.canonical(raw, family)
     if vocabulary.is_vague(label, family):

@@ -163,8 +163,8 @@ def _runs(records: tuple[RunRecord, ...]) -> Section:
 
 
 def _pins(store: Store, found: StoreStatus, report: Report) -> Section:
-    """Return (scenes that the pinned tables were built from, scenes published now); a difference is a cheap sign of
-    drift.
+    """Return the report's section of pinned tables: the number of scenes that each was built from, and the number
+    published now. A difference is a cheap sign of drift.
     """
     now = {
         status.ref.name: max((s.units - s.skipped for s in status.manifest.stages.values()), default=0)

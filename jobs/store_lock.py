@@ -21,7 +21,8 @@ _READ_ONLY: Final = {errno.EROFS, errno.EACCES, errno.EPERM}
 
 @contextmanager
 def alone(state: Path, name: str) -> Iterator[bool]:
-    """Whether no other generate or rebuild of this name runs on this machine. A killed command blocks nobody.
+    """Try to lock `name` on this machine. Yields False if another generate or rebuild holds the lock, else True. A
+    killed command leaves no lock behind.
 
     Where nothing can be written nobody else is writing: no lock is needed to find that there is nothing to do.
     """

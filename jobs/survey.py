@@ -1,4 +1,4 @@
-"""What a dataset on disk holds and what a run will make of it, found by reading scenes without building anything."""
+"""The content of a dataset on disk and the expected output of a run, found by reading scenes alone."""
 
 from __future__ import annotations
 

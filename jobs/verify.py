@@ -75,8 +75,8 @@ def verify_export(config: Config, export_dir: Path, *, without_store: bool = Fal
 
 
 def _faults_of_snapshot(config: Config, export_dir: Path) -> Iterator[Fault]:
-    """Yield what the export holds beyond the published snapshot, and what of the snapshot the export does not account
-    for.
+    """Yield each fault of an export against the published snapshot: what it holds in excess, and what of the snapshot
+    it does not account for.
     """
     index = read_index(export_dir)
     if index is None:

@@ -130,7 +130,8 @@ class Watch:
 
 
 def look(roots: Iterable[Path]) -> tuple[list[list[Any]], bool]:
-    """Return ([path, size, mtime_ns] of every file at or below `roots`, whether all of them are old enough to trust).
+    """Return ([path, size, mtime_ns] of every file at or below `roots`, whether all files are old enough). A file is
+    old enough if a later change is sure to show in its time.
 
     Sorted within each root; links are followed, each folder once. A file touched just now may change once more without
     showing it, where clocks are coarse.
@@ -171,7 +172,9 @@ def _stat(file: str | os.DirEntry[str]) -> list[Any]:
 
 
 def code_digest() -> str:
-    """Return a digest of this program's own files. Their times are useless, since every image is built again."""
+    """Return a digest of this program's own files. It does not use their times, which change whenever an image is
+    built.
+    """
     state = hashlib.sha256()
     for package in _PACKAGES:
         root = Path(__file__).parents[1] / package

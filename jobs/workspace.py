@@ -94,7 +94,7 @@ def file_hashes(config: Config) -> FileHashes:
 
 
 def hasher(hashes: FileHashes) -> HashFile:
-    """Return the cache in the form that sources ask for."""
+    """Return a function that gives the size and SHA-256 of a file from the cache `hashes`, as sources call it."""
 
     def hash_file(path: Path) -> tuple[int, str]:
         found = hashes.file(path.parent, path.name)

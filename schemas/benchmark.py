@@ -33,8 +33,13 @@ class BenchmarkFile(Document):
         description="a draft may still change; results on a draft are not comparable with results on other versions"
     )
     run: Path = Field(description="configuration of the run: sources, seeds, counts and splits; relative to this file")
-    floor: int = Field(ge=1, description="fewest episodes of a split × source × category; cells below it are reported")
-    instructions: Count = Field(description="fewest instructions over all sources; a smaller build says so")
+    floor: int = Field(
+        ge=1,
+        description="minimum number of episodes in each cell split × source × category; smaller cells are reported",
+    )
+    instructions: Count = Field(
+        description="minimum number of instructions over all sources; a build with fewer reports it"
+    )
     stages: dict[str, int] = Field(description="version of each stage")
 
 

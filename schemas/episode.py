@@ -24,7 +24,9 @@ class Evidence(Document):
 
     condition: int = Field(ge=0)
     observability: Observability
-    in_view: bool = Field(description="visible from the start without turning, in a view 90° wide (O0f)")
+    in_view: bool = Field(
+        description="whether the evidence is visible from the start without turning, in a view 90° wide (O0f)"
+    )
 
 
 class Subgoal(Document):
@@ -42,7 +44,9 @@ class EpisodeLeaf(Document):
     goals: tuple[Vec3, ...] = Field(min_length=1)
     subgoals: tuple[Subgoal, ...] = ()
     reference_path: tuple[Vec3, ...] = Field(min_length=2)
-    geodesic_distance: Finite = Field(description="start to the nearest goal point, metres, as Habitat computes it")
+    geodesic_distance: Finite = Field(
+        description="distance from the start to the nearest goal point, metres, as Habitat computes it"
+    )
     route_length: Finite = Field(
         description="length of the route from the start through the subgoals to the goal, metres"
     )
@@ -52,16 +56,18 @@ class EpisodeRecord(Document):
     """One row of the episodes table; its program is in the instructions table under ``instruction_id``."""
 
     scene_id: str
-    episode_id: int = Field(ge=0, lt=2**53, description="made from `episode_hash`; stock loaders call int() on it")
+    episode_id: int = Field(
+        ge=0, lt=2**53, description="integer made from `episode_hash`; stock loaders call int() on it"
+    )
     episode_hash: str = Field(description="hash of scene, instruction and start pose")
     instruction_id: str
     group_id: str | None = None
     category: Category
     composition: Composition
-    observability: Observability | None = Field(None, description="worst observability over `evidence`")
-    evidence_in_view: bool | None = Field(None, description="all evidence is in the first view, 90° wide (O0f)")
+    observability: Observability | None = Field(None, description="worst observability of all entries of `evidence`")
+    evidence_in_view: bool | None = Field(None, description="whether all evidence is in the first view, 90° wide (O0f)")
     observability_approximate: bool | None = Field(
-        None, description="visibility was decided with boxes, since surfaces are missing"
+        None, description="whether visibility was decided with boxes, since surfaces are missing"
     )
     evidence: tuple[Evidence, ...] | None = None
     gold_leaf: int = Field(ge=0)
@@ -71,13 +77,15 @@ class EpisodeRecord(Document):
     start_position: Vec3
     start_rotation: tuple[Finite, Finite, Finite, Finite] = Field(description="quaternion [x, y, z, w]")
     start_heading_degrees: Finite = Field(ge=0, lt=360, description="compass heading, clockwise from north")
-    geodesic_distance: Finite = Field(description="start to the nearest goal point of the gold leaf, metres")
+    geodesic_distance: Finite = Field(
+        description="distance from the start to the nearest goal point of the gold leaf, metres"
+    )
     route_length: Finite = Field(
         description="length of the route from the start through the gold leaf's subgoals to its goal, metres"
     )
     leaves: tuple[EpisodeLeaf, ...] = Field(min_length=2)
     success_distance: Finite
-    ground_truth_steps: int = Field(description="actions of the longest walk to any leaf, STOP included")
+    ground_truth_steps: int = Field(description="number of actions of the longest walk to any leaf, STOP included")
     actions: tuple[int, ...] | None = Field(
         None, description="actions of the walk to the gold leaf: STOP 0, FORWARD 1, LEFT 2, RIGHT 3"
     )

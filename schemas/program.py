@@ -85,7 +85,7 @@ _ASKED_BESIDES: Final = {
 
 
 def asked_in(family: str) -> frozenset[str]:
-    """Predicates that conditions of a family's scenes may ask for.
+    """Return the predicates that conditions may ask for in scenes of a family.
 
     Predicates with at least 20 pairs of labels of either truth over at least 5 scenes of the family
     (docs/predicates.md). With fewer, the words would give the truth away, and they only distinguish stops. Bearings are
@@ -205,7 +205,9 @@ class Condition(Frozen):
 
 
 class Branch(Frozen):
-    """``if conditions[condition] then A else B``; a target ≥ 0 is a branch, one < 0 the leaf ``-1 - target``."""
+    """``if conditions[condition] then A else B``. A target ≥ 0 is the index of a branch; a target t < 0 is the leaf
+    ``-1 - t``.
+    """
 
     condition: int = Field(ge=0)
     then: int
@@ -280,7 +282,7 @@ class Program(Frozen):
 
     @property
     def named(self) -> tuple[Condition | ObjectRef, ...]:
-        """Return the conditions, and the moves of all leaves."""
+        """Return all conditions of the program, then the moves of all its leaves."""
         return (*self.conditions, *(move for leaf in self.leaves for move in leaf.moves))
 
     @property
@@ -305,7 +307,7 @@ class Program(Frozen):
 
     @property
     def depth(self) -> int:
-        """Return the deepest nesting of THEN."""
+        """Return the maximum nesting depth of THEN."""
         return SHAPES[self.category].depth
 
     @property

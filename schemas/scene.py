@@ -40,7 +40,7 @@ class OrientedBox(Document):
 class MeshPart(Document):
     """A mesh file of an object, and the row-major 4×4 transform from the file's frame to the scene's."""
 
-    path: str = Field(description="relative to the dataset root, '/'-separated")
+    path: str = Field(description="path relative to the dataset root, '/'-separated")
     transform: Annotated[tuple[Finite, ...], Field(min_length=16, max_length=16)]
 
 
@@ -68,7 +68,7 @@ class ObjectRecord(Document):
     openness: Finite | None = Field(None, description="how far the object is open, 0 to 1, according to the source")
     parent: str | None = Field(None, description="id of the object that contains this one")
     support: str | None = Field(None, description="id of the object that this one rests on")
-    hidden: bool = Field(False, description="a container around the object is closed")
+    hidden: bool = Field(False, description="whether a container around the object is closed")
 
 
 class RoomRecord(Document):
@@ -84,11 +84,11 @@ class RoomRecord(Document):
     annotation: Literal["dataset", "user", "scene"] = Field(
         description="who outlined the room; 'scene' = the whole scene is one room"
     )
-    complete: bool = Field(description="annotated completely enough to say what is absent")
+    complete: bool = Field(description="whether the room is annotated completely enough to say what is absent")
     asked: bool = Field(
         True,
-        description="conditions may be asked about this room; if the room is not complete, only about things "
-        "that are there",
+        description="whether conditions may be asked about this room; if the room is not complete, only about "
+        "things that are there",
     )
 
 
@@ -98,7 +98,7 @@ class NavmeshChoice(Document):
     path: str
     sha256: str
     built: bool
-    fits: bool = Field(description="the navmesh's settings match the configured agent")
+    fits: bool = Field(description="whether the navmesh's settings match the configured agent")
     agent_radius: Finite
     agent_height: Finite
     agent_max_climb: Finite

@@ -72,7 +72,7 @@ class StageTotals(Document):
 
 
 class PinnedTable(Document):
-    """A shared table that is reused until it is renewed on demand, or its version or parameters change."""
+    """A shared table that is reused until it is renewed on demand, or until its version or its parameters change."""
 
     version: int
     hash: Hash32

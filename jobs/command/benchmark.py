@@ -68,7 +68,9 @@ def benchmark_score(
     ] = True,
     as_json: AsJson = False,
 ) -> None:
-    """Rank agents by their predictions, with intervals and the significance of the difference from the row above."""
+    """Rank agents by their predictions, with confidence intervals and the significance of the difference from the row
+    above.
+    """
     from jobs.leaderboard import score_benchmark
 
     found = score_benchmark(export, split, predictions or (), out=out, roots=navmesh_root or (), references=references)

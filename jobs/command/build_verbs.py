@@ -15,11 +15,13 @@ __all__ = ["demo", "generate", "plan", "rebuild", "samples"]
 
 def demo(
     out: Annotated[Path, typer.Option(help="folder to write to")] = Path("out/demo"),
-    scenes: Annotated[int, typer.Option(min=1, help="number of made apartments, over all formats")] = 12,
+    scenes: Annotated[int, typer.Option(min=1, help="number of synthetic apartments, over all formats")] = 12,
     seed: Annotated[int, typer.Option(help="seed of all random choices")] = 0,
-    workers: Annotated[int | None, typer.Option(min=0, help="Ray workers; 0 runs inline")] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=0, help="number of Ray workers; 0 = run in this process, without Ray")
+    ] = None,
 ) -> None:
-    """Run everything on made scenes in four formats: generate, export, verify, walk, evaluate. Takes minutes."""
+    """Run everything on synthetic scenes in four formats: generate, export, verify, walk, evaluate. Takes minutes."""
     from jobs.demo import run_demo
 
     leave(run_demo(out, scenes=scenes, seed=seed, workers=workers, console=console()))
@@ -30,15 +32,16 @@ def samples(
     family: Annotated[
         str,
         typer.Option(
-            help="native format of the scenes: gibson, ithor, mp3d, procthor, replicacad, robothor, or ai2thor-hab, "
-            "ProcTHOR in Habitat's form with the houses for its rooms"
+            help="native format of the scenes: gibson, ithor, mp3d, procthor, replicacad, robothor or "
+            "ai2thor-hab; ai2thor-hab is ProcTHOR in Habitat's form, with the houses' JSON for its "
+            "rooms"
         ),
     ] = "replicacad",
     scenes: Annotated[int, typer.Option(min=1, help="number of scenes")] = 12,
     seed: Annotated[int, typer.Option(help="seed; scene k of a seed is the same however many scenes are made")] = 0,
     as_json: AsJson = False,
 ) -> None:
-    """Write made scenes in a family's native format, and print the source entry for a configuration."""
+    """Write synthetic scenes in a family's native format, and print the source entry for a configuration."""
     from jobs.samples import write_samples
 
     answer(write_samples(folder, family=family, scenes=scenes, seed=seed), as_json)
@@ -65,7 +68,7 @@ def generate(
     priors: RenewPriors = False,
     as_json: AsJson = False,
 ) -> None:
-    """Run the plan and publish a snapshot; write the export where the configuration names one."""
+    """Run the plan and publish a snapshot; write the export if the configuration names one."""
     from jobs.configuration import load_config
     from jobs.generate import run_generate
 
@@ -84,7 +87,7 @@ def rebuild(
     config: ConfigPath,
     overrides: Overrides = None,
     if_changed: Annotated[
-        bool, typer.Option("--if-changed", help="end at once if no file changed; compares names, sizes and times")
+        bool, typer.Option("--if-changed", help="end at once if no input file changed; compares names, sizes and times")
     ] = False,
     priors: RenewPriors = False,
     retry_quarantined: RetryQuarantined = False,

@@ -18,7 +18,10 @@ __all__ = ["bias", "evaluate", "language", "serve", "verify", "walk"]
 def verify(
     config: ConfigPath,
     export: Annotated[
-        Path | None, typer.Option("--export", metavar="DIR", help="export to verify; by default the configuration's")
+        Path | None,
+        typer.Option(
+            "--export", metavar="DIR", help="folder of the export to verify; by default the configuration's export"
+        ),
     ] = None,
     without_store: Annotated[
         bool, typer.Option("--without-store", help="do not compare with the published snapshot")
@@ -53,7 +56,10 @@ def walk(
     navmesh_root: NavmeshRoots = None,
     seed: Annotated[int, typer.Option(help="seed of agents that act at random")] = 0,
     objects: Annotated[
-        Path | None, typer.Option("--objects", metavar="CONFIG", help="configuration whose objects your own agent sees")
+        Path | None,
+        typer.Option(
+            "--objects", metavar="CONFIG", help="configuration of the run whose published objects your own agent sees"
+        ),
     ] = None,
     scenes: Annotated[
         list[str] | None,
@@ -79,7 +85,7 @@ def serve(
     export: ExportPath,
     split: SplitName,
     scenes: Annotated[
-        list[str], typer.Option("--scenes", metavar="FAMILY=DIR", help="dataset that agents see; repeatable")
+        list[str], typer.Option("--scenes", metavar="FAMILY=DIR", help="dataset that agents see; may be repeated")
     ],
     navmesh_root: NavmeshRoots = None,
     host: Annotated[str, typer.Option(help="address to listen on")] = "127.0.0.1",
@@ -115,8 +121,8 @@ def evaluate(
         list[Path] | None,
         typer.Option(
             "--oracle",
-            help="predictions of the same agent on the oracle twin; once for each file of predictions,"
-            " in the same order",
+            help="file of predictions of the same agent on the oracle twin; give one for each file of "
+            "predictions, in the same order",
         ),
     ] = None,
     connectivity: Graphs = None,

@@ -69,7 +69,9 @@ def oracle(
     split: SplitName,
     file: Annotated[
         Path | None,
-        typer.Option("--file", help="VLN-CE, ANSR-v1 or RxR file of these episodes; by default the file in vlnce/"),
+        typer.Option(
+            "--file", help="VLN-CE, ANSR-v1 or RxR file of the split's episodes; by default the export's file in vlnce/"
+        ),
     ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", help="file to write; by default oracle/SPLIT/SPLIT.json.gz of the export")
@@ -77,10 +79,18 @@ def oracle(
     seed: Annotated[int | None, typer.Option(help="seed of the wording; by default the export's own")] = None,
     scenes: Annotated[
         list[str] | None,
-        typer.Option("--scenes", metavar="FAMILY=DIR", help="take the branch that looker picks; the dataset it sees"),
+        typer.Option(
+            "--scenes",
+            metavar="FAMILY=DIR",
+            help="write the branch that looker picks instead of the gold branch; this names a dataset that "
+            "looker sees; may be repeated",
+        ),
     ] = None,
     looker: Annotated[
-        list[str] | None, typer.Option("--looker", metavar="KEY=VALUE", help="looker's errors: noise.missed=0.1")
+        list[str] | None,
+        typer.Option(
+            "--looker", metavar="KEY=VALUE", help="set a key of looker, such as noise.missed=0.1; may be repeated"
+        ),
     ] = None,
     navmesh_root: NavmeshRoots = None,
     as_json: AsJson = False,
@@ -99,7 +109,8 @@ def oracle(
 def compose(
     config: ConfigPath,
     scene: Annotated[
-        str | None, typer.Argument(metavar="SCENE", help="scene id; FAMILY/ID where several sources have it")
+        str | None,
+        typer.Argument(metavar="SCENE", help="scene id; FAMILY/ID if several sources have a scene of this id"),
     ] = None,
     out: Annotated[
         Path | None, typer.Argument(metavar="OUT.glb", help="file to write; its navmesh goes beside it")
@@ -109,16 +120,16 @@ def compose(
         typer.Option(
             "--all",
             metavar="DIR",
-            help="compose every scene of the export (of the sources where there is no export), each at "
-            "the path below DIR that its episodes name; DIR is the loader's data/scene_datasets",
+            help="compose every scene of the export or, without an export, of the sources; each is written "
+            "to the path below DIR that its episodes name; DIR is the loader's data/scene_datasets",
         ),
     ] = None,
     own_navmesh: Annotated[
         bool,
         typer.Option(
             "--own-navmesh",
-            help="write the navmesh that the episodes were placed on: the dataset's own; with --all "
-            "also one that the export keeps",
+            help="write the navmesh that the episodes were placed on: the dataset's own or, with --all, "
+            "one that the export keeps",
         ),
     ] = False,
     overrides: Overrides = None,

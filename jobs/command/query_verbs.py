@@ -18,7 +18,7 @@ def sources(
     config: ConfigPath,
     overrides: Overrides = None,
     limit: Annotated[
-        int | None, typer.Option(min=1, help="read this many scenes of each source, spread evenly; all by default")
+        int | None, typer.Option(min=1, help="number of scenes to read from each source, spread evenly; all by default")
     ] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -69,7 +69,7 @@ def query(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Query the published tables with DuckDB; each has a ``source`` column from its folder."""
+    """Query the published tables with DuckDB; their column ``source`` names a row's source."""
     from jobs.query import list_queries, query_target
     from jobs.target import find_target
 
@@ -88,7 +88,7 @@ def show(
         ),
     ] = None,
     sample: Annotated[
-        int | None, typer.Option(min=1, help="show this many episodes, spread over categories and sources")
+        int | None, typer.Option(min=1, help="number of episodes to show, spread over categories and sources")
     ] = None,
     picture: Annotated[Path | None, typer.Option(help="folder to write a top-down picture of each episode to")] = None,
     navmesh_root: NavmeshRoots = None,

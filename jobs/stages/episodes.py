@@ -97,7 +97,9 @@ class EpisodeStage(Stage):
         )
 
     def _without_navmesh(self, scene: Scene, candidates: list[Candidate]) -> StageOutput:
-        """Return as many instructions as wanted; every candidate counts as not placed."""
+        """Return the output for a scene without a navmesh: as many instructions as wanted, and no episodes. Every
+        candidate counts as not placed.
+        """
         pool = EpisodePool()
         wanted, groups = self.instructions.wanted, self.instructions.counterfactual_groups
         for candidate in candidates:

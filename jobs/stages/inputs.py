@@ -97,7 +97,7 @@ V = TypeVar("V")
 
 
 class _Latest(Generic[V]):
-    """A cache of one value, valid while it is requested for the same parts.
+    """A cache of one value, which is valid as long as it is requested for the same parts.
 
     The stages of one scene follow each other in a process and read the same tables, so one is enough.
     """
@@ -145,7 +145,9 @@ def pathfinder_of(scene: Scene, tables: Tables) -> Pathfinder:
 
 
 def walkable_of(unit: Unit, scene: Scene, tables: Tables, max_climb: float) -> Walkable | None:
-    """Return where an agent can walk in the scene and what it sees there; None if the scene has no navmesh."""
+    """Return the places where an agent can walk in the scene, with what it sees there; None if the scene has no
+    navmesh.
+    """
     if scene.navmesh is None:
         return None
 

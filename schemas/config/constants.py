@@ -1,4 +1,4 @@
-"""Constants that are part of what an episode means, shared by generator and verifier. They can't be configured.
+"""Constants that belong to the definition of an episode, shared by generator and verifier. They can't be configured.
 
 A change here changes rows: raise the versions of the stages that read the number.
 """

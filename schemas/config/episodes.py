@@ -32,9 +32,11 @@ class PlacesConfig(Section):
 
     success_distance_single_room: Metres = Field(0.5, description="success distance τ where the scene is one room")
     success_distance: Metres = Field(1.0, description="success distance τ where the scene has several rooms")
-    leaf_gap: Metres = Field(0.5, description="leaves lie at least 2 success distances plus this apart")
-    island_radius: Metres = Field(1.5, description="least radius of the island of the navmesh that an episode is on")
-    sight_range: Metres = Field(5.0, description="how far an agent sees")
+    leaf_gap: Metres = Field(
+        0.5, description="minimum distance between two leaves, in addition to twice the success distance"
+    )
+    island_radius: Metres = Field(1.5, description="minimum radius of the navmesh island that an episode is on")
+    sight_range: Metres = Field(5.0, description="maximum distance at which an agent sees")
     eye_height: Metres = Field(1.25, description="height of the camera above the agent's feet (habitat-lab's)")
 
     def success(self, single_room: bool) -> float:
@@ -42,20 +44,20 @@ class PlacesConfig(Section):
         return self.success_distance_single_room if single_room else self.success_distance
 
     def leaf_separation(self, single_room: bool) -> float:
-        """Return the least distance between two leaves of one program, metres."""
+        """Return the minimum distance between two leaves of one program, metres."""
         return 2 * self.success(single_room) + self.leaf_gap
 
 
 class GoalsConfig(Section):
     """Goal points: where an agent stands when it has reached an object."""
 
-    reach: Metres = Field(0.5, le=10, description="goal points lie at most this far from the object's box")
+    reach: Metres = Field(0.5, le=10, description="maximum distance of a goal point from the object's box")
     reach_at_most: Metres = Field(
         1.0,
         le=10,
-        description="goal points of an object without a navigable point within reach lie at most this far from its box",
+        description="the same maximum distance, for an object that has no navigable point within reach",
     )
-    points: int = Field(8, ge=1, le=1000, description="most goal points of an object")
+    points: int = Field(8, ge=1, le=1000, description="maximum number of goal points of an object")
 
     @model_validator(mode="after")
     def _reaches_rise(self) -> GoalsConfig:
@@ -69,35 +71,40 @@ class EpisodeConfig(Section):
 
     distance_single_room: Range = Field(
         (1.0, 10.0),
-        description="[least, most] geodesic distance from the start to any leaf where the scene is one room",
+        description="[minimum, maximum] geodesic distance from the start to any leaf where the scene is one room",
     )
     distance: Range = Field(
         (2.0, 30.0),
-        description="[least, most] geodesic distance from the start to any leaf where the scene has several rooms",
+        description="[minimum, maximum] geodesic distance from the start to any leaf where the scene has several rooms",
     )
     detour_factor: float = Field(
         2.0,
         ge=1,
         allow_inf_nan=False,
-        description="where a scene has several rooms, the route to any leaf through its stops is at most "
-        "this many times the geodesic distance to the leaf, plus detour_slack",
+        description="maximum length of the route to any leaf through its stops, where a scene has several "
+        "rooms, as a multiple of the geodesic distance to the leaf; detour_slack is added to it",
     )
     detour_slack: Metres = Field(
-        4.0, description="length that such a route may have beyond detour_factor times the distance"
+        4.0,
+        description="length that the route to a leaf may have in addition to detour_factor × the geodesic "
+        "distance to the leaf",
     )
-    starts: int = Field(96, ge=1, le=100_000, description="starts drawn per scene, shared by its programs")
-    starts_per_program: int = Field(24, ge=1, description="starts tried per program before it is given up")
+    starts: int = Field(96, ge=1, le=100_000, description="number of starts drawn per scene; its programs share them")
+    starts_per_program: int = Field(
+        24, ge=1, description="maximum number of starts tried for a program before it is given up"
+    )
     max_steps: StepBudget = Field(
         STEP_CEILING,
-        description="step budget of every episode, at most VLN-CE's 500; the walk to each leaf takes at "
-        "most half of it; proportional: the larger of text.steps_per_word for each word and "
-        "twice the ground truth, which stock loaders can't represent",
+        description="step budget of every episode: a number, at most VLN-CE's 500, or proportional; the walk "
+        "to each leaf takes at most half of it; proportional = the larger of text.steps_per_word "
+        "× words and twice the number of ground-truth actions, which stock loaders can't "
+        "represent",
     )
     floor_seen: Share = Field(
-        0.8, description="share of a room's floor that must be visible to know that something is absent"
+        0.8, description="minimum share of a room's floor that must be visible to know that something is absent"
     )
     object_seen: Share = Field(
-        0.05, description="share of an object's surface that must be visible to know that it is there"
+        0.05, description="minimum share of an object's surface that must be visible to know that it is there"
     )
 
     @model_validator(mode="after")
@@ -112,9 +119,9 @@ class EpisodeConfig(Section):
 
     @property
     def step_ceiling(self) -> int:
-        """Return the bound on twice the ground-truth actions of any leaf."""
+        """Return the maximum allowed value of twice the number of ground-truth actions, for any leaf."""
         return STEP_CEILING if self.max_steps == "proportional" else self.max_steps
 
     def range(self, single_room: bool) -> tuple[float, float]:
-        """Return the allowed geodesic distance from the start to any leaf, (least, most) in metres."""
+        """Return the allowed geodesic distance from the start to any leaf, (minimum, maximum) in metres."""
         return self.distance_single_room if single_room else self.distance

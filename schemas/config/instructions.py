@@ -46,20 +46,24 @@ class InstructionCell(Section):
     category: Category = Field(description="shape of the program")
     composition: Composition | None = Field(None, description="composition: how many rooms the program spans")
     observability: Literal["O0f", "O0", "O1", "O2"] | None = Field(
-        None, description="where the evidence is visible; O0f: O0 within the first view"
+        None, description="observability: where the evidence is visible; O0f is O0 with all evidence in the first view"
     )
     moves: int | None = Field(
-        None, ge=1, le=3, description="moves of every leaf, so that their number doesn't give away the gold leaf"
+        None,
+        ge=1,
+        le=3,
+        description="number of moves of every leaf; it is the same for all leaves, so that it doesn't reveal "
+        "the gold leaf",
     )
     route: tuple[Finite, Finite] | None = Field(
         None,
-        description="[least, most] length of the route through the stops to every leaf",
+        description="[minimum, maximum] length of the route through the stops to every leaf",
         json_schema_extra={"unit": "m"},
     )
     words: tuple[int, int] | None = Field(
-        None, description="[least, most] number of words of the text, including the opening with the start heading"
+        None, description="[minimum, maximum] number of words of the text, including the opening with the start heading"
     )
-    count: int = Field(ge=1, le=10_000, description="episodes wanted per scene")
+    count: int = Field(ge=1, le=10_000, description="number of episodes wanted per scene")
 
     @field_validator("route", "words", mode="before")
     @classmethod
@@ -90,8 +94,9 @@ class InstructionCell(Section):
 
     @property
     def name(self) -> str:
-        """Name in the tables: ``nested C2 O1 3 moves 5-15 m 20-60 words``; a category alone where nothing else is
-        fixed. Different cells have different names."""
+        """Return the cell's name in the tables: ``nested C2 O1 3 moves 5-15 m 20-60 words``, or the category alone
+        where nothing else is fixed. Different cells have different names.
+        """
         moves = None if self.moves is None else f"{self.moves} move{'s' if self.moves > 1 else ''}"
         route = None if self.route is None else f"{_span(self.route)} m"
         words = None if self.words is None else f"{_span(self.words)} words"
@@ -100,7 +105,7 @@ class InstructionCell(Section):
 
     @property
     def drawn(self) -> bool:
-        """Whether the cell fixes anything besides the category."""
+        """Whether the cell fixes any axis besides the category."""
         return self.name != self.category
 
 
@@ -145,22 +150,26 @@ class InstructionsConfig(WordingConfig):
         "none: no directions",
     )
     per_category: dict[Category, Wanted] = Field(
-        default_factory=lambda: dict.fromkeys(CATEGORIES, 20), description="episodes wanted per scene, by category"
+        default_factory=lambda: dict.fromkeys(CATEGORIES, 20),
+        description="number of episodes wanted per scene, by category",
     )
     cells: tuple[InstructionCell, ...] = Field(
-        (), description="episodes wanted of single cells; for the categories of these cells they replace per_category"
+        (),
+        description="number of episodes wanted of single cells; for the categories of these cells they "
+        "replace per_category",
     )
     counterfactual_groups: int = Field(
         2,
         ge=0,
         le=1000,
-        description="counterfactual groups wanted per scene in addition: four episodes with one start, in "
-        "which the truth of a condition and the order of two leaves vary",
+        description="number of counterfactual groups wanted per scene, in addition to the episodes; a group "
+        "is four episodes with one start, in which the truth of a condition and the order of two "
+        "leaves vary",
     )
     label_cap: Share = Field(
         0.15,
-        description="largest share of a scene's leaves with the same target label (an equal share where "
-        "labels are few)",
+        description="maximum share of a scene's leaves that have the same target label (where the scene has "
+        "few labels, an equal share for each label)",
     )
 
     @model_validator(mode="after")
@@ -218,20 +227,23 @@ class SamplingConfig(Section):
     """How candidate programs are sampled."""
 
     candidates_per_episode: int = Field(
-        5, ge=1, le=1000, description="candidates drawn for each episode wanted, since placing rejects some"
+        5, ge=1, le=1000, description="number of candidates drawn for each episode wanted, since placing rejects some"
     )
     moves: tuple[Share, Share, Share] = Field(
-        (0.4, 0.4, 0.2), description="shares of leaves with 1, 2, 3 moves where a program has two or three leaves"
+        (0.4, 0.4, 0.2),
+        description="shares of leaves with 1, with 2 and with 3 moves, in programs with two or three leaves",
     )
     moves_four_leaves: tuple[Share, Share] = Field(
-        (0.6, 0.4), description="shares of leaves with 1, 2 moves where a program has four leaves"
+        (0.6, 0.4), description="shares of leaves with 1 and with 2 moves, in programs with four leaves"
     )
     presence_false_share: Share = Field(
-        0.2, description="largest share of label-only conditions among the false ones where a scene is one room"
+        0.2, description="maximum share of label-only conditions among the false conditions, where a scene is one room"
     )
     presence_share: Share = Field(0.4, description="share of label-only conditions in scenes of several rooms")
     plausible_share: Share = Field(
-        0.05, description="a label is plausible in a room type if it occurs in this share of such rooms"
+        0.05,
+        description="minimum share of the rooms of a type that must have an object of a label, for the label "
+        "to be plausible in this room type",
     )
     compositions: CompositionWeights = Field(default_factory=CompositionWeights)
     predicates: PredicateWeights = Field(default_factory=PredicateWeights)
@@ -241,20 +253,23 @@ class SamplingConfig(Section):
         "does not name a room",
     )
     small_target_weight: Weight = Field(
-        0.25, description="weight, as targets, of labels whose objects are all shorter than anchor_size"
+        0.25, description="weight of a label as a target if all its objects are shorter than anchor_size"
     )
     bearings: int = Field(
         2,
         ge=1,
         le=4,
-        description="most phrases of a program that use bearings at the start; one start must satisfy all of them",
+        description="maximum number of phrases of a program that use bearings at the start; one start must "
+        "satisfy all of them",
     )
-    attempts: int = Field(12, ge=1, le=10_000, description="draws of a condition before the candidate is given up")
+    attempts: int = Field(
+        12, ge=1, le=10_000, description="maximum number of draws of a condition before the candidate is given up"
+    )
     draws_per_candidate: int = Field(
         20,
         ge=1,
         le=10_000,
-        description="draws of whole candidates of one composition before the composition is given up",
+        description="maximum number of draws of whole candidates of one composition before the composition is given up",
     )
 
     @model_validator(mode="after")
@@ -270,7 +285,7 @@ class SamplingConfig(Section):
         return self.moves_four_leaves if SHAPES[category].leaves == 4 else self.moves
 
     def candidates(self, cell: InstructionCell) -> int:
-        """Return the number of candidates drawn for a cell: more where placing may miss its bounds."""
+        """Return the number of candidates drawn for a cell. It is larger for a cell whose bounds placing may miss."""
         return cell.count * self.candidates_per_episode * (SEEN_FACTOR if cell.observability or cell.route else 1)
 
     def label_only(self, single_room: bool) -> float:
@@ -283,9 +298,10 @@ class SamplingConfig(Section):
 class TextConfig(Section):
     """The opening of a text, and the step budget per word."""
 
-    preamble: bool = Field(True, description="open texts that use compass words with the start heading")
+    preamble: bool = Field(True, description="begin each text that uses compass words with the start heading")
     steps_per_word: int = Field(
         20,
         ge=1,
-        description="steps per word of a proportional budget, where twice the ground truth is less",
+        description="number of steps for each word in a proportional step budget, unless twice the ground "
+        "truth is larger",
     )

@@ -22,127 +22,168 @@ class Thresholds(Section):
     in text, so that a small error of annotation can't turn an instruction false.
     """
 
-    near: Metres = Field(1.0, description="“near” is emitted up to this distance of boxes")
-    near_true: Metres = Field(0.5, description="text may say “near” up to this distance of boxes and of surfaces")
+    near: Metres = Field(1.0, description="maximum distance between two boxes at which “near” is emitted")
+    near_true: Metres = Field(
+        0.5, description="maximum distance between two boxes, and between their surfaces, at which text may say “near”"
+    )
     near_over: Metres = Field(
         0.25,
-        description="text may say “near” only where, in addition, the bottom of one is at most this far "
-        "above the top of the other",
+        description="maximum height of the bottom of one thing above the top of the other at which text may say “near”",
     )
-    near_false: Metres = Field(1.75, description="text may deny “near” from this distance of footprints")
+    near_false: Metres = Field(1.75, description="minimum distance between footprints at which text may deny “near”")
     held_footprint: Share = Field(
         0.25,
-        description="a thing carries another if this share of the other's footprint is over it, at its top "
-        "or within its height; “near” is then never used for the pair",
+        description="minimum share of a thing's footprint that lies over another thing, at its top or within "
+        "its height, for the other to carry it; “near” is then never used for the pair",
     )
     held_inside: Share = Field(
-        0.5, description="“near” is never used for a pair if more than this share of one box is inside the other"
+        0.5, description="maximum share of one box inside the other, beyond which “near” is never used for the pair"
     )
-    far: Metres = Field(3.0, description="“far from” is emitted from this distance of boxes")
-    far_true: Metres = Field(3.45, description="text may say “far from” from this distance of boxes")
-    far_false: Metres = Field(2.55, description="text may deny “far from” up to this distance of boxes")
-    height: Metres = Field(0.30, description="“higher than” and “lower than” are emitted from this height of centres")
+    far: Metres = Field(3.0, description="minimum distance between two boxes at which “far from” is emitted")
+    far_true: Metres = Field(3.45, description="minimum distance between two boxes at which text may say “far from”")
+    far_false: Metres = Field(2.55, description="maximum distance between two boxes at which text may deny “far from”")
+    height: Metres = Field(
+        0.30,
+        description="minimum height of one thing's centre above the other's at which “higher than” and “lower "
+        "than” are emitted",
+    )
     height_true: Metres = Field(
-        0.45, description="text may say “higher”, “lower”, “above” and “below” from this height"
+        0.45,
+        description="minimum height of one thing's centre above the other's at which text may say “higher”, "
+        "“lower”, “above” and “below”",
     )
     height_false: Metres = Field(
-        0.15, description="text may deny “higher”, “lower”, “above” and “below” up to this height"
+        0.15,
+        description="maximum height of one thing's centre above the other's at which text may deny “higher”, "
+        "“lower”, “above” and “below”",
     )
     over_horizontal: Metres = Field(
-        0.50, description="“above” and “below” are emitted up to this horizontal distance of centres"
+        0.50, description="maximum horizontal distance between two centres at which “above” and “below” are emitted"
     )
     over_horizontal_true: Metres = Field(
-        0.42, description="text may say “above” and “below” up to this horizontal distance"
+        0.42, description="maximum horizontal distance between two centres at which text may say “above” and “below”"
     )
     over_footprint_true: Share = Field(
         0.2,
-        description="text may say “above” and “below” where this share of the smaller footprint lies over the other",
+        description="minimum share of the smaller footprint that must lie over the other for text to say "
+        "“above” and “below”",
     )
     over_gap_true: Metres = Field(
-        0.10, description="text may say “above” and “below” where this much air is between the two; less is a support"
+        0.10,
+        description="minimum vertical gap between two things at which text may say “above” and “below”; a "
+        "smaller gap counts as support",
     )
     over_apart_false: Metres = Field(
-        0.30, description="text may deny “above”, “below” and “under” where footprints are this far apart"
+        0.30, description="minimum distance between footprints at which text may deny “above”, “below” and “under”"
     )
     top_true: Metres = Field(
         0.15,
-        description="text may say higher and lower where tops differ by at least this, in the same "
-        "direction as the centres",
+        description="minimum height of one thing's top above the other's, in the same direction as between "
+        "the centres, at which text may say “higher” and “lower”",
     )
-    top_false: Metres = Field(0.05, description="text may deny “higher” and “lower” where tops differ by at most this")
+    top_false: Metres = Field(
+        0.05,
+        description="maximum height of one thing's top above the other's at which text may deny “higher” and “lower”",
+    )
     off_floor: Metres = Field(
         0.30,
-        description="“higher” and “lower” are used only for things whose bottoms are at least this far above the floor",
+        description="minimum height of a thing's bottom above the floor, for “higher” and “lower” to be used of it",
     )
-    on_gap_true: Metres = Field(0.03, description="text may say “on” where bottom and top differ by at most this")
-    on_gap_false: Metres = Field(0.15, description="text may deny “on” where the bottom is this far above the top")
+    on_gap_true: Metres = Field(
+        0.03,
+        description="maximum height difference between the thing's bottom and the other's top at which text "
+        "may say “on”",
+    )
+    on_gap_false: Metres = Field(
+        0.15, description="minimum height of the bottom above the other thing's top at which text may deny “on”"
+    )
     on_footprint_true: Share = Field(
-        0.5, description="text may say “on” where this share of the thing's footprint lies over the other's"
+        0.5, description="minimum share of the thing's footprint that must lie over the other's for text to say “on”"
     )
-    on_floor: Metres = Field(0.10, description="a thing stands on the floor if its bottom is at most this far above it")
+    on_floor: Metres = Field(0.10, description="maximum height of a thing's bottom above the floor on which it stands")
     under_footprint_true: Share = Field(
-        0.8, description="text may say “under” where this share of the thing's footprint lies under the other"
+        0.8, description="minimum share of the thing's footprint that must lie under the other for text to say “under”"
     )
-    in_share_true: Share = Field(0.8, description="text may say “in” where this share of the thing's box is inside")
+    in_share_true: Share = Field(
+        0.8, description="minimum share of the thing's box that must be inside the other for text to say “in”"
+    )
     between_true: Share = Field(
         0.3,
-        description="text may say “between” from this fraction of the line of centres to the same fraction "
-        "before its end",
+        description="text may say “between” of a thing from this fraction of the line of centres to the same "
+        "fraction before the line's end",
     )
     between_false: Share = Field(
         0.1,
-        description="text may deny “between” before this fraction of the line, and after the same fraction "
-        "before its end",
+        description="text may deny “between” of a thing before this fraction of the line of centres, and "
+        "after the same fraction before the line's end",
     )
-    between_off_true: Metres = Field(0.4, description="text may say “between” up to this distance off the line")
-    between_off_false: Metres = Field(0.8, description="text may deny “between” from this distance off the line")
+    between_off_true: Metres = Field(
+        0.4, description="maximum distance of a thing off the line of centres at which text may say “between”"
+    )
+    between_off_false: Metres = Field(
+        0.8, description="minimum distance of a thing off the line of centres at which text may deny “between”"
+    )
     between_length: Metres = Field(
-        4.0, description="“between” is used only with anchors whose centres are at most this far apart"
+        4.0, description="maximum distance between the centres of two anchors with which “between” is used"
     )
     between_anchor: Metres = Field(
-        0.5, description="“between” is used only with anchors whose longest side is at least this"
+        0.5, description="minimum length of the longest side of an anchor with which “between” is used"
     )
     closest_ratio: float = Field(
-        1.5, gt=1, description="text may say “closest to” where every rival is this many times farther"
+        1.5,
+        gt=1,
+        description="minimum ratio of every rival's distance from the anchor to the thing's own, for text to "
+        "say “closest to”",
     )
     closest_gap: Metres = Field(
-        0.5, description="text may say “closest to” where, in addition, every rival is farther by this"
+        0.5,
+        description="minimum difference between every rival's distance from the anchor and the thing's own, "
+        "for text to say “closest to”",
     )
     size_ratio: float = Field(
-        1.5, gt=1, description="text may say “the bigger” of two where the volume of its box is this many times larger"
+        1.5,
+        gt=1,
+        description="minimum ratio of the volume of a thing's box to that of the other's, for text to say "
+        "“the bigger” of the two",
     )
-    sector_true: Degrees = Field(15.0, description="text may use a compass word up to this angle off its direction")
+    sector_true: Degrees = Field(
+        15.0, description="maximum angle off the direction of a compass word at which text may use it"
+    )
     sector_false: Degrees = Field(
-        30.0, description="a compass word tells a thing from rivals that are beyond this angle off its direction"
+        30.0,
+        description="minimum angle of a rival off the direction of a compass word, for the word to "
+        "distinguish a thing from this rival",
     )
     sector_denied: Degrees = Field(
-        60.0, description="a condition with a compass word is false beyond this angle off its direction"
+        60.0, description="angle off the direction of a compass word beyond which a condition with this word is false"
     )
     sector_horizontal_true: Metres = Field(
-        0.5, description="text may use a compass word from this horizontal distance of centres"
+        0.5, description="minimum horizontal distance between two centres at which text may use a compass word"
     )
     bearing_true: Degrees = Field(
-        30.0, lt=45, description="text may say “left”, “right”, “ahead” and “behind” up to this angle off the direction"
+        30.0,
+        lt=45,
+        description="maximum angle off the direction at which text may say “left”, “right”, “ahead” and “behind”",
     )
     bearing_false: Degrees = Field(
         60.0,
         gt=45,
         le=90,
-        description="text may deny “left”, “right”, “ahead” and “behind” from this angle off the direction",
+        description="minimum angle off the direction at which text may deny “left”, “right”, “ahead” and “behind”",
     )
     bearing_distance: Metres = Field(
         1.0,
-        description="left, right, ahead and behind are used only for things whose centres are at least "
-        "this far from the start on the ground",
+        description="minimum distance on the ground from the start to a thing's centre, for left, right, "
+        "ahead and behind to be used",
     )
     level: Degrees = Field(
-        22.5, lt=90, description="a pair is level if the elevation between the centres is smaller than this"
+        22.5, lt=90, description="maximum elevation between the centres of two things that are level"
     )
     degenerate_horizontal: Metres = Field(
-        0.1, description="edges are marked as degenerate if the horizontal distance of the centres is smaller than this"
+        0.1, description="horizontal distance between the centres below which an edge is marked as degenerate"
     )
     surface_within: Metres = Field(
-        1.15, description="surface distances are measured where boxes are at most this far apart"
+        1.15, description="maximum distance between two boxes at which the distance between their surfaces is measured"
     )
 
     @model_validator(mode="after")

@@ -67,7 +67,9 @@ class SourceConfig(Section):
         ("*",), min_length=1, description="scene ids, or patterns with * and ?, that are included"
     )
     exclude: tuple[str, ...] = Field((), description="scene ids, or patterns with * and ?, that are left out")
-    navmesh: str | None = Field(None, min_length=1, description="folder of navmeshes in root that is searched first")
+    navmesh: str | None = Field(
+        None, min_length=1, description="folder below root in which navmeshes are searched first"
+    )
     regions: Path | None = Field(None, description="side file or folder of user-drawn room zones")
     absence: Literal["complete", "never"] = Field(
         "complete",
@@ -95,11 +97,12 @@ class SourceConfig(Section):
 class SplitsConfig(Section):
     """How episodes are distributed over splits. Families with official lists of scenes keep to them."""
 
-    seed: int = Field(0, description="seed of the choice where there are more episodes than wanted")
+    seed: int = Field(0, description="seed of the choice of episodes where there are more than wanted")
     per_cell: int | None = Field(
         None,
         ge=1,
-        description="episodes wanted per split × category × gold leaf; none = as many as keep the gold leaves balanced",
+        description="number of episodes wanted for each split × category × gold leaf; none = as many as keep "
+        "the gold leaves balanced",
     )
     scenes: dict[Literal["train", "val_unseen", "test"], tuple[str, ...]] = Field(
         default_factory=dict,
@@ -117,8 +120,9 @@ class SplitsConfig(Section):
     max_tokens: int | None = Field(
         200,
         ge=0,
-        description="texts with more tokens are left out: VLN-CE's instruction_tokens hold no more, and an "
-        "agent that reads them would miss a branch; 0 or none = no limit",
+        description="maximum number of tokens of a text; longer texts are left out, since VLN-CE's "
+        "instruction_tokens hold no more and an agent that reads them would miss a branch; 0 or "
+        "none = no limit",
     )
     bias: Literal["off", "warn", "fail"] = Field(
         "warn", description="what an export does when a guesser that sees no scene beats chance; fail = exit code 3"
@@ -138,15 +142,18 @@ class LimitsConfig(Section):
     Relations grow with the square of the objects in a room: about 2.6 rows and 600 bytes an ordered pair.
     """
 
-    objects_per_room: int = Field(1000, ge=2, le=MOST_OBJECTS_PER_ROOM, description="most objects in one room")
+    objects_per_room: int = Field(
+        1000, ge=2, le=MOST_OBJECTS_PER_ROOM, description="maximum number of objects in one room"
+    )
     pairs_per_scene: int = Field(
         1_000_000,
         ge=4,
-        description="most ordered pairs of objects that share a room: the sum of squares over the rooms",
+        description="maximum number of ordered pairs of objects that share a room: the sum over the rooms of "
+        "the squared number of objects",
     )
-    objects_per_scene: int = Field(20_000, ge=2, description="most objects in a scene")
-    rooms_per_scene: int = Field(2000, ge=1, description="most rooms in a scene")
-    corners_per_room: int = Field(20_000, ge=3, description="most corners of a room's outline")
+    objects_per_scene: int = Field(20_000, ge=2, description="maximum number of objects in a scene")
+    rooms_per_scene: int = Field(2000, ge=1, description="maximum number of rooms in a scene")
+    corners_per_room: int = Field(20_000, ge=3, description="maximum number of corners of a room's outline")
 
 
 class RayConfig(Section):
@@ -155,24 +162,23 @@ class RayConfig(Section):
     workers: int | None = Field(
         None,
         ge=1,
-        description="number of Ray workers, however small the work is (1: one process besides this one); "
-        "with an address, the most tasks in flight; none = every core or the whole cluster, "
-        "and work too small for Ray is done in this process",
+        description="number of Ray workers, however small the work is (1: one process besides this one); with "
+        "an address, the maximum number of tasks in flight; none = every core or the whole "
+        "cluster, and work too small for Ray is done in this process",
     )
     address: str | None = Field(None, description="ray:// or host:port of a cluster; none = this machine")
     max_failures: Share = Field(
-        0.5, description="the run is stopped (exit code 4) when a larger share of the scenes has failed"
+        0.5, description="maximum share of scenes that may fail; with more, the run is stopped (exit code 4)"
     )
     deadline_seconds: Seconds = Field(
-        1800.0, description="wall time that one scene may take; in compiled code only a Ray worker can be stopped"
+        1800.0, description="maximum wall time of one scene; in compiled code only a Ray worker can be stopped"
     )
     memory_gib: float | None = Field(
         None,
         ge=0.5,
         allow_inf_nan=False,
-        description="memory that a process may hold while it works on a scene, GiB; a scene that needs "
-        "more is quarantined; none = 80 % of the machine's memory, divided by the number of "
-        "workers",
+        description="maximum memory of a process while it works on a scene, GiB; a scene that needs more is "
+        "quarantined; none = 80 % of the machine's memory, divided by the number of workers",
     )
 
 
@@ -182,7 +188,7 @@ class KeepConfig(Section):
     sweep: bool = Field(
         True, description="whether a rebuild that has published a snapshot then removes what no ref needs"
     )
-    snapshots: int = Field(3, ge=1, description="snapshots kept for each ref, the published one included")
+    snapshots: int = Field(3, ge=1, description="number of snapshots kept for each ref, the published one included")
     grace_hours: Hours = Field(24.0, description="files younger than this are never removed")
 
 

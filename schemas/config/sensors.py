@@ -36,9 +36,11 @@ class CameraConfig(Section):
         0.0, description="angle by which the camera looks to the left of the agent's heading"
     )
     min_depth: Annotated[Finite, Field(ge=0, json_schema_extra={"unit": "m"})] = Field(
-        0.0, description="smaller depths are raised to this"
+        0.0, description="minimum depth; smaller depths are raised to it"
     )
-    max_depth: Metres | None = Field(10.0, description="larger depths are lowered to this; null for no limit")
+    max_depth: Metres | None = Field(
+        10.0, description="maximum depth; larger depths are lowered to it; null for no limit"
+    )
     normalized: bool = Field(
         True, description="depths are scaled from 0 at min_depth to 1 at max_depth; otherwise they are metres"
     )
@@ -57,7 +59,7 @@ class NoiseConfig(Section):
 
     missed: Share = Field(0.0, description="share of the things in view that are missed")
     confused: Share = Field(0.0, description="share of the things in view that get another label of the scene")
-    false: Share = Field(0.0, description="share of looks in which a thing is named that is not there")
+    false: Share = Field(0.0, description="share of looks in which the detector reports a thing that is not there")
     position: Annotated[Finite, Field(ge=0, json_schema_extra={"unit": "m"})] = Field(
         0.0, description="standard deviation of the estimated position, along each axis of the ground"
     )
@@ -78,7 +80,7 @@ class LookerConfig(Section):
     noise: NoiseConfig = Field(NoiseConfig(), description="errors of the agent's detector, pose and motor")
     logic: Share = Field(0.0, description="share of conditions that the agent answers wrongly whatever it has seen")
     memory: Annotated[int, Field(ge=1, json_schema_extra={"unit": "steps"})] | None = Field(
-        None, description="steps after which the agent forgets a thing that is out of view; null for never"
+        None, description="number of steps after which the agent forgets a thing that is out of view; null for never"
     )
     map: Literal["own", "given"] = Field(
         "own",
@@ -89,8 +91,12 @@ class LookerConfig(Section):
         128, description="rows and columns of each of the agent's four cameras, which together cover all directions"
     )
     least_pixels: Annotated[int, Field(ge=1, json_schema_extra={"unit": "px"})] = Field(
-        1, description="pixels of a thing that must be visible before the thing is known"
+        1, description="minimum number of visible pixels of a thing from which the thing is known"
     )
-    reach: Metres = Field(10.0, description="range of sight for things and floor")
-    close: Metres = Field(3.0, description="distance from which a floor must be seen before a thing counts as absent")
-    patience: Share = Field(0.7, description="share of the budget after which the agent answers undecided conditions")
+    reach: Metres = Field(10.0, description="maximum distance at which things and floor are seen")
+    close: Metres = Field(
+        3.0, description="maximum distance from which a floor must have been seen before a thing counts as absent"
+    )
+    patience: Share = Field(
+        0.7, description="share of the step budget after which the agent answers conditions that are still undecided"
+    )
