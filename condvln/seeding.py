@@ -1,5 +1,5 @@
-"""Random generators that depend on their purpose and the seed, never on worker, rank, order or time; fast single
-draws.
+"""Random generators that depend only on a seed and a purpose, never on worker, rank, order or time. Single draws are
+fast.
 """
 
 from __future__ import annotations
@@ -29,7 +29,9 @@ def stable_hash(*parts: object) -> int:
 
 
 def generator(seed: int, *names: object) -> np.random.Generator:
-    """Return the generator of one purpose (`names`, e.g. scene id and stage) under a dataset seed."""
+    """Return the random generator for one purpose under a dataset seed. `names` identify the purpose, e.g. scene id and
+    stage.
+    """
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(stable_hash(seed, *names))))
 
 
@@ -47,7 +49,7 @@ class Draws:
         return self._block.pop()
 
     def index(self, n: int) -> int:
-        """Return a uniform index below `n`; its bias of n · 2⁻⁵³ is negligible."""
+        """Return a random index below `n`, uniformly distributed. Its bias of n · 2⁻⁵³ is negligible."""
         return int(self.uniform() * n)
 
     def choice(self, items: Sequence[T]) -> T:
@@ -55,7 +57,9 @@ class Draws:
         return items[self.index(len(items))]
 
     def cumulative(self, sums: Sequence[float]) -> int:
-        """Return an index drawn by weights, which are given as running sums."""
+        """Return a random index, with probabilities in proportion to weights. `sums` are the running sums of the
+        weights.
+        """
         return min(bisect_right(sums, self.uniform() * sums[-1]), len(sums) - 1)
 
     def weighted(self, items: Sequence[T], weights: Sequence[float]) -> T:

@@ -117,8 +117,8 @@ class World:
         return open_renderer(self.scene, self.geometry)
 
     def look(self, position: npt.ArrayLike, heading: float = 0.0, camera: CameraConfig | None = None) -> Frame:
-        """Return what a camera sees for an agent at a position (3,) in metres, heading in radians counter-clockwise
-        from −Z.
+        """Return what a camera sees. The agent is at a position (3,) in metres, with a heading in radians
+        counter-clockwise from −Z.
 
         camera : VLN-CE's depth camera if None
 

@@ -1,4 +1,6 @@
-"""Executor that uses Ray only where it pays, for runs that ask for no number of workers; a small run is done inline."""
+"""Executor that uses Ray only where it pays, for runs that do not configure a number of workers. A small run is done
+inline.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,8 @@ clock)."""
 
 
 class AutoExecutor:
-    """Chooses inline or Ray by the estimated cost of the work. A running Ray and a cluster are always used.
+    """Chooses inline or Ray by the estimated cost of the work. If Ray is already running here, or a cluster is
+    configured, it always chooses Ray.
 
     Only for who has configured neither workers nor an address: those are obeyed, see ``jobs.generate``.
 

@@ -71,7 +71,7 @@ class SharedTables:
         return load
 
     def of(self, names: tuple[str, ...]) -> Mapping[str, pa.Table]:
-        """Select the tables that a stage needs."""
+        """Return the tables with these names, each loaded when it is first read."""
         return Upstream({name: partial(self._tables.__getitem__, name) for name in names})
 
 
@@ -144,7 +144,7 @@ class Chain:
         return self._shared.of(self._pipeline.stages[self.at].needs)
 
     def add(self, receipt: StageReceipt, tables: Mapping[str, pa.Table] | None = None) -> None:
-        """Record that the next stage is done. ``tables`` are its rows, where they are in memory."""
+        """Record that the next stage is done. ``tables`` are its tables by name, if they are in memory."""
         for name, table in (tables or {}).items():
             self._in_memory[name, self.at] = table
         self.done.append(receipt)

@@ -1,4 +1,4 @@
-"""Committed outputs of stages, and records of those that failed.
+"""Committed outputs of stages, and records of stages that failed.
 
 ``units/<stage>/<key[:2]>/<key>/<table>.parquet``, further files beside it, and ``unit.json`` last: a key whose
 ``unit.json`` is there is done. ``quarantine/<stage>/<key>.json`` says why one is not.
@@ -62,7 +62,7 @@ class Commits:
         return self.store.exists(f"{self.folder(stage, key)}/unit.json")
 
     def committed(self) -> Iterator[tuple[str, str]]:
-        """Yield (stage, key) of everything that is committed."""
+        """Yield (stage, key) of every commit."""
         for entry in self.store.list("units"):
             parts = entry.path.split("/")
             if parts[-1] == "unit.json" and len(parts) == 5:
@@ -92,8 +92,8 @@ class Commits:
         return None
 
     def damaged_file(self, stage: str, key: str) -> str | None:
-        """Return the path of the first file of a commit whose bytes differ from the commit's hash, or None. Reads all
-        files of the commit.
+        """Return the path of the first file of a commit whose bytes differ from the hash in the commit, or None if all
+        agree. All files of the commit are read.
         """
         folder = self.folder(stage, key)
         found = self.find(stage, key, discard=False)
@@ -173,7 +173,7 @@ class Commits:
         return f"{self.store.url}/{path}"
 
     def discard(self, stage: str, key: str) -> None:
-        """Delete a commit. ``unit.json`` goes first, so that no commit is ever without its files."""
+        """Delete a commit. ``unit.json`` is deleted first, so that no commit ever exists without its files."""
         folder = self.folder(stage, key)
         self.store.delete(f"{folder}/unit.json")
         for entry in [*self.store.list(folder)]:
@@ -186,7 +186,9 @@ class Commits:
         self.store.write(path, record.model_dump_json(indent=1).encode())
 
     def quarantine_record(self, stage: str, key: str) -> QuarantineRecord | None:
-        """Return the record under this key, or None (also when it is damaged: the unit is then tried again)."""
+        """Return the quarantine record under this key, or None if there is none. A damaged record is deleted, so that
+        the unit is tried again.
+        """
         path = f"quarantine/{stage}/{key}.json"
         try:
             return QuarantineRecord.model_validate_json(self.store.read(path))

@@ -1,5 +1,6 @@
-"""Cost model of units: what a unit took last time, or its own estimate, corrected by how accurate such estimates
-were."""
+"""Cost model of units: the measured cost of a unit's last run, else its own estimate, corrected by how accurate earlier
+estimates were.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +24,7 @@ PRIOR_SECONDS: Final = 1.0
 
 
 class CostModel:
-    """CPU seconds and bytes of units, stage by stage.
+    """Expected CPU seconds of each stage of a unit, and expected peak memory of units.
 
     A stage that was published for a unit is expected to take what it took then, times the ratio of its estimates now
     and then (more episodes are asked for, say). Any other is expected to take its own estimate times a scale: CPU
@@ -49,7 +50,9 @@ class CostModel:
         self._scales: dict[tuple[str, str], float] = {}
 
     def _learned(self, stage: str, partitions: list[str], numbers: Any) -> dict[str, tuple[float, float]]:
-        """Return (CPU seconds, estimates) of a stage by partition, with those of all partitions under the key ''."""
+        """Return (measured CPU seconds, estimated CPU seconds) of a stage, summed by partition. The key '' has the sums
+        over all partitions.
+        """
         spent, estimated = self._spent[stage], self._estimated[stage]
         both = (spent > 0) & (estimated > 0)
         sums = {"": (float(spent[both].sum()), float(estimated[both].sum()))}
@@ -81,7 +84,9 @@ class CostModel:
         return sum(self.stage_seconds(unit, row, name) for name in self._names[first:until])
 
     def memory(self, unit: Unit, row: int) -> int:
-        """Return the expected bytes at the peak, with a margin where they were measured."""
+        """Return the expected peak memory of a unit in bytes: the peak measured last time, with a margin, else the
+        unit's own estimate.
+        """
         if row >= 0 and self._peak_rss[row] > 0:
             return int(MEMORY_MARGIN * self._peak_rss[row])
         return unit.memory

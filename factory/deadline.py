@@ -41,7 +41,7 @@ class Deadline:
 
     @contextlib.contextmanager
     def watch(self) -> Iterator[None]:
-        """Raise ``DeadlineError`` inside the block when the time is up. Works in the main thread only."""
+        """Context that raises ``DeadlineError`` when the time is up. It works in the main thread only."""
         if self.seconds is None or threading.current_thread() is not threading.main_thread():
             yield
             return

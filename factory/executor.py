@@ -49,7 +49,7 @@ class Executor(Protocol):
         ...
 
     def workers_for(self, seconds: float) -> int:
-        """Return how many units would be processed at once for this many expected CPU seconds."""
+        """Return how many units would be processed at once in a run of this many expected CPU seconds in total."""
         ...
 
     def busy(self) -> Sequence[Busy]:

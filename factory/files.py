@@ -64,7 +64,7 @@ class FileHashes:
                         path.unlink()
 
     def file(self, root: Path, relative: str) -> InputFile:
-        """Return the keyed form of ``root/relative``. Raises as ``hash_file`` does."""
+        """Return the path, size and hash of the file ``root/relative``. Raises as ``hash_file`` does."""
         place = os.path.join(root, relative)
         try:
             stat = os.stat(place)

@@ -61,7 +61,7 @@ def fingerprints(pipeline: Pipeline, units: Iterable[Unit]) -> dict[str, dict[st
 
 
 def compare(golden: Fingerprints, found: Fingerprints) -> Drift:
-    """List what changed from ``golden`` to ``found``."""
+    """Return the differences between ``golden`` and ``found``."""
     unbumped: list[str] = []
     outdated: list[str] = []
     for unit_id in sorted({*golden, *found}):

@@ -35,7 +35,9 @@ class Busy:
 
 
 def busy_message(busy: Busy, deadline: float | None = None) -> str:
-    """Format one line about a unit. A unit past its deadline is in compiled code, which no signal interrupts."""
+    """Format one line about a unit that takes long. If it is past its deadline in this process, it is in compiled code,
+    which no signal interrupts.
+    """
     line = f"{busy.unit_id}: at stage {busy.stage} for {busy.seconds:.0f} s"
     if deadline is not None and busy.seconds > deadline and not busy.endable:
         line += (

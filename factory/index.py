@@ -122,7 +122,7 @@ class IndexWriter:
         self._pending.clear()
 
     def finish(self, carried: pa.Table | None) -> pa.Table:
-        """Return all rows sorted by unit id, those from an older index included."""
+        """Return all added rows, and the rows of ``carried`` from an older index, sorted by unit id."""
         if self._pending:
             self._flush()
         whole = pa.Table.from_batches(self._batches, schema=self._schema)
@@ -139,8 +139,9 @@ class IndexWriter:
 
 
 def _conformed(table: pa.Table, schema: pa.Schema) -> pa.Table:
-    """Return ``table`` with exactly the columns of ``schema``; missing ones are null (those of a new stage, for
-    example)."""
+    """Return ``table`` with exactly the columns of ``schema``. Columns that ``table`` lacks (those of a new stage, for
+    example) are null.
+    """
     columns = [
         table.column(f.name).cast(f.type) if f.name in table.column_names else pa.nulls(table.num_rows, f.type)
         for f in schema

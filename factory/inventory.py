@@ -51,12 +51,12 @@ class Inventory:
                 self.whole &= ~self._lost[stage]
 
     def lost(self, stage: str, row: int) -> bool:
-        """Whether the unit in ``row`` has this stage and files of it are missing or cut."""
+        """Whether files that this stage made for the unit in ``row`` are missing or cut."""
         return stage in self._lost and bool(self._lost[stage][row])
 
 
 def _lost(commits: Commits, table: pa.Table, stage: str) -> npt.NDArray[np.bool_]:
-    """Return (rows,) bool: whether files of the stage are missing or cut."""
+    """Return whether files of the stage are missing or cut, for each row of ``table``, as (rows,) bool."""
     column = table.column(f"{stage}.key").combine_chunks()
     column = column.chunk(0) if isinstance(column, pa.ChunkedArray) else column
     made: npt.NDArray[np.bool_] = column.is_valid().to_numpy(zero_copy_only=False)
@@ -87,7 +87,7 @@ def _lost(commits: Commits, table: pa.Table, stage: str) -> npt.NDArray[np.bool_
 
 
 def _unit_folders(store: Store, stage: str) -> Iterator[tuple[bytes, int]]:
-    """Yield (key, bytes of all files) of every committed unit of a stage; folders that are not units are skipped."""
+    """Yield (key, total bytes of files) of every committed unit of a stage. Folders that are not units are skipped."""
     for folder, files in store.folders(f"units/{stage}"):
         parts = folder.split("/")
         if len(parts) == 2 and UNIT_FILE in files:
@@ -100,8 +100,9 @@ def _unit_folders(store: Store, stage: str) -> Iterator[tuple[bytes, int]]:
 
 
 def missing_parts(store: Store, snapshot_id: str) -> list[str]:
-    """Return the paths of a snapshot's files that are missing or of another size than its manifest records; the
-    manifest's own path where it can't be read."""
+    """Return the paths of a snapshot's files that are missing or differ in size from its manifest. If the manifest
+    can't be read, return only the manifest's path.
+    """
     manifest = read_manifest(store, snapshot_id)
     if manifest is None:
         return [manifest_path(snapshot_id)]
@@ -131,8 +132,9 @@ def glance(store: Store, ref: str) -> list[Any]:
 
 
 def _units_at_a_glance(store: Store) -> list[Any]:
-    """Yield each folder ``units/<stage>/<key[:2]>`` of a store on disk (about 256 per stage) with its time and number
-    of links, which change with every unit. In a small store, every file with its size is added."""
+    """List the folders ``units/<stage>/<key[:2]>`` of a store on disk (about 256 per stage), each with its time and
+    number of links, which change with every unit. For a small store, also list every file with its size.
+    """
     root = store.local_path("units")
     if root is None:
         return []

@@ -32,7 +32,7 @@ def _hash(value: JSON) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class StageKey:
-    """The key of one stage of one unit, and its parts; 16 bytes each."""
+    """The key of one stage of one unit, and the parts from which it is computed. Each has 16 bytes."""
 
     key: bytes
     code: bytes
@@ -47,7 +47,7 @@ class StageKey:
 
 
 class Keyer:
-    """Computes the keys of one pipeline, and caches what is the same for all units."""
+    """Computes the keys of all stages of one pipeline, and caches what is the same for all units."""
 
     def __init__(self, pipeline: Pipeline) -> None:
         self._pipeline = pipeline
@@ -62,7 +62,7 @@ class Keyer:
         return _hash({"stage": stage.name, "version": stage.version, "schema": major, "tables": schemas})
 
     def code(self, at: int) -> bytes:
-        """Hash the code part of the stage at position ``at``."""
+        """Return the code part of the key of the stage at position ``at``."""
         return self._code[at]
 
     def reads_inputs(self, at: int) -> bool:

@@ -189,7 +189,9 @@ class LocalStore:
 
     @contextlib.contextmanager
     def _locked(self, folder: Path) -> Iterator[None]:
-        """Hold the exclusive lock of `folder`. flock ends with its holder, so that a killed publisher blocks nobody."""
+        """Hold the exclusive lock of `folder`. The lock is released when its process ends, so that a killed publisher
+        blocks nobody.
+        """
         self._make(folder)
         lock = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
         try:

@@ -51,7 +51,7 @@ def library_versions() -> dict[str, str]:
 
 
 def reset_peak_rss() -> None:
-    """Reset ``peak_rss`` to count from now, where the system can (Linux)."""
+    """Restart the measurement that ``peak_rss`` returns. This has no effect on systems other than Linux."""
     try:
         with open("/proc/self/clear_refs", "w") as handle:
             handle.write("5")
@@ -60,7 +60,9 @@ def reset_peak_rss() -> None:
 
 
 def peak_rss() -> int:
-    """Return the highest resident memory of this process in bytes, since ``reset_peak_rss`` or the start."""
+    """Return the maximum resident memory of this process in bytes, since the last ``reset_peak_rss`` or else since its
+    start.
+    """
     try:
         with open("/proc/self/status") as handle:
             for line in handle:
@@ -112,7 +114,9 @@ def _meminfo(name: str) -> int:
 def container_limits(
     groups: Path = Path("/proc/self/cgroup"), mounted: Path = Path("/sys/fs/cgroup")
 ) -> Iterator[tuple[int, int]]:
-    """Yield (limit, used) in bytes of each control group of this process that has a limit; version 2, then 1."""
+    """Yield (limit, used) in bytes of each memory control group of this process that has a limit. Groups may be of
+    version 1 or 2.
+    """
     try:
         lines = groups.read_text().splitlines()
     except OSError:

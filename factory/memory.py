@@ -53,8 +53,9 @@ _SIGNAL: Final = signal.SIGUSR2
 
 
 def share(slots: int) -> int | None:
-    """Return the bytes that one of `slots` processes of this machine may hold; None where the system does not report
-    its memory."""
+    """Return the maximum number of bytes that one of `slots` processes of this machine may hold; None where the system
+    does not report its memory.
+    """
     total, free = machine.memory_total(), machine.memory_available()
     if not total:
         return None
@@ -85,7 +86,7 @@ class MemoryCeiling:
 
     @contextlib.contextmanager
     def watch(self) -> Iterator[None]:
-        """Watch the memory of one unit. Works in the main thread of a Linux process only."""
+        """Context that limits the memory of one unit. It works in the main thread of a Linux process only."""
         if self.ceiling is None or not machine.rss() or threading.current_thread() is not threading.main_thread():
             yield
             return
@@ -105,7 +106,7 @@ class MemoryCeiling:
 
     @contextlib.contextmanager
     def armed(self) -> Iterator[None]:
-        """Mark the part of ``watch`` in which the error may be raised. It must not be nested."""
+        """Context within ``watch`` in which the error may be raised. It must not be nested."""
         if not self._watched or self.ceiling is None:
             yield
             return
@@ -119,7 +120,9 @@ class MemoryCeiling:
             _limit(before)
 
     def named(self, error: BaseException) -> BaseException:
-        """Return ``error``; for a ``MemoryError`` raised elsewhere, an error that names the limit in force."""
+        """Return the error to raise for ``error``. A ``MemoryError`` that was raised elsewhere becomes an error that
+        names the limit in force; any other error is returned as it is.
+        """
         if self.ceiling is None or not isinstance(error, MemoryError) or isinstance(error, MemoryCeilingError):
             return error
         named = self._error(self.ceiling, str(error) or "a request was refused")
@@ -127,7 +130,7 @@ class MemoryCeiling:
         return named
 
     def look(self) -> bool:
-        """Whether the main thread must be interrupted now; called by the watching thread."""
+        """Return whether the main thread must be interrupted now. The watching thread calls this."""
         over = self._armed and self.ceiling is not None and machine.rss() > self.ceiling
         self._over = self._over or over
         return over
@@ -191,7 +194,9 @@ def _limit(limits: tuple[int, int]) -> None:
 
 
 def _lowered(limits: tuple[int, int], ceiling: int) -> tuple[int, int]:
-    """Return limits whose soft value leaves this process little more than what is left below the ceiling."""
+    """Return memory limits (soft, hard) in bytes. The soft limit lets this process grow by little more than it may
+    until it reaches ``ceiling``.
+    """
     _, hard = limits
     found = machine.private_memory() + int(_SLACK * max(ceiling - machine.rss(), 0))
     return min([found, *(limit for limit in limits if limit != resource.RLIM_INFINITY)]), hard

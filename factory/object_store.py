@@ -171,7 +171,9 @@ class ObjectStore:
             return False
 
     def _prove(self) -> None:
-        """Check once per process that the server refuses conditional writes whose condition does not hold."""
+        """Check that the server refuses conditional writes whose condition does not hold. The check is made once per
+        process.
+        """
         if self._proven:
             return
         path = f"probe/{secrets.token_hex(8)}"

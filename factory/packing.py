@@ -64,7 +64,7 @@ class PackJob:
 
     @property
     def logical_bytes(self) -> int:
-        """Return the canonical bytes of all members."""
+        """Return the total number of canonical bytes of all members."""
         return int(pc.sum(self.members.column("bytes")).as_py() or 0)
 
 
@@ -79,7 +79,7 @@ class Packed:
 
 
 def buckets(members: pa.Table, part_bytes: int) -> Iterator[tuple[int, pa.Table]]:
-    """Yield (bucket, members) of one table and partition; one empty bucket when there is no row at all."""
+    """Yield (bucket, members) of one table and partition. If it has no rows at all, yield one empty bucket."""
     count = bucket_count(members, part_bytes)
     if count == 1:
         yield 0, members
@@ -96,7 +96,7 @@ def buckets(members: pa.Table, part_bytes: int) -> Iterator[tuple[int, pa.Table]
 
 
 def bucket_count(members: pa.Table, part_bytes: int) -> int:
-    """Return the number of buckets of one table and partition, a power of two."""
+    """Return into how many buckets the rows of one table and partition are divided. It is a power of two."""
     whole = int(pc.sum(members.column("bytes")).as_py() or 0)
     count = 1
     while count * part_bytes < whole:
@@ -105,19 +105,19 @@ def bucket_count(members: pa.Table, part_bytes: int) -> int:
 
 
 def _rows(members: pa.Table, *names: str) -> Iterator[tuple[Any, ...]]:
-    """Yield values of some columns row by row, without holding all of them as objects."""
+    """Yield the values of the named columns, row by row. Only a batch of rows at a time is converted to objects."""
     for batch in members.select(list(names)).to_batches(max_chunksize=_BATCH):
         yield from zip(*(column.to_pylist() for column in batch.columns), strict=True)
 
 
 def in_threads(load: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
-    """Work as ``map`` does, with concurrent requests to a remote store."""
+    """Apply ``load`` to each item as ``map`` does, but in threads, so that requests to a remote store overlap."""
     with ThreadPoolExecutor(READERS) as pool:
         yield from pool.map(load, items)
 
 
 def members_hash(members: pa.Table, state: Any = None) -> str:
-    """Return a 128-bit hash over (unit id, logical hash of its rows)."""
+    """Return a 128-bit hash over the unit ids of ``members`` and the logical hashes of their rows."""
     state = hashlib.sha256() if state is None else state
     for unit_id, hash_ in _rows(members, "unit_id", "hash"):
         name = unit_id.encode()

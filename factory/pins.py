@@ -77,8 +77,9 @@ class Pins:
         return Pin(tables=tables)
 
     def hashes(self, renew: Iterable[str] = ()) -> dict[str, str]:
-        """Return the hashes of the valid aggregates: pinned under this version and these parameters, not to be renewed,
-        and present in the store or the snapshot."""
+        """Return the hashes of the valid aggregates. Valid are those pinned under this version and these parameters,
+        not listed in ``renew``, and present in the store or the snapshot.
+        """
         found = {}
         for aggregate in self._aggregates:
             pinned = self.pin.tables.get(aggregate.name)
@@ -95,7 +96,7 @@ class Pins:
         return found
 
     def restore(self) -> list[str]:
-        """Write missing or damaged files again where their content is known; return the paths."""
+        """Write missing or damaged files again where their content is known; return their paths."""
         written = []
         for path in self.damaged:
             if path == self._path:
@@ -118,7 +119,9 @@ class Pins:
             return False
 
     def _copy(self, name: str, rows_hash: str) -> bytes | None:
-        """Return the copy of the table in the published snapshot, or None."""
+        """Return the bytes of the table's copy in the published snapshot; None if there is no undamaged copy with this
+        hash.
+        """
         record = None if self._published is None else self._published.shared.get(name)
         if self._published is None or record is None or record.hash != rows_hash:
             return None
@@ -166,12 +169,12 @@ class Pins:
 
 
 def _holds(pinned: PinnedTable, aggregate: Aggregate) -> bool:
-    """Whether the table was built by this version and with these parameters."""
+    """Whether a pinned table was built by the aggregate's present version and with its present parameters."""
     return pinned.version == aggregate.version and pinned.parameters == digest(aggregate.parameters())
 
 
 def build_aggregate(aggregate: Aggregate, commits: Commits, receipts: Iterable[Receipt]) -> tuple[pa.Table, int]:
-    """Build ``aggregate`` over units in the order of their ids; return (table, number of units).
+    """Build ``aggregate`` over units in the order of their ids. Return (table, number of units).
 
     A unit counts when the stage was made for it and it has not failed. Raises ``CorruptShardError`` when a unit's
     committed table is damaged; it is removed, and making that unit again helps.
@@ -189,8 +192,9 @@ def build_aggregate(aggregate: Aggregate, commits: Commits, receipts: Iterable[R
 
 
 def discard_damaged(aggregate: Aggregate, commits: Commits, receipts: Iterable[Receipt]) -> int:
-    """Remove every commit that ``aggregate`` could not read, so that another pass rebuilds all of them; return their
-    number."""
+    """Remove every commit that ``aggregate`` could not read, so that another pass rebuilds all of them. Return the
+    number of units affected.
+    """
     damaged = 0
     for _, tables in _tables(aggregate, commits, receipts):
         try:
@@ -204,8 +208,8 @@ def discard_damaged(aggregate: Aggregate, commits: Commits, receipts: Iterable[R
 def _tables(
     aggregate: Aggregate, commits: Commits, receipts: Iterable[Receipt]
 ) -> Iterator[tuple[str, Mapping[str, pa.Table]]]:
-    """Yield (unit id, the tables that ``aggregate`` reads, each loaded on demand) of every unit that has passed the
-    stage ``aggregate.after`` without skipping it.
+    """For each unit that has passed the stage ``aggregate.after`` without skipping it, yield its id and the tables that
+    ``aggregate`` reads. Each table is loaded on demand.
     """
     for receipt in receipts:
         stage = next((s for s in receipt.stages if s.stage == aggregate.after and not s.skipped), None)

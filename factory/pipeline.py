@@ -102,8 +102,9 @@ class Pipeline:
         return tuple((name, self.tables.get(name)) for name in stage.tables)
 
     def visible(self, at: int) -> tuple[tuple[str, int], ...]:
-        """Return (table, stage position) of what the stage at position ``at`` reads; the latest writer of a name
-        counts."""
+        """Return (table, position of the stage that writes it) of each table that the stage at position ``at`` reads.
+        If several stages write a table, the latest one before ``at`` counts.
+        """
         writers = {table: position for position, stage in enumerate(self.stages[:at]) for table in stage.tables}
         reads = self.stages[at].reads
         return tuple(

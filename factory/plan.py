@@ -44,14 +44,14 @@ class PlanEntry:
 
 @dataclass
 class Plan:
-    """All entries, and their sums.
+    """All entries of a plan, and sums over them.
 
     entries : on disk when there are many; iterate
     removed : units that are published and no longer in the corpus
     renamed : (old id, new id) of removed and missing units with the same bytes: their rows name them, so they are made
     renewed : aggregates that would be built (none is pinned, or its version changed): units behind them show POSSIBLE
     snapshot_id : what is published now; None where nothing is
-    carried : units that nothing of is to be done, not even publishing
+    carried : number of units for which nothing has to be done, not even publishing
     damaged : files of what is published that are missing or damaged and would be made again, the units' own left out
     """
 
@@ -75,7 +75,7 @@ class Plan:
 
     @property
     def unchanged(self) -> bool:
-        """Whether a run would publish what is published now, and a listing finds all its files."""
+        """Whether a run would publish exactly what is published now, and all published files exist by a listing."""
         return self.empty and self.snapshot_id is not None and self.carried == len(self.entries)
 
     def add(self, entry: PlanEntry) -> None:

@@ -80,7 +80,8 @@ class Planner:
         """(rows of the index,) bool: the unit is still in the corpus."""
 
     def compare(self, units: Iterable[Unit]) -> Iterator[tuple[Unit, bytes, int, bool]]:
-        """Yield (unit, fingerprint, row in the index or -1, unchanged) of each unit.
+        """For each unit, yield (unit, fingerprint, row, unchanged). ``row`` is its position in the index, or -1 if
+        it is not there; ``unchanged`` tells whether its published result can be kept.
 
         Raises ``UsageError`` on a unit id that comes twice or can't be stored.
         """
@@ -131,7 +132,7 @@ class Planner:
         return unit, id_hashes([unit.unit_id]).tobytes() + id_hashes([str(unit.fault)]).tobytes()
 
     def work(self, units: Iterable[Unit]) -> Iterator[Work]:
-        """Yield the units that a run must process; the others are marked in ``kept``."""
+        """Yield the units that a run must process. All other units are marked in ``kept``."""
         for unit, fingerprint, row, fresh in self.compare(units):
             if not fresh:
                 seconds = self._model.seconds(unit, row, self._made, self.stages)
@@ -166,8 +167,8 @@ class Planner:
         return self._inventory is not None and row >= 0 and self._inventory.lost(stage, row)
 
     def _damaged_entry(self, unit: Unit, old: Receipt, row: int) -> PlanEntry:
-        """Plan a unit whose inputs are unchanged but some of whose files are missing or cut: only the stages of these
-        files run, and give the same rows.
+        """Plan a unit whose inputs are unchanged but some of whose files are missing or cut. Only the stages of these
+        files run again, and they give the same rows.
         """
         lost = {stage.stage for stage in old.stages if self._lost(stage.stage, row)}
         return PlanEntry(
@@ -248,8 +249,8 @@ class Planner:
     def _behind(
         self, unit: Unit, first: int, before: Mapping[str, StageReceipt], reasons: list[Reason]
     ) -> Iterator[tuple[str, StagePlan]]:
-        """Plan the stages from position ``first``, the first stage that is not done: this stage runs, and stages that
-        read its tables may run.
+        """Plan the stages from position ``first`` on, which is the first stage that is not done. It will run; later
+        stages may have to run if they read its tables.
         """
         unsure = {first}
         for at in range(first, self.stages):
@@ -287,8 +288,8 @@ class Planner:
         return sums["certain"], sums["possible"]
 
     def renamed(self, missing: Mapping[bytes, str]) -> tuple[tuple[str, str], ...]:
-        """Return (old id, new id) of each published unit that is gone and has the same bytes as one of the units in
-        ``missing``, which are not published yet.
+        """Return (old id, new id) of each unit that was renamed: the old id is published but no longer in the corpus,
+        and an unpublished unit in ``missing`` has the same bytes.
 
         missing : hash of the content → unit id
         """
@@ -298,7 +299,7 @@ class Planner:
         return tuple((row["unit_id"], missing[row["content"]]) for row in gone if row["content"] in missing)
 
     def removed(self) -> tuple[str, ...]:
-        """Return the published units that were not among the compared ones."""
+        """Return the ids of published units that were not among the compared units."""
         return tuple(self.index.table.column("unit_id").filter(~self.present).to_pylist())
 
 

@@ -84,7 +84,7 @@ class Publisher:
             self._note(missing_parts(self._store, self.old.snapshot_id), "is missing or cut")
 
     def verify(self, commits: Commits, index: Index) -> None:
-        """Read again every file that the published snapshot depends on, files of its units included. Files that differ
+        """Read every file that the published snapshot depends on, including the files of its units. Files that differ
         from their hash will be rebuilt.
         """
         if self.old is None:
@@ -138,7 +138,7 @@ class Publisher:
     def _write_parts(
         self, composition: Composition, context: RunContext, pinned: Mapping[str, PinnedTable]
     ) -> set[str]:
-        """Write the snapshot, unless it exists; return ids of units whose committed files are damaged."""
+        """Write the snapshot unless it exists. Return the ids of units whose committed files are damaged."""
         if read_manifest(self._store, composition.snapshot_id) is not None:
             self._damaged |= {*missing_parts(self._store, composition.snapshot_id)}
         own = f"snapshots/{composition.snapshot_id}/"
@@ -171,7 +171,7 @@ class Publisher:
         return set()
 
     def _keep(self, snapshot_id: str, name: str, pinned: PinnedTable) -> SharedRecord:
-        """Copy a shared table into the snapshot. A link would be damaged together with the table."""
+        """Copy a shared table into the snapshot. Unlike a link, the copy survives damage to the original."""
         data = self._store.read(SharedTables.path(name, pinned.hash))
         path = f"shared/{name}.parquet"
         self._store.write(f"snapshots/{snapshot_id}/{path}", data)
@@ -181,7 +181,7 @@ class Publisher:
     def _carry_over(
         self, jobs: Iterable[PackJob], parts: Mapping[tuple[str, str], list[PartRecord]]
     ) -> Iterator[PackJob]:
-        """Reuse files of the published snapshot that hold the same rows; yield the others."""
+        """Reuse files of the published snapshot that hold the same rows as a job would write. Yield the other jobs."""
         before = self.manifest
         known = {}
         if before is not None:

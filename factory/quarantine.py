@@ -22,7 +22,7 @@ MESSAGE_LENGTH: Final = 300
 
 
 class Failed(Exception):
-    """A stage failed, and its unit goes to quarantine."""
+    """Raised when a stage failed and its unit must go to quarantine."""
 
     def __init__(self, cause: Cause, error: BaseException, attempts: int) -> None:
         super().__init__(str(error))
@@ -52,7 +52,9 @@ class Quarantine:
         self._commits = commits
 
     def known(self, stage: str, key: str, attempt: int) -> Failure | None:
-        """Return the record that forbids another try: an older one, or one of this run if an earlier attempt died."""
+        """Return the failure because of which the stage is not tried again, or None. It was recorded by an earlier run,
+        or by this run if an earlier attempt died.
+        """
         listed = (stage, key) in self._context.quarantined
         if not listed and attempt == 1:
             return None
@@ -79,7 +81,7 @@ class Quarantine:
         )
 
     def refuse(self, unit: Unit, fault: Exception) -> Failure:
-        """Record a unit that could not be listed."""
+        """Record a unit that could not be listed as quarantined."""
         name = type(fault).__name__
         key = digest([unit.unit_id, name, str(fault)])[:32]
         trace = "".join(traceback.format_exception(fault))

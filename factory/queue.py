@@ -25,7 +25,9 @@ TASK_UNITS: Final = 64
 
 
 class Queue:
-    """Tasks over work that is spooled to disk, created one by one; only costs and positions are in memory."""
+    """A queue of work units spooled to disk. Tasks are created from it on demand; only each unit's cost and file offset
+    stay in memory.
+    """
 
     def __init__(self, work: Spool[Work], until: int, workers: int) -> None:
         self._work = work
@@ -37,11 +39,11 @@ class Queue:
         self._target = min(TASK_SECONDS, self.seconds / (4 * max(workers, 1)))
 
     def __iter__(self) -> Iterator[Task]:
-        """Yield the largest units first."""
+        """Yield tasks, the largest units first."""
         return self._tasks(-self._costs)
 
     def smallest_first(self) -> Iterator[Task]:
-        """Yield the smallest units first, for a single worker: a unit that never ends then blocks no other."""
+        """Yield tasks for a single worker, the smallest units first, so that a unit that never ends blocks no other."""
         return self._tasks(self._costs)
 
     def _tasks(self, ranks: Any) -> Iterator[Task]:
@@ -63,5 +65,5 @@ class Queue:
 
 
 def tasks(work: Spool[Work], until: int, workers: int) -> Queue:
-    """Yield the tasks of ``work``, largest units first."""
+    """Return a queue that yields the tasks of ``work``, the largest units first."""
     return Queue(work, until, workers)

@@ -28,7 +28,8 @@ _PREFIX: Final = "condvln-busy:"
 
 
 def report_to_board(run: str, place: Place, after: float) -> Callable[[], None]:
-    """In a worker process: report from now on which unit is at `place`. Call the result to stop.
+    """Start to report the unit that is at ``place`` whenever it takes long, and return a function that stops this.
+    Worker processes call this.
 
     run : name of the dispatch that the worker serves
     after : seconds at one stage of a unit that are worth a report
@@ -58,7 +59,7 @@ def report_to_board(run: str, place: Place, after: float) -> Callable[[], None]:
 
 
 def read_board(run: str) -> list[Busy]:
-    """In the driver: return the units that workers reported as long under way."""
+    """Return the units that workers reported as taking long; empty if they can't be read. The driver calls this."""
     try:
         from ray.experimental import internal_kv
 

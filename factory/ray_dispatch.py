@@ -81,7 +81,7 @@ def _slots() -> int:
 
 
 def work_task(name: str, context: Sequence[Any], task: Task) -> list[Receipt]:
-    """In a worker process: process the units of a task."""
+    """Process the units of a task. This runs in a worker process."""
     worker = _worker(name, context)
     return [
         worker.work(item.unit, task.until, item.fingerprint, attempt=task.attempt, last_try=task.last_try)
@@ -90,7 +90,7 @@ def work_task(name: str, context: Sequence[Any], task: Task) -> list[Receipt]:
 
 
 def pack_task(name: str, context: Sequence[Any], job: PackJob) -> list[Packed]:
-    """In a worker process: write a part."""
+    """Write one file of a snapshot. This runs in a worker process."""
     run = _worker(name, context).context
     return [pack(run.store, run.pipeline, job, run.faults)]
 
@@ -111,7 +111,7 @@ class _Flight:
 
 
 class Dispatch:
-    """One stream of tasks through Ray, bounded in flight. Ray must be up.
+    """Sends one stream of tasks through Ray, with a limited number in flight. Ray must be running.
 
     function : ``work_task`` or ``pack_task``
     node : asked whether Ray still lives
@@ -153,7 +153,7 @@ class Dispatch:
         self._driver = Worker(context)
 
     def busy(self) -> list[Busy]:
-        """Return the units that workers reported as long under way."""
+        """Return the units that workers reported as taking long."""
         return read_board(self._name)
 
     # ---- flow
@@ -193,7 +193,9 @@ class Dispatch:
                 yield from result
 
     def _stream(self, flights: Iterator[_Flight], memory: Any) -> Iterator[tuple[_Flight, Any]]:
-        """Yield (flight, list of results or the exception) as they come; failed ones may be put into ``_again``."""
+        """Yield (flight, list of results or exception) of each flight as it comes back. The caller may put failed
+        flights into ``_again`` to repeat them.
+        """
         more = True
         try:
             while True:
@@ -253,7 +255,7 @@ class Dispatch:
         return room if self._most is None else min(room, self._most)
 
     def _bounded(self, memory: float) -> int:
-        """Limit a memory request to what some node can meet: a larger one would wait for ever."""
+        """Return ``memory`` in bytes, reduced to what some node can provide. Ray would wait for ever for more."""
         return int(min(memory, self._memory * 0.9)) if self._memory else int(memory)
 
     # ---- failures
@@ -309,7 +311,7 @@ class Dispatch:
                 self._more_memory(flight, replace(task, work=(item,), memory=item.memory))
 
     def _more_memory(self, flight: _Flight, task: Task) -> None:
-        """Retry once, alone on a node, with twice the memory."""
+        """Retry a task once, alone on a node, with twice the memory."""
         doubled = replace(task, attempt=task.attempt + 1, last_try=True, memory=2 * task.memory, alone=True)
         self._again.append(_Flight(doubled, flight.tries, flight.nodes))
 
@@ -323,7 +325,7 @@ def _pack_memory(job: PackJob) -> int:
 
 
 def _unwrapped(error: BaseException) -> tuple[BaseException, str]:
-    """Return (cause, kind of failure: raised | memory | node | worker)."""
+    """Return the cause of an error that Ray raised, and the kind of failure: raised, memory, node or worker."""
     import ray
 
     if isinstance(error, ray.exceptions.RayTaskError):
@@ -347,7 +349,9 @@ _DETAILS: Final = "Object store memory usage"
 
 
 def _killed_rss(error: BaseException) -> int:
-    """Return the most bytes that a worker held when Ray killed workers to free memory; 0 if Ray does not say."""
+    """Return the maximum number of bytes that a worker held when Ray killed workers to free memory; 0 if Ray does not
+    say.
+    """
     found = [float(gigabytes) for gigabytes in _KILLED.findall(str(error))]
     return int(max(found, default=0.0) * 2**30)
 

@@ -58,7 +58,7 @@ class RayExecutor:
 
     @property
     def running(self) -> bool:
-        """Whether using Ray costs no start: it is running, or it is a cluster to join."""
+        """Whether Ray can be used without starting it: it already runs here, or an existing cluster is configured."""
         if self._address is not None or self._owner:
             return True
         module = sys.modules.get("ray")
@@ -114,8 +114,8 @@ class RayExecutor:
 
     @property
     def workers(self) -> int:
-        """Return the number of tasks that run at once: the requested one, else the CPUs of this machine, or of the
-        cluster as it is now.
+        """Return the number of tasks that run at once: the requested number, else the number of CPUs of this machine or
+        of the cluster as it is now.
 
         A cluster is joined to be asked.
         """
@@ -162,7 +162,9 @@ class RayExecutor:
 
 @contextlib.contextmanager
 def _own_signals() -> Iterator[None]:
-    """Keep this process's handler of SIGTERM: Ray replaces it and would end the process at once."""
+    """Context that keeps this process's handler of SIGTERM. Ray replaces the handler with one that would end the
+    process at once.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -175,7 +177,9 @@ def _own_signals() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _environment(values: Mapping[str, str]) -> Iterator[None]:
-    """Set variables that Ray's processes inherit; this process keeps its own."""
+    """Context in which variables are set for Ray's processes to inherit. Afterwards, this process has its own values
+    again.
+    """
     before = {name: os.environ.get(name) for name in values}
     os.environ.update(values)
     try:

@@ -73,7 +73,7 @@ class Guard:
 
 
 def watch(logs: str) -> str:
-    """Read the driver's lines until they end. Return the message to print; empty if the driver said goodbye."""
+    """Read lines from the driver until its end. Return the message to print, empty if the driver ended the guard."""
     units = 0
     for line in sys.stdin.buffer:
         if line == _BYE:
@@ -87,7 +87,7 @@ def watch(logs: str) -> str:
 
 
 def _reason(logs: str) -> str:
-    """Return what Ray's node logged about its own end, in one line."""
+    """Return the reason that Ray's node logged for its own end, in one line."""
     try:
         data = Path(logs, "raylet.out").read_bytes()[-_TAIL:].decode("utf-8", "replace")
     except OSError:

@@ -58,9 +58,9 @@ class RunMetrics:
                     self._rows.inc(table.rows, {"table": table.table})
 
     def failed(self, kind: str) -> None:
-        """Count a task that came back without receipts."""
+        """Count a task that failed and returned no receipts."""
         self._failures.inc(1, {"kind": kind})
 
     def in_flight(self, tasks: int) -> None:
-        """Set how many tasks are with Ray now."""
+        """Set the number of tasks that are in flight in Ray."""
         self._flying.set(tasks)

@@ -52,7 +52,7 @@ class RayNode:
 
     @contextmanager
     def answers(self) -> Iterator[None]:
-        """Context in which Ray is called: if it no longer answers, that is a ``ClusterError`` too."""
+        """Context for calls of Ray. It raises ``ClusterError`` if Ray no longer answers."""
         self.check()
         with answered(self.logs):
             yield
@@ -60,7 +60,7 @@ class RayNode:
 
 @contextmanager
 def answered(logs: str = "") -> Iterator[None]:
-    """Convert Ray's errors of a lost connection to ``ClusterError``."""
+    """Context that converts Ray's errors about a lost connection to ``ClusterError``."""
     import ray
 
     try:
@@ -71,12 +71,14 @@ def answered(logs: str = "") -> Iterator[None]:
 
 
 def lost(what: str, logs: str = "") -> ClusterError:
-    """Return the error for a Ray that is gone."""
+    """Return the error that says that Ray has died."""
     return ClusterError(f"Ray died while units were under way: {what}", remedy=ADVICE.format(logs=logs or "its logs"))
 
 
 def _own_processes() -> Iterator[tuple[str, Callable[[], int | None]]]:
-    """Return handles of the essential processes that this process started; none where it joined a cluster."""
+    """Yield (name, function that returns the exit code, None while alive) of each essential process of Ray that this
+    process started. It yields nothing if Ray was joined as a cluster.
+    """
     try:
         from ray._private import worker
 

@@ -71,7 +71,7 @@ class MeshLibrary:
         return geometry
 
     def placed(self, part: MeshPart) -> WorldMesh:
-        """Return a mesh part in the scene's frame."""
+        """Return the triangles of a mesh part, in the scene's frame."""
         geometry = self.geometry(part.path)
         faces = geometry.faces
         turned = part.transform[:3, :3]

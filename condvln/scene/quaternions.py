@@ -53,7 +53,7 @@ def to_matrix(xyzw: ArrayLike) -> F64:
 
 
 def from_wxyz(wxyz: ArrayLike) -> F64:
-    """Return ``[x, y, z, w]`` of a quaternion in the order of Habitat's scene files, ``[w, x, y, z]``."""
+    """Convert a quaternion from the order of Habitat's scene files, ``[w, x, y, z]``, to ``[x, y, z, w]``."""
     xyzw: F64 = np.roll(np.asarray(wxyz, dtype=np.float64), -1)
     return xyzw
 

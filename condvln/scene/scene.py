@@ -100,7 +100,9 @@ class SceneObject:
 
     @property
     def box(self) -> F64 | None:
-        """The axis-aligned box (2, 3) in metres: `aabb`, else from centre and size; None if neither is known."""
+        """The axis-aligned box (2, 3) in metres: `aabb`, else the box from `center` and `size`. None if neither `aabb`
+        nor `size` is known.
+        """
         if self.aabb is not None or self.size is None:
             return self.aabb
         return round_mm([self.center - self.size / 2, self.center + self.size / 2])

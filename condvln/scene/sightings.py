@@ -15,7 +15,8 @@ __all__ = ["EVERYTHING_SEEN", "Sightings"]
 
 @dataclass(frozen=True, slots=True)
 class Sightings:
-    """Ids of objects that can't be seen from where an agent can stand; all other objects can be.
+    """Ids of objects that certainly or perhaps can't be seen from where an agent can stand. All other objects can be
+    seen.
 
     unseen : certainly not visible; they do not make a word ambiguous
     doubtful : perhaps visible; text uses no word that might mean them
@@ -25,11 +26,11 @@ class Sightings:
     doubtful: frozenset[str] = frozenset()
 
     def hidden(self, arrays: RoomArrays) -> NDArray[np.bool_]:
-        """Return (n,) bool: whether each object of a room can't be seen; true for objects in shut containers, too."""
+        """Return whether each object of a room can't be seen, (n,) bool. This includes objects in shut containers."""
         return np.asarray(arrays.hidden | np.array([name in self.unseen for name in arrays.object_ids], dtype=bool))
 
     def in_doubt(self, arrays: RoomArrays) -> NDArray[np.bool_]:
-        """Return (n,) bool: whether each object of a room is in `doubtful` and not in a shut container."""
+        """Return whether each object of a room is in `doubtful` and not in a shut container, (n,) bool."""
         return np.asarray(~arrays.hidden & np.array([name in self.doubtful for name in arrays.object_ids], dtype=bool))
 
 

@@ -83,8 +83,8 @@ def _assembled(scene: Scene, words: Vocabulary) -> Surfaces:
 
 
 def _owners_by_box(surfaces: Surfaces, scene: Scene, words: Vocabulary) -> NDArray[np.int32]:
-    """Return for each triangle (m,) the number of the object whose box contains it; if several boxes do, of the object
-    with the smallest box.
+    """Return for each triangle (m,) the index of the object whose box contains it. If several boxes do, it is the
+    object with the smallest box.
     """
     corners = surfaces.corners + surfaces.origin
     along = np.argsort(corners[:, 0, 0], kind="stable")
@@ -106,7 +106,9 @@ def _owners_by_box(surfaces: Surfaces, scene: Scene, words: Vocabulary) -> NDArr
 
 
 def _boxes(obb: OrientedBox | None, box: F64 | None) -> list[tuple[F64, F64, F64]]:
-    """Return centre, half extents and axes of the tighter known box."""
+    """Return (centre, half extents, axes) of the oriented box if it is known, else of the axis-aligned box; empty if
+    neither is known.
+    """
     if obb is not None:
         return [(obb.center, obb.half_extents, obb.rotation)]
     return [] if box is None else [(box.mean(axis=0), (box[1] - box[0]) / 2, np.eye(3))]
@@ -144,7 +146,9 @@ def _drawn(scene: Scene, geometry: SceneGeometry, notes: Sequence[str], words: V
 
 
 def _holders(objects: Sequence[SceneObject]) -> frozenset[int]:
-    """Return the objects whose boxes contain the centre of a smaller object that is not in a shut container."""
+    """Return the indices of the objects whose boxes contain the centre of a smaller object. A smaller object in a shut
+    container does not count.
+    """
     found = set()
     boxes = np.array([np.full((2, 3), np.nan) if o.box is None else o.box for o in objects]).reshape(-1, 2, 3)
     volume = np.prod(boxes[:, 1] - boxes[:, 0], axis=1)

@@ -28,7 +28,7 @@ _PANORAMA_HFOV: Final = math.degrees(2 * math.atan(math.tan(math.radians(60.0) /
 
 
 def panorama(width: int = 640, height: int = 480, eye_height: float = 1.25) -> dict[str, CameraConfig]:
-    """Return the 36 views of the R2R simulator, ``rgb_00`` to ``rgb_35``.
+    """Return the cameras of the 36 views of the R2R simulator, ``rgb_00`` to ``rgb_35``.
 
     Three rows of twelve views, the lowest row first, each row from straight ahead to the right. The simulator's views
     are those of an agent that faces north. Depths are metres without a limit.
@@ -96,8 +96,8 @@ def camera_pose(camera: CameraConfig, position: npt.ArrayLike, heading: float) -
 
 
 def pixel_rays(camera: CameraConfig) -> tuple[F64, F64]:
-    """Return x of each column's centre (w,) and y of each row's centre (h,) at depth 1 in the camera's frame; rows
-    go down.
+    """Return coordinates of the pixels' centres at depth 1 in the camera's frame: x of each column (w,) and y of each
+    row (h,). Row 0 is the uppermost.
     """
     tan_x, tan_y = half_extents(camera)
     columns = (2 * np.arange(camera.width) + 1 - camera.width) / camera.width * tan_x

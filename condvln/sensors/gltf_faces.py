@@ -34,7 +34,7 @@ Bytes = NDArray[np.uint8]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class DrawnFile:
-    """The triangles of one file in its root frame, metres; see `Surfaces` for the arrays.
+    """The triangles of one file in its root frame, metres. The arrays are as in `Surfaces`.
 
     unread : number of textures whose image has an unsupported format, is damaged, or is missing
     """
@@ -76,7 +76,9 @@ def drawn_file(part: GlbPart, builder: SurfaceBuilder) -> DrawnFile:
 
 
 def _world(part: GlbPart) -> list[F64]:
-    """Return the (4, 4) transform from each node's frame to the root's; parents come before their children."""
+    """Return for each node the (4, 4) transform from its frame to the root's. In `part.nodes`, parents come before
+    their children.
+    """
     world = [_local(node.transform) for node in part.nodes]
     for number, node in enumerate(part.nodes):
         for child in node.children:

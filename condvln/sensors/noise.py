@@ -29,6 +29,6 @@ def noisy_pose(
 def noisy_move(
     forward: float, turn: float, noise: NoiseConfig, seed: int, names: Sequence[object] = ()
 ) -> tuple[float, float]:
-    """Return a forward step (metres) and a turn (radians), each with a relative error."""
+    """Return the forward step (metres) and the turn (radians), each with a random relative error."""
     step, angle = generator(seed, "move", *names).normal(size=2)
     return max(0.0, forward * (1 + noise.step * step)), turn * (1 + noise.turn * angle)

@@ -24,7 +24,8 @@ LIGHT: Final = (230, 230, 230)
 
 
 def png(image: npt.NDArray[np.generic]) -> bytes:
-    """Return an image as a PNG file: (h, w, 3) uint8 as colour; (h, w) depth in metres or integers as 16 bits.
+    """Return an image as a PNG file. An image (h, w, 3) uint8 is stored in colour; depths (h, w) in metres and integers
+    (h, w) are stored with 16 bits.
 
     Depths are stored in millimetres; values are clipped at 65535.
     """
@@ -49,7 +50,7 @@ def coloured_depth(depth: npt.NDArray[np.floating], farthest: float = 6.0) -> By
 
 
 def coloured_instances(instance: npt.NDArray[np.integer]) -> Bytes:
-    """Return an image (h, w, 3) that shows each number in `instance` (h, w) in a colour of its own; 0 is black."""
+    """Return an image (h, w, 3) in which each number in `instance` (h, w) has its own colour. The number 0 is black."""
     steps = np.array([97, 151, 211])  # odd, so that 256 consecutive numbers get different colours
     coloured: Bytes = ((instance[..., None].astype(np.int64) * steps + 64) % 256).astype(np.uint8)
     coloured[instance == 0] = 0

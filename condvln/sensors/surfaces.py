@@ -40,7 +40,7 @@ class Material:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Surfaces:
-    """m triangles, counter-clockwise seen from outside, with unshared corners.
+    """m triangles, counter-clockwise seen from outside. No two triangles share a corner.
 
     corners : (m, 3, 3) metres in Habitat's frame, relative to `origin` (3,)
     owner : (m,) index into the scene's ``objects`` of each triangle's object, `STRUCTURE` if it has none
@@ -112,7 +112,7 @@ class SurfaceBuilder:
         self._pieces.append((np.asarray(corners, np.float64), owner, coordinates, colours, numbers))
 
     def surfaces(self, notes: Sequence[str] = ()) -> Surfaces:
-        """Return everything that was added."""
+        """Return all triangles, materials and textures that were added."""
         corners = np.concatenate([np.zeros((0, 3, 3)), *(p[0] for p in self._pieces)])
         origin = np.round(corners.reshape(-1, 3).mean(axis=0)) if len(corners) else np.zeros(3)
         corners = (corners - origin).astype(np.float32)
@@ -147,7 +147,8 @@ class SurfaceBuilder:
 
 
 def _along_curve(corners: Floats) -> NDArray[np.int64]:
-    """Return an order in which neighbouring triangles are close together: by the Morton code of their centres, stable.
+    """Return an order of triangles in which neighbours are close together: by the Morton code of their centres. The
+    sort is stable.
 
     Large triangles come first, since they have no single location.
     """

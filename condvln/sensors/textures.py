@@ -32,7 +32,8 @@ Bytes = NDArray[np.uint8]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Texels:
-    """The textures of a scene; the mipmap levels of a texture follow each other, each half the size of the one before.
+    """The textures of a scene. The mipmap levels of each texture follow each other, each half the size of the one
+    before.
 
     data : (t,) red, green and blue of each texel, row by row from the top
     first_level, levels : (k,) index of the first level, and number of levels, of each texture
@@ -90,7 +91,7 @@ def _levels(picture: Picture, edge: int) -> Iterator[Bytes]:
 
 
 def stored(pictures: Sequence[list[Bytes]]) -> Texels:
-    """Return textures, given by their levels, as one array."""
+    """Pack textures, each given by its mipmap levels, into one array."""
     flat = [level for levels in pictures for level in levels]
     counts = np.array([len(levels) for levels in pictures], dtype=np.int32)
     ends = np.cumsum([0, *(level.size for level in flat)])

@@ -21,7 +21,9 @@ MAX_DATABASE_BYTES: Final = 256 << 20
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Asset:
-    """An asset: its object type, and the full size (3,) of its box in metres; None if the database has none."""
+    """An asset: its object type, and the full size (3,) of its box in metres. `size` is None if the database has no
+    box.
+    """
 
     asset_id: str
     object_type: str
@@ -29,7 +31,7 @@ class Asset:
 
 
 class AssetDatabase:
-    """The assets by id.
+    """The assets of the database, by id.
 
     Raises
     ------

@@ -44,8 +44,8 @@ class Body:
     com: F64 | None = field(default_factory=lambda: np.zeros(3))
 
     def to_scene(self, com: F64) -> F64:
-        """Return the (4, 4) transform from the body's frame to the scene's; `com` (3,) is the body's centre of mass,
-        which may be the origin that its placement refers to.
+        """Return the (4, 4) transform from the body's frame to the scene's. `com` (3,) is the body's centre of mass, to
+        which its placement may refer.
         """
         back = placement(translation=-com if self.placed.origin == "com" else None)
         matrix: F64 = placement(self.placed.rotation, self.placed.translation) @ back
@@ -126,7 +126,9 @@ class BodyReader:
         return tuple(parts)
 
     def _rigid_mesh(self, template: Template, placed: Placed) -> str | None:
-        """Return the render mesh; if it is missing, the dataset's own collision mesh of the same body; else None."""
+        """Return the path of the body's render mesh, else that of its own collision mesh in the dataset; None if both
+        are missing.
+        """
         render, collision = template.get("render_asset"), template.get("collision_asset")
         if render is None and template.path.endswith(_MESH_SUFFIX):
             self.ledger.file(template.path)
@@ -143,8 +145,8 @@ class BodyReader:
         return path
 
     def _labels(self, template: Template, placed: Placed) -> tuple[str, str]:
-        """Return raw and canonical label. A template that the vocabulary lists by its own name is labelled by that
-        name.
+        """Return the raw and the canonical label of a placed template. If the vocabulary lists the template's own name,
+        the canonical label comes from that name.
         """
         semantic = template.get("semantic_id")
         raw = None if semantic is None else self.lexicon.name(semantic.node.integer(), self.ledger)

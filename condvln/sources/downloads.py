@@ -1,4 +1,4 @@
-"""The parts of each family's dataset, under the names of its download pages, and which of them are on disk."""
+"""The parts of each family's dataset, named as on its download pages, and a search for those that are on disk."""
 
 from __future__ import annotations
 

@@ -27,7 +27,8 @@ class FileListing:
     faults: dict[str, InputError] = field(default_factory=dict)
 
     def take(self, root: DatasetRoot, paths: Iterable[str]) -> None:
-        """Add paths: of several paths to one real file, the one without a link, else the first.
+        """Add paths to the listing. Of several paths to one real file, only the one without a link is added, else the
+        first.
 
         A link to a file outside the root is kept; reading it raises an error for that file only. Nothing is listed
         behind a link to a folder outside the root; the link is reported as one fault.
@@ -125,7 +126,9 @@ def _is_inside(path: str, folder: str) -> bool:
 
 
 def _outermost_link(root: DatasetRoot, path: str) -> str:
-    """Return the path up to its first part that is a symbolic link; the whole path if no part is a link."""
+    """Return the beginning of a path up to and including its first symbolic link; the whole path if no part of it is a
+    link.
+    """
     parts = path.split("/")
     heads = ("/".join(parts[: n + 1]) for n in range(len(parts)))
     return next((head for head in heads if os.path.islink(root.folder / head)), path)

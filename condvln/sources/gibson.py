@@ -107,7 +107,9 @@ class GibsonSource(SceneSource):
         self._beside(scene_id, path, ledger)
 
     def _beside(self, scene_id: str, path: str, ledger: InputLedger) -> tuple[tuple[MeshPart, ...], tuple[str, ...]]:
-        """Return the building's mesh and possible navmeshes, beside its annotation or in the root folder."""
+        """Return the building's mesh and the possible paths of its navmesh. The files are searched beside the
+        annotation and in the root folder.
+        """
         name, folder = posixpath.basename(scene_id), posixpath.dirname(path)
         folders = list(dict.fromkeys([folder, ""]))
         mesh = next((m for m in (posixpath.join(f, f"{name}.glb") for f in folders) if self.files.has(m)), None)
@@ -154,7 +156,7 @@ def _box(node: JsonNode) -> F64 | None:
 
 
 def _rooms(document: JsonNode, family: str, complete: bool) -> dict[int, Room]:
-    """Return the rooms, by the number that the file gives each."""
+    """Return the rooms by their numbers in the file."""
     nodes = document.array("rooms")
     floors = [floor.text() for node in nodes if (floor := node.get("floor_number")) is not None]
     level_of = {letter: level for level, letter in enumerate(sorted(set(floors)))}

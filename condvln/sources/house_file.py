@@ -81,7 +81,9 @@ class Portal:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class HouseFile:
-    """The parts of a ``.house`` file that a scene needs; categories by index, with `#` for a blank in their names."""
+    """The parts of a ``.house`` file that a scene needs. `categories` are names by index, in which `#` stands for a
+    blank.
+    """
 
     levels: int
     regions: tuple[HouseRegion, ...]

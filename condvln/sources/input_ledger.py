@@ -34,7 +34,7 @@ class InputLedger:
         self._entries[f"{path}#{name}"] = canonical_json(value)
 
     def record(self, name: str, data: bytes) -> None:
-        """Record one record of a shared file (``file#record``), or a whole file, by its bytes."""
+        """Add an input by its bytes: one record of a shared file (named ``file#record``), or a whole file."""
         self._entries[name] = data
 
     def inputs(self, root: DatasetRoot, hash_file: HashFile) -> tuple[SceneInput, ...]:

@@ -13,7 +13,7 @@ _TAG = "%%CONFIG_NAME_AS_ASSET_FILENAME%%"
 
 
 class Lexicon:
-    """Class names by id."""
+    """The names of a dataset's semantic classes, by id."""
 
     def __init__(self, path: str, document: JsonNode) -> None:
         self._path = path
@@ -36,7 +36,8 @@ class Lexicon:
 def read_descriptors(
     dataset: SceneDataset, scene_name: str, own: JsonNode | None, ledger: InputLedger
 ) -> tuple[Lexicon, tuple[str, JsonNode] | None]:
-    """Return a scene's lexicon, and its region annotations with their file's path if there are any.
+    """Return a scene's lexicon, and its region annotations as (path of their file, annotations), or None if there are
+    none.
 
     The scene's own semantic descriptor is read first, then the dataset's default one, which fills in what the first
     lacks.

@@ -36,7 +36,7 @@ def scan_geometry(files: DatasetRoot, scene: Scene) -> SceneGeometry | None:
 
 
 def assembled_geometry(meshes: MeshLibrary, scene: Scene) -> SceneGeometry | None:
-    """Return the triangles of the stage, then those of each object that has a mesh.
+    """Return the triangles of the stage, followed by those of each object that has a mesh.
 
     None if the stage is missing, since floor and walls are then unknown.
 

@@ -136,7 +136,9 @@ class Mp3dSource(SceneSource):
         return graph if graph.is_file() else None
 
     def _beside(self, scene_id: str, path: str, ledger: InputLedger) -> tuple[tuple[MeshPart, ...], tuple[str, ...]]:
-        """Return the scan's mesh and possible navmeshes, in its folder or beside its ``.house``."""
+        """Return the scan's mesh and the possible paths of its navmesh. The files are searched in the scan's folder and
+        beside its ``.house``.
+        """
         folder = posixpath.dirname(path)
         folders = list(dict.fromkeys([folder.removesuffix("/house_segmentations"), folder]))
         mesh = next((m for m in (f"{f}/{scene_id}.glb" for f in folders) if self.files.has(m)), None)

@@ -88,7 +88,8 @@ class ProcthorSource(SceneSource):
                 yield stem, partial(_fail, error)
 
     def _houses_of_lines(self, stem: str, path: str) -> Iterator[tuple[str, Note]]:
-        """Yield one house per line. A file without any house is skipped if its first line is JSON.
+        """Yield the id of each house in a file with one house per line, with a function that records the house's
+        inputs. A file without any house is skipped if its first line is JSON.
 
         Raises
         ------
@@ -172,7 +173,7 @@ class ProcthorSource(SceneSource):
         raise self.not_there(scene_id)
 
     def _files(self) -> dict[tuple[str, str], str]:
-        """Return (id without line, suffix) → path of every file that may hold houses, sorted."""
+        """Return the path of every file that may hold houses, by (id without line number, suffix), sorted."""
         found: dict[tuple[str, str], str] = {}
         for path in self.matching("*.json*", "*/*.json*"):
             named = _FILE.match(path)
@@ -201,7 +202,7 @@ class ProcthorSource(SceneSource):
         self._note(scene_id, f"{path}#{number}", JsonLines(self.files, path).line(number), ledger)
 
     def _note(self, scene_id: str, name: str, data: bytes, ledger: InputLedger) -> None:
-        """Record the inputs of reading a house, without building it."""
+        """Record the inputs that a house is read from, without building the house."""
         ledger.record(name, data)
         database = self._assets()
         rooms, asset_ids = _rooms_and_assets(data, str(self.root / name))
@@ -239,7 +240,9 @@ class ProcthorSource(SceneSource):
         )
 
     def _object(self, item: HouseObject, asset: Asset | None) -> SceneObject:
-        """Return an object without a room: the asset's box, rotated, centred at the position."""
+        """Return an object that is not assigned to a room yet. Its box is the asset's box, rotated, with its centre at
+        the object's position.
+        """
         raw = item.object_type or (None if asset is None else asset.object_type)
         if raw is None:
             prefix = item.object_id.split("|")[0]
@@ -303,7 +306,8 @@ def _unknown_assets(house: House, kinds: dict[str, Asset | None]) -> Iterator[Sc
 
 
 def _rooms_and_assets(data: bytes, where: str) -> tuple[int, list[str]]:
-    """Return the number of rooms and the asset id of every object of a house; invalid documents go to the full reader.
+    """Return the number of rooms of a house, and the asset ids of all its objects. If the quick reading fails, the
+    house is read in full.
 
     Raises
     ------

@@ -84,7 +84,9 @@ def _house_id(scene_id: str) -> str:
 
 
 def _turn(house: House, objects: Sequence[SceneObject]) -> int | None:
-    """Return 1 if house and scene have the same orientation, −1 if they differ by 180°, None if neither matches."""
+    """Return 1 if the objects of house and scene are in the same places, −1 if they are after a turn by 180°, None
+    otherwise.
+    """
     if not house.objects or not objects:
         return 1
     tree = cKDTree(np.array([item.center for item in objects]))

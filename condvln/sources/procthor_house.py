@@ -39,7 +39,8 @@ class HouseRoom:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class HouseWall:
-    """One face of a wall, seen from its room: from `start` to `end`, (2,) each as (x, z), between two heights; metres.
+    """One face of a wall, seen from its room. It extends from `start` to `end`, both (2,) as (x, z), and in height from
+    `bottom` to `top`; metres.
 
     exterior : it is the outer face (its room is then the one behind it)
     empty : it was removed, and the rooms on both sides form one space
@@ -57,7 +58,8 @@ class HouseWall:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Opening:
-    """A door or window in a wall: its sill from `start` to `end`, (2,) each as (x, z), between two heights; metres.
+    """A door or window in a wall. It extends from `start` to `end`, both (2,) as (x, z), and in height from `bottom` to
+    `top`; metres.
 
     passable : a door frame without a leaf, or an open door
     """
@@ -106,7 +108,7 @@ class House:
     warnings: tuple[tuple[str, str], ...]
 
     def passages(self) -> set[tuple[str, str]]:
-        """Return pairs of connected rooms: by passable doors, and by removed walls (which come in pairs)."""
+        """Return all pairs of rooms that are connected by a passable door or a removed wall."""
         pairs = [o.rooms for o in self.openings if o.kind == "door" and o.passable and not o.exterior]
         sides: dict[str, list[str]] = {}
         for wall in self.walls:
@@ -158,7 +160,7 @@ def _identifier(node: JsonNode) -> str:
 
 
 def _point(node: JsonNode) -> F64:
-    """Return a {x, y, z} in Habitat's frame."""
+    """Return the position of a JSON object {x, y, z} in Habitat's frame."""
     point: F64 = UNITY_TO_HABITAT @ np.array([node[c].number() for c in "xyz"])
     return point
 
@@ -224,7 +226,7 @@ def _opening(node: JsonNode, kind: Literal["door", "window"], wall_of: dict[str,
 
 
 def _collect(node: JsonNode, parent: str | None, into: list[HouseObject]) -> None:
-    """Collect an object and everything on or in it."""
+    """Add an object, and everything on or in it, to the list `into`."""
     own, rotation, kinematic = _identifier(node), node.get("rotation"), node.get("kinematic")
     kind, openness = node.get("objectType"), node.get("openness")
     degrees = [0.0, 0.0, 0.0] if rotation is None else [rotation[c].number(MAX_ANGLE) for c in "xyz"]

@@ -31,7 +31,7 @@ MAX_OPENINGS: Final = 2000
 
 
 def house_structure(house: House, where: str) -> list[Piece]:
-    """Return the floors of all rooms, then all existing walls.
+    """Return the floors of all rooms, followed by all walls that were not removed.
 
     A wall between two rooms is twice in the file, and is added once. A closed door counts as wall.
 
@@ -64,7 +64,7 @@ def _standing(walls: Sequence[HouseWall]) -> Iterator[HouseWall]:
 
 
 def _slabs(wall: HouseWall, openings: Sequence[Opening]) -> Piece:
-    """Return the wall around its holes, as upright boxes."""
+    """Return a wall without its holes, as upright boxes."""
     length = float(np.linalg.norm(wall.end - wall.start))
     holes = list(_holes(wall, (wall.end - wall.start) / length, length, openings))
     return pierced_wall(wall.start, wall.end, wall.bottom, wall.top, WALL_THICKNESS, holes)

@@ -95,13 +95,17 @@ class RegionIndex:
         return min(holding, key=lambda h: h[:2])[2] if holding else None
 
     def near(self, point: NDArray[np.float64]) -> list[tuple[float, Room]]:
-        """Return the rooms within twice `NEAREST_REGION` of a point as (metres, room), nearest first."""
+        """Return (distance in metres, room) of each room within a horizontal distance of twice `NEAREST_REGION` of a
+        point, nearest first.
+        """
         spot = shapely.Point(point[0], point[2])
         near = [(float(polygon.distance(spot)), r.room_id, r) for polygon, r in self._around(point)]
         return [(metres, room) for metres, _, room in sorted(near, key=lambda n: n[:2]) if metres <= 2 * NEAREST_REGION]
 
     def _around(self, point: NDArray[np.float64]) -> list[tuple[shapely.Polygon, Room]]:
-        """Return the rooms at the height of a point."""
+        """Return the rooms, with their polygons, whose range of heights contains a point or is within `NEAREST_REGION`
+        of it.
+        """
         return [
             (polygon, r)
             for polygon, r in self._polygons
@@ -110,7 +114,7 @@ class RegionIndex:
 
 
 def in_rooms(objects: Iterable[SceneObject], rooms: Sequence[Room]) -> tuple[list[SceneObject], list[SceneWarning]]:
-    """Assign each object the room that contains its centre, else the only one that is near it.
+    """Assign each object the room that contains its centre, else the only room near its centre.
 
     A warning ``nearest_room`` names each object whose centre is outside its assigned room, and
     ``object_outside_rooms`` each that is left out. A room without a polygon contains everything.
@@ -176,8 +180,8 @@ def check_polygon(corners: NDArray[np.float64], node: JsonNode) -> NDArray[np.fl
 
 
 def _levelled(rooms: tuple[Room, ...]) -> tuple[Room, ...]:
-    """Assign levels to rooms: by ascending floor height, with a new level where the next floor is `LEVEL_STEP`
-    higher.
+    """Assign levels to rooms by ascending floor height. A new level begins where the next floor is at least
+    `LEVEL_STEP` higher.
     """
     floors = sorted({r.floor_y for r in rooms})
     level_of: dict[float, int] = {}

@@ -145,7 +145,7 @@ class ReplicaCadSource(SceneSource):
         return self.shipped_navmeshes(scene_name, ledger, configured), warnings
 
     def _object(self, body: Body) -> SceneObject:
-        """Return a body as an object with its geometry, without a room so far."""
+        """Return a body as an object with its geometry. The object has no room yet."""
         meshes = [self._meshes.geometry(part.path).vertices for part in body.parts]
         own = [transform_points(part.transform, v) for part, v in zip(body.parts, meshes, strict=True) if len(v)]
         if not own:
@@ -176,7 +176,7 @@ class ReplicaCadSource(SceneSource):
 
 
 def _box_in_first(parts: tuple[MeshPart, ...], meshes: list[F64]) -> F64:
-    """Return the (2, 3) box of all parts in the frame of the first."""
+    """Return the (2, 3) box around all parts, in the frame of the first part."""
     back = np.linalg.inv(parts[0].transform)
     return aabb_of(
         np.concatenate(

@@ -29,7 +29,9 @@ class SceneChoice:
         return not any(_is_pattern(scene) for scene in self.scenes)
 
     def idle(self, known: Sequence[str]) -> list[str]:
-        """Return the inclusion patterns that match no scene, excluded scenes counted as matches."""
+        """Return the inclusion patterns that match no scene in `known`. A pattern that matches only excluded scenes is
+        not returned.
+        """
         return sorted({p for p in self.scenes if _is_pattern(p) and not any(fnmatchcase(s, p) for s in known)})
 
     def idle_exclusions(self, known: Sequence[str]) -> list[str]:

@@ -138,7 +138,9 @@ class SceneDataset:
         return self._bodies[path]
 
     def scenes(self) -> dict[str, str]:
-        """Return the path of each scene instance by scene id: the file's name, with its folder where names repeat."""
+        """Return the path of each scene instance by scene id. The id is the file's name; where several files have this
+        name, it includes the folder.
+        """
         entries = [e for e in self._indices["scene_instances"].entries if e.made is None]
         times = Counter(e.handle for e in entries)
         return {e.handle if times[e.handle] == 1 else _stem(e.path, ".scene_instance.json"): e.path for e in entries}
@@ -149,7 +151,7 @@ class SceneDataset:
         return None if defaults is None else defaults.get(key)
 
     def template(self, kind: str, name: str, ledger: InputLedger) -> tuple[Template | None, int]:
-        """Return the template that a scene refers to by `name`, and the number of possible matches.
+        """Return the template that a scene refers to by `name`, and the number of templates that match this name.
 
         As in habitat-sim, an exact match is preferred, then names that contain `name`; of several, the first by path.
 
@@ -169,12 +171,14 @@ class SceneDataset:
         return self._load(index, meant[0], ledger), len(meant)
 
     def entry(self, kind: str, name: str) -> JsonNode | None:
-        """Return a name → path entry of ``navmesh_instances`` or ``semantic_scene_descriptor_instances``."""
+        """Return the path listed under `name` in the section `kind` (``navmesh_instances`` or
+        ``semantic_scene_descriptor_instances``); None if there is none.
+        """
         section = self.config.get(kind)
         return None if section is None or name in ("paths", "configs", "default_attributes") else section.get(name)
 
     def described(self, kind: str, name: str) -> str | None:
-        """Return the path of the file of this name on the search paths of a kind."""
+        """Return the path of the file named `name` on the search paths of a kind; None if there is none."""
         wanted = posixpath.basename(_stem(name, *_KINDS[kind]))
         return next((e.path for e in self._indices[kind].entries if e.handle == wanted), None)
 

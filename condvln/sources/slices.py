@@ -40,8 +40,8 @@ COVER: Final = 0.6
 def joined_slices(
     objects: Sequence[SceneObject], rooms: Mapping[str, Room], kept_apart: frozenset[str] = frozenset()
 ) -> tuple[list[SceneObject], list[SceneWarning]]:
-    """Return the objects in the given order, with the slices of each cut object merged into one object, and a warning
-    for each merged object.
+    """Return the objects in the given order, and a warning for each merged object. The slices of each cut object are
+    merged into one object.
 
     Parameters
     ----------
@@ -80,8 +80,8 @@ def joined_slices(
 
 
 def _fit(box: F64, others: F64) -> NDArray[np.bool_]:
-    """Return (n,): whether each of `others` (n, 2, 3) and `box` (2, 3) touch, with cross-sections that cover each
-    other.
+    """Return whether each of `others` (n, 2, 3) touches `box` (2, 3) and both have cross-sections that cover each
+    other. The result is (n,) bool.
     """
     shared = np.minimum(box[1], others[:, 1]) - np.maximum(box[0], others[:, 0])  # below zero where they are apart
     # They are side by side on the ground, along the horizontal axis on which they overlap least.
@@ -93,7 +93,7 @@ def _fit(box: F64, others: F64) -> NDArray[np.bool_]:
 
 
 def _at_the_border(one: SceneObject, other: SceneObject, floors: Mapping[str, shapely.Polygon]) -> bool:
-    """Return whether each of the two boxes comes near the other's region."""
+    """Return whether each of two objects is within `GAP` of the region that the other object is in."""
     return all(_shadow(item).distance(floors[region.room_id]) <= GAP for item, region in ((one, other), (other, one)))
 
 
@@ -151,6 +151,8 @@ def _root(whole: list[int], k: int) -> int:
 
 
 def _unite(whole: list[int], i: int, j: int) -> None:
-    """Union-find over indices; the least index is the root, so that the order of pairs does not matter."""
+    """Merge the sets that contain the indices `i` and `j` (union-find). The least index is the root, so that the order
+    of merges does not matter.
+    """
     low, high = sorted((_root(whole, i), _root(whole, j)))
     whole[high] = low

@@ -76,8 +76,8 @@ def joined(pieces: Iterable[Piece], approximate: bool) -> SceneGeometry:
 
 
 def boxes(eights: ArrayLike, owners: Sequence[int] | I64) -> Piece:
-    """Return boxes of 12 triangles each, given by corners (n, 8, 3) in the order of `corners`, and their owners
-    (n,).
+    """Return n boxes of 12 triangles each. `eights` (n, 8, 3) are the boxes' corners in the order of `corners`, and
+    `owners` (n,) their owners.
     """
     points = np.asarray(eights, dtype=np.float64).reshape(-1, 8, 3)
     faces = BOX_FACES[None] + 8 * np.arange(len(points))[:, None, None]
@@ -85,7 +85,8 @@ def boxes(eights: ArrayLike, owners: Sequence[int] | I64) -> Piece:
 
 
 def object_boxes(objects: Iterable[tuple[int, SceneObject]]) -> Piece:
-    """Return the boxes of each numbered object: its parts, else its oriented box, else its axis-aligned box.
+    """Return boxes for all objects, given as (number, object): the object's parts, else its oriented box, else its
+    axis-aligned box.
 
     An object of unknown extent that has no support becomes a cube of `UNKNOWN_EXTENT`, so that no path leads through
     it.
@@ -124,7 +125,9 @@ def floor(polygon: F64, y: float) -> Piece:
 
 
 def upright_slabs(starts: ArrayLike, ends: ArrayLike, bottoms: ArrayLike, tops: ArrayLike, thickness: float) -> Piece:
-    """Return upright boxes about the lines from `starts` to `ends`, (n, 2) each as (x, z), between heights (n,)."""
+    """Return n upright boxes along the lines from `starts` to `ends`, both (n, 2) as (x, z). `bottoms` and `tops` (n,)
+    are their heights.
+    """
     start, end = (np.asarray(p, dtype=np.float64).reshape(-1, 2) for p in (starts, ends))
     low, high = (np.asarray(y, dtype=np.float64).reshape(-1) for y in (bottoms, tops))
     along = end - start
@@ -140,7 +143,9 @@ def upright_slabs(starts: ArrayLike, ends: ArrayLike, bottoms: ArrayLike, tops: 
 
 
 def pierced_wall(start: F64, end: F64, bottom: float, top: float, thickness: float, holes: Sequence[Hole]) -> Piece:
-    """Return the wall about the line from `start` to `end`, (2,) each as (x, z), without its holes."""
+    """Return a wall with its holes left out. It stands on the line from `start` to `end`, both (2,) as (x, z), with
+    half of its thickness on each side.
+    """
     length = float(np.linalg.norm(end - start))
     rest = np.array(without_holes(Hole(0.0, length, bottom, top), holes)).reshape(-1, 4)
     along = (end - start) / length

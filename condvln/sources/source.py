@@ -104,7 +104,9 @@ class Source(Protocol):
         ...
 
     def passed_over(self) -> list[tuple[str, str]]:
-        """Return (path, reason) of what the last call of `handles` skipped without losing a scene; sorted."""
+        """Return (path, reason) of everything that the last call of `handles` skipped, sorted. No scene is lost by
+        this.
+        """
         ...
 
     def read(self, scene_id: str) -> Scene:

@@ -73,7 +73,7 @@ def read_objects(document: JsonNode, family: str) -> list[SceneObject]:
 
 
 def _receptacles(node: JsonNode) -> tuple[str, ...] | None:
-    """Return the ids of what an object is in or on; None if the metadata has no such key."""
+    """Return the ids of the receptacles that an object is in or on; None if the metadata has no such key."""
     if "parentReceptacles" not in node:
         return None
     said = node.get("parentReceptacles")

@@ -95,14 +95,14 @@ def wall_outline(outline: F64, standing: Sequence[SceneObject], fittings: Sequen
 
 
 def _both(fitted: float, end: float, border: float) -> bool:
-    """Return whether the objects at one side of a floor end inside its border, and a fitting reaches as far as these
-    objects.
+    """Return whether, at one side of a floor, the objects end (at `end`) inside the floor's `border`, and a fitting
+    reaches about as far (to `fitted`).
     """
     return border < end and fitted - end <= AT_WALL
 
 
 def _ends(items: Sequence[SceneObject]) -> F64:
-    """Return the (2, 2) least and greatest (x, z) of some objects' boxes."""
+    """Return the minimum and the maximum (x, z) over the boxes of some objects, (2, 2)."""
     boxes = np.array([o.box for o in items if o.box is not None])[:, :, [0, 2]]
     return np.array([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
 
@@ -135,7 +135,9 @@ def _wall(item: SceneObject, passages: F64) -> Piece | None:
 
 
 def _holes(box: F64, axis: int, passages: F64) -> Iterator[Hole]:
-    """Yield the holes that open doors (n, 2, 3) make in the box of a wall along x (`axis` 0) or z (1)."""
+    """Yield the holes that open doors cut into a wall. `passages` (n, 2, 3) are the doors' boxes; the wall's box
+    extends along x (`axis` 0) or z (1).
+    """
     meets = ((passages[:, 0] <= box[1]) & (passages[:, 1] >= box[0])).all(axis=1)
     for door in passages[meets]:
         near, far = door[:, 2 * axis] - box[0, 2 * axis]

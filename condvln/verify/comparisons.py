@@ -30,7 +30,9 @@ def is_closest(subject: Thing, anchor: Thing, rivals: Sequence[Thing], t: Thresh
 
 
 def compare_sizes(subject: Thing, rivals: Sequence[Thing], t: Thresholds, sign: int) -> Judgement:
-    """Return whether the subject is the bigger (`sign` 1) or the smaller (−1) of two objects with the same label."""
+    """Return whether the subject is the bigger (`sign` 1) or the smaller (−1) of two objects with the same label. The
+    verdict is undecided unless `rivals` is exactly one object with this label.
+    """
     if len(rivals) != 1 or rivals[0].label != subject.label:
         return Judgement(UNDECIDED, {"rivals": float(len(rivals))})
     one, other = subject.sides(), rivals[0].sides()

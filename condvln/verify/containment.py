@@ -38,7 +38,9 @@ _Box = tuple[tuple[int, int, int], tuple[int, int, int]]
 def shut_away(
     items: Sequence[SceneObject], family: str, label_of: Callable[[SceneObject], str], meaning: Words
 ) -> frozenset[str]:
-    """Return the ids of objects that are not visible because they are in something shut, or in or on such an object."""
+    """Return the ids of objects that can't be seen because they are inside something shut, directly or via objects that
+    they are in or on.
+    """
     if family in FROM_SCANS:
         return frozenset()
     things = {item.object_id: _Holder(item, label_of(item), meaning) for item in items}
@@ -119,8 +121,8 @@ def _encloses(holder: _Box | None, box: _Box) -> bool:
 
 
 def _bears(holder: _Holder, thing: _Holder) -> bool:
-    """Return whether a holder supports an object: it is larger, its top is near the object's bottom and under half
-    of it.
+    """Return whether `holder` supports `thing`: it is larger, its top is near the bottom of `thing`, and enough of
+    `thing` is above it.
     """
     own, its = thing.box, holder.box
     assert own is not None
@@ -150,7 +152,7 @@ def _sides(box: _Box) -> list[int]:
 
 
 def _bounds(part: OrientedBox) -> F64:
-    """Return the (2, 3) bounds of an oriented box."""
+    """Return the axis-aligned bounds (2, 3) of an oriented box."""
     reach = np.abs(part.rotation) @ part.half_extents
     return np.array([part.center - reach, part.center + reach])
 

@@ -14,7 +14,7 @@ _GROUP_OF_SPLIT = {"train": "train", "val_seen": "train", "val_unseen": "val_uns
 
 
 class Corpus:
-    """Remembers what must be unique; about 200 bytes per episode."""
+    """Remembers what must be unique over all episodes; takes about 200 bytes per episode."""
 
     def __init__(self) -> None:
         self._ids: set[int | str] = set()
@@ -50,7 +50,7 @@ class Corpus:
         certificate.holds("program_once", unit == its_unit, "one start", f"another, of {its_unit}")
 
     def _check_group(self, row: ManifestEpisode, group_id: str, split: str, certificate: Certificate) -> None:
-        """Check that members of a group differ only in one condition's truth and two exchanged leaves."""
+        """Check that members of a group differ only in the truth of one condition and the exchange of two leaves."""
         shared = (row.source, row.scene_id, split, row.category, row.start_position, row.start_rotation, row.max_steps)
         first_shared, first = self._groups.setdefault(group_id, (shared, row.program))
         certificate.same("group", shared, first_shared, group_id)
@@ -70,7 +70,7 @@ def _number(episode_hash: str) -> int:
 
 
 def _told(program: Program) -> str:
-    """Return a program as a hashable key, unique in its scene; making this key takes a third of the time of making the
+    """Return a hashable key of a program, unique in its scene. Making it takes a third of the time of making the
     program's JSON.
     """
     conditions = [(c.label, c.truth, *_ids(c)) for c in program.conditions]

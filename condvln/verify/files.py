@@ -72,7 +72,9 @@ class ExportFiles:
             )
 
     def runs(self) -> Iterator[SceneRun]:
-        """Yield the scenes; each occurs once if all files have the same order, as in exports."""
+        """Yield the rows of one scene after the other. Each scene occurs once if all files have the same order, as in
+        exports.
+        """
         cursors = [_SplitCursor(self.folder, split, self.unread) for split in self.splits]
         while waiting := [cursor.scene for cursor in cursors if cursor.scene is not None]:
             # No reference is kept here, so that a scene is freed when the caller is done with it.

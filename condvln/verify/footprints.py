@@ -31,14 +31,14 @@ class _Rectangle(NamedTuple):
     axes: F64
 
     def corners(self, inset: float) -> F64:
-        """Return the (4, 2) corners with each side moved inwards by `inset`."""
+        """Return the (4, 2) corners of this rectangle after each side was moved inwards by `inset`."""
         reach = np.maximum(self.half - inset, 0.0)
         corners: F64 = self.centre + (np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * reach) @ self.axes.T
         return corners
 
 
 class Ground:
-    """The footprint of an object in the (x, z) plane: a rectangle, or one for each of its parts.
+    """The footprint of an object in the (x, z) plane: one rectangle, or one rectangle for each part of the object.
 
     centre : (2,) of the largest rectangle
     """
@@ -130,7 +130,7 @@ class Reach:
 
 
 def _in_reach(ground: Ground, room: Room, points: F64) -> NDArray[np.bool_]:
-    """Return which points (n, 3) are on the floor from which an object is reached, and in its room."""
+    """Return whether each of the points (n, 3) is in the room and on the floor from which the object is reached."""
     hang = ground.bottom - points[:, 1]
     good = (hang <= HANG) & (hang >= -SINK)
     if room.annotation != "scene":
@@ -165,11 +165,11 @@ class Obstacles:
         self._tree = shapely.STRtree([ground.polygon(TOUCHING) for ground in self.grounds])
 
     def holding(self, points: F64) -> list[str | None]:
-        """Return the obstacle above each of n points (n, 3), None if there is none."""
+        """Return for each of the points (n, 3) the obstacle above it, or None if there is none."""
         return self._met(shapely.points(points[:, [0, 2]]), len(points))
 
     def crossed(self, corners: F64, ends: NDArray[np.int64]) -> list[str | None]:
-        """Return the obstacle that each path crosses, None if there is none.
+        """Return for each path the obstacle that it crosses, or None if there is none.
 
         corners (n, 3) of all paths; ends (k,) : end index of each path in `corners`
         """

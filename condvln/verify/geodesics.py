@@ -75,7 +75,7 @@ class Geodesics:
         return [self._lengths[pair] for pair in pairs]
 
     def way(self, leg: int) -> tuple[float, tuple[Point, ...]]:
-        """Return the length in metres and the corners, rounded to 1 mm, of a registered path; an infinite length and no
-        corners if no path exists.
+        """Return the length in metres of a registered path, and its corners, rounded to 1 mm. If there is no path, the
+        length is infinite and there are no corners.
         """
         return self._ways[leg]

@@ -53,7 +53,7 @@ def ground_points(
 
 
 def _drawn(scene_id: str, pathfinder: Pathfinder, islands: Sequence[int]) -> F64:
-    """Return random points over all islands, in proportion to their areas."""
+    """Return random points on all islands, with a number for each island in proportion to its area."""
     areas = [pathfinder.island_area(k) for k in islands]
     rng = generator(0, scene_id, "floor")
     places = [np.empty((0, 3))]
@@ -65,8 +65,8 @@ def _drawn(scene_id: str, pathfinder: Pathfinder, islands: Sequence[int]) -> F64
 
 
 def _grid(polygon: F64, height: float, pathfinder: Pathfinder, islands: Sequence[int]) -> F64:
-    """Return the points of a centred grid that lie inside an outline and are walkable; all grid points inside the
-    outline if none is walkable.
+    """Return the walkable points of a centred grid inside an outline. If none is walkable, return all points of the
+    grid inside the outline.
     """
     outline = shapely.make_valid(shapely.Polygon(polygon))
     apart = max(FLOOR_LEAST_SPACING, math.sqrt(outline.area / FLOOR_POINTS))
@@ -84,6 +84,6 @@ def _grid(polygon: F64, height: float, pathfinder: Pathfinder, islands: Sequence
 
 
 def _line(low: float, high: float, apart: float) -> F64:
-    """Return equally spaced numbers centred in an interval."""
+    """Return numbers at equal distances of `apart`, centred in the interval from `low` to `high`."""
     count = max(1, int((high - low) / apart))
     return np.asarray((low + high) / 2 + (np.arange(count) - (count - 1) / 2) * apart, dtype=np.float64)

@@ -69,7 +69,9 @@ def _check_actions(row: ManifestEpisode, taken: NDArray[np.int8], along: F64, ce
 
 
 def _walked(row: ManifestEpisode, taken: NDArray[np.int8], follower: Follower) -> F64:
-    """Return the start and the position after each forward step (n, 3)."""
+    """Return the positions (n, 3) of an agent that executes the actions `taken`: the start, then the position after
+    each forward step.
+    """
     walk = follower.walk(row.start_position, yaw_of(row.start_rotation) or 0.0, taken)
     places: F64 = walk.positions[np.concatenate([[0], np.flatnonzero(taken == FORWARD) + 1])].astype(np.float64)
     return places

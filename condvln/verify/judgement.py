@@ -20,7 +20,9 @@ class Judgement(NamedTuple):
 def judged(
     true: bool, false: bool, shares: Mapping[str, float | None] | None = None, **millimetres: float | None
 ) -> Judgement:
-    """Return a judgement; `shares` are kept unchanged, millimetres are converted to metres."""
+    """Return the judgement that follows from `true` and `false`; it is undecided if neither is set. `shares` are stored
+    unchanged, all other numbers are converted from millimetres to metres.
+    """
     verdict = TRUE if true else FALSE if false else UNDECIDED
     metres = {k: None if v is None else round(v / 1000.0, 3) for k, v in millimetres.items()}
     return Judgement(verdict, {**metres, **(shares or {})})

@@ -28,7 +28,9 @@ __all__ = ["has_fallen", "looks_like", "may_be_one", "passes_for_a_counter"]
 
 
 def may_be_one(one: Thing, other: Thing, family: str) -> bool:
-    """Return whether two boxes of a scan, of objects with a common word, may be the same object."""
+    """Return whether the boxes of two objects in a scan may belong to one object. The objects' labels have a word in
+    common.
+    """
     if family not in FROM_SCANS:
         return False
     if math.dist(one.centre, other.centre) <= 1000.0 * DOUBLE_CENTRES:
@@ -69,7 +71,9 @@ def passes_for_a_counter(table: Thing, worktops: Iterable[str], things: Sequence
 
 
 def has_fallen(thing: Thing, floor: float) -> bool:
-    """Return whether an object lies on the floor though its model stands upright, or extends far below the floor."""
+    """Return whether an object has fallen: it lies on the floor although its model stands upright, or it extends far
+    below the floor.
+    """
     if len(thing.item.mesh) != 1 or thing.box is None or math.isnan(floor):
         return False
     lift = round((thing.box[0][1] / 1000.0 - floor) * 1000.0)
@@ -81,7 +85,7 @@ def has_fallen(thing: Thing, floor: float) -> bool:
 
 
 def _sides(thing: Thing) -> tuple[int, int, int]:
-    """Return the shorter and the longer side of the footprint, and the height."""
+    """Return the shorter and the longer side of the footprint, and the height, in millimetres."""
     assert thing.box is not None
     short, long = sorted(thing.ground_sides())
     return short, long, thing.box[1][1] - thing.box[0][1]

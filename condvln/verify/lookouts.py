@@ -40,8 +40,8 @@ def stands(paths: Sequence[F64]) -> list[F64]:
 
 
 def shared_length(paths: Sequence[F64]) -> float:
-    """Return the length in metres that paths (n, 3) from one start share, up to the last sample at which they
-    agreed.
+    """Return the length in metres that all paths (n, 3) from one start have in common. It ends at the last sample at
+    which they agree.
     """
     return _shared(paths, [_walked(path) for path in paths])
 
@@ -60,7 +60,7 @@ def _shared(paths: Sequence[F64], walked: Sequence[F64]) -> float:
 
 
 def _walked(path: F64) -> F64:
-    """Return the walked length (n,) in metres from the start to each corner."""
+    """Return the distance (n,) in metres of each corner from the start, along the path."""
     sides = np.zeros(len(path))
     along = path[1:] - path[:-1]
     np.sqrt(np.einsum("ij,ij->i", along, along), out=sides[1:])
@@ -68,5 +68,7 @@ def _walked(path: F64) -> F64:
 
 
 def _at(path: F64, walked: F64, metres: F64) -> F64:
-    """Return the positions (k, 3) at some walked lengths along a path, whose corners have walked lengths (n,)."""
+    """Return the positions (k, 3) on a path at distances `metres` (k,) from its start along the path. `walked` (n,) are
+    the distances of its corners.
+    """
     return np.stack([np.interp(metres, walked, path[:, axis]) for axis in range(3)], axis=1)

@@ -152,7 +152,7 @@ def _known(sight: Sight, proofs: Proofs, eyes: F64, yaw: float | None = None) ->
 
 
 def _check(sight: Sight, one: _Asked, evidence: Evidence, proofs: Proofs, ways: Sequence[F64]) -> None:
-    """Check a condition's observability level, and whether its evidence is visible without turning.
+    """Check the observability level of one condition, and whether its evidence is visible at the start without turning.
 
     ways : eyes (n, 3) on the shared path, in one or two variants; none if it is visible at the start
     """
@@ -166,8 +166,8 @@ def _check(sight: Sight, one: _Asked, evidence: Evidence, proofs: Proofs, ways: 
 
 
 def _shares(sight: Sight, proofs: Proofs, eyes: F64) -> dict[str, Any]:
-    """Return the visible shares of each target: of this package's own points, and of the published points (for a floor,
-    of its points).
+    """Return for each target the visible shares of its points: of this package's own points, and of the published
+    points. A floor has only one set of points.
     """
     things = sorted({thing for way in proofs for thing in way})
     return {f"{kind} {name}": sight.shares((kind, name), eyes) for kind, name in things}

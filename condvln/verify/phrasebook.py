@@ -119,7 +119,7 @@ def _phrases(document: Mapping[str, Any], slot: str) -> list[str]:
 
 
 def _gather(node: Node, words_so_far: int, before: Matches) -> None:
-    """Store in each node the phrases on the path to it."""
+    """Store in each node the phrases that end on the path from the root to it."""
     found = dict(before)
     for kind, value, classes in node.get(END, ()):
         found[kind] = (*found.get(kind, ()), (words_so_far, value, classes))
@@ -130,7 +130,7 @@ def _gather(node: Node, words_so_far: int, before: Matches) -> None:
 
 
 def _with_articles(phrase: str, articles: Mapping[str, Mapping[str, str]]) -> Iterator[tuple[str, frozenset[str]]]:
-    """Yield a phrase with each form of its articles, and the noun classes that take this form."""
+    """Yield each form that a phrase takes with its articles, and the noun classes that take this form."""
     slots = [(slot, articles[kind]) for slot, kind in {**_ARTICLES, "{the}": "{the}"}.items() if slot in phrase]
     forms: dict[str, set[str]] = {}
     for noun_class in articles["definite"]:
@@ -143,7 +143,7 @@ def _with_articles(phrase: str, articles: Mapping[str, Mapping[str, str]]) -> It
 
 
 def _nouns(code: str, table: str) -> Mapping[str, tuple[str, str]]:
-    """Return (noun, noun class) by label or room type, for those labels or room types that text may name."""
+    """Return (noun, noun class) of each label or room type that text may name."""
     fit = words().nouns if table == "nouns" else words().rooms
     if code == "en":
         return fit

@@ -57,13 +57,15 @@ _STOPS: Final = frozenset(".;:")
 
 
 def _beside(thing: Phrase, before: Phrase) -> Phrase:
-    """Return a stop with the room of the stop before it, unless it has a room or an egocentric direction."""
+    """Return the stop `thing` with the room of the stop before it. If `thing` has a room or an egocentric direction, it
+    is returned unchanged.
+    """
     at_start = thing.qualifier is not None and thing.qualifier[0] in BEARINGS
     return thing._replace(room=before.room) if thing.room is None and not at_start else thing
 
 
 class PhraseReader:
-    """The phrases of one text. The matches at a word are looked up once for all parses.
+    """Finds the phrases in one text. Which phrases begin at a word is looked up once for all parses.
 
     scope : the room named at the beginning of the text, which applies to all objects without a room
     """
@@ -83,7 +85,7 @@ class PhraseReader:
     # -- words and phrases ---------------------------------------------------------------------------------------------
 
     def _here(self, at: int) -> Matches:
-        """Return the phrases that begin at a position, by kind."""
+        """Return the phrases that begin at the word `at`, by kind."""
         found = self._matches.get(at)
         if found is None:
             if at > self.furthest:
@@ -98,7 +100,7 @@ class PhraseReader:
         return found
 
     def _of(self, at: int, kind: str) -> Sequence[_Match]:
-        """Return (end, value, classes) of the phrases of a kind that begin at a position."""
+        """Return (end, value, classes) of each phrase of a kind that begins at the word `at`."""
         here = self._matches.get(at)
         if here is None:
             here = self._here(at)
@@ -133,8 +135,8 @@ class PhraseReader:
             yield from self._agreeing(end, kind, classes)
 
     def _rooms(self, at: int) -> Iterator[tuple[int, Named]]:
-        """Yield (end, room) of "the bedroom with the desk", and of "the bedroom"; the latter means the bedroom with the
-        desk if the text has named that before.
+        """Parse a room's name: "the bedroom with the desk", or "the bedroom". The latter also means the bedroom with
+        the desk if the text named that before. Yield (end, room).
         """
         for end, label in self._definite(at, "room"):
             before = {room for place, room in self._set_apart() if place < at and room.label == label}
@@ -145,7 +147,7 @@ class PhraseReader:
                     yield stop, Named(label, anchor)
 
     def _set_apart(self) -> Sequence[tuple[int, Named]]:
-        """Positions in the text where a room is named by an object in it, with the room."""
+        """Return the positions in the text at which a room is named by means of an object in it, each with the room."""
         if self._apart is None:
             self._apart = []
             for at in range(len(self.tokens)):
@@ -168,7 +170,9 @@ class PhraseReader:
                         yield place, (predicate, (anchor, other))
 
     def _compared(self, at: int) -> Iterator[tuple[int, str, _Qualifier]]:
-        """Yield (end, label, qualifier) of "the bigger lamp", with the adjective before or after the noun."""
+        """Parse phrases such as "the bigger lamp", with the adjective before or after the noun. Yield (end, label,
+        qualifier).
+        """
         for start, _, article in self._of(at, "the"):
             for middle, predicate, ending in self._of(start, "superlative"):
                 for end, label in self._agreeing(middle, "noun", article & ending):
@@ -179,7 +183,8 @@ class PhraseReader:
                         yield end, label, (predicate, ())
 
     def _qualified(self, at: int, lying: bool = False) -> Iterator[tuple[int, _Qualifier | None]]:
-        """Yield (end, qualifier): None as qualifier for the empty phrase, then each relation that begins here.
+        """Parse an optional relation. Yield (end, qualifier), first with qualifier None for an omitted relation, then
+        for each relation that begins here.
 
         lying : whether words like "que está" come before the relation
         """
@@ -190,7 +195,7 @@ class PhraseReader:
     def _where(
         self, at: int, last: Named | None, belonging: bool = False, behind: bool = False
     ) -> Iterator[tuple[int, Named | None, Named | None]]:
-        """Yield (end, room, room named last) of "in the bedroom", of "there", and of the empty phrase.
+        """Parse an optional room: "in the bedroom", "there", or no words at all. Yield (end, room, room named last).
 
         belonging : directly after a definite noun, where some languages use other words ("la cama del dormitorio")
         """
@@ -203,7 +208,7 @@ class PhraseReader:
                 yield end, last, last
 
     def _things(self, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:
-        """Yield stops as named in moves: "the lamp near the bed in the bedroom"."""
+        """Parse one stop as named in moves: "the lamp near the bed in the bedroom"."""
         for end, label in self._definite(at, "noun"):
             for stop, qualifier in self._qualified(end, lying=self.book.lying):
                 for after, room, named in self._where(
@@ -220,7 +225,9 @@ class PhraseReader:
     # -- conditions ----------------------------------------------------------------------------------------------------
 
     def _some(self, slot: str, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:
-        """Parse claims such as "there's a lamp near the bed", with the phrases of a slot in place of "there's"."""
+        """Parse claims such as "there's a lamp near the bed". One of the phrases of `slot` takes the place of
+        "there's".
+        """
         for end, _, classes in self._of(at, slot):
             for after, label in self._agreeing(end, "noun", classes):
                 for stop, qualifier in self._qualified(after):
@@ -234,7 +241,9 @@ class PhraseReader:
                             yield place, Phrase(label, qualifier, room), room
 
     def _checked(self, at: int) -> Iterator[tuple[int, Phrase, Named | None]]:
-        """Yield what follows "check" in "check the bedroom for a lamp near the bed"."""
+        """Parse what follows "check" in "check the bedroom for a lamp near the bed". Yield (end, claim, room named
+        last).
+        """
         for end, room in self._rooms(at):
             for after, _, classes in self._of(end, "for"):
                 for stop, label in self._agreeing(after, "noun", classes):
@@ -242,8 +251,8 @@ class PhraseReader:
                         yield place, Phrase(label, qualifier, room), room
 
     def _known(self, slot: str | None, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:
-        """Parse claims such as "the lamp in the bedroom is near the bed", with the phrases of a slot as verb; with slot
-        None there is no verb.
+        """Parse claims such as "the lamp in the bedroom is near the bed". The verb is one of the phrases of `slot`;
+        with `slot` None there is no verb.
         """
         for end, label in self._definite(at, "noun"):
             for after, room, named in self._where(end, last, belonging=True):
@@ -255,7 +264,9 @@ class PhraseReader:
                         yield stop, Phrase(label, (bearing, ()), room, True), named
 
     def _known_in(self, slot: str, at: int) -> Iterator[tuple[int, Phrase, Named | None]]:
-        """Yield ", in the bedroom that has the desk, the lamp is near the bed", by the phrases of a slot."""
+        """Parse claims such as ", in the bedroom that has the desk, the lamp is near the bed". The verb is one of the
+        phrases of `slot`.
+        """
         for end, _, _ in self._of(at + 1, "in") if self._is(at, ",") else ():
             for stop, room in self._rooms(end):
                 for after, what, named in self._known(slot, stop + 1, room) if self._is(stop, ",") else ():
@@ -263,7 +274,7 @@ class PhraseReader:
                         yield after, what._replace(room=room), named
 
     def _said(self, at: int, last: Named | None) -> Iterator[tuple[int, bool, Phrase, Named | None]]:
-        """Yield claims as (end, whether it is asserted or denied, claim, room named last)."""
+        """Parse claims. Yield (end, True if asserted or False if denied, claim, room named last)."""
         for present, some, known in (
             (True, "exists", "is"),
             (True, "exists_again", "is_again"),
@@ -274,7 +285,7 @@ class PhraseReader:
                     yield end, present, what, named
 
     def _requests(self, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:
-        """Yield requests to look, and questions with their question mark."""
+        """Parse requests to look, and questions with their question mark."""
         for end, _, _ in self._of(at, "see"):
             for stop, present, what, named in self._said(end, last):
                 if present:
@@ -286,7 +297,7 @@ class PhraseReader:
         yield from ((end, what, named) for end, what, named in questions if self._is(end, "?"))
 
     def _stops(self, at: int, last: Named | None) -> Iterator[tuple[int, Moves, Named | None]]:
-        """Yield stops up to the end of a clause: nothing may come between the last stop and the punctuation."""
+        """Parse moves to one or more stops, up to the end of a clause. Punctuation must follow directly after them."""
         for start, _, _ in self._of(at, "go"):
             ahead: list[tuple[int, Moves, Named | None]] = [
                 (stop, (thing,), named) for stop, thing, named in self._things(start, last)

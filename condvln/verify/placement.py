@@ -111,7 +111,8 @@ class _Lines:
         self.row_ends = np.cumsum([len(row.leaves) for row in rows])
 
     def clearances(self) -> list[list[float]]:
-        """By leaf, the metres from its path to the goals of each leaf of its row; infinite for the leaf's own goals.
+        """Return for each leaf the distances in metres from its path to the nearest goal of each leaf of its row. The
+        entry of the leaf itself is infinite.
 
         A straight line is never longer than a path, so a path with enough clearance by it never enters the success
         ball.
@@ -122,8 +123,8 @@ class _Lines:
         return found
 
     def near_goals(self, within: float) -> list[list[int]]:
-        """Return pairs of goals closer than `within` metres in a straight line; only these can violate the gap of
-        two leaves.
+        """Return the pairs of goals that are less than `within` metres apart in a straight line. Only these can violate
+        the minimum gap between two leaves.
         """
         found: list[list[int]] = near_goals(self.goals, self.goal_ends, self.row_ends, within).tolist()
         return found
@@ -195,7 +196,7 @@ class _Checker:
         )
 
     def look_out(self, obstacles: Obstacles) -> None:
-        """Find the points that are off the floor, and those inside objects on it."""
+        """Find the points that are off the navmesh, and the points that are inside obstacles."""
         blocked = obstacles.holding(self.walks.points)
         self._inside = {p: name for p, name in enumerate(blocked) if name is not None}
         self._astray = set(np.flatnonzero(~(self.walks.moved <= SNAP_TOLERANCE)).tolist())
@@ -310,7 +311,7 @@ def _end(leaf: EpisodeLeaf) -> int:
 
 
 class _Groups:
-    """Number of words in the texts of each counterfactual group; the step budgets of a group all follow from its
+    """The number of words of each text, by counterfactual group. The step budgets of a group all follow from its
     longest text.
     """
 
@@ -321,7 +322,9 @@ class _Groups:
                 self._words.setdefault(row.group_id, []).append(len(row.instruction_text.split()))
 
     def words(self, row: ManifestEpisode, certificate: Certificate) -> int:
-        """Return the number of words that determines a row's budget."""
+        """Return the number of words that determines a row's step budget: that of the longest text of its group, else
+        of its own text.
+        """
         if row.group_id is None:
             return len(row.instruction_text.split())
         members = self._words[row.group_id]

@@ -74,7 +74,7 @@ class Judge:
         return as_said_in(found, subject, anchor, room) if predicate == "in" else found
 
     def _of_pieces(self, predicate: str, subject: Thing, anchor: Thing, room: Surroundings, asked: bool) -> Judgement:
-        """Return the judgement for objects of several pieces, from the judgements of each pair of pieces."""
+        """Return the judgement on objects of several pieces, derived from the judgements on each pair of pieces."""
         found = [self._of_one(predicate, a, b, room, asked) for a in subject.solids() for b in anchor.solids()]
         when_true, when_false = (
             (any, all) if predicate in SOME else (all, any) if predicate == "far from" else (all, all)
@@ -132,8 +132,8 @@ class Judge:
 
 
 def _beside_each_other(found: Judgement, subject: Thing, anchor: Thing, room: Surroundings) -> Judgement:
-    """Return the judgement on "near", undecided for objects that are on or in each other; an object that is put away is
-    near to nothing.
+    """Return the judgement on "near". It is undecided if one object is on or in the other, or if "near" holds but one
+    of them is put away.
     """
     if room.holds(anchor, subject) or room.holds(subject, anchor):
         return found._replace(verdict=UNDECIDED)
@@ -144,8 +144,8 @@ def _beside_each_other(found: Judgement, subject: Thing, anchor: Thing, room: Su
 
 
 def _used(one: Thing, other: Thing) -> float:
-    """Return the millimetres between the boxes of two objects, else between their bounding spheres, else between their
-    centres.
+    """Return the distance in millimetres between the boxes of two objects, else between their bounding spheres, else
+    between their centres.
     """
     if one.box is not None and other.box is not None:
         gaps = [max(one.box[0][k] - other.box[1][k], other.box[0][k] - one.box[1][k], 0) for k in range(3)]
@@ -157,8 +157,8 @@ def _used(one: Thing, other: Thing) -> float:
 
 
 def _along_ground(one: Thing, other: Thing) -> float | None:
-    """Return a lower bound in millimetres of the horizontal distance of two objects; None if only their centres are
-    known.
+    """Return a lower bound in millimetres of the horizontal distance between two objects; None if only their centres
+    are known.
     """
     if one.box is not None and other.box is not None:
         return footprint_gap(one, other)

@@ -69,7 +69,7 @@ def _check_evidence(row: ManifestEpisode, certificate: Certificate) -> None:
 
 
 def _depth(program: Program, at: int) -> int:
-    """Return the deepest nesting of tests inside THEN parts, the test at `at` included."""
+    """Return the maximum nesting depth of tests inside THEN parts, from the test at `at`, which is counted."""
     if at < 0:
         return 0
     branch = program.branches[at]
@@ -118,7 +118,9 @@ def leaf_of(category: Category, truths: tuple[bool, ...]) -> int:
 
 @cache
 def _rivals(category: Category, k: int) -> tuple[tuple[int, int], ...]:
-    """Return the pairs of leaves between which condition k alone decides, for some truths of the other conditions."""
+    """Return all pairs of leaves that differ by the truth of condition `k` alone, for all truths of the other
+    conditions.
+    """
     pairs = set()
     for truths in product((True, False), repeat=len(SHAPES[category].branches)):
         other = tuple(truth != (place == k) for place, truth in enumerate(truths))
@@ -127,7 +129,9 @@ def _rivals(category: Category, k: int) -> tuple[tuple[int, int], ...]:
 
 
 def _settled(condition: Condition) -> bool:
-    """Return whether a condition's own words decide it: a bed near the bed, a piano in the room with the piano."""
+    """Return whether the words of a condition alone decide it, as in "a bed near the bed" or "a piano in the room with
+    the piano".
+    """
     own = words().meant_by(condition.label)
     anchors = (*(condition.qualifier.anchor_labels if condition.qualifier else ()), condition.room.anchor_label)
     return any(anchor in own for anchor in anchors)

@@ -35,7 +35,7 @@ class SceneReader(Protocol):
     """Reads scenes from their source files."""
 
     def __call__(self, source: str, scene_id: str) -> tuple[Scene, Surfaces]:
-        """Return one scene, and a function that reads its surfaces. Both raise InputError if the files can't be
+        """Return a scene, and a function that reads the scene's surfaces. Both calls raise InputError if files can't be
         read.
         """
         ...
@@ -136,7 +136,7 @@ def prove_scene(
 def _check_words(
     rows: Sequence[Row], certificates: Sequence[Certificate], referents: SceneReferents, rules: VerifierRules
 ) -> None:
-    """Check what the texts mean, and what follows from the programs and records alone."""
+    """Check the meanings of the texts, and everything that can be checked from programs and records alone."""
     for row, certificate in zip(rows, certificates, strict=True):
         check_meaning(row.manifest, referents, rules, certificate)
         check_program(row.manifest, certificate)
@@ -144,7 +144,8 @@ def _check_words(
 
 
 def find_navmesh(scene: Scene, folder: Path, claimed: str) -> Navmesh:
-    """Return the navmesh of a scene: a built one is a file of the export, a shipped one is the source's.
+    """Return the navmesh of a scene: the file `claimed` of the export if it exists there, else the navmesh that the
+    source ships.
 
     Raises
     ------

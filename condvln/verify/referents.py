@@ -134,7 +134,9 @@ class SceneReferents:
         return self._things[phrase]
 
     def claim(self, phrase: Phrase, start: Standpoint | None = None) -> Answer | Problem:
-        """Return whether an object as claimed certainly exists or certainly does not; bearings are those at `start`."""
+        """Return whether the object that `phrase` names certainly exists or certainly does not; a `Problem` if this is
+        not certain. Bearings are those at `start`.
+        """
         if phrase.qualifier is not None and phrase.qualifier[0] in BEARINGS:
             return self._claim_at(phrase, start)
         if phrase not in self._claims:
@@ -146,8 +148,8 @@ class SceneReferents:
         return self._claims[phrase]
 
     def _cut(self, used: Set[str | None]) -> Problem | None:
-        """Return the problem if an object in `used` is a piece of an object that was cut at a region's border, else
-        None.
+        """Return a problem if some object in `used` is only a piece of an object that was cut at a region's border,
+        else None.
         """
         pieces = sorted(name for name in used if name in self._pieces)
         return Problem("whole_object", "things that no region border cuts", pieces) if pieces else None
@@ -195,7 +197,7 @@ class SceneReferents:
         return tuple(found)
 
     def _marks(self, anchor: Thing) -> bool:
-        """Return whether an object may be an anchor: its size is known, and it is fixed, or large and not portable."""
+        """Return whether an object may be an anchor: its size is known, it is fixed or large, and not portable."""
         side = longest_side(anchor)
         if side is None or anchor.label in self.meaning.roles["portable"]:
             return False
@@ -209,7 +211,7 @@ class SceneReferents:
         return thing.label in roles["landmark"] and side is not None and side >= LANDMARK_SIZE
 
     def _carries_the_phrase(self, anchors: Iterable[Thing], things: Iterable[Thing]) -> bool:
-        """Return whether each anchor is fixed, or larger than each of the objects in ground area or volume."""
+        """Return whether each anchor is fixed, or at least as large as each of `things` in ground area or volume."""
         things = tuple(things)
         for anchor in anchors:
             if self._is_fixed(anchor):
@@ -225,8 +227,8 @@ class SceneReferents:
     def _relations(
         self, view: RoomView, label: str, predicate: str, anchors: tuple[Thing, ...], asked: bool
     ) -> list[tuple[Thing, Judgement]]:
-        """Return each object that `label` might mean, visible or not, and whether it has the relation to the
-        anchors.
+        """Return each object that `label` might mean, visible or not, with the judgement on whether it has the relation
+        `predicate` to the anchors.
         """
         key = (view.room.room_id, label, predicate, tuple(anchor.object_id for anchor in anchors), asked)
         if key not in self._related:
@@ -312,7 +314,7 @@ class SceneReferents:
     # -- bearings ------------------------------------------------------------------------------------------------------
 
     def _here(self, start: Standpoint | None) -> RoomView | Problem:
-        """Return the one room that contains the start."""
+        """Return the one room that contains the start; a problem if there is not exactly one."""
         around = [] if start is None else [view for view in self.rooms.values() if start.is_in(view.room)]
         if len(around) != 1:
             return Problem("bearing_room", "a start in one room", [view.room.room_id for view in around])
@@ -358,8 +360,8 @@ class SceneReferents:
         return Answer(truth, True, witnesses, view.room.room_id, (), room_anchor, how.numbers)
 
     def _doubt(self, view: RoomView, phrase: Phrase, anchors: Sequence[Thing]) -> str | None:
-        """Return why absence of a label can't be known: because of the room, or of an unlabelled object that may have
-        this label. None if absence can be known.
+        """Return why the absence of the object named by `phrase` can't be known, or None if it can. The reason is the
+        id of an incompletely annotated room, or of an unlabelled object that may be the one named.
         """
         if not view.room.complete:
             return view.room.room_id
@@ -375,7 +377,9 @@ class SceneReferents:
 
 
 def _deciding(related: list[tuple[Thing, Judgement]], sure: list[Thing]) -> Mapping[str, float | None]:
-    """Return the measurements of the first witness, or, without a witness, of the best rival."""
+    """Return the measurements of the first witness in `sure`. Without a witness, return those of the first object in
+    `related`.
+    """
     for thing, how in related:
         if not sure or thing is sure[0]:
             return how.numbers

@@ -71,7 +71,9 @@ class RoomView:
         return tuple(thing for thing in self._called(label) if not self.is_seen(thing))
 
     def is_seen(self, thing: Thing) -> bool:
-        """Return whether an object is visible: not in something shut, and in view from where an agent can stand."""
+        """Return whether an object is visible: it is not inside something shut, and it can be seen from where an agent
+        can stand.
+        """
         return thing.object_id not in self._hidden and self._can_be_seen(thing.object_id)
 
     def is_itself(self, thing: Thing) -> bool:
@@ -109,7 +111,7 @@ class RoomView:
         return self.room.complete and not self.nameless(label)
 
     def only(self, label: str) -> Thing | None:
-        """Return the object with this label if no other object could be meant, else None."""
+        """Return the object with this label if no other visible object could be meant, else None."""
         found = self.meant(label)
         return found[0] if len(found) == 1 and found[0].label == label and self.is_itself(found[0]) else None
 

@@ -66,7 +66,7 @@ class _Points:
     least: float
 
     def is_seen(self, seen: Bools) -> bool:
-        """Return whether the target counts as seen, given which of its points (k,) are visible."""
+        """Return whether a target counts as seen. `seen` (k,) tells which of its points are visible."""
         published = _share(seen[self.own :])
         if self.own:
             ours, enough = _share(seen[: self.own]), much(self.least, self.own)
@@ -79,8 +79,8 @@ class _Points:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Look:
-    """The pending tests of one target: eyes (n, 3) with their cache keys; seen (n, k), first the points in range, then
-    the visible ones.
+    """The pending visibility tests of one target from eyes (n, 3) with their cache keys. `seen` (n, k) first marks the
+    points in range, later the visible points.
     """
 
     sought: Sought
@@ -149,7 +149,7 @@ class Sight:
         )
 
     def look(self, wanted: Iterable[tuple[Sought, F64]]) -> None:
-        """Cast all wanted lines of sight from eyes (n, 3) that are not cached, together."""
+        """Cast the lines of sight of all `wanted` (target, eyes (n, 3)) together. Cached ones are skipped."""
         places: dict[Sought, dict[bytes, F64]] = {}
         for sought, eyes in wanted:
             known = self._seen.setdefault(sought, {})
@@ -174,7 +174,7 @@ class Sight:
         self._cast(looks)
 
     def _cast(self, looks: Sequence[_Look]) -> None:
-        """Reduce the points in range to those that nothing occludes, and cache the result."""
+        """Test which points in range nothing occludes, store the result in `seen` of each of `looks`, and cache it."""
         if not looks:
             return
         ends = [np.nonzero(look.seen) for look in looks]
@@ -199,7 +199,7 @@ class Sight:
         return item.center[None] if triangles is None else evenly(triangles, count)
 
     def meets(self, object_id: str, eyes: F64, points: F64) -> Bools:
-        """Return (k,): which points (k, 3) of an object are visible from any of the eyes (n, 3), at any distance."""
+        """Return whether each of an object's points (k, 3) is visible from any of the eyes (n, 3), at any distance."""
         own = self._own_boxes(object_id, points)
         seen = np.zeros(len(points), dtype=bool)
         for begin in range(0, len(eyes), EYES_AT_ONCE):
@@ -211,15 +211,15 @@ class Sight:
         return seen
 
     def is_seen(self, sought: Sought, eyes: F64, yaw: float | None = None) -> bool:
-        """Return whether enough of a target is visible from eyes (n, 3) together; with a yaw, from one eye in that
-        direction.
+        """Return whether enough of a target is visible, each point from any of the eyes (n, 3). With a `yaw`, there is
+        one eye, which looks in that direction.
         """
         where = self._where(sought)
         return where is not None and where.is_seen(self._together(sought, where, eyes, yaw))
 
     def shares(self, sought: Sought, eyes: F64) -> list[float]:
-        """Return the visible shares of a target: of this package's points, if there are any, and of the published
-        ones.
+        """Return the visible shares of a target's points: of this package's own points, if there are any, and of the
+        published points.
         """
         where = self._where(sought)
         if where is None:
@@ -263,8 +263,8 @@ class Sight:
         return _Points(points, count, self._own_boxes(object_id, points), least)
 
     def _own_boxes(self, object_id: str, points: F64) -> NDArray[np.int64]:
-        """Return the index of the box that each point (k, 3) of an object lies on, the nearest of several; -1 for
-        none.
+        """Return for each of an object's points (k, 3) the index of the object's box that the point lies on. Of several
+        boxes, the nearest counts; the index is -1 for an object without boxes.
         """
         numbers = np.array(self._boxes.get(object_id, [-1]), dtype=np.int64)
         if len(numbers) == 1:
@@ -317,8 +317,8 @@ def evenly(triangles: F64, count: int = OWN_POINTS) -> F64:
 
 @lru_cache(maxsize=16)
 def much(least: float, count: int) -> float:
-    """Return the least visible share of `count` points that contradicts a second set of points of which less than the
-    share `least` is visible.
+    """Return the minimum visible share of `count` points that contradicts a second set of points, of which a share
+    smaller than `least` is visible.
 
     If both sets were random points on the same surface, such a pair would occur with a probability of at most `ODDS`;
     both sets are spread more evenly than random ones. A result above 1 means that no share is a contradiction.

@@ -46,8 +46,8 @@ class Standpoint(NamedTuple):
         return cls(x, y, z, (-math.sin(yaw), -math.cos(yaw)))
 
     def is_in(self, room: Room) -> bool:
-        """Return whether the start is inside a room's outline, at about its floor height; always true without an
-        outline.
+        """Return whether the start is inside a room's outline and at about the height of its floor. A room without an
+        outline contains every start.
         """
         if room.polygon is None:
             return True
@@ -70,7 +70,9 @@ class Standpoint(NamedTuple):
         return found._replace(numbers={**found.numbers, "degrees_off": round(off, 3)})
 
     def _seen(self, x: float, z: float, direction: str) -> _Point:
-        """Return a point's coordinates in millimetres along the direction and to the right of it."""
+        """Return a point's coordinates relative to the start, in millimetres: along the direction, and to the right of
+        it.
+        """
         dx, dz = x - self.x, z - self.z
         ahead = dx * self.forward[0] + dz * self.forward[1]
         right = -dx * self.forward[1] + dz * self.forward[0]
@@ -79,13 +81,15 @@ class Standpoint(NamedTuple):
 
 
 def _off(point: _Point) -> float:
-    """Return the angle in degrees between a direction and a point (millimetres along it and to its right)."""
+    """Return the angle in degrees between a direction and a point, given in millimetres along this direction and to the
+    right of it.
+    """
     return math.degrees(math.atan2(abs(point[1]), point[0]))
 
 
 def _meets(corners: Sequence[_Point], half_width: float) -> bool:
-    """Return whether a rectangle that does not contain the origin intersects the wedge of ± `half_width` degrees about
-    an axis.
+    """Return whether a rectangle intersects the wedge of ± `half_width` degrees about an axis. The origin is outside
+    the rectangle.
 
     It does if a corner is in the wedge, or if one of the wedge's two edges crosses one of the rectangle's sides.
     """

@@ -37,8 +37,8 @@ def is_on(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -> J
 
 
 def as_said_on(found: Judgement, subject: Thing, anchor: Thing, room: Surroundings) -> Judgement:
-    """Return the judgement on "on": that of the source if boxes leave it open; undecided if source and boxes contradict
-    each other.
+    """Return the judgement on "on": that of the boxes (`found`), or that of the source if the boxes leave it open. If
+    source and boxes contradict each other, the verdict is undecided.
     """
     if room.is_said_on(subject, anchor):
         return found._replace(verdict=UNDECIDED if found.verdict == FALSE else TRUE)
@@ -48,7 +48,9 @@ def as_said_on(found: Judgement, subject: Thing, anchor: Thing, room: Surroundin
 
 
 def as_said_in(found: Judgement, subject: Thing, anchor: Thing, room: Surroundings) -> Judgement:
-    """Return the judgement on "in" by the container that the source names; undecided if boxes contradict it."""
+    """Return the judgement on "in": that of the boxes (`found`), unless the source names the anchor as the subject's
+    container. Then the verdict is true, or undecided if the boxes contradict the source.
+    """
     if room.is_said_in(subject, anchor) and _can_be_looked_into(anchor):
         return found._replace(verdict=UNDECIDED if found.verdict == FALSE else TRUE)
     return found
@@ -127,7 +129,9 @@ def _can_be_looked_into(holder: Thing) -> bool:
 
 
 def _covered(subject: Thing, anchor: Thing) -> float | None:
-    """Return the share of the subject's footprint that the anchor's covers; None for a footprint without area."""
+    """Return the share of the subject's footprint that the anchor's footprint covers; None if the subject's footprint
+    has no area.
+    """
     area = math.prod(subject.ground_sides())
     x, _, z = shared_sides(subject, anchor)
     return x * z / area if area > 0 else None

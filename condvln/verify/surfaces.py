@@ -29,8 +29,8 @@ ORTHOGONAL: Final = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class _Shape:
-    """Triangles in their own frame; corners (m, 3), one per connected piece; bounds (2, 3); `solid` : they have an
-    interior.
+    """Triangles in their own frame, with one corner of each (m, 3) and their bounds (2, 3). `solid` tells whether they
+    have an interior.
     """
 
     mesh: trimesh.Trimesh
@@ -51,18 +51,18 @@ class _Part:
     collision: Any
 
     def to_own(self, points: F64) -> F64:
-        """Return points (n, 3) of the scene in the shape's frame."""
+        """Transform points (n, 3) from the scene's frame to the shape's."""
         moved: F64 = (points - self.translation) @ self.rotation
         return moved
 
     def to_scene(self, points: F64) -> F64:
-        """Return points (n, 3) of the shape's frame in the scene's."""
+        """Transform points (n, 3) from the shape's frame to the scene's."""
         moved: F64 = points @ self.rotation.T + self.translation
         return moved
 
 
 class Shapes:
-    """The FCL models of the meshes under one dataset root; shared by scenes, since building a hierarchy is
+    """The FCL models of the meshes under one dataset root. They are shared by all scenes, since building them is
     expensive.
     """
 
@@ -92,7 +92,9 @@ class Shapes:
         return [_placed(_shape(trimesh.creation.box(extents=extents), True), rotation, centre)]
 
     def _placed(self, path: str, transform: F64) -> _Part:
-        """Return a placed mesh file; the part of its transform that is not a rotation is applied to the triangles."""
+        """Return a mesh file placed by a transform. Scale and shear are applied to the triangles; rotation and
+        translation are kept apart.
+        """
         linear = transform[:3, :3]
         scale = np.linalg.norm(linear, axis=0)
         rotation = linear / scale if (scale > 0).all() else np.eye(3)
@@ -165,13 +167,13 @@ def _between(first: list[_Part], second: list[_Part]) -> float | None:
 
 
 def _least(one: _Part, other: _Part) -> float:
-    """Return a lower bound in metres of the distance of two parts."""
+    """Return a lower bound in metres of the distance between two parts."""
     gaps = np.maximum(one.bounds[0] - other.bounds[1], other.bounds[0] - one.bounds[1])
     return float(np.linalg.norm(np.maximum(gaps, 0.0)))
 
 
 def _holds(outer: list[_Part], inner: list[_Part]) -> bool:
-    """Return whether part of a body lies inside another one whose surface it does not touch."""
+    """Return whether a part of `inner` lies inside a part of `outer`. The surfaces of the two bodies do not touch."""
     return all(part.shape.solid for part in outer) and any(_contains(one, other) for one in outer for other in inner)
 
 

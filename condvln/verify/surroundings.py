@@ -168,8 +168,8 @@ class Surroundings:
         return any(self._bears(below, above) for above in inner.solids() for below in outer.solids())
 
     def _bears(self, lower: Thing, upper: Thing) -> bool:
-        """Return whether the bottom of `upper` is at the top of `lower` or between its bottom and top, with enough of
-        the footprint of `upper` above `lower`.
+        """Return whether, by their boxes, `lower` bears `upper`: the bottom of `upper` is at the top of `lower` or
+        between its bottom and top, and enough of the footprint of `upper` is above `lower`.
         """
         area = 0 if upper.box is None else math.prod(upper.ground_sides())
         if upper.box is None or lower.box is None or not area:

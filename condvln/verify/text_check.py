@@ -73,7 +73,9 @@ def _check_heading(row: ManifestEpisode, reading: TextReading, rules: VerifierRu
 def _check_conditions(
     program: Program, reading: TextReading, single_room: bool, certificate: Certificate
 ) -> list[int] | None:
-    """Return for each condition of the program its index in the text; None if the conditions differ."""
+    """Return for each condition of the program its index among the text's conditions; None if the two do not have the
+    same conditions.
+    """
     claimed = [_phrase(condition, single_room) for condition in program.conditions]
     said = [_unplaced(phrase, single_room) for phrase in reading.conditions]
     agreed = len(claimed) == len(said) == len(set(said)) and set(claimed) == set(said)
@@ -85,7 +87,9 @@ def _check_conditions(
 def _check_branches(
     program: Program, reading: TextReading, order: Sequence[int], single_room: bool, certificate: Certificate
 ) -> list[Moves] | None:
-    """Return the text's stops for each leaf of the program; None if the text leads elsewhere."""
+    """Return the text's stops for each leaf of the program. If they differ from the program's stops, record this and
+    return None.
+    """
     claimed = [tuple(_phrase(move, single_room) for move in leaf.moves) for leaf in program.leaves]
     words: dict[int, Moves] = {}
     for case, moves in enumerate(reading.moves):
@@ -168,7 +172,7 @@ def _with_room(found: Referent, move: ObjectRef, referents: SceneReferents) -> R
 
 
 def _phrase(named: Condition | ObjectRef, single_room: bool) -> Phrase:
-    """Return a part of the program as its text must name it."""
+    """Return the phrase by which the text must name a condition or stop of the program."""
     qualifier = None if named.qualifier is None else (named.qualifier.predicate, named.qualifier.anchor_labels)
     # A stop with an egocentric direction is in the room of the start.
     unnamed = single_room or (isinstance(named, ObjectRef) and qualifier is not None and qualifier[0] in BEARINGS)

@@ -45,9 +45,9 @@ class TextReading:
 
 
 class _Ask(NamedTuple):
-    """A question or an "if": the cases to which it applies, its condition, and the cases in which it holds.
+    """A question or an "if" of a text: the cases to which it applies (`context`), and the index of its condition.
 
-    guard : for an "if", the cases to which it applies; None for a question
+    guard : for an "if", the cases in which what it says is true; None for a question
     """
 
     context: int
@@ -104,7 +104,9 @@ class _Reader(PhraseReader):
     """All readings of one text."""
 
     def readings(self) -> Iterator[tuple[_Function, bool]]:
-        """Yield meanings of the whole text (may repeat), and whether an answer refers to an earlier question."""
+        """Yield each meaning of the whole text (the same may occur twice), and whether an answer refers to a question
+        before the latest one.
+        """
         for at, heading in self._opening():
             for start, scope in self._scopes(at):
                 self.scope = scope
@@ -133,7 +135,7 @@ class _Reader(PhraseReader):
                 yield from self._sentences(after._replace(at=after.at + 1), its_base)
 
     def _clause(self, state: _State, context: int, base: int) -> Iterator[tuple[_State, int]]:
-        """Parse one clause with everything attached to it; return also the base of the following clauses."""
+        """Parse a clause with everything attached to it. Yield the new state, and the base of the following clauses."""
         at = state.at
         for end, _, _ in self._of(at, "filler"):
             yield from self._clause(state._replace(at=end + self._is(end, ",")), context, base)
@@ -205,7 +207,7 @@ class _Reader(PhraseReader):
                     yield from self._supposed(state._replace(at=end), context, base)
 
     def _comma(self, state: _State, context: int, base: int) -> Iterator[tuple[_State, int]]:
-        """Parse what to do in the cases `context`: walk, look further, or an additional "if"."""
+        """Parse what follows a comma, for the cases `context`: moves, a request to look, or another "if"."""
         if not context or not self._is(state.at, ","):
             return
         at = state.at + 1
@@ -223,7 +225,7 @@ class _Reader(PhraseReader):
                 yield state._replace(at=end, room=room, named=named, asks=asking), base
 
     def _condition(self, state: _State, what: Phrase) -> Iterator[tuple[int, tuple[Phrase, ...]]]:
-        """Yield the number of a condition, and all conditions named with it.
+        """Yield each possible index of the condition `what`, with all conditions named so far, `what` included.
 
         A known object without a room is in the room of the condition before it.
         """
@@ -238,7 +240,9 @@ class _Reader(PhraseReader):
 
 
 def _is_again(what: Phrase, before: Phrase, latest: bool) -> bool:
-    """Return whether a relation, or the latest question, was named before and is now named without its room."""
+    """Return whether `what` repeats `before` without its room. It must name a relation, or `before` must be the latest
+    question.
+    """
     return what.room is None and (latest or what.qualifier is not None) and what == before._replace(room=None)
 
 
@@ -254,7 +258,9 @@ _ANSWERS: Final = (
 
 
 def _table(state: _State) -> tuple[Moves, ...] | None:
-    """Return the moves of each case of the conditions; None unless every case has moves exactly once."""
+    """Return the moves for each case, i.e. for each combination of the conditions' truths. None if some case has no
+    moves, or has them twice.
+    """
     covered = 0
     for cases, _ in state.rules:
         if not cases or covered & cases:

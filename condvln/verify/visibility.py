@@ -36,7 +36,8 @@ FEW: Final = 8
 
 
 class Onlookers:
-    """What is visible from all positions in each room where an agent can stand; each object is computed once.
+    """Finds which objects are visible from the positions in their room where an agent can stand. Each object is tested
+    once.
 
     hidden : ids of objects inside something shut
     """

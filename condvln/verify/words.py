@@ -96,7 +96,7 @@ class Words:
         return self.confusable_rooms.get(label, frozenset((label,)))
 
     def any_room(self, label: str) -> bool:
-        """Return whether the noun of a room type ("room") might mean a room of any type."""
+        """Return whether the noun of the room type `label`, such as "room", might mean a room of any type."""
         return label in self._general_rooms
 
     def may_be(self, label: str, family: str, side: float | None) -> tuple[frozenset[str], bool]:
@@ -192,8 +192,8 @@ def _cell(text: str) -> frozenset[str]:
 
 
 def _raw_table(name: str) -> dict[tuple[str, str], str]:
-    """Return canonical labels by (source, raw label), also with the raw label in folded form unless that is listed
-    itself.
+    """Return the canonical label of each (source, raw label). The folded form of each raw label is also a key, unless
+    it has an entry of its own.
     """
     listed = {(row["source"], row["raw_label"]): row["label"] for row in _rows(name)}
     # Matterport3D's one-letter labels are case-sensitive, and so have no folded form.
@@ -202,7 +202,9 @@ def _raw_table(name: str) -> dict[tuple[str, str], str]:
 
 
 def _containers(labels: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
-    """Return the kind of container by label: as listed, else that of the first broader label that is listed."""
+    """Return the kind of container of each label: the listed kind, else the kind of the first broader label that is
+    listed.
+    """
     listed = {row["label"]: row["kind"] for row in _rows("containers.csv")}
     found = {}
     for label in labels:
@@ -213,14 +215,16 @@ def _containers(labels: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
 
 
 def _frames(labels: Mapping[str, Mapping[str, str]]) -> frozenset[str]:
-    """Return the labels listed as frames, and labels narrower than these, except those that can be shut."""
+    """Return the labels listed as frames, and all narrower labels. Labels of objects that can be shut are left out."""
     listed = {row["label"] for row in _rows("frames.csv")}
     shut = {label for label, kind in _containers(labels).items() if kind == "shut"}
     return frozenset(label for label in labels if listed & {label, *_broader(label, labels)}) - shut
 
 
 def _listed(table: Mapping[tuple[str, str], str], raw: str, family: str) -> str | None:
-    """Return the entry of a raw label; an empty one means that it is deliberately unmapped."""
+    """Return the label that `table` lists for a raw label; None if it lists none. An empty entry means that the label
+    is deliberately unmapped; then its folded form is returned.
+    """
     source = SOURCE_OF_FAMILY.get(family, "")
     exact = table.get((source, raw))
     if exact is not None:
@@ -230,7 +234,7 @@ def _listed(table: Mapping[tuple[str, str], str], raw: str, family: str) -> str 
 
 
 def _sharing(said: Mapping[str, set[str]]) -> dict[str, set[str]]:
-    """Return for each label the labels that share a word with it, itself included."""
+    """Return for each label all labels that share a word with it, including itself."""
     found = {label: {label} for label in said}
     of_word: dict[str, set[str]] = {}
     for label, own in said.items():
@@ -244,7 +248,9 @@ def _sharing(said: Mapping[str, set[str]]) -> dict[str, set[str]]:
 
 
 def _unambiguous(said: Mapping[str, set[str]]) -> dict[str, str]:
-    """Return labels by word: a label's own name always, another word only if a single label has it."""
+    """Return the label that each word stands for. A label's own name always stands for it; another word counts only if
+    a single label has it.
+    """
     holders: dict[str, list[str]] = {}
     for label, own in said.items():
         for word in own:

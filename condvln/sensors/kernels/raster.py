@@ -29,7 +29,7 @@ SLACK = 1e-3
 def _blocks_in_view(
     lows: Floats, highs: Floats, eye: Doubles, axes: Doubles, tan_x: float, tan_y: float, near: float
 ) -> npt.NDArray[np.int64]:
-    """Return the blocks of triangles whose bounding boxes intersect the view, nearest first."""
+    """Return the blocks of triangles whose bounding boxes intersect the camera's view, nearest first."""
     found = np.empty(len(lows), np.int64)
     nearness = np.empty(len(lows))
     count = 0
@@ -64,8 +64,8 @@ def _blocks_in_view(
 
 @compiled
 def _image_bounds(v: Doubles, near: float, tan_x: float, tan_y: float) -> tuple[float, float, float, float]:
-    """Return the least and greatest x and y, in units of half the image, of that part of the triangle `v` which is in
-    front of the near plane.
+    """Return the minimum and maximum x, then y, of the part of the triangle `v` in front of the near plane. The unit is
+    half the image's width or height.
     """
     left, right, bottom, top = math.inf, -math.inf, math.inf, -math.inf
     for i in range(3):
@@ -98,7 +98,8 @@ def rasterize(
     inverse: Floats,
     face: Ints,
 ) -> None:
-    """Draw triangles into `inverse` (h, w) and `face` (h, w).
+    """Draw triangles into the images `inverse` (h, w), the inverse depth, and `face` (h, w), the index of the nearest
+    front face.
 
     corners : (m, 3, 3) triangles, counter-clockwise seen from outside; others are not drawn
     lows, highs : (b, 3) bounds of each block of `block_size` triangles

@@ -22,7 +22,9 @@ CLAMP, MIRROR = 1, 2
 
 @compiled
 def resolve(inverse: Floats, face: Ints, owner: Ints, depth: Floats, instance: Ints) -> None:
-    """Fill `depth` (0 where nothing is seen) and `instance` (owner's index plus 1) of each pixel; all arrays (h, w)."""
+    """Fill `depth` (0 where nothing is seen) and `instance` (owner's index plus 1) of each pixel. The arrays of pixels
+    are (h, w).
+    """
     height, width = face.shape
     for y in range(height):
         for x in range(width):
@@ -37,7 +39,9 @@ def resolve(inverse: Floats, face: Ints, owner: Ints, depth: Floats, instance: I
 
 @compiled
 def _wrapped(index: int, size: int, mode: int) -> int:
-    """Return the texel index inside the texture for an index beyond its border."""
+    """Return the index of a texel inside a texture of `size` texels. An `index` beyond the border is mapped by the wrap
+    mode.
+    """
     if 0 <= index < size:
         return index
     if mode == CLAMP:

@@ -15,8 +15,8 @@ I64 = NDArray[np.int64]
 
 @compiled
 def clearances(corners: F64, corner_ends: I64, goals: F64, goal_ends: I64, row_ends: I64, widest: int) -> F64:
-    """Return squared metres (l, widest) from each leaf's path to the goals of each leaf of its row; infinite for the
-    leaf's own goals.
+    """For each of the l leaves, return the squared distances (l, widest) in m² from its path to the nearest goal of
+    each leaf of its row. The entry of the leaf itself is infinite.
 
     corners (n, 3), goals (m, 3) : of all leaves, concatenated; corner_ends, goal_ends (l,) : end index of each leaf
     row_ends (r,) : end index of each row's leaves; widest : largest number of leaves of a row
@@ -49,8 +49,8 @@ def clearances(corners: F64, corner_ends: I64, goals: F64, goal_ends: I64, row_e
 
 @compiled
 def near_goals(goals: F64, goal_ends: I64, row_ends: I64, within: float) -> I64:
-    """Return pairs of goals less than `within` metres apart: (k, 4) leaf, later leaf of the same row, goal, other
-    goal.
+    """Return the pairs of goals that are less than `within` metres apart and belong to different leaves of one row.
+    Each row of the result (k, 4) is: leaf, later leaf, goal of the first, goal of the second.
     """
     found = np.empty((16, 4), dtype=np.int64)
     count = 0
