@@ -58,7 +58,9 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def register_warm_up(name: str, run: Callable[[], object]) -> None:
-    """Register ``run`` under ``name`` for :func:`warm_up`. It is a small call that compiles the kernels so named."""
+    """Register a function that :func:`warm_up` calls. `run` must compile the kernels of the group `name` by calling
+    them on little data.
+    """
     _warm_ups[name] = run
 
 

@@ -94,13 +94,13 @@ def motion(clause: str, clauses: Clauses) -> Motion:
 
 
 def _returns(clause: str, start: str) -> bool:
-    """Return whether a clause leads back to the room of the start."""
+    """Return whether a clause leads back to the room in which the walk starts, `start`; False if `start` is empty."""
     back = rf"\b(?:return|go back|head back|come back)\b.* (?:the |your )?{re.escape(start)}\b"
     return bool(start) and re.search(back, clause) is not None
 
 
 def _parted(main: str) -> tuple[str, str]:
-    """Return the condition and what follows it."""
+    """Split the conditional part of a text, `main`, and return the condition and what follows the condition."""
     so = _SO.search(main)
     comma = main.find(",")
     stop = re.search(r"[.;:] ", main)

@@ -29,7 +29,7 @@ _FORWARD: Final = 1
 
 @dataclass(frozen=True, slots=True)
 class ForeignEpisode:
-    """One text with its own path.
+    """An instruction text of another project's file, with its scene and how far its path leads (None if unknown).
 
     displacement : horizontal metres from its start to its end; rise : height in metres of the end above the start
     """
@@ -130,7 +130,7 @@ def _is_point(value: Any) -> bool:
 
 
 def _is_metres(value: Any) -> bool:
-    """Return whether a value is a number of at most MAX_COORDINATE. The comparison also refuses NaN, and whole numbers
-    too large for a float.
+    """Return whether a value is a number whose absolute value is at most MAX_COORDINATE. NaN, and whole numbers too
+    large for a float, fail this comparison.
     """
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= MAX_COORDINATE

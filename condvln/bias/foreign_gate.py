@@ -201,7 +201,7 @@ def _majority(views: Sequence[_View]) -> Guesses:
 
 
 def _stays(view: _View) -> int:
-    """Return the index of the clause that ends at the start, or 0, the first clause, if there is none."""
+    """Return the index of the clause whose route ends at the start position; 0 if none does."""
     ends = _ends(view.clauses)
     return ends.index("stays") if "stays" in ends else 0
 
@@ -249,7 +249,9 @@ def _in_place(view: _View) -> Iterator[str]:
 
 
 def _form(view: _View) -> Iterator[str]:
-    """Yield the wording without nouns of objects and rooms, with the clause in which it occurs."""
+    """Yield the pairs of consecutive words in each part of a text. Nouns of objects and rooms are replaced by "_", and
+    each pair is marked with the part's name.
+    """
     content = content_words()
     for name, text in _parts(view):
         said = [word if word not in content else "_" for word in words(text)]

@@ -199,7 +199,9 @@ def _parts(
 def _manifest_rows(folder: Path) -> Iterator[Mapping[str, Any]]:
     paths = manifest_paths(folder)
     if not paths:
-        raise MissingFileError("no manifest/<split>.jsonl", where=folder, remedy="Name the folder of an export")
+        raise MissingFileError(
+            "no manifest/<split>.jsonl in this folder", where=folder, remedy="Name the folder of an export"
+        )
     for path in paths:
         for line in manifest_lines(path):
             yield line.fields()

@@ -85,9 +85,9 @@ class GuesserView:
             )
             shape = SHAPES[view.category]
             if len(view.leaves) != shape.leaves or len(view.asked) != len(shape.branches):
-                raise ValueError(f"not the tree of {view.category}")
+                raise ValueError(f"the program's tree is not that of the category {view.category}")
             if not 0 <= view.gold < shape.leaves:
-                raise ValueError(f"gold leaf {view.gold} of {shape.leaves}")
+                raise ValueError(f"the gold leaf is {view.gold}, but the program has {shape.leaves} leaves")
             return view
         except (KeyError, TypeError, ValueError, IndexError) as error:
             raise FormatError(

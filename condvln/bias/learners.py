@@ -207,8 +207,8 @@ def _regression(words: Words) -> Learner:
 
 
 def regressed(views: Sequence[_Labelled], words: Callable[[_Labelled], Iterable[str]]) -> Guesses:
-    """Return the guesses of a multinomial logistic regression on the words of each text, learned from earlier blocks
-    of scenes.
+    """Return the guesses of a multinomial logistic regression that learns from earlier blocks of scenes. Its features
+    are the words that `words` yields for each view.
     """
     # Imported here because the import takes a second, and most exports in tests are too small to need it.
     from sklearn.linear_model import LogisticRegression
@@ -258,7 +258,7 @@ def _text_words(view: GuesserView) -> Iterator[str]:
 
 
 def _cues(view: GuesserView) -> Iterator[str]:
-    """Yield what each condition states and each leaf names, marked with its position in the tree."""
+    """Yield what each condition states and each leaf names, with the index of the condition or leaf in front."""
     for k, asked in enumerate(view.asked):
         yield f"{k} {asked.label}"
         yield f"{k} {asked.label} in {asked.room}"
@@ -303,7 +303,9 @@ def _length(view: GuesserView) -> Iterator[str]:
 
 
 def _definiteness(view: GuesserView) -> Iterator[str]:
-    """Yield whether each condition is definite, then the same for all conditions in a single feature."""
+    """Yield one feature per condition, "definite" or "indefinite", and then one feature that joins these words for all
+    conditions.
+    """
     flags = ["definite" if asked.definite else "indefinite" for asked in view.asked]
     yield from (f"{k} {flag}" for k, flag in enumerate(flags))
     yield " ".join(flags)
@@ -360,7 +362,7 @@ Indices = NDArray[np.int64]
 
 
 def blocks(scenes: Sequence[str], count: int = BLOCKS) -> list[Indices]:
-    """Split episodes into blocks of about equal size and return the ascending indices of each block.
+    """Split episodes into about `count` blocks of similar size, and return the ascending episode indices of each block.
 
     All episodes of a scene are in one block; no block is empty.
 
@@ -380,8 +382,8 @@ def blocks(scenes: Sequence[str], count: int = BLOCKS) -> list[Indices]:
 
 
 def progressive(scenes: Sequence[str], count: int = BLOCKS) -> Iterator[tuple[Indices, Indices]]:
-    """For each block of episodes after the first, yield the indices to learn from, which are those of all earlier
-    blocks, and the indices to guess, which are those of the block.
+    """Yield pairs of episode indices, one pair for each block after the first: those of all earlier blocks, to learn
+    from, and those of the block itself, to guess.
     """
     parts = blocks(scenes, count)
     for k in range(1, len(parts)):

@@ -41,7 +41,9 @@ class Finding:
 
     @property
     def part(self) -> str:
-        """The category of the part, or the predicate that its episodes' conditions use."""
+        """What limits this part of the episodes: the category, or else the predicate that the conditions of the
+        episodes use.
+        """
         return self.category if self.predicate == ALL else f"asks: {self.predicate}"
 
     @property
@@ -62,7 +64,7 @@ class Uniformity:
 
     @property
     def uneven(self) -> bool:
-        """Whether the counts differ significantly."""
+        """Whether the numbers of episodes per gold leaf differ significantly."""
         return self.p_holm < ALPHA
 
 
@@ -88,7 +90,7 @@ class BiasReport:
 
     @property
     def beaten(self) -> list[Finding]:
-        """Findings above chance, the most significant first."""
+        """Findings of the guessers that beat chance, the most significant first."""
         return sorted((f for f in self.findings if f.beats_chance), key=lambda f: f.p_holm)
 
     @property

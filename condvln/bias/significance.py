@@ -24,7 +24,7 @@ Bools = NDArray[np.bool_]
 
 
 def binomial_tail(hits: int, trials: Mapping[float, int]) -> float:
-    """Return the probability that at least `hits` guesses are right. `trials` has, by probability p, the number of
+    """Return the probability that at least `hits` guesses are right. `trials` maps each probability p to the number of
     guesses that are right with probability p.
 
     For several values of p the distributions are convolved; the error is below 1e-12.
@@ -41,8 +41,8 @@ def binomial_tail(hits: int, trials: Mapping[float, int]) -> float:
 
 
 def p_by_scenes(excess: F64, scenes: NDArray[np.int64]) -> float:
-    """Return the one-sided p-value of a t-test over scenes. Its alternative hypothesis is that the scenes' sums of
-    `excess` are above 0 on average.
+    """Return the one-sided p-value of a t-test over scenes. The test asks whether the sums of `excess` in the scenes
+    are above 0 on average.
 
     excess : right − chance of each episode
 
@@ -60,7 +60,9 @@ def p_by_scenes(excess: F64, scenes: NDArray[np.int64]) -> float:
 
 
 def interval(right: Bools, scenes: NDArray[np.int64], confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Return the (low, high) bounds of the accuracy at the given confidence."""
+    """Return the bounds (low, high) of the confidence interval of a guesser's accuracy. `right` says which guesses were
+    right, `scenes` the scene of each.
+    """
     n, hits = len(right), int(right.sum())
     tail = (1.0 - confidence) / 2.0
     low = float(stats.beta.ppf(tail, hits, n - hits + 1)) if hits else 0.0

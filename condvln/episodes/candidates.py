@@ -94,8 +94,8 @@ def candidates_from_table(table: pa.Table, cells: Iterable[InstructionCell]) -> 
 
 
 def unplaced_programs(candidates: Iterable[Candidate]) -> list[str]:
-    """Return the ids of the programs to keep where none can be placed: the first ones of each cell, up to the cell's
-    wanted number.
+    """Return the ids of the programs to keep if a scene's programs can't be placed: the first ones of each cell, up to
+    the number of programs that the cell asks for.
 
     As in a pool of episodes, no gold index gets more than its equal share of a cell. Without a navmesh there are
     neither starts, views nor routes, so a cell's limits on observability, routes and shared starts are ignored.
@@ -117,5 +117,5 @@ def unplaced_programs(candidates: Iterable[Candidate]) -> list[str]:
 
 
 def unplaced_table(names: Iterable[str]) -> pa.Table:
-    """Return the ids as rows of the schema UNPLACED."""
+    """Return the program ids `names` as rows of the schema UNPLACED."""
     return pa.table({"instruction_id": pa.array(names, pa.string())}, schema=UNPLACED)

@@ -73,7 +73,8 @@ class Facings:
         self._sighted: dict[str, Sighting | None] = {}
 
     def headings(self, programs: Sequence[Program], first: float) -> Headings | None:
-        """Return the start poses that `programs`, which share one start, allow; None if no start room is set.
+        """Return the start poses that `programs` allow if they share one start. Return None if no program requires a
+        start room.
 
         first : degrees of the first heading that is tried, below ``360 / HEADINGS``
         """
@@ -94,7 +95,9 @@ class Facings:
         return Headings(possible & fit.any(axis=1), headings, fit)
 
     def _all(self, claims: set[Claim], headings: F64) -> Bools:
-        """Return whether all `claims` hold in each pose, (s, h) bool, for s positions and h `headings`."""
+        """Return a mask (s, h) of the poses in which all `claims` hold, for the scene's s positions and the h
+        `headings`.
+        """
         fit = np.ones((len(self._places), len(headings)), dtype=bool)
         for name, direction, truth in sorted(claims):
             seen = self._sighting(name)
@@ -115,8 +118,8 @@ class Facings:
         return found
 
     def _of_stops(self, program: Program) -> list[Claim]:
-        """Return the claims that a program's egocentric stops make: the object of the stop lies in the stated
-        direction, and no other object that its label might mean does.
+        """Return the claims that a program's egocentric stops make. Each stop claims that its object lies in the stated
+        direction, and that no other object lies there that the stop's label might mean.
         """
         found: list[Claim] = []
         for leaf in program.leaves:

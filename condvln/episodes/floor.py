@@ -69,7 +69,7 @@ def standing_points(
 
 
 def _free(points: F64, obstacles: Sequence[tuple[SceneObject, Footprint]]) -> NDArray[np.bool_]:
-    """Return whether each of n points (n, 3) lies in no obstacle's footprint, (n,) bool."""
+    """Return a mask (n,) of the `points` (n, 3) that lie outside the footprints of all obstacles."""
     free = np.ones(len(points), dtype=bool)
     for _, footprint in obstacles:
         free &= footprint.distance(points) > 0.0

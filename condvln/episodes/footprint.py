@@ -108,8 +108,8 @@ class Footprint:
         return np.asarray(self.center + np.concatenate(points) @ self.axes, dtype=np.float64)
 
     def crossed_by(self, starts: F64, ends: F64) -> NDArray[np.bool_]:
-        """Return whether each of n horizontal segments crosses the footprint's interior, (n,) bool. `starts` and `ends`
-        are (n, 3); touching the edge does not count.
+        """Return a mask (n,) of the horizontal segments that cross the footprint's interior. The n segments run from
+        `starts` to `ends`, (n, 3) each; touching the edge does not count.
         """
         crossed: NDArray[np.bool_] = Footprints([self]).crossings(starts, ends)[0]
         return crossed
@@ -136,8 +136,8 @@ class Footprints:
         return len(self._center) > 0 and passes_through(path, *self._boxes)
 
     def crossings(self, starts: F64, ends: F64) -> NDArray[np.bool_]:
-        """Return whether each of n horizontal segments crosses the interior of each of the m footprints, (m, n) bool.
-        `starts` and `ends` are (n, 3).
+        """Return a mask (m, n): whether the interior of each of the m footprints is crossed by each of n horizontal
+        segments. The segments run from `starts` to `ends`, (n, 3) each.
         """
         a = (starts[None][:, :, [0, 2]] - self._center) @ self._axes
         d = (ends[None][:, :, [0, 2]] - self._center) @ self._axes - a

@@ -44,8 +44,8 @@ def wide_islands(pathfinder: PathfinderProtocol, places: PlacesConfig) -> tuple[
 
 
 def is_standable(pathfinder: PathfinderProtocol, points: F64, places: PlacesConfig) -> NDArray[np.bool_]:
-    """Return whether each of `points` (n, 3) lies on an island that is wide enough, (n,) bool. The points must already
-    be rounded to 1 mm.
+    """Return a mask (n,) of the `points` (n, 3) that lie on an island that is wide enough. The caller must already have
+    rounded the points to 1 mm.
     """
     snapped = pathfinder.snap_points(points)
     near = np.hypot(*(snapped - points)[:, [0, 2]].T) <= SNAP_TOLERANCE
@@ -57,7 +57,8 @@ def is_standable(pathfinder: PathfinderProtocol, points: F64, places: PlacesConf
 def blocked_footprints(
     scene: Scene, pathfinder: PathfinderProtocol, max_climb: float
 ) -> list[tuple[SceneObject, Footprint]]:
-    """Return the objects on the floor that the navmesh ignores because it continues below them, with their footprints.
+    """Return the objects on the floor that the navmesh ignores, each with its footprint: the navmesh continues below
+    them.
 
     An object is ignored by the navmesh when the floor under the centre of its box can be stood on; furniture that
     the navmesh takes into account leaves a hole there (or is walkable on top). Flat objects that an agent
@@ -139,16 +140,16 @@ def goal_points(
 
 
 def near_rings(rules: GoalsConfig) -> tuple[float, ...]:
-    """Return the offsets in metres of the rings within reach. They are evenly spaced; the last one is 4 % short of the
-    reach, since snapping moves candidates a little.
+    """Return the radii of the rings within the reach: how far each ring is from the object, in metres. They are evenly
+    spaced; the last one is 4 % short of the reach, since snapping moves candidates a little.
     """
     count = math.ceil(rules.reach / RING_GAP)
     return tuple(round(0.96 * rules.reach * (k + 1) / count, 6) for k in range(count))
 
 
 def far_rings(rules: GoalsConfig) -> tuple[float, ...]:
-    """Return the offsets in metres of the rings beyond reach. They lie between 20 and 80 % of the way from the reach to
-    the largest allowed offset.
+    """Return the radii of the rings outside the reach: how far each ring is from the object, in metres. They lie
+    between 20 and 80 % of the way from the reach to the largest allowed distance.
     """
     span = rules.reach_at_most - rules.reach
     count = math.ceil(span / FAR_RING_GAP)
@@ -205,7 +206,7 @@ def _standing_places(
 
 
 def _seeing(points: F64, item: SceneObject, view: SceneView, places: PlacesConfig) -> NDArray[np.bool_]:
-    """Return whether some part of the object is visible from each of the `points` (n, 3), (n,) bool."""
+    """Return a mask (n,) of the `points` (n, 3) from which some part of the object is visible."""
     seen = np.zeros(len(points), dtype=bool)
     for height in (places.eye_height, LOW_EYE):
         left = np.flatnonzero(~seen)

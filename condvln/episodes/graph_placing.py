@@ -93,7 +93,8 @@ class GraphPlacer:
         self._nearest: dict[str, str | None] = {}
 
     def viewpoint(self, item: SceneObject) -> str | None:
-        """Return the viewpoint of the object's room that is nearest to its box; None if none is within reach.
+        """Return the viewpoint in the object's room that is nearest to the object's box; None if no viewpoint is within
+        reach.
 
         An object in a region without viewpoints (a church's chancel, scanned from the nave) uses the viewpoints of
         adjacent regions on its level. Walls are unknown here, so there may be one in between.

@@ -58,7 +58,8 @@ def colliding(ids: Sequence[int], hashes: Sequence[str]) -> list[int]:
 
 
 def with_numbers(episodes: pa.RecordBatch, columns: Sequence[str] | None = None) -> pa.RecordBatch:
-    """Return rows of the episodes table with integer id and hash, also for old rows whose id was the hash.
+    """Return rows of the episodes table with the integer id and the hash. In rows of former releases the id is the
+    hash; both are then derived from it.
 
     Parameters
     ----------

@@ -1,4 +1,5 @@
-"""Limit the share of a scene's leaves that have the same target label, and choose the episodes to drop for it.
+"""Limit the share of a scene's leaves that have the same target label, and choose which episodes to drop to respect the
+limit.
 
 The limit `label_cap` can't hold in every scene: of k labels one always has at least 1/k of the leaves, and if only one
 object is far enough from the others, it is in every episode. The rule (docs/decisions/0008):

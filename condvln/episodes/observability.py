@@ -79,8 +79,8 @@ class Observation:
         return all(e.in_view for e in self.evidence)
 
     def fits(self, asked: str) -> bool:
-        """Return whether this observation has the level `asked` by a cell. The level O0f means O0 with all evidence in
-        the first view.
+        """Return whether this observation has the level that a cell asks for, `asked`. The level O0f means O0 with all
+        evidence in the first view.
         """
         return self.in_view if asked == FIRST_VIEW else self.observability == asked
 
@@ -160,7 +160,9 @@ class Observer:
         return (frozenset({*there, *anchor}), *whole) if there else whole
 
     def _meant(self, room_id: str, label: str) -> tuple[str, ...]:
-        """Return the ids of visible objects that a word for `label` might mean, unnamed objects included."""
+        """Return the ids of the visible objects in a room that a word for `label` might mean, unlabelled objects
+        included.
+        """
         if (room_id, label) not in self._things:
             found = things_meant(self._scene, room_id, label, self._words, self._sightings)
             self._things[room_id, label] = found

@@ -178,8 +178,8 @@ class Placer:
 
     @cached_property
     def starts(self) -> F64:
-        """The start positions (s, 3) to try, drawn by the seed. They are on a wide island, on the floor, and outside
-        all objects that stand there.
+        """The start positions (s, 3) to try, drawn by the seed. Each is on the floor of a wide island and outside all
+        objects on the floor.
         """
         islands = wide_islands(self.pathfinder, self.places)
         if not islands:
@@ -207,7 +207,7 @@ class Placer:
 
     @property
     def leaf_separation(self) -> float:
-        """Least geodesic distance in metres between goals of two leaves."""
+        """Minimum geodesic distance in metres that the goals of two leaves must have in this scene."""
         return self.places.leaf_separation(self.scene.single_room)
 
     def gap(self, one: str, other: str) -> float:

@@ -227,8 +227,8 @@ class _Filling:
         return pool
 
     def _turned_away(self, one: _Try, most_of_label: int) -> str | None:
-        """Return the reason why the candidates `one` are not wanted now, or None. A quota is full, or one of the
-        programs is already placed; both may change later.
+        """Return the reason why the candidates `one` are not wanted now; None if they are wanted. A quota is full, or
+        one of the programs is already placed; both may change later.
         """
         cell = one.cell
         if any(member.program in self._seen for member in one.members):
@@ -245,8 +245,8 @@ class _Filling:
         return None
 
     def _over_its_moves(self, one: _Try) -> str | None:
-        """Return `LATER` if the quota cell of the candidates `one` already has enough leaves with their number of
-        moves, else None.
+        """Return `LATER` if the quota cell of the candidates `one` already has its share of leaves with the same
+        numbers of moves; else None.
         """
         cell = one.cell
         if self._move_shares is None or cell is None or cell.moves is not None:
@@ -286,7 +286,7 @@ class _Filling:
         return None
 
     def _count(self, one: _Try, by: int) -> None:
-        """Add these candidates to the quota counts; with `by` = −1, remove them."""
+        """Count the candidates `one` in the quotas; with `by` = −1, undo this."""
         if one.cell is None:
             self._groups += by
             for n, count in one.moves.items():

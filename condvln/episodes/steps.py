@@ -161,7 +161,7 @@ def _placeable(
 
 
 def _filled(candidates: list[Candidate], others: list[Candidate]) -> list[Candidate]:
-    """Return `candidates`, filled up from `others` for those cells that have too few.
+    """Return `candidates`, with some of `others` added in the cells that have fewer candidates than wanted.
 
     At most one other is added per two candidates, so that most published instructions have an episode.
     """
@@ -226,7 +226,7 @@ def published_texts(
     seed: int,
 ) -> tuple[dict[str, str], dict[int, str]]:
     """Return two mappings: the text of each program by instruction id, and the text of each episode by episode id. The
-    text of an episode may begin with its heading.
+    text of an episode may begin with a sentence that states the start heading.
 
     placements : rows of PLACEMENTS
     """

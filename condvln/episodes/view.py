@@ -100,13 +100,13 @@ class SceneView:
         return SightTarget(np.concatenate(samples), np.repeat(numbers, [len(points) for points in samples]))
 
     def seen(self, eyes: F64, target: SightTarget, view: View) -> Bools:
-        """Return whether each of the k samples of a target is visible from each of the `eyes` (n, 3), (n, k) bool, in
+        """Return a mask (n, k): whether each of the k samples of a target is visible from each of the `eyes` (n, 3), in
         any direction.
         """
         return visible_points(self._occluders, eyes, target.samples, view, own=target.owners)
 
     def glimpsed(self, eyes: F64, object_id: str, view: View) -> Bools:
-        """Return whether any sample point of an object is visible from each of the `eyes` (n, 3), (n,) bool.
+        """Return a mask (n,) of the `eyes` (n, 3) from which any sample point of an object is visible.
 
         A few samples are tested first, since they decide most cases.
         """
@@ -120,8 +120,8 @@ class SceneView:
 
 
 def _boxes_of(item: SceneObject) -> list[tuple[F64, F64, F64]]:
-    """Return centre, half extents and axes of an object's parts, else of its tightest known box; empty if it has
-    none.
+    """Return the boxes of an object's parts, or its tightest known box, as (centre, half extents, axes); empty if the
+    object has neither.
     """
     oriented = item.parts or (() if item.obb is None else (item.obb,))
     if oriented:

@@ -156,8 +156,8 @@ def group_accuracy(evaluation: Evaluation, *, seed: int = 0) -> GroupAccuracy:
 
 
 def leaf_confusion(evaluation: Evaluation) -> dict[str, npt.NDArray[np.int64]]:
-    """Return, by category, counts of (gold leaf, committed leaf); the last column counts episodes without a committed
-    leaf.
+    """Return, by category, a table of numbers of episodes: gold leaves as rows, committed leaves as columns. The last
+    column counts episodes without a committed leaf.
 
     Empty if the results do not say which leaf was reached, as in results of other evaluators.
     """

@@ -42,7 +42,9 @@ Table = npt.NDArray[np.float64]
 
 
 class GraphDistances:
-    """Shortest-path distances in metres between all viewpoints of a scan; infinite if they are not connected."""
+    """Shortest-path distances in metres between all viewpoints of a scan; infinite between viewpoints that are not
+    connected.
+    """
 
     def __init__(self, graph: ViewpointGraph) -> None:
         self.numbers = {name: number for number, name in enumerate(graph.ids)}
@@ -63,7 +65,9 @@ class GraphDistances:
         return cls(read_connectivity(path))
 
     def between(self, first: Sequence[int], second: Sequence[int]) -> Table:
-        """Return the distances of all pairs, (len(first), len(second)), in metres."""
+        """Return the distances in metres from each viewpoint of `first` to each of `second`, as a table (len(first),
+        len(second)).
+        """
         found: Table = self._table[np.ix_(first, second)]
         return found
 
@@ -85,7 +89,7 @@ class GraphEpisode:
 
 @dataclass(frozen=True)
 class GraphBranches:
-    """The goal viewpoints of all leaves, the index of the gold one, and the subgoal viewpoints on the gold path."""
+    """The goal viewpoints of all leaves, the index of the gold leaf, and the subgoal viewpoints on the gold path."""
 
     leaves: tuple[str, ...]
     gold_leaf: int
@@ -172,7 +176,7 @@ def evaluate_graph(
     lacking = sorted({episode.scan for episode in tasks.values()} - set(graphs))
     if lacking:
         raise MissingFileError(
-            f"no connectivity graph of {len(lacking)} scans, such as {lacking[0]}",
+            f"{len(lacking)} scans have no connectivity graph, such as {lacking[0]}",
             remedy="Name the folder of <scan>_connectivity.json files",
         )
     for task in tasks.values():

@@ -64,7 +64,9 @@ _HEAD: Final = 1 << 12
 
 
 class Judged(Protocol):
-    """The properties that are needed of a result's episode, which is a task or an episode of a stock file."""
+    """What this module needs to know of the episode that a result is about. The episode is a task, or comes from a
+    stock file.
+    """
 
     @property
     def episode_id(self) -> str: ...
@@ -147,7 +149,12 @@ def _of_lines(path: Path) -> Iterator[tuple[str, Mapping[str, Any], str]]:
     for number, line in json_lines(path):
         content = parsed(line, path, f"line {number}", nonfinite=True)
         if not isinstance(content, dict):
-            raise FormatError("the line is not a result", where=path, place=f"line {number}", remedy="Remove the line")
+            raise FormatError(
+                "the line is not an object with an episode's results",
+                where=path,
+                place=f"line {number}",
+                remedy="Remove the line",
+            )
         # The last line is a summary without an episode id.
         if "episode_id" in content:
             yield str(content["episode_id"]), content, f"line {number}"

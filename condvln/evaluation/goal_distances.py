@@ -68,8 +68,8 @@ class Nearness:
         return any(self.distance(path.positions[at], goals) < radius for at in order)
 
     def first_within(self, path: SnappedPath, goal: Points, radius: float, begin: int = 0) -> int | None:
-        """Return the index of the first position from ``begin`` on that is less than ``radius`` metres from ``goal``
-        (3,).
+        """Return the index of the first position, from index ``begin`` on, that is less than ``radius`` metres from
+        ``goal`` (3,); None if there is none.
         """
         candidates = self._candidates(path, goal[None], radius)[0]
         candidates = candidates[np.searchsorted(candidates, begin) :]

@@ -46,7 +46,7 @@ def r2r_file(export: Path, split: str) -> Path:
     found = next((path for path in (export / "r2r" / name, export / name) if path.is_file()), None)
     if found is None:
         raise MissingFileError(
-            "the file does not exist, but the predictions are paths over viewpoints",
+            "the file does not exist, but it is needed to score paths over viewpoints",
             where=export / "r2r" / name,
             remedy="Exports hold R2R files for Matterport3D scans with connectivity only",
         )
@@ -77,7 +77,7 @@ class GraphSplit:
         lacking = sorted({episode.scan for episode in episodes} - set(graphs))
         if lacking:
             raise MissingFileError(
-                f"no connectivity graph of {len(lacking)} scans, such as {lacking[0]}",
+                f"{len(lacking)} scans have no connectivity graph, such as {lacking[0]}",
                 where=file,
                 remedy="Name the folder of <scan>_connectivity.json files with --connectivity",
             )

@@ -105,7 +105,7 @@ NO_LEAF: Final = -1
 
 
 def committed_leaf(distances: Sequence[float], radius: float) -> int:
-    """Return the nearest leaf less than ``radius`` away, or :data:`NO_LEAF`.
+    """Return the index of the nearest leaf if it is less than ``radius`` metres away, else :data:`NO_LEAF`.
 
     distances : metres from the stop position to each leaf
     """

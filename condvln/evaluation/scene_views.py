@@ -39,7 +39,7 @@ class SeenScene(Protocol):
 
 
 class SceneViews:
-    """Opened scenes by a task's axis ``scene``, ``<source>/<scene id>``.
+    """Opened scenes with their renderers, by the name ``<source>/<scene id>`` that a task has on the axis ``scene``.
 
     Parameters
     ----------

@@ -36,7 +36,7 @@ class SplitOptions:
 
 
 def split_tasks(export: Path, split: str) -> list[Task]:
-    """Return the tasks of one split of an export, with its dense ground-truth paths.
+    """Return the tasks of one split of an export, with the split's dense ground-truth paths.
 
     Raises
     ------
@@ -63,19 +63,21 @@ def evaluate_split(
 
     Raises
     ------
-    UsageError : two files have one name; the call mixes paths in space and over viewpoints; an option for paths in
+    UsageError : two files have the same name; the call mixes paths in space and over viewpoints; an option for paths in
         space is used for paths over viewpoints
     InputError : from the readers
     """
     options = options or SplitOptions()
     names = [path.name.removesuffix(".gz").removesuffix(".json").removesuffix(".jsonl") for path in predictions]
     if len(set(names)) != len(names):
-        raise UsageError("two prediction files have one name", remedy="Agents are named after their files: rename one")
+        raise UsageError(
+            "two prediction files have the same name", remedy="Agents are named after their files: rename one"
+        )
     discrete = [not is_episode_stats(path) and detect_format(path) == "r2r" for path in predictions]
     if all(discrete):
         if options.rules != ScoreRules() or options.assume_stop:
             raise UsageError(
-                "paths over viewpoints are judged by R2R's rules alone",
+                "some options do not apply to paths over viewpoints, which are scored by R2R's rules",
                 remedy="Leave out the options for distances, nDTW and STOP.",
             )
         return _evaluate_discrete(export, split, dict(zip(names, predictions, strict=True)), options)

@@ -34,7 +34,7 @@ _BLOCK: Final = 4096
 
 @dataclass(frozen=True, eq=False)
 class PublishedEpisodes:
-    """The n published episodes of an export, as hashes.
+    """All published episodes of an export, n in number, as hashes.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class PublishedEpisodes:
 
     @classmethod
     def of_rows(cls, snapshot: str, rows: Iterator[tuple[Split, str, dict[str, Any]]]) -> PublishedEpisodes:
-        """Build from triples (split, source, row); each row is of the manifest or of the episodes table."""
+        """Build the episodes from triples (split, source, row). A row is one of a manifest or of the episodes table."""
         codes: dict[str, int] = {}
         navmeshes: dict[str, str] = {}
         names: list[pa.Array] = []
@@ -121,7 +121,9 @@ class Generated:
 
     @classmethod
     def of(cls, pool: ExportPool) -> Generated:
-        """Return the columns of a pool that explain why an episode is new or gone."""
+        """Build from a pool: its episodes in ascending order of their hashes, each with the reason why it can be in no
+        split, if any.
+        """
         order = np.argsort(pool.episode)
         return cls(pool.episode[order], pool.unfit[order], pool.reasons)
 

@@ -292,7 +292,7 @@ def _streamvln(split: str, radius: float, steps: int) -> dict[str, Any]:
 def _experiment(
     name: str, split: str, root: str = "", *, trainer: str = "", early_stop: tuple[int, int] | None = None
 ) -> dict[str, Any]:
-    """Return an experiment file.
+    """Return the content of a project's experiment file, ``configs/<name>/condvln_experiment.yaml``.
 
     early_stop : numbers of steps and of consecutive turns after which NaVid's loop gives up
     """

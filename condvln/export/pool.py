@@ -270,8 +270,8 @@ _NUMBERS: Final = ("gold_leaf", "n_leaves", "ground_truth_steps", "max_steps")
 
 
 def _units(column: Mapping[str, list[Any]]) -> list[str]:
-    """Return the unit of each episode: its counterfactual group, or its instruction. The episodes of a unit stay
-    together.
+    """Return the unit of each episode, which is its counterfactual group, or else its instruction. A split has all
+    episodes of a unit or none.
     """
     pairs = zip(column["group_id"], column["instruction_id"], strict=True)
     return [f"group {group}" if group is not None else f"instruction {instruction}" for group, instruction in pairs]

@@ -72,8 +72,8 @@ class Selection:
 
 
 def select(pool: ExportPool, config: SplitsConfig) -> Selection:
-    """Select episodes and assign splits; equal pool and configuration give the same result, whatever the order of
-    names.
+    """Select episodes and assign splits; equal pool and configuration give the same result, whatever order the pool's
+    names are in.
     """
     selection = Selection(np.full(len(pool), OUT, dtype=np.int8))
     placed = _place(pool, config, selection.left_out)
@@ -137,7 +137,9 @@ def _empty_splits(pool: ExportPool, config: SplitsConfig, selection: Selection) 
 
 
 def _place(pool: ExportPool, config: SplitsConfig, left_out: Counter[str]) -> npt.NDArray[np.int8]:
-    """Return the split of each eligible episode; no unit and no program is in two splits."""
+    """Return the split of each episode, such that no unit and no program is in two splits. Other episodes get `OUT` and
+    are counted by reason in `left_out`.
+    """
     groups = [scene_group(family, scene, config) for family, scene in pool.scenes]
     by_group = {"train": SPLITS.index("train"), "val_unseen": SPLITS.index("val_unseen"), "test": SPLITS.index("test")}
     placed = np.array([by_group[group] for group in groups], dtype=np.int8)[pool.scene]
@@ -213,7 +215,7 @@ def _with_fitting_groups(pool: ExportPool, block: npt.NDArray[np.int64]) -> npt.
 
 
 def _quotas(pool: ExportPool, blocks: dict[int, npt.NDArray[np.int64]], per_cell: int | None) -> dict[int, int]:
-    """Return, by source, the number of episodes of each leaf that it contributes.
+    """Return, for each source, how many episodes of each leaf the source contributes.
 
     It is at most the number for the source's scarcest leaf; the sources share ``per_cell`` evenly.
     """
@@ -373,8 +375,8 @@ def _cells(
 
 
 def _imbalance(pool: ExportPool, inside: npt.NDArray[np.bool_]) -> float:
-    """Return how uneven the truths of the conditions of the episodes ``inside`` are: Σ |true − false| ÷ Σ (true +
-    false), summed over the kinds of condition.
+    """Return how uneven the truths of conditions are among the episodes of the mask ``inside``: Σ |true − false| ÷ Σ
+    (true + false), summed over the kinds of condition.
     """
     chosen = np.repeat(inside, np.diff(pool.offsets))
     kinds, truths = pool.conditions[chosen], pool.truths[chosen]

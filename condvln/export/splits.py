@@ -70,7 +70,7 @@ def _configured(family: str, scene_id: str, config: SplitsConfig) -> Group | Non
     found = [g for g in GROUPS if any(fnmatchcase(name, pattern) for pattern in config.scenes.get(g, ()))]
     if len(found) > 1:
         raise ConfigError(
-            f"{name} is in {found[0]} and in {found[1]}",
+            f"the patterns put {name} in {found[0]} and in {found[1]}",
             place="splits.scenes",
             remedy="Narrow one of the patterns: splits share no scene.",
         )

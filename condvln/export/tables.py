@@ -53,7 +53,7 @@ class MemoryTables:
         return tuple(sorted(self.tables))
 
     def batches(self, table: str, source: str, columns: Sequence[str] | None = None) -> Iterator[pa.RecordBatch]:
-        """See :class:`SnapshotTables`."""
+        """Yield the rows of one table of one source, as :meth:`SnapshotTables.batches` requires."""
         found = self.tables[source][table]
         for batch in found.select(_stored(columns, found.schema.names)).to_batches(max_chunksize=BATCH_ROWS):
             yield with_numbers(batch, columns)
@@ -77,7 +77,7 @@ class FolderTables:
         return tuple(sorted(p.name[len(prefix) :] for p in (self.folder / "episodes").glob(f"{prefix}*") if p.is_dir()))
 
     def batches(self, table: str, source: str, columns: Sequence[str] | None = None) -> Iterator[pa.RecordBatch]:
-        """See :class:`SnapshotTables`.
+        """Yield the rows of one table of one source, as :meth:`SnapshotTables.batches` requires.
 
         Raises
         ------

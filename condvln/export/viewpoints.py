@@ -27,7 +27,9 @@ _SOURCE: Final = "mp3d"
 
 @dataclass
 class ViewpointReport:
-    """Number of episodes by split, their scans, and the number that could not be placed by reason."""
+    """Numbers of placed episodes by split, the scans of each split, and the numbers of episodes that could not be
+    placed, by reason.
+    """
 
     episodes: dict[str, int] = field(default_factory=dict)
     scans: dict[str, list[str]] = field(default_factory=dict)

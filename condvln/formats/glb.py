@@ -163,8 +163,8 @@ def glb_chunks(data: bytes, where: str) -> tuple[JsonNode, bytes]:
 
 
 def _packed(tree: dict[str, Any], binary: bytes) -> bytes:
-    """Return the bytes of a GLB file with the reduced `tree` and, of `binary`, only the bytes that its buffer views
-    use. Textures are left out.
+    """Return the bytes of a GLB file that has the reduced `tree` and only those bytes of `binary` that the tree's
+    buffer views use. Textures are left out.
     """
     views, pieces, size = [], [], 0
     for view in tree["bufferViews"]:

@@ -39,7 +39,7 @@ MAX_COPIES: Final = 6
 
 @dataclass(frozen=True, slots=True)
 class Accessor:
-    """Packed numbers: glTF's component type and type, and their bytes."""
+    """The numbers of one glTF accessor: glTF's component type and type, and the bytes without gaps."""
 
     component: int
     kind: str

@@ -131,7 +131,8 @@ def first_character(path: Path) -> str:
 
 
 def entries(path: Path) -> Iterator[tuple[str | None, bytes]]:
-    """Yield (key, bytes) of each entry of the file's one object, or (None, bytes) of each entry of its one array.
+    """Yield (key, bytes) of each entry if the file is one object, or (None, bytes) of each entry if the file is one
+    array.
 
     Every entry must itself be an object or an array.
 

@@ -17,7 +17,7 @@ _OPEN_LIST, _CLOSE_LIST, _OPEN_DICT, _CLOSE_DICT = 91, 93, 123, 125
 
 
 def new_state() -> npt.NDArray[np.int64]:
-    """Return the state before the first byte."""
+    """Return the state with which to begin a scan, before the first byte."""
     return np.zeros(3, np.int64)
 
 

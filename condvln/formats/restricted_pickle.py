@@ -82,7 +82,7 @@ def _reconstruct(*_: Any) -> _Array:
 
 def _dtype(text: Any, *_: Any) -> _DType:
     if not isinstance(text, str):
-        raise UnsafePickleError("a dtype is not given by text")
+        raise UnsafePickleError("a dtype is not given as text")
     return _DType(text)
 
 
@@ -133,7 +133,7 @@ class _Unpickler(pickle._Unpickler):
         try:
             return _KNOWN[module, name]
         except KeyError:
-            raise UnsafePickleError(f"it refers to {module}.{name}") from None
+            raise UnsafePickleError(f"the name {module}.{name} is not allowed") from None
 
     def load_build(self) -> None:
         """Set the state of one of our own classes; raise an error for any other object."""
@@ -144,7 +144,7 @@ class _Unpickler(pickle._Unpickler):
         elif isinstance(target, _DType) and isinstance(state, tuple) and len(state) > 1 and isinstance(state[1], str):
             target.order = state[1]
         else:
-            raise UnsafePickleError("it sets the state of plain data")
+            raise UnsafePickleError("a state is set on plain data")
 
     dispatch[pickle.BUILD[0]] = load_build
 

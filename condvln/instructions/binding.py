@@ -47,7 +47,9 @@ class _Listener:
 
 
 def findings(words: Language, category: Category, template: Template) -> Iterator[Finding]:
-    """Yield the ambiguities of a template; none if a listener reaches the leaves of its category."""
+    """Yield the ambiguities of a template. There are none if a listener always reaches the leaf that the template's
+    category prescribes.
+    """
     shape = SHAPES[category]
     text = written(template)
     try:
@@ -123,7 +125,7 @@ def _heard(words: Language, pieces: Sequence[str | Slot]) -> dict[int, list[Cont
             elif name in ("neither", "none"):
                 asks = listener.asks
                 if any(truth is None for _, _, truth in asks) or (name == "neither" and len(asks) != 2):
-                    raise ValueError(f'"{name}" is said of {len(asks)} things')
+                    raise ValueError(f'"{name}" can\'t refer to the {len(asks)} conditions before it')
                 listener.context = tuple((condition, not truth) for _, condition, truth in asks)
                 supposing = False
             elif name in ("but", "and"):

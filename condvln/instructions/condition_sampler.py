@@ -28,8 +28,8 @@ Statements = PresencePool | RelationPool
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Asked:
-    """A condition about a room under one of the room's names. It is `clumsy` if it repeats the object that
-    distinguishes the room.
+    """A condition about a room under one of the room's names. `clumsy` says whether the condition repeats the object
+    that distinguishes the room.
     """
 
     condition: Condition
@@ -106,8 +106,8 @@ class ConditionSampler:
         start_room: str | None = None,
         bearings: int = 0,
     ) -> tuple[Condition, ...]:
-        """Draw conditions with the given `truths`, in that order. They violate no rule together with each other and
-        with the `stops`.
+        """Draw conditions with the given `truths`, in that order. Taken together, and with the `stops`, they violate no
+        rule.
 
         Parameters
         ----------
@@ -198,7 +198,7 @@ class ConditionSampler:
 
     def _statements(self, room: str, draws: Draws, start: bool) -> Statements | None:
         """Draw a kind of condition and a predicate for a room, and return their statements; None if there are none.
-        Egocentric statements are possible only if `start`: the room is that of the start.
+        `start` says whether the room is the start room; only then are egocentric statements possible.
         """
         part = self._rooms[room]
         groups = part.here(start)

@@ -62,7 +62,7 @@ def read_texts(path: str | os.PathLike[str]) -> Iterator[InstructionText]:
 def _of_export(folder: Path) -> Iterator[InstructionText]:
     paths = manifest_paths(folder)
     if not paths:
-        raise MissingFileError("no manifest/<split>.jsonl", where=folder, remedy=_REMEDY)
+        raise MissingFileError("no manifest/<split>.jsonl in this folder", where=folder, remedy=_REMEDY)
     for path in paths:
         for line in manifest_lines(path):
             row = line.row()

@@ -68,7 +68,9 @@ class ExportFiles:
         self.splits = sorted(path.stem for path in (folder / "manifest").glob("*.jsonl"))
         if not self.splits:
             raise MissingFileError(
-                "no manifest/<split>.jsonl", where=folder, remedy="Name the folder of an export, or export first"
+                "no manifest/<split>.jsonl in this folder",
+                where=folder,
+                remedy="Name the folder of an export, or export first",
             )
 
     def runs(self) -> Iterator[SceneRun]:

@@ -44,7 +44,7 @@ def passes_through(path: Doubles, center: Doubles, half: Doubles, axes: Doubles)
 
 @compiled
 def least_distance(path: Doubles, points: Doubles, enough: float) -> float:
-    """Least straight-line distance in metres between a polyline (n, 3) and points (k, 3).
+    """Return the least straight-line distance in metres between a polyline (n, 3) and points (k, 3).
 
     The search ends at the first distance below ``enough``.
     """

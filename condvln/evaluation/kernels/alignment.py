@@ -136,8 +136,8 @@ def _everything(n: int, m: int) -> tuple[Ints, Ints]:
 
 @compiled
 def _around(pairs: Ints, n: int, m: int, radius: int) -> tuple[Ints, Ints]:
-    """Return, for each row of an (n, m) table, the first column and the end of the columns within ``radius`` cells of
-    an alignment. ``pairs`` is the alignment in a coarser table of half the size.
+    """Return, for each row of an (n, m) table, the range of columns near an alignment: the first column, and the column
+    after the last. Near means within ``radius`` cells of ``pairs``, the alignment in a table of half the size.
     """
     low = np.full(n, m, np.int64)
     high = np.zeros(n, np.int64)

@@ -89,8 +89,8 @@ class RoomLookup:
             self._tables.append((floor, table))
 
     def __call__(self, points: F64, feet: float) -> NDArray[np.int16]:
-        """Return the room numbers (n,) of points (n, 3) on the agent's storey; `feet` is the height of its feet in
-        metres.
+        """Return the room numbers (n,) of points (n, 3) on the agent's storey; `feet` is the height of the agent's feet
+        in metres.
         """
         if self._single:
             return np.zeros(len(points), np.int16)
@@ -200,8 +200,8 @@ class Eyes:
 
 
 def _turned(points: F64, turn: float) -> F64:
-    """Convert points (right, up, ahead) of a frame that is turned left by `turn` radians to the frame that is not
-    turned.
+    """Convert points (right, up, ahead) that are given in a frame turned left by `turn` radians to the frame without
+    this turn.
     """
     c, s = math.cos(turn), math.sin(turn)
     right, up, ahead = points[..., 0], points[..., 1], points[..., 2]

@@ -130,7 +130,9 @@ class FloorMap:
         self._floor = 0.0
 
     def add(self, look: Look, x: float, z: float, heading: float, reach: float) -> None:
-        """Add a view from a position with a heading in radians counter-clockwise from −z."""
+        """Add to the map what was seen up to `reach` metres from a position, with a heading in radians
+        counter-clockwise from −z.
+        """
         hit, clear = np.zeros_like(self._seen), np.zeros_like(self._seen)
         place = np.array([x, z])
         self._floor = _floor_below(look, self._floor)
@@ -202,7 +204,9 @@ class FloorMap:
 
 
 def _floor_below(look: Look, before: float) -> float:
-    """Return the height in metres of the floor relative to the feet: the most frequent one in the view."""
+    """Return the height in metres of the floor relative to the agent's feet: the most frequent height in the view, or
+    `before` if nothing near is seen.
+    """
     heights = [
         (view.eye + view.rows[:, None] * view.depth)[(view.depth > 0) & (view.depth <= 4)] for view in look.views
     ]

@@ -72,8 +72,8 @@ def holds(predicate: Predicate, thing: Thing, anchors: Sequence[Thing], north: f
 
 
 def ranked(predicate: Predicate, things: Sequence[Thing], anchors: Sequence[Thing]) -> list[Thing]:
-    """Return objects of one label in the order of a relation of `Compared`; the first of them is the one that the
-    relation describes.
+    """Sort objects of one label by a relation of `Compared`, such as "bigger": the relation describes the first object
+    of the result.
     """
     if predicate == "closest to":
         return sorted(things, key=lambda thing: gap(thing, anchors[0]))
@@ -112,7 +112,9 @@ def _between(thing: Thing, one: Thing, other: Thing) -> float:
 
 
 def _covered(thing: Thing, anchor: Thing) -> float:
-    """Return the share of an object's footprint that overlaps another's, both as convex hulls of the seen points."""
+    """Return the share of `thing`'s footprint that overlaps the footprint of `anchor`. Footprints are the convex hulls
+    of the seen points.
+    """
     own = MultiPoint(thing.points[:, [0, 2]]).convex_hull.buffer(GRAIN / 2)
     return float(own.intersection(MultiPoint(anchor.points[:, [0, 2]]).convex_hull.buffer(GRAIN)).area / own.area)
 

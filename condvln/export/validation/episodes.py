@@ -64,7 +64,7 @@ _BERT_START, _BERT_END, _BERT_WORDS = 101, 102, 30_522
 
 
 def _is_bert(tokens: list[int]) -> bool:
-    """Return whether these are BERT's tokens: they begin with [CLS], and only padding follows [SEP]."""
+    """Return whether `tokens` are BERT's: they begin with [CLS], and only padding follows [SEP]."""
     said = [token for token in tokens if token != PAD_INDEX]
     ends = said[:1] == [_BERT_START] and (said[-1] == _BERT_END or len(said) == len(tokens))
     return ends and all(0 < token < _BERT_WORDS for token in said)

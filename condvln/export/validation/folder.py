@@ -102,8 +102,8 @@ def _without_shards(report: LintReport, file: Path) -> Iterator[Finding]:
 
 
 def _joined(split: Document, shard: Document, file: str) -> Iterator[Finding]:
-    """Merge a shard into its split. Yield a finding for everything that both must share and do not, or must not share
-    and do.
+    """Merge a shard into its split. Yield a finding for each episode id that both have, and one if their vocabularies
+    differ.
     """
     for name in sorted(split.starts.keys() & shard.starts.keys()):
         yield Finding(file, f"episode {name}", "duplicate-id", f"id {name} is in another shard too", name)

@@ -75,7 +75,7 @@ def test_the_configuration_goes_before_lists_and_hashes() -> None:
     assert scene_group("mp3d", "2azQ1b91cZZ", config) == "val_unseen"
     assert scene_group("procthor", "test-70", config) == scene_group("procthor", "test-70", CONFIG)
     torn = SplitsConfig(scenes={"train": ("*",), "test": ("procthor/*",)})
-    with pytest.raises(ConfigError, match=r"splits\.scenes: procthor/a is in train and in test"):
+    with pytest.raises(ConfigError, match=r"splits\.scenes: the patterns put procthor/a in train and in test"):
         scene_group("procthor", "a", torn)
     with pytest.raises(ValidationError):
         SplitsConfig(scenes={"val": ("*",)})  # type: ignore[dict-item]

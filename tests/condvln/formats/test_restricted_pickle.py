@@ -73,7 +73,7 @@ class Runs:
 @pytest.mark.parametrize("protocol", [0, 1, 2, 3, 4, 5])
 def test_a_command_is_not_run(tmp_path: Path, protocol: int) -> None:
     data = pickle.dumps({"object": Runs(tmp_path / "ran")}, protocol)
-    with pytest.raises(UnsafePickleError, match=r"it refers to (posix|nt)\.system|not a valid pickle"):
+    with pytest.raises(UnsafePickleError, match=r"the name (posix|nt)\.system is not allowed|not a valid pickle"):
         load_plain(data)
     assert not (tmp_path / "ran").exists()
 
