@@ -240,7 +240,7 @@ class Index:
         return found
 
     def receipt(self, row: int, pipeline: Pipeline) -> Receipt:
-        """Return the unit in ``row`` as its receipt, with the stages that are still in ``pipeline``."""
+        """Return the receipt of the unit in ``row``. Stages that are no longer in ``pipeline`` are left out."""
         values = self.table.slice(row, 1).to_pylist()[0]
         stages = []
         for stage in pipeline.stages:
@@ -276,7 +276,7 @@ class Index:
         )
 
     def receipts(self, rows: Iterable[int], pipeline: Pipeline) -> Iterator[Receipt]:
-        """Return several units as their receipts."""
+        """Return the receipts of the units in `rows`; see `receipt`."""
         return (self.receipt(row, pipeline) for row in rows)
 
 

@@ -88,7 +88,7 @@ class Keyer:
         return found
 
     def fingerprint(self, unit: Unit, shared: Mapping[str, str], stages: int | None = None) -> bytes:
-        """Hash everything that the whole chain can depend on, with shared tables by their hashes.
+        """Hash everything that the whole chain can depend on. Shared tables enter by their own hashes.
 
         Equal fingerprints mean equal keys of every stage, by purity; nothing needs to be read to know it. The converse
         does not hold: a changed shared table may leave every key as it was. A shared table that is not pinned yet makes

@@ -106,7 +106,7 @@ class MemoryCeiling:
 
     @contextlib.contextmanager
     def armed(self) -> Iterator[None]:
-        """Context within ``watch`` in which the error may be raised. It must not be nested."""
+        """Context, entered inside ``watch``, in which the memory error may be raised. It must not be nested."""
         if not self._watched or self.ceiling is None:
             yield
             return
@@ -194,8 +194,8 @@ def _limit(limits: tuple[int, int]) -> None:
 
 
 def _lowered(limits: tuple[int, int], ceiling: int) -> tuple[int, int]:
-    """Return memory limits (soft, hard) in bytes. The soft limit lets this process grow by little more than it may
-    until it reaches ``ceiling``.
+    """Return memory limits (soft, hard) in bytes. With the soft limit, this process can allocate slightly more than it
+    needs to reach ``ceiling``.
     """
     _, hard = limits
     found = machine.private_memory() + int(_SLACK * max(ceiling - machine.rss(), 0))

@@ -81,7 +81,7 @@ class Quarantine:
         )
 
     def refuse(self, unit: Unit, fault: Exception) -> Failure:
-        """Record a unit that could not be listed as quarantined."""
+        """Put a unit that could not be listed into quarantine."""
         name = type(fault).__name__
         key = digest([unit.unit_id, name, str(fault)])[:32]
         trace = "".join(traceback.format_exception(fault))

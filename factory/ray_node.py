@@ -52,7 +52,7 @@ class RayNode:
 
     @contextmanager
     def answers(self) -> Iterator[None]:
-        """Context for calls of Ray. It raises ``ClusterError`` if Ray no longer answers."""
+        """Context in which this process calls Ray. It raises ``ClusterError`` if Ray no longer answers."""
         self.check()
         with answered(self.logs):
             yield

@@ -79,7 +79,7 @@ class Progress(Protocol):
         ...
 
     def busy(self, unit: Busy, message: str) -> None:
-        """Called when a unit takes long. The call comes from a thread of its own."""
+        """Called when a unit is taking unusually long, from another thread than the other calls."""
         ...
 
 

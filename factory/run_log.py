@@ -91,7 +91,7 @@ class RunLog:
         self._inner.note(message)
 
     def busy(self, unit: Busy, message: str) -> None:
-        """Log that a unit takes long."""
+        """Log that a unit is taking unusually long."""
         self._line("busy", unit=unit.unit_id, stage=unit.stage, seconds=round(unit.seconds, 1))
         self._inner.busy(unit, message)
 

@@ -88,8 +88,8 @@ def _read(config: Config) -> dict[str, JSON]:
 
 
 def _sample() -> Config:
-    """Return a configuration with every section and with a cell that bounds words. With it, every stage reads all that
-    it may read.
+    """Return a configuration with every section, and with a cell whose number of words is bounded. With it, every stage
+    reads all that it may read.
     """
     return Config(
         name="x",

@@ -106,7 +106,7 @@ class Flow:
 
 @dataclass
 class Funnel:
-    """Flows by scene and by (source, cell). `barren` gives the reason why a scene has no episodes, by scene."""
+    """Flows by scene and by (source, cell). `barren` maps each scene without episodes to the reason."""
 
     scenes: dict[str, Flow]
     cells: dict[tuple[str, str], Flow]

@@ -89,7 +89,7 @@ class RunProgress:
         self._console.print(message, highlight=False, markup=False)
 
     def busy(self, unit: Busy, message: str) -> None:
-        """Show that a unit takes long."""
+        """Show that a unit is taking unusually long."""
         self._console.print(message, highlight=False, markup=False)
 
     def _left(self) -> str:

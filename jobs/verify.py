@@ -75,8 +75,8 @@ def verify_export(config: Config, export_dir: Path, *, without_store: bool = Fal
 
 
 def _faults_of_snapshot(config: Config, export_dir: Path) -> Iterator[Fault]:
-    """Yield each fault of an export against the published snapshot: what it holds in excess, and what of the snapshot
-    it does not account for.
+    """Yield each difference between an export and the published snapshot: episodes that only the export holds, and a
+    total that does not account for all episodes of the snapshot.
     """
     index = read_index(export_dir)
     if index is None:

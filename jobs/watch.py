@@ -131,7 +131,7 @@ class Watch:
 
 def look(roots: Iterable[Path]) -> tuple[list[list[Any]], bool]:
     """Return ([path, size, mtime_ns] of every file at or below `roots`, whether all files are old enough). A file is
-    old enough if a later change is sure to show in its time.
+    old enough if any later change must give it another modification time.
 
     Sorted within each root; links are followed, each folder once. A file touched just now may change once more without
     showing it, where clocks are coarse.

@@ -23,7 +23,7 @@ _SHAPES: Final = ("{split}.json.gz", "{split}/{split}.json.gz", "vlnce/{split}/{
 
 @dataclass(frozen=True)
 class StockEpisode:
-    """One episode of a stock file."""
+    """One episode of a file in the format of R2R_VLNCE, without a manifest."""
 
     episode_id: str
     axes: Mapping[str, str | int | None]

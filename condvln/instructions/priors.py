@@ -125,7 +125,7 @@ class LabelPriors:
 
     @classmethod
     def merged(cls, parts: Iterable[LabelPriors]) -> LabelPriors:
-        """Return the sum of all `parts`, in any order."""
+        """Return the sum of `parts`. Their order does not matter."""
         pending: list[pa.Table] = []
         rows = 0
         for part in parts:

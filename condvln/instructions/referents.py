@@ -157,8 +157,9 @@ class Referents:
         return np.stack([self.anchors[one], self.anchors[other]], axis=1).astype(np.intp)
 
     def related(self, predicate: Predicate) -> tuple[NDArray[np.intp], NDArray[np.int8], NDArray[np.float64], Bools]:
-        """Return the facts of a predicate with anchors. These are the indices (a, k) of the k anchors of each column,
-        then status, margin and `suits`, (n, a) each, of all n objects.
+        """Return (anchors, status, margin, suits) of a predicate for n objects and a choices of k anchors. `anchors`
+        (a, k) are indices; status, margin and `suits` (n, a) have one entry for each object and choice. `suits` tells
+        whether a phrase may use the choice for the object.
         """
         columns = self.anchor_pairs if predicate == "between" else self.anchors[:, None]
         if predicate == "between":

@@ -387,8 +387,8 @@ class ProgramSampler:
         return self._few(2 if wanted == "C1" else MOST_ROOMS, shape, draws)
 
     def _few(self, most: int, shape: _Shape, draws: Draws) -> list[str]:
-        """Return up to `most` rooms that together have targets for all stops; the first of them has conditions. Rooms
-        that are named by their label alone are preferred.
+        """Return up to `most` rooms that together have targets for all stops. Conditions can be asked about the first
+        one. Rooms that are named by their label alone are preferred.
         """
         few = [draws.choice(self.condition_sampler.rooms)]
         while len(few) < most:

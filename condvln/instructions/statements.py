@@ -25,12 +25,11 @@ Bools = NDArray[np.bool_]
 class StatementTruths:
     """The truths of all statements "there is a <label> <predicate> the <anchor>" about one room, for one predicate.
 
-    labels (l,) : nameable labels of the room; anchors (a, k) : indices of the k anchors of each column
-    exact (l, n) : which visible objects have a label; held (n, a) : which objects are in the relation, with margin
-    true (l, a) : a visible object of exactly this label is in the relation
-    false (l, a) : every object that the label might mean, visible or not, and every unlabelled one that may have it,
-        fails the relation at the loose threshold, for compass words at `sector_denied`
-    Neither is true unless the anchor is fixed or larger than each object of the label.
+    labels (l,) : nameable labels of the room; anchors (a, k) : the statements' a choices of k anchors, as indices exact
+    (l, n) : which visible objects have a label; held (n, a) : which objects are in the relation, with margin true (l,
+    a) : a visible object of exactly this label is in the relation false (l, a) : every object that the label might
+    mean, visible or not, and every unlabelled one that may have it, fails the relation at the loose threshold, for
+    compass words at `sector_denied` Neither is true unless the anchor is fixed or larger than each object of the label.
     """
 
     predicate: Predicate

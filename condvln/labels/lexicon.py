@@ -188,7 +188,7 @@ class Vocabulary:
 
     def is_vague(self, label: str, family: str) -> bool:
         """Return whether an object with the canonical label `label` could be anything. This holds for the label
-        ``unknown`` and for types that no list contains.
+        ``unknown`` and for types that are in none of the tables.
         """
         return ANYTHING in self._written_may_be(label, family)
 

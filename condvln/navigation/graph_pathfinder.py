@@ -137,7 +137,7 @@ class GraphPathfinder:
         return int(self.get_islands(one_point(point))[0])
 
     def get_islands(self, points: npt.ArrayLike) -> Ints:
-        """Apply :meth:`get_island` to each of n points, (n,)."""
+        """Return the result of :meth:`get_island` for each of n points, as an array (n,)."""
         nearest = self._nearest(many_points(points))
         return np.where(nearest == NOWHERE, -1, self._islands[nearest]).astype(np.int32)
 

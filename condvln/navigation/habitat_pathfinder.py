@@ -136,7 +136,7 @@ class HabitatPathfinder:
         return int(self._habitat.get_island(one_point(point)[0]))
 
     def get_islands(self, points: npt.ArrayLike) -> Ints:
-        """Apply :meth:`get_island` to each of n points, (n,)."""
+        """Return the result of :meth:`get_island` for each of n points, as an array (n,)."""
         return np.array([self.get_island(point) for point in many_points(points)], np.int32)
 
     def island_radius(self, point_or_index: npt.ArrayLike) -> float:

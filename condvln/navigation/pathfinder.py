@@ -164,7 +164,7 @@ class Pathfinder:
         return bool(self.are_navigable(one_point(point), max_y_delta)[0])
 
     def are_navigable(self, points: npt.ArrayLike, max_y_delta: float = MAX_Y_DELTA) -> npt.NDArray[np.bool_]:
-        """Apply :meth:`is_navigable` to each of n points, (n,)."""
+        """Return the result of :meth:`is_navigable` for each of n points, as an array (n,)."""
         return all_navigable(self.query_mesh, many_points(points), np.float32(max_y_delta))
 
     def get_island(self, point: npt.ArrayLike) -> int:
@@ -172,7 +172,7 @@ class Pathfinder:
         return int(self.get_islands(one_point(point))[0])
 
     def get_islands(self, points: npt.ArrayLike) -> Ints:
-        """Apply :meth:`get_island` to each of n points, (n,)."""
+        """Return the result of :meth:`get_island` for each of n points, as an array (n,)."""
         polys, _ = project(self.query_mesh, many_points(points), ANY_ISLAND)
         return np.where(polys == NO_POLYGON, -1, self._island_of_poly[polys]).astype(np.int32)
 

@@ -69,7 +69,7 @@ class PathfinderProtocol(Protocol):
         """Return the index of the connected component that the point snaps to; -1 for none."""
 
     def get_islands(self, points: npt.ArrayLike) -> Ints:
-        """Apply :meth:`get_island` to each of n points, (n,)."""
+        """Return the result of :meth:`get_island` for each of n points, as an array (n,)."""
 
     def island_radius(self, point_or_index: npt.ArrayLike) -> float:
         """Return the distance in metres from the mean of a component to its farthest point."""

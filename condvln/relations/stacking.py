@@ -34,7 +34,8 @@ def exact_mm(metres: float) -> float:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Stacking:
-    """Quantities of ordered pairs of pieces, subject by row and target by column; NaN or False where a box is unknown.
+    """Quantities that decide whether one object is on, under or above another, for each ordered pair of boxes. Rows are
+    subjects, columns are targets; NaN or False where a box is unknown.
 
     rise, top_rise : (n, n) height of the subject's centre, and of its top, above the target's
     gap : (n, n) height of the subject's bottom above the target's top

@@ -64,8 +64,8 @@ class Yaw:
         return 0 in (self.cosine25, self.sine25)
 
     def turned(self, by: Yaw) -> Yaw:
-        """Return this rotation followed by `by`. One of the two must be a multiple of 90°, since the result is
-        otherwise not in 25ths.
+        """Return this rotation followed by `by`. One of the two must be a multiple of 90°, or the sine and cosine of
+        the result would not be multiples of 1/25.
         """
         cosine = self.cosine25 * by.cosine25 - self.sine25 * by.sine25
         sine = self.sine25 * by.cosine25 + self.cosine25 * by.sine25

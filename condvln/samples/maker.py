@@ -116,8 +116,8 @@ def write_ai2thor_hab(folder: Path, layouts: Mapping[str, Layout]) -> SampleRepo
 
 
 def _n_rooms(seed: int, k: int) -> int:
-    """Return the number of rooms of scene k. Every seven consecutive scenes have all sizes from two to eight, in random
-    order.
+    """Return the number of rooms of scene k. In each block of seven scenes (0–6, 7–13, …), every number from two to
+    eight occurs once, in random order.
     """
     sizes = list(range(MIN_ROOMS, MAX_ROOMS + 1))
     random.Random(f"sizes/{seed}/{k // len(sizes)}").shuffle(sizes)

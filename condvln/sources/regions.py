@@ -143,8 +143,8 @@ def in_rooms(objects: Iterable[SceneObject], rooms: Sequence[Room]) -> tuple[lis
 
 
 def side_regions(side: Path, names: Sequence[str], family: str, ledger: InputLedger) -> tuple[Room, ...]:
-    """Return zones drawn by the user: one file for all scenes, or a folder with ``<name>.semantic_config.json`` for
-    some.
+    """Return the zones that the user drew for a scene. `side` is one file for all scenes, or a folder with a file
+    ``<name>.semantic_config.json`` for each scene that has zones.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ class SceneChoice:
         return _fits(scene_id, self.scenes) and not self.excluded(scene_id)
 
     def excluded(self, scene_id: str) -> bool:
-        """Return whether a scene, or a path that can't be listed, is excluded."""
+        """Return whether `scene_id` is excluded. It may also be a path at which no scene could be listed."""
         return _fits(scene_id, self.exclude)
 
     def only_names(self) -> bool:

@@ -218,8 +218,8 @@ class SceneDataset:
         return index
 
     def _search(self, kind: str, extension: str, pattern: JsonNode) -> set[str]:
-        """Return the files on a search path. A path that leads out of the dataset is ignored (robots may lie beside the
-        dataset).
+        """Return the files on a search path. A search path that leads out of the dataset is ignored, since
+        configurations name folders of robots beside the dataset.
         """
         try:
             relative = self.root.join("", pattern.text(), where=pattern.where, place=pattern.place)

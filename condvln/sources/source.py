@@ -104,8 +104,8 @@ class Source(Protocol):
         ...
 
     def passed_over(self) -> list[tuple[str, str]]:
-        """Return (path, reason) of everything that the last call of `handles` skipped, sorted. No scene is lost by
-        this.
+        """Return (path, reason) of everything that the last call of `handles` skipped, sorted. None of it holds a scene
+        that should have been listed.
         """
         ...
 

@@ -28,8 +28,8 @@ __all__ = ["has_fallen", "looks_like", "may_be_one", "passes_for_a_counter"]
 
 
 def may_be_one(one: Thing, other: Thing, family: str) -> bool:
-    """Return whether the boxes of two objects in a scan may belong to one object. The objects' labels have a word in
-    common.
+    """Return whether the boxes of two objects in a scan may belong to one object. The caller passes objects whose
+    labels share a word.
     """
     if family not in FROM_SCANS:
         return False

@@ -317,8 +317,8 @@ def evenly(triangles: F64, count: int = OWN_POINTS) -> F64:
 
 @lru_cache(maxsize=16)
 def much(least: float, count: int) -> float:
-    """Return the minimum visible share of `count` points that contradicts a second set of points, of which a share
-    smaller than `least` is visible.
+    """Return the share of `count` points that must be visible to contradict a second set of points on the same surface.
+    Of the second set, a share smaller than `least` is visible.
 
     If both sets were random points on the same surface, such a pair would occur with a probability of at most `ODDS`;
     both sets are spread more evenly than random ones. A result above 1 means that no share is a contradiction.

@@ -63,7 +63,7 @@ def walk(
     ] = None,
     scenes: Annotated[
         list[str] | None,
-        typer.Option("--scenes", metavar="FAMILY=DIR", help="dataset that looker sees; may be repeated"),
+        typer.Option("--scenes", metavar="FAMILY=DIR", help="dataset in which looker sees the scenes; may be repeated"),
     ] = None,
     looker: Annotated[
         list[str] | None,
@@ -85,7 +85,8 @@ def serve(
     export: ExportPath,
     split: SplitName,
     scenes: Annotated[
-        list[str], typer.Option("--scenes", metavar="FAMILY=DIR", help="dataset that agents see; may be repeated")
+        list[str],
+        typer.Option("--scenes", metavar="FAMILY=DIR", help="dataset in which agents see the scenes; may be repeated"),
     ],
     navmesh_root: NavmeshRoots = None,
     host: Annotated[str, typer.Option(help="address to listen on")] = "127.0.0.1",

@@ -82,8 +82,8 @@ def oracle(
         typer.Option(
             "--scenes",
             metavar="FAMILY=DIR",
-            help="write the branch that looker picks instead of the gold branch; this names a dataset that "
-            "looker sees; may be repeated",
+            help="write the branch that looker picks instead of the gold branch; looker sees the scenes in this "
+            "dataset; may be repeated",
         ),
     ] = None,
     looker: Annotated[

@@ -30,18 +30,23 @@ class Thresholds(Section):
         0.25,
         description="maximum height of the bottom of one thing above the top of the other at which text may say “near”",
     )
-    near_false: Metres = Field(1.75, description="minimum distance between footprints at which text may deny “near”")
+    near_false: Metres = Field(
+        1.75, description="minimum distance between footprints at which text treats “near” as false"
+    )
     held_footprint: Share = Field(
         0.25,
-        description="minimum share of a thing's footprint that lies over another thing, at its top or within "
-        "its height, for the other to carry it; “near” is then never used for the pair",
+        description="minimum share of a thing's footprint that must lie over a second thing for the second to carry "
+        "the first; text never says “near” of such a pair",
     )
     held_inside: Share = Field(
-        0.5, description="maximum share of one box inside the other, beyond which “near” is never used for the pair"
+        0.5,
+        description="maximum share of one box inside the other; text never says “near” of a pair with a larger share",
     )
     far: Metres = Field(3.0, description="minimum distance between two boxes at which “far from” is emitted")
     far_true: Metres = Field(3.45, description="minimum distance between two boxes at which text may say “far from”")
-    far_false: Metres = Field(2.55, description="maximum distance between two boxes at which text may deny “far from”")
+    far_false: Metres = Field(
+        2.55, description="maximum distance between two boxes at which text treats “far from” as false"
+    )
     height: Metres = Field(
         0.30,
         description="minimum height of one thing's centre above the other's at which “higher than” and “lower "
@@ -54,8 +59,8 @@ class Thresholds(Section):
     )
     height_false: Metres = Field(
         0.15,
-        description="maximum height of one thing's centre above the other's at which text may deny “higher”, "
-        "“lower”, “above” and “below”",
+        description="maximum height of one thing's centre above the other's at which text treats “higher”, "
+        "“lower”, “above” and “below” as false",
     )
     over_horizontal: Metres = Field(
         0.50, description="maximum horizontal distance between two centres at which “above” and “below” are emitted"
@@ -74,7 +79,8 @@ class Thresholds(Section):
         "smaller gap counts as support",
     )
     over_apart_false: Metres = Field(
-        0.30, description="minimum distance between footprints at which text may deny “above”, “below” and “under”"
+        0.30,
+        description="minimum distance between footprints at which text treats “above”, “below” and “under” as false",
     )
     top_true: Metres = Field(
         0.15,
@@ -83,7 +89,8 @@ class Thresholds(Section):
     )
     top_false: Metres = Field(
         0.05,
-        description="maximum height of one thing's top above the other's at which text may deny “higher” and “lower”",
+        description="maximum height of one thing's top above the other's at which text treats “higher” and “lower” as "
+        "false",
     )
     off_floor: Metres = Field(
         0.30,
@@ -95,12 +102,14 @@ class Thresholds(Section):
         "may say “on”",
     )
     on_gap_false: Metres = Field(
-        0.15, description="minimum height of the bottom above the other thing's top at which text may deny “on”"
+        0.15, description="minimum height of the bottom above the other thing's top at which text treats “on” as false"
     )
     on_footprint_true: Share = Field(
         0.5, description="minimum share of the thing's footprint that must lie over the other's for text to say “on”"
     )
-    on_floor: Metres = Field(0.10, description="maximum height of a thing's bottom above the floor on which it stands")
+    on_floor: Metres = Field(
+        0.10, description="maximum height of a thing's bottom above the floor at which the thing stands on the floor"
+    )
     under_footprint_true: Share = Field(
         0.8, description="minimum share of the thing's footprint that must lie under the other for text to say “under”"
     )
@@ -109,19 +118,23 @@ class Thresholds(Section):
     )
     between_true: Share = Field(
         0.3,
-        description="text may say “between” of a thing from this fraction of the line of centres to the same "
-        "fraction before the line's end",
+        description="minimum distance of a thing from both ends of the line between the anchors' centres, as a share "
+        "of the line, at which text may say “between”",
     )
     between_false: Share = Field(
         0.1,
-        description="text may deny “between” of a thing before this fraction of the line of centres, and "
-        "after the same fraction before the line's end",
+        description="distance of a thing from either end of the line between the anchors' centres, as a share of the "
+        "line, below which text treats “between” as false",
     )
     between_off_true: Metres = Field(
-        0.4, description="maximum distance of a thing off the line of centres at which text may say “between”"
+        0.4,
+        description="maximum distance of a thing from the line between the anchors' centres at which text may say "
+        "“between”",
     )
     between_off_false: Metres = Field(
-        0.8, description="minimum distance of a thing off the line of centres at which text may deny “between”"
+        0.8,
+        description="minimum distance of a thing from the line between the anchors' centres at which text treats "
+        "“between” as false",
     )
     between_length: Metres = Field(
         4.0, description="maximum distance between the centres of two anchors with which “between” is used"
@@ -169,7 +182,8 @@ class Thresholds(Section):
         60.0,
         gt=45,
         le=90,
-        description="minimum angle off the direction at which text may deny “left”, “right”, “ahead” and “behind”",
+        description="minimum angle off the direction at which text treats “left”, “right”, “ahead” and “behind” as "
+        "false",
     )
     bearing_distance: Metres = Field(
         1.0,

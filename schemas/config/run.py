@@ -80,7 +80,8 @@ class SourceConfig(Section):
     )
     houses: Path | None = Field(
         None,
-        description="procthor only: folder of the houses' JSON, where root is Habitat's scene dataset of these houses",
+        description="procthor only: folder of the houses' JSON files, needed if root is Habitat's scene dataset of "
+        "these houses",
     )
     connectivity: Path | None = Field(
         None, description="folder of <scan>_connectivity.json for discrete R2R; by default connectivity/ of the dataset"

@@ -1,4 +1,4 @@
-"""The parameters of a build in Recast's whole cells, and the limits of what can be built."""
+"""The parameters of a navmesh build, converted to whole cells as Recast does, and the limits of what can be built."""
 
 from __future__ import annotations
 

@@ -54,7 +54,9 @@ class DetailMesh:
 
 
 def build_detail(mesh: PolyMesh, field: CompactHeightfield, region: Array, config: RecastConfig) -> DetailMesh:
-    """Return the detail mesh of ``mesh`` over the floors of ``field``; ``region`` is (s,) int32."""
+    """Return the detail mesh of ``mesh`` over the floors of ``field``; ``region`` (s,) int32 holds the region of each
+    span.
+    """
     if len(mesh.polygons) == 0:
         return DetailMesh(np.zeros((0, 4), np.int32), np.zeros((0, 3), np.float32), np.zeros((0, 4), np.uint8))
     counts = mesh.vert_counts
