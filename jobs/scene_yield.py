@@ -48,6 +48,7 @@ class _NoFacts:
     status: Mapping[str, NDArray[np.int8]]
     margin: Mapping[str, NDArray[np.float64]]
     denied: Mapping[str, NDArray[np.bool_]]
+    excluded: Mapping[str, NDArray[np.bool_]]
 
     def between(self, pairs: NDArray[np.intp]) -> tuple[NDArray[np.int8], NDArray[np.float64]]:
         return np.zeros((0, len(pairs)), np.int8), np.zeros((0, len(pairs)))
@@ -64,7 +65,7 @@ def scene_yield(scene: Scene, anchor_size: float) -> SceneYield:
 
     anchor_size : least longest side of a thing that names a room, metres
     """
-    facts = _NoFacts({}, {}, {})
+    facts = _NoFacts({}, {}, {}, {})
     referents = [
         Referents.of(room, scene.arrays(room.room_id), facts, vocabulary, anchor_size, scene.family)
         for room in scene.rooms

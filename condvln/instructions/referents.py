@@ -58,6 +58,7 @@ class Facts(Protocol):
     status[p][i, j] : of "i p j", for predicates with one anchor
     margin[p][i, j] : distance from the threshold, comparable within one predicate
     denied[p][i, j] : a condition may use it as false, where that takes more than a status of −1
+    excluded[p][i, j] : a rival that it does not hold for, where that takes more than a status of −1
     """
 
     @property
@@ -68,6 +69,9 @@ class Facts(Protocol):
 
     @property
     def denied(self) -> Mapping[str, NDArray[np.bool_]]: ...
+
+    @property
+    def excluded(self) -> Mapping[str, NDArray[np.bool_]]: ...
 
     def between(self, pairs: NDArray[np.intp]) -> tuple[NDArray[np.int8], NDArray[np.float64]]:
         """Return status and margin (n, p) of "between a and b", for each of n objects and each of the `pairs` (p, 2) of
@@ -177,6 +181,13 @@ class Referents:
         """
         found = self.facts.denied.get(predicate)
         return np.asarray(status == -1) if found is None else np.asarray(found[:, self.anchors])
+
+    def kept(self, predicate: Predicate, status: NDArray[np.int8]) -> Bools:
+        """Return (n, a): whether an object may still be meant where `predicate` distinguishes a rival of it. `status`
+        (n, a) is the status that `related` returns.
+        """
+        found = self.facts.excluded.get(predicate)
+        return np.asarray(status != -1 if found is None else (status != -1) | ~found[:, self.anchors])
 
     @cached_property
     def _closest(self) -> tuple[NDArray[np.int8], NDArray[np.float64]]:
@@ -356,7 +367,7 @@ def _qualifications(referents: Referents) -> tuple[tuple[Qualification, ...], ..
                 continue
             anchors, status, margin, suits = referents.related(predicate)
             # Rivals that the loose threshold does not exclude, counted for all anchors at once by a matrix product.
-            left = rivals @ (status != -1).astype(np.float32)
+            left = rivals @ referents.kept(predicate, status).astype(np.float32)
             for r, a in zip(*np.nonzero((status[rows] == 1) & (left == 0) & suits[rows]), strict=True):
                 ways[r].append((-float(margin[rows[r], a]), tuple(anchors[a].tolist()), predicate))
         for r, options in enumerate(ways):

@@ -58,11 +58,13 @@ class TextFacts:
         larger where it is safer; comparable within one predicate only
     denied : for each predicate of `COMPASS` (n, n) whether a condition may ask for it as false, which takes more than
         telling rivals apart
+    excluded : for "far from" (n, n) whether a rival is excluded by it, which takes more than a status of −1
     """
 
     status: Mapping[str, Status]
     margin: Mapping[str, F64]
     denied: Mapping[str, Mask]
+    excluded: Mapping[str, Mask]
     _arrays: RoomArrays
     _whole: Stacking
     _distance: F64
@@ -128,6 +130,8 @@ def text_facts(relations: RoomRelations, thresholds: Thresholds) -> TextFacts:
         status={predicate: facts[predicate][0] for predicate in PAIR_PREDICATES},
         margin={predicate: facts[predicate][1] for predicate in PAIR_PREDICATES},
         denied=denied,
+        # "The picture away from the coat rack" is one of several only where the others hang beside the coat rack.
+        excluded={"far from": pieces.any(metrics.used <= t.near_true)},
         _arrays=arrays,
         _whole=stacking_of(Pieces(arrays, arrays, np.arange(len(arrays))), holding, t) if pieces.several else stacking,
         _distance=pieces.least(stacking.distance),

@@ -55,7 +55,8 @@ class Judge:
         """Return whether "`subject` `predicate` `anchors`" holds.
 
         rivals : the other objects that the subject's label might mean; "closest to" and "the bigger" compare with them
-        asked : a condition asks for it, which is false of a direction only where another is clearly meant
+        asked : a condition asks for it, which is false of a direction only where another is clearly meant; otherwise it
+            distinguishes rivals, and "far from" is false only of what is near
         """
         if predicate in ("bigger", "smaller"):
             return compare_sizes(subject, rivals, self._t, 1 if predicate == "bigger" else -1)
@@ -87,7 +88,7 @@ class Judge:
 
     def _of_one(self, predicate: str, subject: Thing, anchor: Thing, room: Surroundings, asked: bool) -> Judgement:
         if predicate in ("near", "far from"):
-            return self._near(subject, anchor) if predicate == "near" else self._far(subject, anchor)
+            return self._near(subject, anchor) if predicate == "near" else self._far(subject, anchor, asked)
         if predicate in ("on", "under", "in"):
             by_support = {"on": is_on, "under": is_under, "in": is_in}[predicate]
             return by_support(subject, anchor, room, self._t)
@@ -110,9 +111,9 @@ class Judge:
         false = along_ground is not None and along_ground >= whole_mm(self._t.near_false)
         return judged(true, false, distance=used, surface=surface, footprints_apart=along_ground)
 
-    def _far(self, one: Thing, other: Thing) -> Judgement:
-        used = _used(one, other)
-        return judged(used >= whole_mm(self._t.far_true), used <= whole_mm(self._t.far_false), distance=used)
+    def _far(self, one: Thing, other: Thing, asked: bool) -> Judgement:
+        used, close = _used(one, other), self._t.far_false if asked else self._t.near_true
+        return judged(used >= whole_mm(self._t.far_true), used <= whole_mm(close), distance=used)
 
     def _beside(self, predicate: str, one: Thing, other: Thing, elsewhere: float) -> Judgement:
         east, north = one.centre[0] - other.centre[0], other.centre[2] - one.centre[2]

@@ -31,7 +31,7 @@ class Thresholds(Section):
         description="maximum height of the bottom of one thing above the top of the other at which text may say “near”",
     )
     near_false: Metres = Field(
-        1.75, description="minimum distance between footprints at which text treats “near” as false"
+        2.25, description="minimum distance between footprints at which text treats “near” as false"
     )
     held_footprint: Share = Field(
         0.25,

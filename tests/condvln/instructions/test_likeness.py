@@ -140,3 +140,14 @@ def test_what_has_fallen_over_is_not_named(tilt: float | None, bottom: float, do
     assert not found.unique.any()  # it is still a rival
     assert has_fallen(Thing.of(first, "coffee table"), 0.0) == down
     assert not has_fallen(Thing.of(first, "coffee table"), float("nan"))
+
+
+@pytest.mark.parametrize(("gap", "named"), [(0.5, True), (0.501, False), (2.5, False)])
+def test_away_from_is_a_name_only_where_all_rivals_are_near(gap: float, named: bool) -> None:
+    """Of two pictures that are both away from the coat rack, none is "the picture away from the coat rack"."""
+    rack = thing("r", "coat rack", (0, 0, 0), (1, 1.8, 1))
+    far = thing("a", "picture", (5, 0.5, 0), (6, 1.5, 0.1))
+    other = thing("b", "picture", (1 + gap, 0.5, 0), (2 + gap, 1.5, 0.1))
+    found = referents([rack, far, other], "mp3d")
+    assert ("far from" in {q.predicate for q in found.qualifications[0]}) is named
+    assert found.facts.status["far from"][1, 2] == (0 if gap == 0.0 else -1)

@@ -32,6 +32,7 @@ class MadeFacts:
     size: dict[str, NDArray[np.int8]] | None = None
     middle: NDArray[np.int8] | None = None  # (n, n, n): i between a and b
     denied: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
+    excluded: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
 
     def closest(self, rival: NDArray[np.bool_]) -> tuple[NDArray[np.int8], NDArray[np.float64]]:
         return self.status["closest to"], self.margin["closest to"]

@@ -264,8 +264,8 @@ def near(a: Box, b: Box, boxes: Sequence[Box], holders: set[tuple[str, str]]) ->
     if a.lo is None or b.lo is None:
         if a.radius is None or b.radius is None:
             return 0
-        return -1 if math.hypot(a.at[0] - b.at[0], a.at[2] - b.at[2]) - a.radius - b.radius >= 1750 else 0
-    if all(squared(p, q, (0, 2)) >= 1750 * 1750 for p in a.pieces for q in b.pieces):
+        return -1 if math.hypot(a.at[0] - b.at[0], a.at[2] - b.at[2]) - a.radius - b.radius >= 2250 else 0
+    if all(squared(p, q, (0, 2)) >= 2250 * 2250 for p in a.pieces for q in b.pieces):
         return -1
     close = any(squared(p, q, (0, 1, 2)) <= 500 * 500 and gap(p, q, 1) <= 250 for p in a.pieces for q in b.pieces)
     if not close or put_away(a, boxes) or put_away(b, boxes):
@@ -387,6 +387,11 @@ def _beside(a: Box, b: Box, towards: tuple[int, int], loose: int) -> int:
     off = abs(math.remainder(math.atan2(north, east) - math.atan2(towards[1], towards[0]), 2 * math.pi))
     level = abs(up) < ground_way * math.tan(math.radians(22.5))
     return verdict(off <= math.radians(15) and level and ground_way >= 500, off > math.radians(loose))
+
+
+def beside_it(a: Box, b: Box) -> bool:
+    """Whether a is so near to b that nobody calls it away from b."""
+    return any(squared(p, q, (0, 1, 2)) <= 500 * 500 for p in a.pieces for q in b.pieces)
 
 
 def far(a: Box, b: Box) -> int:

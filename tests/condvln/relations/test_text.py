@@ -53,11 +53,11 @@ GAP = 2 * HALF  # of centres of touching boxes
     [
         ("near", (0.5 + GAP, 0, 0), 1),
         ("near", (0.501 + GAP, 0, 0), 0),
-        ("near", (1.749 + GAP, 0, 0), 0),
-        ("near", (1.750 + GAP, 0, 0), -1),
+        ("near", (2.249 + GAP, 0, 0), 0),
+        ("near", (2.250 + GAP, 0, 0), -1),
         ("near", (0.3 + GAP, 0.25 + GAP, 0), 1),
         ("near", (0.3 + GAP, 0.251 + GAP, 0), 0),  # too far above
-        ("near", (1.749 + GAP, 3, 0), 0),  # denied by the distance along the ground
+        ("near", (2.249 + GAP, 3, 0), 0),  # denied by the distance along the ground
         ("near", (0, 9, 0), 0),
         ("near", (0, 0.2 + GAP, 0), 1),
         ("near", (0, 0.149 + GAP, 0), 0),  # it may rest there
@@ -145,7 +145,7 @@ def test_unknown_extent_proves_no_nearness(make: Maker, room_of: RoomOf) -> None
         assert facts_of(make, room_of, (distance, 0, 0), None).status["near"][0, 1] == 0
     balls = [make("a", (0, 0, 0), None, radius=0.5), make("b", (1.0, 0, 0), None, radius=0.5)]
     assert text_facts(relate_room(room_of(balls), T), T).status["near"][0, 1] == 0
-    apart = [balls[0], make("b", (2.75, 0, 0), None, radius=0.5)]
+    apart = [balls[0], make("b", (3.25, 0, 0), None, radius=0.5)]
     assert text_facts(relate_room(room_of(apart), T), T).status["near"][0, 1] == -1
     assert facts_of(make, room_of, (0, 1, 0), None).status["above"][0, 1] == 0
     assert facts_of(make, room_of, (0, 0.1, 0), None).status["above"][0, 1] == 0
@@ -210,8 +210,8 @@ def counter(make: Maker) -> SceneObject:
 @pytest.mark.parametrize(
     ("center", "expected"),
     [
-        # In the free corner: 2.05 m from either arm, and not within the counter's box for anybody who stands there.
-        ((-1.2, 0.2, 1.2), {"near": -1, "on": -1, "in": 0, "south-west of": 0, "far from": -1, "above": -1}),
+        # In the free corner: 2.26 m from either arm, and not within the counter's box for anybody who stands there.
+        ((-1.46, 0.2, 1.46), {"near": -1, "on": -1, "in": 0, "south-west of": 0, "far from": -1, "above": -1}),
         # 0.40 m from the east arm, 1.20 m from the other.
         ((0.4, 0.2, 0.4), {"near": 1, "on": -1}),
         # On an arm, on both where they cross, and in the air of the free corner at the height of the top.

@@ -70,6 +70,8 @@ def check_room(seed: int, tally: Counter[tuple[str, int]]) -> None:
             expected |= {predicate: plain.beside(a, b, predicate) for predicate in plain.NORTH}
             if a.lo is not None and b.lo is not None:
                 expected["far from"] = plain.far(a, b)
+                assert facts.excluded["far from"][i, j] == plain.beside_it(a, b), (seed, a, b)
+                tally["excluded", int(plain.beside_it(a, b))] += 1
             nearest = plain.closest(a, b, rivals(a))
             if (a.name, b.name) in holders or (b.name, a.name) in holders:
                 nearest = min(nearest, 0)  # people say "on" or "in"

@@ -54,7 +54,8 @@ def compare(objects: list[SceneObject], floor: float = 0.0) -> int:
 
     def check(predicate: str, i: int, anchors: Sequence[int], status: int) -> None:
         nonlocal decided
-        found = decide(predicate, things[i], [things[k] for k in anchors], room, rivals[i])
+        asked = predicate == "far from"
+        found = decide(predicate, things[i], [things[k] for k in anchors], room, rivals[i], asked)
         assert found.verdict == status, (predicate, things[i], [things[k] for k in anchors], found.numbers)
         decided += found.verdict != UNDECIDED
 
@@ -62,6 +63,9 @@ def compare(objects: list[SceneObject], floor: float = 0.0) -> int:
         for predicate, denied in facts.denied.items():
             asked = decide(predicate, things[i], [things[j]], room, asked=True)
             assert (asked.verdict == FALSE) == denied[i, j], (predicate, things[i], things[j])
+        for predicate, excluded in facts.excluded.items():
+            rival = decide(predicate, things[i], [things[j]], room)
+            assert (rival.verdict == FALSE) == excluded[i, j], (predicate, things[i], things[j])
         for predicate in PAIR_PREDICATES:
             check(predicate, i, [j], facts.status[predicate][i, j])
         check("closest to", i, [j], closest[i, j])
@@ -132,10 +136,10 @@ def test_equal_on_turned_boxes() -> None:
     compare(objects)
 
 
-@pytest.mark.parametrize("millimetres", [0, 499, 500, 501, 1000, 1749, 1750, 1751])
+@pytest.mark.parametrize("millimetres", [0, 499, 500, 501, 1000, 2249, 2250, 2251])
 def test_near_at_its_margins(millimetres: int) -> None:
     one, other = made("a", [0, 0.5, 0], [0.5, 0.5, 0.5]), made("b", [1 + millimetres / 1000, 0.5, 0], [0.5, 0.5, 0.5])
-    expected = TRUE if millimetres <= 500 else FALSE if millimetres >= 1750 else UNDECIDED
+    expected = TRUE if millimetres <= 500 else FALSE if millimetres >= 2250 else UNDECIDED
     assert verdict("near", one, other) == verdict("near", other, one) == expected
 
 
