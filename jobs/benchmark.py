@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
@@ -76,6 +77,9 @@ def build_benchmark(
 ) -> Report:
     """Generate and export the benchmark, and write its record into the export.
 
+    The exit code is 3 where a cell is below the floor, or where there are too few instructions. The record is written
+    all the same.
+
     Raises
     ------
     CondVLNError : from the run
@@ -89,23 +93,18 @@ def build_benchmark(
     assert export is not None
     with atomic_stream(export / RECORD) as stream:
         stream.write(_encoded(record))
-    short = [cell for cell in record.cells if cell.shortfall]
+    short = list(_short_lines(benchmark.file, record))
     lines = [
         f"{record.benchmark} {record.version}{' (draft: it may still change)' if record.draft else ''}: snapshot "
         f"{record.snapshot_id}, {record.instructions:,} instructions, record in {export / RECORD}",
         *_version_lines(benchmark.file.stages, record.stages),
     ]
-    if record.instructions < benchmark.file.instructions:
-        lines.append(
-            f"SHORT: {record.instructions:,} instructions of {benchmark.file.instructions:,}; sources of this copy: "
-            f"{', '.join(sorted({scene.split('/')[0] for scene in record.scenes}))}"
-        )
-    if short:
-        lines.append(f"SHORT: {len(short)} cells have fewer than {benchmark.file.floor} episodes")
+    lines += short
     rows = [(c.split, c.source, c.category, c.episodes, c.shortfall) for c in record.cells]
     cells = Section("Cells", ("split", "source", "category", "episodes", "below the floor"), [*rows])
     document = record.model_dump(mode="json", exclude={"scenes"})
-    return Report(document, [*lines, *report.lines], [cells, *report.sections], report.exit_code)
+    code = ProofError.exit_code if short else report.exit_code
+    return Report(document, [*lines, *report.lines], [cells, *report.sections], code)
 
 
 def check_benchmark(
@@ -182,6 +181,27 @@ def read_record(path: Path) -> BenchmarkRecord:
         ) from None
 
 
+def _short_lines(file: BenchmarkFile, record: BenchmarkRecord) -> Iterator[str]:
+    """Yield what the benchmark lacks: instructions, and for each split the cells below the floor."""
+    if record.instructions < file.instructions:
+        yield (
+            f"SHORT: {record.instructions:,} instructions of {file.instructions:,}; sources of this copy: "
+            f"{', '.join(sorted({scene.split('/')[0] for scene in record.scenes}))}"
+        )
+    for split in file.splits:
+        cells = [cell for cell in record.cells if cell.split == split]
+        short = [cell for cell in cells if cell.shortfall]
+        empty = sorted({c.source for c in cells} - {c.source for c in cells if c.episodes})
+        if not short:
+            continue
+        named = ", ".join(f"{c.source} {c.category} {c.episodes}" for c in short if c.source not in empty)
+        none = f"; nothing from {', '.join(empty)}" if empty else ""
+        yield (
+            f"SHORT: split {split}: {len(short)} of {len(cells)} cells have fewer than {file.floor} episodes"
+            f"{': ' if named else ''}{named}{none}"
+        )
+
+
 def _encoded(record: BenchmarkRecord) -> bytes:
     options = orjson.OPT_INDENT_2 | orjson.OPT_SORT_KEYS
     return orjson.dumps(record.model_dump(mode="json"), option=options) + b"\n"
@@ -195,7 +215,10 @@ def _record(benchmark: Benchmark) -> BenchmarkRecord:
         raise UsageError(
             "the export is not of the published snapshot", where=str(benchmark.config.export), remedy="Build again."
         )
-    counts: Counter[tuple[str, str, str]] = Counter()
+    # Every cell that is asked for is counted, so that a source without any episode in a split is not passed over.
+    families = sorted({source.family for source in benchmark.config.sources})
+    categories = dict.fromkeys(cell.category for cell in benchmark.config.instructions.wanted)
+    counts = Counter(dict.fromkeys(product(file.splits, families, categories), 0))
     for cell in index["cells"]:
         counts[cell["split"], cell["source"], cell["category"]] += cell["selected"]
     return BenchmarkRecord(
@@ -209,7 +232,9 @@ def _record(benchmark: Benchmark) -> BenchmarkRecord:
         instructions=snapshot.manifest.tables["instructions"].rows,
         episodes=index["episodes"],
         cells=[
-            BenchmarkCell(split=s, source=f, category=c, episodes=n, shortfall=max(0, file.floor - n))
+            BenchmarkCell(
+                split=s, source=f, category=c, episodes=n, shortfall=max(0, file.floor - n) if s in file.splits else 0
+            )
             for (s, f, c), n in counts.items()
         ],
         scenes=dict(_scenes(snapshot)),

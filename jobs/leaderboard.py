@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import orjson
 
-from condvln.evaluation.agents import agent_named, predict_all
+from condvln.evaluation.agents import Agent, agent_named, predict_all
 from condvln.evaluation.aggregate import compare, summary
 from condvln.evaluation.evaluate import Evaluation, evaluate
 from condvln.evaluation.split import SplitOptions, evaluate_split, split_tasks
@@ -19,6 +19,7 @@ from condvln.export.contents import exported_snapshot
 from condvln.formats.streams import atomic_stream
 from condvln.navigation.navmesh_folder import NavmeshFolder
 from jobs.benchmark import read_record
+from jobs.looker import LOOKER, datasets_of, looking_agent
 from jobs.report import Report, Section
 from schemas.benchmark import BenchmarkRecord, Leaderboard, LeaderboardRow, MeasuredMean, PairedDifference
 from schemas.errors import UsageError
@@ -26,7 +27,9 @@ from schemas.errors import UsageError
 __all__ = ["REFERENCES", "score_benchmark"]
 
 REFERENCES: Final = ("oracle", "always-then", "always-else", "nearest", "random-leaf", "stop-at-start")
-"""Reference agents of every leaderboard: one that knows the branch, and guessers that see no scene."""
+"""Reference agents of every leaderboard: one that knows the branch, and guessers that see no scene. Where the scenes are
+named, ``looker`` is one more.
+"""
 
 _MEASURES: Final = ("success", "spl_route", "csr_all", "bsa_all", "leaf_correct", "wrong_branch", "no_commit", "ndtw")
 _SEED: Final = 0
@@ -51,10 +54,12 @@ def score_benchmark(
     out: Path | None = None,
     roots: Sequence[Path] = (),
     references: bool = True,
+    scenes: Sequence[str] = (),
 ) -> Report:
     """Score every file of predictions, walk the reference agents, and rank all by success.
 
     out : file for the board as JSON
+    scenes : ``FAMILY=FOLDER`` of each dataset of the split; with them the agent ``looker`` is walked too
 
     Raises
     ------
@@ -67,16 +72,17 @@ def score_benchmark(
             "the export was changed after the benchmark was built", where=str(export), remedy="Build it again."
         )
     found: list[tuple[Evaluation, LeaderboardRow]] = []
+    roots = (*roots, *datasets_of(scenes).values())
     if predictions:
         evaluations, _ = evaluate_split(export, split, predictions, SplitOptions(navmesh_roots=tuple(roots)))
         for path, evaluation in zip(predictions, evaluations, strict=True):
-            if evaluation.agent in REFERENCES:
+            if evaluation.agent in (*REFERENCES, LOOKER):
                 raise UsageError(
                     f"{evaluation.agent!r} is the name of a reference agent", where=str(path), remedy="Rename the file."
                 )
             found.append((evaluation, _row(evaluation, path)))
     if references:
-        found += [(evaluation, _row(evaluation, None)) for evaluation in _references(export, split, roots)]
+        found += [(evaluation, _row(evaluation, None)) for evaluation in _references(export, split, roots, scenes)]
     board = _board(record, split, found)
     if out is not None:
         with atomic_stream(out) as stream:
@@ -84,11 +90,14 @@ def score_benchmark(
     return _report(board, out)
 
 
-def _references(export: Path, split: str, roots: Sequence[Path]) -> list[Evaluation]:
+def _references(export: Path, split: str, roots: Sequence[Path], scenes: Sequence[str]) -> list[Evaluation]:
     tasks, navmeshes = split_tasks(export, split), NavmeshFolder((export, *roots))
+    agents: dict[str, Agent] = {name: agent_named(name) for name in REFERENCES}
+    if scenes:
+        agents[LOOKER] = looking_agent(scenes, ())
     return [
-        evaluate(tasks, predict_all(agent_named(name), tasks, navmeshes, seed=_SEED), navmeshes, agent=name)
-        for name in REFERENCES
+        evaluate(tasks, predict_all(agent, tasks, navmeshes, seed=_SEED), navmeshes, agent=name)
+        for name, agent in agents.items()
     ]
 
 
@@ -146,6 +155,8 @@ def _board(record: BenchmarkRecord, split: str, found: list[tuple[Evaluation, Le
 
 def _report(board: Leaderboard, out: Path | None) -> Report:
     lines = [f"{board.benchmark} {board.version}, split {board.split}, snapshot {board.snapshot_id}"]
+    if not any(row.agent == LOOKER for row in board.rows):
+        lines.append(f"no row {LOOKER}: name the scenes with --scenes FAMILY=DIR to walk this agent too")
     if board.draft:
         lines.append("this version is a draft: do not publish these numbers as results")
     if out is not None:

@@ -40,6 +40,11 @@ class BenchmarkFile(Document):
     instructions: Count = Field(
         description="minimum number of instructions over all sources; a build with fewer reports it"
     )
+    splits: tuple[Literal["train", "val_seen", "val_unseen", "test"], ...] = Field(
+        ("train", "val_seen", "val_unseen", "test"),
+        min_length=1,
+        description="splits in which every cell must reach the floor",
+    )
     stages: dict[str, int] = Field(description="version of each stage")
 
 

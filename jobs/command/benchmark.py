@@ -66,6 +66,12 @@ def benchmark_score(
     references: Annotated[
         bool, typer.Option(help="also walk the reference agents: the oracle and the guessers")
     ] = True,
+    scenes: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--scenes", metavar="FAMILY=DIR", help="dataset that looker sees; without it, looker is not walked"
+        ),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Rank agents by their predictions, with confidence intervals and the significance of the difference from the row
@@ -73,5 +79,8 @@ def benchmark_score(
     """
     from jobs.leaderboard import score_benchmark
 
-    found = score_benchmark(export, split, predictions or (), out=out, roots=navmesh_root or (), references=references)
+    roots = navmesh_root or ()
+    found = score_benchmark(
+        export, split, predictions or (), out=out, roots=roots, references=references, scenes=scenes or ()
+    )
     answer(found, as_json)

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 import yaml
 
+from condvln.export.splits import SPLITS
 from condvln.samples import make_samples
 from jobs.benchmark import RECORD, Benchmark, build_benchmark, check_benchmark, read_record
 from jobs.evaluate import walk_split
@@ -60,7 +61,7 @@ def built(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path
 
 def test_a_build_says_what_it_is_and_what_it_lacks(built: tuple[Path, Any]) -> None:
     path, report = built
-    assert report.exit_code == 0
+    assert report.exit_code == 3, "cells below the floor, and too few instructions"
     record = read_record(path.parent / "export")
     assert "v0 (draft: it may still change)" in report.lines[0]
     assert any(line.startswith(f"SHORT: {record.instructions} instructions of 100") for line in report.lines)
@@ -69,12 +70,25 @@ def test_a_build_says_what_it_is_and_what_it_lacks(built: tuple[Path, Any]) -> N
     exported = json.loads((path.parent / "export" / "export.json").read_text())
     assert record.export_digest == exported["digest"]
     assert sum(cell.episodes for cell in record.cells) == sum(exported["episodes"].values())
+    assert {(c.split, c.source, c.category) for c in record.cells} == {(s, "replicacad", "simple") for s in SPLITS}
     for cell in record.cells:
         assert cell.shortfall == max(0, 5 - cell.episodes)
-    short = [cell for cell in record.cells if cell.shortfall]
-    assert any("cells have fewer than 5 episodes" in line for line in report.lines) == bool(short)
+        said = f"SHORT: split {cell.split}: 1 of 1 cells have fewer than 5 episodes"
+        assert any(line.startswith(said) for line in report.lines) == bool(cell.shortfall)
+    assert any("split test" in line and line.endswith("; nothing from replicacad") for line in report.lines)
     text = (path.parent / "export" / RECORD).read_text()
     assert str(path.parent) not in text, "a record holds no path of the machine"
+
+
+def test_a_build_that_reaches_its_floors_exits_with_zero(built: tuple[Path, Any], tmp_path: Path) -> None:
+    folder = shutil.copytree(built[0].parent, tmp_path / "copy")
+    document = yaml.safe_load((folder / "benchmark.yaml").read_text())
+    document |= {"instructions": 1, "floor": 1, "splits": ["val_unseen"]}
+    (folder / "benchmark.yaml").write_text(yaml.safe_dump(document))
+    report = build_benchmark(folder / "benchmark.yaml", inline=True)
+    assert report.exit_code == 0
+    assert not any(line.startswith("SHORT") for line in report.lines)
+    assert read_record(folder / "export").snapshot_id == read_record(built[0].parent / "export").snapshot_id
 
 
 def test_other_copies_of_the_same_scenes_give_the_same_record(
@@ -155,7 +169,8 @@ def test_a_board_ranks_references_and_submissions(built: tuple[Path, Any], datas
     assert (mine["kind"], mine["missing"]) == ("submission", 0)
     assert len(mine["predictions_sha256"]) == 64
     assert board["draft"]
-    assert "draft" in report.lines[1]
+    assert any("no row looker" in line for line in report.lines)
+    assert any("this version is a draft" in line for line in report.lines)
 
 
 def test_a_board_needs_the_export_of_its_record(built: tuple[Path, Any], tmp_path: Path) -> None:
@@ -164,6 +179,24 @@ def test_a_board_needs_the_export_of_its_record(built: tuple[Path, Any], tmp_pat
     (export / "export.json").write_text(json.dumps({**index, "snapshot": "0" * 32}))
     with pytest.raises(UsageError, match="changed after the benchmark was built"):
         score_benchmark(export, "val_unseen", [], references=False)
+
+
+def test_a_submission_may_not_be_called_looker(built: tuple[Path, Any], dataset: Path, tmp_path: Path) -> None:
+    export = built[0].parent / "export"
+    walk_split(export, "val_unseen", "stop-at-start", tmp_path / "looker.json", [dataset], seed=0)
+    with pytest.raises(UsageError, match="'looker' is the name of a reference agent"):
+        score_benchmark(export, "val_unseen", [tmp_path / "looker.json"], references=False, roots=[dataset])
+
+
+@pytest.mark.soak
+def test_a_board_with_scenes_has_a_row_of_looker(built: tuple[Path, Any], dataset: Path) -> None:
+    report = score_benchmark(built[0].parent / "export", "val_unseen", [], scenes=[f"replicacad={dataset}"])
+    rows = {row["agent"]: row for row in report.document["rows"]}
+    assert rows.keys() == {*REFERENCES, "looker"}
+    assert (rows["looker"]["kind"], rows["looker"]["predictions_sha256"]) == ("reference", None)
+    right = {name: row["measures"]["leaf_correct"]["mean"] for name, row in rows.items()}
+    assert right["looker"] > max(right[name] for name in REFERENCES if name != "oracle")
+    assert not any("no row looker" in line for line in report.lines)
 
 
 def test_the_shipped_benchmark_names_every_stage_and_is_a_draft(pytestconfig: pytest.Config) -> None:
@@ -184,7 +217,7 @@ def test_one_and_two_workers_and_a_killed_build_give_one_record(
     records = [(built[0].parent / "export" / RECORD).read_bytes()]
     for workers in (1, 2):
         path = written(tmp_path / f"workers-{workers}", dataset, run={"ray": {"workers": workers}})
-        assert build_benchmark(path).exit_code == 0
+        assert build_benchmark(path).exit_code == 3
         records.append((path.parent / "export" / RECORD).read_bytes())
     path = written(tmp_path / "killed", dataset)
     command = [
@@ -202,6 +235,6 @@ def test_one_and_two_workers_and_a_killed_build_give_one_record(
             time.sleep(0.005)
         kill_driver(driver)
     assert not (tmp_path / "killed" / "export" / RECORD).exists()
-    assert build_benchmark(path, inline=True).exit_code == 0
+    assert build_benchmark(path, inline=True).exit_code == 3
     records.append((path.parent / "export" / RECORD).read_bytes())
     assert len(set(records)) == 1
