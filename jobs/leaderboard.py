@@ -27,8 +27,8 @@ from schemas.errors import UsageError
 __all__ = ["REFERENCES", "score_benchmark"]
 
 REFERENCES: Final = ("oracle", "always-then", "always-else", "nearest", "random-leaf", "stop-at-start")
-"""Reference agents of every leaderboard: one that knows the branch, and guessers that see no scene. Where the scenes are
-named, ``looker`` is one more.
+"""Reference agents of every leaderboard: one that knows the branch, and guessers that see no scene. ``looker`` is one
+more, where the scenes are named.
 """
 
 _MEASURES: Final = ("success", "spl_route", "csr_all", "bsa_all", "leaf_correct", "wrong_branch", "no_commit", "ndtw")
