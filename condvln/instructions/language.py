@@ -177,7 +177,9 @@ class Language:
         return phrase.replace("{lo}", self.articles["pronoun"][noun.kind]) if "{" in phrase else phrase
 
     def contracted(self, text: str) -> str:
-        """Return text with prepositions and articles contracted, if the language does so."""
+        """Return `text` with prepositions and articles contracted where the language contracts them (Spanish: "de el"
+        becomes "del").
+        """
         for apart, together in self.contractions.items():
             # Contractions are before a noun and after a word; a regular expression takes a tenth of the rendering's
             # time.
@@ -193,7 +195,7 @@ class Language:
 
 @cache
 def language(code: str = "en") -> Language:
-    """Return the language of a code."""
+    """Return the language whose code is `code`, such as "en"."""
     document = _document(code)
     templates = {c: tuple(_template(t, c) for t in document["templates"][c]) for c in CATEGORIES}
     voices = tuple(_voice(name, own, document["phrases"], templates) for name, own in document["voices"].items())

@@ -38,8 +38,8 @@ SCANS: Final = ("gibson", "mp3d")
 
 
 def doubles(arrays: RoomArrays, meant: Bools) -> Bools:
-    """Return (n,): whether an object may be the same thing as another object, annotated twice with a box each. The two
-    count only if a word for one of them might mean the other.
+    """Return a mask (n,) of the objects that may be the same thing as another object, annotated twice with a box each.
+    Two objects count only if a word for one of them might mean the other.
 
     meant (n, n) : a word for i might mean j
     """
@@ -60,8 +60,8 @@ def doubles(arrays: RoomArrays, meant: Bools) -> Bools:
 
 
 def look_alikes(arrays: RoomArrays, vague: Bools) -> tuple[frozenset[str], ...]:
-    """Return, for each of n objects, the labels of the labelled objects of about its size and at about its height. The
-    result is empty for objects that are not in `vague` (n,), the mask of unlabelled objects.
+    """Return, for each of n objects in the mask `vague` (n,) of unlabelled objects, the labels of the labelled objects
+    of similar size and height. The result of all other objects is empty.
     """
     none: frozenset[str] = frozenset()
     if not vague.any():
@@ -77,8 +77,8 @@ def look_alikes(arrays: RoomArrays, vague: Bools) -> tuple[frozenset[str], ...]:
 
 
 def called_counters(arrays: RoomArrays) -> Bools:
-    """Return (n,): whether people may call an object a counter. This holds for long tables that are as high as a
-    counter and as large as the smallest of the room's counters, if any.
+    """Return a mask (n,) of the objects that people may call a counter: long tables that are as high as a counter and
+    as large as the smallest of the room's counters, if any.
     """
     low, high = millimetres(arrays.aabb_min), millimetres(arrays.aabb_max)
     worktop = np.isin(arrays.labels, sorted(labels_with_role("worktop")))

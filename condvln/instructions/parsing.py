@@ -84,7 +84,7 @@ def grammar_source(words: Language) -> str:
 
 
 class _GrammarWriter:
-    """Writes the grammar of a language. Each phrase is one terminal, shared by all slots that have it, so that the
+    """Writes the grammar of a language. Each phrase is one terminal, even if several slots can have it, so that the
     lexer takes the longest match.
     """
 
@@ -157,8 +157,8 @@ class _GrammarWriter:
         return "\n".join([*rules, *self._terminal_lines()]) + "\n"
 
     def _either(self, slot: str) -> str:
-        """Return the rule of a slot. If the slot has other forms after a denial, return an alternative of
-        both rules.
+        """Return the rule of `slot`. If the slot can have other phrases after a denial, return an alternative of both
+        rules.
         """
         slots = self.words.slots
         return f"(_{slot} | _{slot}_again)" if set(slots[f"{slot}_again"]) - set(slots[slot]) else f"_{slot}"
@@ -219,7 +219,7 @@ def _pattern(phrase: str) -> str:
 
 
 def _alternatives(texts: Iterable[str], others: Iterable[str] = ()) -> str:
-    """Return a pattern that matches any of `texts`, except where it is the beginning of one of `others`: "the
+    """Return a pattern that matches any of `texts`, except where a text is the beginning of one of `others`: "the
     television" is not matched in "the television room".
     """
     longest_first = sorted({text.lower() for text in texts}, key=lambda text: (-len(text), text))
@@ -232,7 +232,7 @@ def _alternatives(texts: Iterable[str], others: Iterable[str] = ()) -> str:
 
 
 def _spaced(text: str) -> str:
-    """Return a pattern of words with any white space between them."""
+    """Return a pattern that matches the words of `text` with any white space between them."""
     return (r"\s+" if text.startswith(" ") else "") + r"\s+".join(re.escape(word) for word in text.split())
 
 

@@ -97,7 +97,8 @@ class PriorBits:
 
 @dataclass(frozen=True, eq=False)
 class LabelPriors:
-    """Counts that are merged by addition, independent of order and grouping.
+    """Counts of labels and statements in rooms. Counts of several scenes are added; their order and grouping do not
+    matter.
 
     parts : tables of schema `PRIORS`, to be summed
     """
@@ -150,7 +151,7 @@ class LabelPriors:
 
     def bits(self, scene: Scene, plausible_share: float) -> PriorBits:
         """Return the part of the priors that `scene` reads. A label is plausible in a room type if at least the share
-        `plausible_share` of the rooms of this type have an object with it.
+        `plausible_share` of the rooms of this type have an object with this label.
         """
         types = sorted({room.label for room in scene.rooms})
         seen = sorted({o.label for o in scene.objects})
@@ -258,7 +259,9 @@ def _rows(labels: Any, predicate: str, anchors: Any, true: Any, false: Any) -> p
 
 
 def _boxes(rooms: pa.Table, objects: pa.Table) -> Iterator[tuple[str, list[tuple[Room, RoomArrays]]]]:
-    """Yield (scene id, rooms and their objects as boxes) for each scene, from their tables."""
+    """Yield (scene id, the scene's rooms with their objects as boxes) for each scene of the tables `rooms` and
+    `objects`.
+    """
     held: dict[tuple[str, str], list[SceneObject]] = {}
     wanted = [
         "scene_id",

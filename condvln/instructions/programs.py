@@ -33,8 +33,8 @@ def instruction_id(family: str, scene_id: str, program: Program) -> str:
 
 
 def leaves_below(program: Program, target: int) -> tuple[int, ...]:
-    """Return the indices of the leaves below `target`, the target of a branch. It is the index of a branch if ≥ 0, else
-    it is ``-1 - leaf``.
+    """Return the indices of the leaves below `target`, the target of a branch. A `target` ≥ 0 is the index of a branch;
+    else `target` is ``-1 - leaf``.
     """
     if target < 0:
         return (-1 - target,)
@@ -43,7 +43,7 @@ def leaves_below(program: Program, target: int) -> tuple[int, ...]:
 
 
 def composition(program: Program) -> Composition:
-    """Return the composition class.
+    """Return the composition class of a program: C0, C1 or C2.
 
     C0: only one room is named. C2: for some branch, the room of its condition, the rooms of the goals below THEN and
     those below ELSE are disjoint. C1: everything else.

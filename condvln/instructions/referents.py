@@ -74,18 +74,20 @@ class Facts(Protocol):
     def excluded(self) -> Mapping[str, NDArray[np.bool_]]: ...
 
     def between(self, pairs: NDArray[np.intp]) -> tuple[NDArray[np.int8], NDArray[np.float64]]:
-        """Return status and margin (n, p) of "between a and b", for each of n objects and each of the `pairs` (p, 2) of
-        indices of a and b.
+        """Return the status and the margin of the statements "object i is between a and b", (n, p) each. Each row of
+        `pairs` (p, 2) has the indices of one a and b.
         """
         ...
 
     def closest(self, rival: NDArray[np.bool_]) -> tuple[NDArray[np.int8], NDArray[np.float64]]:
-        """Return status and margin (n, n) of "object i is the closest to object j" among object i and its rivals."""
+        """Return the status and the margin of the statements "object i is the closest to object j", (n, n) each. Object
+        i is compared with its rivals: `rival` (n, n) says whether the label of object i could mean object j.
+        """
         ...
 
     def sizes(self, rival: NDArray[np.bool_]) -> Mapping[str, NDArray[np.int8]]:
-        """Return, by predicate, the status (n,) of "the bigger" and "the smaller". Each object is compared with its
-        only rival.
+        """Return the status (n,) of "the bigger" and of "the smaller", by predicate. Each object is compared with its
+        only rival: `rival` (n, n) says whether the label of object i could mean object j.
         """
         ...
 
@@ -176,8 +178,8 @@ class Referents:
         return columns, status, margin, np.asarray(self.suits[:, columns].all(axis=2))
 
     def denied(self, predicate: Predicate, status: NDArray[np.int8]) -> Bools:
-        """Return (n, a): whether a condition may state that `predicate` is false. `status` (n, a) is the status that
-        `related` returns.
+        """Return a mask (n, a) of the facts with `predicate` that a condition may state to be false. The caller passes
+        the `status` (n, a) that `related` returned.
         """
         found = self.facts.denied.get(predicate)
         return np.asarray(status == -1) if found is None else np.asarray(found[:, self.anchors])
@@ -207,7 +209,7 @@ class Referents:
 
     @cached_property
     def usable_anywhere(self) -> Bools:
-        """Mask (n,) of objects that text can name independent of the start."""
+        """Mask (n,) of objects that text can name wherever the start is."""
         told = [any(q.predicate not in BEARINGS for q in found) for found in self.qualifications]
         return np.asarray(self.unique | np.array(told, dtype=bool))
 
@@ -270,8 +272,8 @@ class Referents:
 def meant_by(
     words: Sequence[str], labels: Sequence[str], may_be: Sequence[frozenset[str]], vocabulary: Vocabulary
 ) -> Bools:
-    """Return (w, n): whether each of the w `words`, which are labels, might mean each of n objects. It may mean an
-    object by the object's own label or by another label that the object may have.
+    """Return a mask (w, n): whether each of the w `words`, which are labels, might mean each of n objects. A word might
+    mean an object by the object's own label or by another label that the object may have.
 
     Parameters
     ----------
@@ -327,8 +329,8 @@ def _nameless(
 
 
 def _suits(sizes: NDArray[np.float64], fixed: Bools) -> Bools:
-    """Return (n, n): whether object j may be the anchor of object i. It may if it is fixed, or if its ground area or
-    its volume is at least that of i. `sizes` is (n, 3).
+    """Return a mask (n, n): whether object j may be the anchor of object i, judging by the `sizes` (n, 3). Object j may
+    be if it is fixed, or if its ground area or its volume is at least that of object i.
     """
     area, volume = sizes[:, 0] * sizes[:, 2], sizes.prod(axis=1)
     suits = fixed[None, :] | (area[None, :] >= area[:, None]) | (volume[None, :] >= volume[:, None])
@@ -337,8 +339,8 @@ def _suits(sizes: NDArray[np.float64], fixed: Bools) -> Bools:
 
 
 def _longest_side(arrays: RoomArrays) -> NDArray[np.float64]:
-    """Return the longest side of each object, (n,) in metres. It is infinite if the extent is unknown, so that the
-    object counts as large.
+    """Return the longest side (n,) of each object in metres. An object of unknown extent counts as large: its side is
+    infinite.
     """
     sides = np.max(arrays.aabb_max - arrays.aabb_min, axis=1, initial=-np.inf)
     sides = np.where(np.isnan(sides), 2.0 * arrays.radius, sides)

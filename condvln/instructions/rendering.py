@@ -80,7 +80,7 @@ def voice_of(seed: int, instruction_id: str, wording: WordingConfig | str = "en"
 
 @lru_cache
 def _allowed(said: WordingConfig) -> tuple[tuple[Voice, ...], tuple[float, ...]]:
-    """Return the voices that `said` allows, in the language's order, and their cumulative weights."""
+    """Return the voices that the wording `said` allows, in the language's order, and their cumulative weights."""
     voices = tuple(voice for voice in language(said.language).voices if voice.name in said.voices)
     return voices, tuple(accumulate(voice.weight for voice in voices))
 

@@ -161,8 +161,8 @@ class ProgramSampler:
 
     @cached_property
     def label_cap(self) -> float:
-        """Maximum share of leaf targets that may have the same label. If the scene has too few labels for it, this is
-        an equal share for each label.
+        """Maximum share of leaf targets that may have the same label. If the scene has too few labels for the wanted
+        share, the maximum is an equal share for each label.
         """
         return max(self.wanted.label_cap, 1.0 / max(1, len(self._members)))
 
@@ -262,8 +262,8 @@ class ProgramSampler:
 
     @contextmanager
     def _counted(self, cell: InstructionCell | None) -> Iterator[None]:
-        """Count for `cell` the reason if the draw in this context is rejected, and the conditions that clashed with
-        others.
+        """Return a context manager around one draw. It counts, for `cell`, the reason if the draw is rejected, and the
+        conditions that clashed with others.
         """
         try:
             yield
@@ -305,8 +305,8 @@ class ProgramSampler:
         return tuple(room for room in self.condition_sampler.rooms if self._fits(self._held[room], n))
 
     def _fits(self, allowed: int, n: int, waypoints: int = 0, free: int | None = None) -> bool:
-        """Return whether `n` targets among `allowed` and `waypoints` more targets among `free` exist that have
-        different labels and are pairwise apart. `allowed` and `free` are bits; the default of `free` is `allowed`.
+        """Return whether enough targets exist that have different labels and are pairwise apart: `n` among `allowed`,
+        and `waypoints` more among `free`. Both are sets of targets, as bits; `free` is `allowed` by default.
         """
         free = allowed if free is None else free
         if n < 2 and not waypoints:
@@ -317,8 +317,8 @@ class ProgramSampler:
         return self._fitting[key]
 
     def _search(self, allowed: int, free: int, n: int, waypoints: int, left: list[int]) -> bool:
-        """Search for the targets that `_fits` asks for. `left` holds one number, the targets that may still be tried;
-        if it runs out, the answer is True.
+        """Search for the targets that `_fits` asks for. `left` holds one number: how many more targets may be tried. If
+        none may be tried any more, the answer is True.
         """
         if not n:
             return not waypoints or self._fits(free, waypoints)
@@ -388,7 +388,7 @@ class ProgramSampler:
 
     def _few(self, most: int, shape: _Shape, draws: Draws) -> list[str]:
         """Return up to `most` rooms that together have targets for all stops. Conditions can be asked about the first
-        one. Rooms that are named by their label alone are preferred.
+        room. Rooms that are named by their label alone are preferred.
         """
         few = [draws.choice(self.condition_sampler.rooms)]
         while len(few) < most:
@@ -461,7 +461,7 @@ class ProgramSampler:
         return [*stops, goal]
 
     def _room_names(self, room_id: str, visited: Sequence[Target]) -> Sequence[RoomRef]:
-        """Return the names of a room that don't rely on an object that is visited there."""
+        """Return the names of a room that do not rely on the label of an object visited in this room."""
         labels = {target.label for target in visited if target.room_id == room_id}
         names = [
             name

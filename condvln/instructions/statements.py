@@ -41,8 +41,8 @@ class StatementTruths:
     false: Bools
 
     def anchor_key(self, column: int, own: Sequence[str]) -> str:
-        """Return the key that the priors use for the anchors of `column`. `own` are the labels of the
-        room's objects.
+        """Return the key under which the priors count the anchors of `column`. `own` has the labels of the room's
+        objects.
         """
         return anchor_key(own[a] for a in self.anchors[column])
 

@@ -20,7 +20,7 @@ def instruction_table(
     texts: Mapping[str, str] | None = None,
     groups: Mapping[str, str | None] | None = None,
 ) -> pa.Table:
-    """Return INSTRUCTIONS rows in the given order.
+    """Return `programs` as INSTRUCTIONS rows, in the given order.
 
     Parameters
     ----------

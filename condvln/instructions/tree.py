@@ -11,7 +11,7 @@ __all__ = ["program_tree"]
 
 
 def program_tree(program: Program) -> str:
-    """Return the tree of `program` as text; ✔/✘ is a condition's truth, ★ the gold leaf."""
+    """Return the tree of `program` as text. ✔ and ✘ mark true and false conditions, ★ marks the gold leaf."""
     return "\n".join(_branch(program, 0, "", program.gold_leaf()))
 
 

@@ -13,8 +13,8 @@ Cells = npt.NDArray[np.uint16]
 
 
 def quantise_bounds(lower: Floats, upper: Floats, tile_min: Floats, cell_size: float) -> tuple[Cells, Cells]:
-    """Return boxes in whole cells, counted from the tile's lowest corner. They are truncated and clamped to 16 bits;
-    Detour uses the cell size in all directions.
+    """Return boxes in whole cells, counted from the tile's lowest corner. The numbers are truncated and clamped to 16
+    bits; Detour uses the cell size in all directions.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def quantise_bounds(lower: Floats, upper: Floats, tile_min: Floats, cell_size: f
 
 
 def build_bv_tree(lower: Cells, upper: Cells) -> Records:
-    """Return the tree over p boxes: (2p,) BV_NODE; the last one stays blank, as in Detour.
+    """Return the tree over p boxes, (2p,) of type BV_NODE. The last node stays blank, as in Detour.
 
     Nodes are in depth-first order; a leaf holds its polygon, an inner node minus the number of nodes to skip. Each
     node splits its items in the middle after a stable sort by lower bound along the longest axis (ties: x before y

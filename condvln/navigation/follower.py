@@ -183,8 +183,8 @@ class Follower:
         return FollowedRoute(actions, locations, arrivals, float(distance), OUTCOMES[status])
 
     def walk(self, start: npt.ArrayLike, heading: float, actions: npt.ArrayLike) -> Walk:
-        """Return the poses of an agent that takes ``actions`` (n,) from ``start``; STOP and unknown ids do not move
-        it.
+        """Return the poses of an agent that takes ``actions`` (n,) from ``start``; STOP and unknown ids do not move the
+        agent.
         """
         places, facing = replay_kernel(
             self.pathfinder.query_mesh, self._gait(heading), one_point(start)[0], np.array(actions, np.int8).reshape(-1)
@@ -233,8 +233,8 @@ class SteppedWalk:
 
 
 def _headings(first: float, facing: Indices, space: ActionSpace) -> npt.NDArray[np.float64]:
-    """Return headings in radians within [0, 2π). ``first`` is the first heading, ``facing`` the number of turns from it
-    to each of the others.
+    """Return headings in radians within [0, 2π). ``first`` is the first heading, ``facing`` the number of turns from
+    the first heading to each other heading.
     """
     turned: npt.NDArray[np.float64] = np.mod(first + facing * math.radians(space.turn), 2 * math.pi)
     return turned

@@ -115,12 +115,14 @@ class GraphPathfinder:
         return place
 
     def snap_point(self, point: npt.ArrayLike, island: int | None = None) -> Floats:
-        """Return the nearest viewpoint's position (3,), or the nearest of one island; NaN if none is in reach."""
+        """Return the position (3,) of the viewpoint nearest to a point, among all or among those of one island; NaN if
+        none is in reach.
+        """
         snapped: Floats = self.snap_points(one_point(point), island)[0]
         return snapped
 
     def snap_points(self, points: npt.ArrayLike, island: int | None = None) -> Floats:
-        """Apply :meth:`snap_point` to each of n points, (n, 3)."""
+        """Return the positions (n, 3) to which n points snap; see :meth:`snap_point`."""
         nearest = self._nearest(many_points(points), island)
         places = self.graph.positions[nearest]
         return np.where((nearest == NOWHERE)[:, None], np.float32(np.nan), places).astype(np.float32)
@@ -137,13 +139,13 @@ class GraphPathfinder:
         return int(self.get_islands(one_point(point))[0])
 
     def get_islands(self, points: npt.ArrayLike) -> Ints:
-        """Return the result of :meth:`get_island` for each of n points, as an array (n,)."""
+        """Return the component indices (n,) of n points; see :meth:`get_island`."""
         nearest = self._nearest(many_points(points))
         return np.where(nearest == NOWHERE, -1, self._islands[nearest]).astype(np.int32)
 
     def island_radius(self, point_or_index: npt.ArrayLike) -> float:
-        """Return the distance in metres from the mean of a component, given by its index or by a point of it, to its
-        farthest viewpoint.
+        """Return the distance in metres from the mean of a connected component to the viewpoint farthest from it. The
+        component is given by its index or by a point in it.
         """
         where = np.asarray(point_or_index)
         index = self._island(int(where)) if where.ndim == 0 else self.get_island(where)
@@ -184,15 +186,17 @@ class GraphPathfinder:
         return float(self.geodesic_distances(start, end)[0])
 
     def geodesic_distances(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> Floats:
-        """Return :meth:`geodesic_distance` of n pairs, (n,) float32. A single start is paired with every end, and a
-        single end with every start.
+        """Return the shortest distances (n,), float32, of n pairs; see :meth:`geodesic_distance`. A single start is
+        paired with every end, and a single end with every start.
         """
         first, second = (self._nearest(points) for points in paired_points(starts, ends))
         lost = (first == NOWHERE) | (second == NOWHERE)
         return np.where(lost, np.inf, self._lengths[first, second]).astype(np.float32)
 
     def distance_table(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> Floats:
-        """Return :meth:`geodesic_distance` from each of n starts to each of m ends, (n, m) float32."""
+        """Return a table (n, m), float32, of the shortest distances in metres from each of n starts to each of m ends;
+        see :meth:`geodesic_distance`.
+        """
         first, second = self._nearest(many_points(starts))[:, None], self._nearest(many_points(ends))[None, :]
         lost = (first == NOWHERE) | (second == NOWHERE)
         return np.where(lost, np.inf, self._lengths[first, second]).astype(np.float32)
@@ -222,7 +226,9 @@ class GraphPathfinder:
         return total
 
     def _nearest(self, points: Floats, island: int | None = None) -> Ints:
-        """Return the nearest viewpoint (n,) of each point, NOWHERE if none is in reach."""
+        """Return the index of the viewpoint nearest to each of n points, as an array (n,); NOWHERE if none is in
+        reach.
+        """
         asked = points.astype(np.float64)
         away = np.linalg.norm(asked[:, None, :] - self.graph.positions[None, :, :], axis=2)
         if island is not None:

@@ -57,7 +57,7 @@ class HabitatPathfinder:
 
     @property
     def settings(self) -> NavMeshSettings | None:
-        """Settings that the navmesh was built with, if habitat-sim has them."""
+        """Settings that the navmesh was built with; None if habitat-sim does not know them."""
         found = self._habitat.nav_mesh_settings
         if found is None:
             return None
@@ -104,14 +104,16 @@ class HabitatPathfinder:
         return self.find_path(start, end).geodesic_distance
 
     def geodesic_distances(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> Floats:
-        """Return :meth:`geodesic_distance` of n pairs, (n,) float32. A single start is paired with every end, and a
-        single end with every start.
+        """Return the geodesic distances (n,), float32, of n pairs; see :meth:`geodesic_distance`. A single start is
+        paired with every end, and a single end with every start.
         """
         pairs = np.broadcast_arrays(*paired_points(starts, ends))
         return np.array([self.geodesic_distance(a, b) for a, b in zip(*pairs, strict=True)], np.float32)
 
     def distance_table(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> Floats:
-        """Return :meth:`geodesic_distance` from each of n starts to each of m ends, (n, m) float32."""
+        """Return a table (n, m), float32, of the geodesic distances in metres from each of n starts to each of m ends;
+        see :meth:`geodesic_distance`.
+        """
         first, second = many_points(starts), many_points(ends)
         table = np.empty((len(first), len(second)), np.float32)
         for row, start in enumerate(first):
@@ -124,7 +126,7 @@ class HabitatPathfinder:
         return np.array(self._habitat.snap_point(one_point(point)[0], chosen), np.float32)
 
     def snap_points(self, points: npt.ArrayLike, island: int | None = None) -> Floats:
-        """Apply :meth:`snap_point` to each of n points, (n, 3)."""
+        """Return the positions (n, 3) to which n points snap; see :meth:`snap_point`."""
         return many_points([self.snap_point(point, island) for point in many_points(points)])
 
     def is_navigable(self, point: npt.ArrayLike, max_y_delta: float = 0.5) -> bool:
@@ -136,7 +138,7 @@ class HabitatPathfinder:
         return int(self._habitat.get_island(one_point(point)[0]))
 
     def get_islands(self, points: npt.ArrayLike) -> Ints:
-        """Return the result of :meth:`get_island` for each of n points, as an array (n,)."""
+        """Return the island indices (n,) of n points; see :meth:`get_island`."""
         return np.array([self.get_island(point) for point in many_points(points)], np.int32)
 
     def island_radius(self, point_or_index: npt.ArrayLike) -> float:

@@ -57,7 +57,7 @@ def disable_zero_area(tile: NavMeshTile) -> NavMeshTile:
 
 
 def polygon_areas(tile: NavMeshTile) -> Floats:
-    """Return the area of each polygon in square metres, (p,) float32. It is summed in float32 over the polygon's detail
+    """Return the areas (p,) of the polygons in square metres. Each area is summed in float32 over the polygon's detail
     triangles, in order.
     """
     corners, poly = tile.detail_triangles

@@ -36,7 +36,7 @@ class Occluders(Protocol):
         """
 
     def hidden(self, eyes: Points, points: Points, own: npt.NDArray[np.int64] | None = None) -> Flags:
-        """Return whether each of k lines of sight is blocked, (k,) bool. ``eyes`` and ``points`` are the ends of these
+        """Return a mask (k,) of the lines of sight that are blocked. ``eyes`` and ``points`` are the ends of these
         lines, (k, 3) each, in metres.
 
         ``own`` (k,) : the occluder that each point belongs to, -1 for none; used for boxes only.

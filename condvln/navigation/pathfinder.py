@@ -155,7 +155,7 @@ class Pathfinder:
         return snapped
 
     def snap_points(self, points: npt.ArrayLike, island: int | None = None) -> Floats:
-        """Apply :meth:`snap_point` to each of n points, (n, 3)."""
+        """Return the positions (n, 3) to which n points snap; see :meth:`snap_point`."""
         chosen = ANY_ISLAND if island is None else self._island_index(island)
         return project(self.query_mesh, many_points(points), chosen)[1]
 
@@ -164,7 +164,7 @@ class Pathfinder:
         return bool(self.are_navigable(one_point(point), max_y_delta)[0])
 
     def are_navigable(self, points: npt.ArrayLike, max_y_delta: float = MAX_Y_DELTA) -> npt.NDArray[np.bool_]:
-        """Return the result of :meth:`is_navigable` for each of n points, as an array (n,)."""
+        """Return a mask (n,) of the points that are on the navmesh; see :meth:`is_navigable`."""
         return all_navigable(self.query_mesh, many_points(points), np.float32(max_y_delta))
 
     def get_island(self, point: npt.ArrayLike) -> int:
@@ -172,7 +172,7 @@ class Pathfinder:
         return int(self.get_islands(one_point(point))[0])
 
     def get_islands(self, points: npt.ArrayLike) -> Ints:
-        """Return the result of :meth:`get_island` for each of n points, as an array (n,)."""
+        """Return the island indices (n,) of n points; see :meth:`get_island`."""
         polys, _ = project(self.query_mesh, many_points(points), ANY_ISLAND)
         return np.where(polys == NO_POLYGON, -1, self._island_of_poly[polys]).astype(np.int32)
 
@@ -221,20 +221,22 @@ class Pathfinder:
         return float(routes(self.query_mesh, one_point(start), one_point(end), False)[0][0])
 
     def geodesic_distances(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> Floats:
-        """Return :meth:`geodesic_distance` of n pairs, (n,) float32. A single start is paired with every end, and a
-        single end with every start.
+        """Return the geodesic distances (n,), float32, of n pairs; see :meth:`geodesic_distance`. A single start is
+        paired with every end, and a single end with every start.
         """
         return routes(self.query_mesh, *paired_points(starts, ends), False)[0]
 
     def distance_table(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> Floats:
-        """Return :meth:`geodesic_distance` from each of n starts to each of m ends, (n, m) float32."""
+        """Return a table (n, m), float32, of the geodesic distances in metres from each of n starts to each of m ends;
+        see :meth:`geodesic_distance`.
+        """
         return distance_table(self.query_mesh, many_points(starts), many_points(ends))
 
     # -- movement ------------------------------------------------------------------------------------------------------
 
     def try_step(self, start: npt.ArrayLike, end: npt.ArrayLike) -> Floats:
         """Return the point (3,) where a move from ``start`` towards ``end`` ends. The move slides along walls; the
-        result is ``start`` if it is impossible.
+        result is ``start`` if the move is impossible.
         """
         reached: Floats = self.try_steps(one_point(start), one_point(end))[0]
         return reached
@@ -247,7 +249,7 @@ class Pathfinder:
         return reached
 
     def try_steps(self, starts: npt.ArrayLike, ends: npt.ArrayLike, sliding: bool = True) -> Floats:
-        """Return the end points of n steps, (n, 3)."""
+        """Return the points (n, 3) where n moves from ``starts`` towards ``ends`` end."""
         first, second = many_points(starts), many_points(ends)
         if len(first) != len(second):
             raise UsageError(f"there are {len(first)} starts but {len(second)} ends", remedy="Give one end per start")
@@ -308,7 +310,8 @@ class Pathfinder:
     def get_random_navigable_point_near(
         self, centre: npt.ArrayLike, radius: float, rng: RandomSource, max_tries: int = 100, island: int | None = None
     ) -> Floats:
-        """Return a point (3,) uniform over the floor within ``radius`` metres of ``centre`` in the ground plane.
+        """Return a random point (3,), uniform over the floor within ``radius`` metres of ``centre`` in the ground
+        plane.
 
         NaN if ``max_tries`` draws from the polygons in reach give none.
         """

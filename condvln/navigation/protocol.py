@@ -49,18 +49,18 @@ class PathfinderProtocol(Protocol):
         """Return the geodesic distance in metres to ``end``, or to the nearest of several ends."""
 
     def geodesic_distances(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> Floats:
-        """Return the distances in metres of n pairs, (n,) float32. A single start is paired with every end, and a
+        """Return the distances (n,), float32, in metres of n pairs. A single start is paired with every end, and a
         single end with every start.
         """
 
     def distance_table(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> Floats:
-        """Return the distances in metres from each of n starts to each of m ends, (n, m) float32."""
+        """Return a table (n, m), float32, of the distances in metres from each of n starts to each of m ends."""
 
     def snap_point(self, point: npt.ArrayLike, island: int | None = None) -> Floats:
         """Return the nearest navigable point (3,)."""
 
     def snap_points(self, points: npt.ArrayLike, island: int | None = None) -> Floats:
-        """Apply :meth:`snap_point` to each of n points, (n, 3)."""
+        """Return the positions (n, 3) to which n points snap; see :meth:`snap_point`."""
 
     def is_navigable(self, point: npt.ArrayLike, max_y_delta: float = 0.5) -> bool:
         """Return whether the point is navigable."""
@@ -69,7 +69,7 @@ class PathfinderProtocol(Protocol):
         """Return the index of the connected component that the point snaps to; -1 for none."""
 
     def get_islands(self, points: npt.ArrayLike) -> Ints:
-        """Return the result of :meth:`get_island` for each of n points, as an array (n,)."""
+        """Return the component indices (n,) of n points; see :meth:`get_island`."""
 
     def island_radius(self, point_or_index: npt.ArrayLike) -> float:
         """Return the distance in metres from the mean of a component to its farthest point."""

@@ -99,7 +99,7 @@ def _grid(geometry: SceneGeometry, theirs: set[tuple[int, int]]) -> tuple[NDArra
 
 
 def _at_hand(geometry: SceneGeometry) -> NDArray[np.int64]:
-    """Return the faces of the floor, and those that extend into the range of hand heights."""
+    """Return the faces of the floor, and the faces that extend into the heights at which an agent holds its hand."""
     heights = geometry.vertices[geometry.faces][:, :, 1]
     low, high = heights.min(axis=1), heights.max(axis=1)
     at_hand = (low <= HAND_HEIGHTS[1]) & (high >= HAND_HEIGHTS[0])

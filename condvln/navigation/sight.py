@@ -93,7 +93,7 @@ def visible_points(
     headings: npt.ArrayLike | None = None,
     own: npt.ArrayLike | None = None,
 ) -> Flags:
-    """Return whether each of n eyes sees each of m points, (n, m) bool.
+    """Return a mask (n, m): whether each of n eyes sees each of m points.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def visible_points(
 
 
 def in_view(eyes: Points, points: Points, view: View, headings: npt.ArrayLike | None = None) -> Flags:
-    """Return whether each of m points is in the range and field of view of each of n eyes, (n, m) bool. Occluders are
+    """Return a mask (n, m): whether each of m points is in the range and field of view of each of n eyes. Occluders are
     ignored.
 
     Raises
@@ -155,7 +155,9 @@ def visible_shares(
     view: View | None = None,
     headings: npt.ArrayLike | None = None,
 ) -> Points:
-    """Return the share of each target's samples that each eye sees, (n, t), from 0 to 1, computed as one batch."""
+    """Return a table (n, t) of the shares, from 0 to 1, of each target's samples that each eye sees, computed as one
+    batch.
+    """
     sizes = np.array([len(target.samples) for target in targets], np.int64)
     if (sizes == 0).any():
         raise UsageError("a target has no samples", place=f"target {int(np.argmin(sizes))}")
@@ -178,7 +180,7 @@ def first_sights(
     least_share: float = 0.0,
 ) -> npt.NDArray[np.int64]:
     """Return, for each of t targets, the index of the first eye of ``path`` (n, 3) that sees more than ``least_share``
-    of the target. It is -1 if no eye does.
+    of the target; -1 if no eye does.
     """
     seen = visible_shares(occluders, path, targets, view, headings) > least_share
     if not len(seen):

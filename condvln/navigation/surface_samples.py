@@ -89,7 +89,7 @@ def _by_area(area: Points, count: int, seed: int) -> tuple[npt.NDArray[np.int64]
     ``count`` equal slices with one point each.
     """
     if count < 1:
-        raise UsageError(f"{count} samples were asked for", remedy="Request at least one")
+        raise UsageError(f"the number of samples must be positive, got {count}", remedy="Request at least one")
     rng = np.random.default_rng(seed)
     slices = (np.arange(count) + rng.uniform(0.0, 1.0, count)) / count
     upto = np.cumsum(area)

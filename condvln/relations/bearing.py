@@ -78,6 +78,6 @@ def _azimuth(east: F64, north: F64) -> F64:
 
 
 def _turn(degrees: F64) -> F64:
-    """Return the same angle in [−180, 180) degrees."""
+    """Return angles in degrees, brought into the range [−180, 180) by whole turns."""
     turned: F64 = (degrees + 180.0) % 360.0 - 180.0
     return turned

@@ -76,15 +76,17 @@ def _distances(a: F64, half_a: F64, axes_a: F64, b: F64, half_b: F64, axes_b: F6
 
 
 def _corners_to_box(corners: F64, center: F64, half: F64, axes: F64) -> F64:
-    """Return (p,): the least distance of corners (p, 8, 3) to boxes."""
+    """Return the least distance (p,), for each of p pairs, between the corners (p, 8, 3) of one box and the other
+    box.
+    """
     beyond = np.maximum(np.abs((corners - center[:, None]) @ axes) - half[:, None], 0.0)
     least: F64 = np.linalg.norm(beyond, axis=-1).min(axis=1)
     return least
 
 
 def _edges(from_a: F64, along_a: F64, from_b: F64, along_b: F64, normal: F64) -> F64:
-    """Return, for each of p pairs of boxes, the least distance between four edges of one box and four edges of the
-    other, (p,). Only pairs of edges that are nearest at interior points of both count; infinite if there are none.
+    """Return the least distance (p,), for each of p pairs of boxes, between four edges of one box and four edges of the
+    other. Only pairs of edges that are nearest at interior points of both count; infinite if there are none.
 
     from_a, from_b : (p, 4, 3) where they begin; along_a, along_b : (p, 3) vectors to their ends
     normal : (p, 3) perpendicular to both

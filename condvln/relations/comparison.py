@@ -20,8 +20,8 @@ Status = NDArray[np.int8]
 
 
 def closest_facts(distance: F64, labels: Sequence[str], rival: Mask, held: Mask, t: Thresholds) -> tuple[Status, F64]:
-    """Return status and margin (n, n) of "object i is the closest to object j". Object i is compared with all objects
-    that its label might mean.
+    """Return the status and the margin of the statements "object i is the closest to object j", (n, n) each. Object i
+    is compared with all objects that its label might mean.
 
     distance (n, n) : of the boxes, or of their nearest pieces, in millimetres; NaN where one is unknown
     rival (n, n) : j could be meant by i's label; an object without a rival of its own label gets status 0
@@ -87,7 +87,8 @@ def _sizes(item: SceneObject) -> tuple[str, float, float] | None:
 def between_facts(
     centers: F64, s: Stacking, compound: Mask, pairs: NDArray[np.intp], t: Thresholds
 ) -> tuple[Status, F64]:
-    """Return status and margin (n, p) of "between a and b".
+    """Return the status and the margin of the statements "object i is between a and b", (n, p) each, for p `pairs` of a
+    and b.
 
     centers (n, 3) : metres; pairs (p, 2) : indices of the anchors
     compound (n,) : objects of several boxes; their centres say little, so their status is 0

@@ -37,7 +37,7 @@ class Holding:
 
 
 def holding_of(arrays: RoomArrays) -> Holding:
-    """Return what the sources of n objects state."""
+    """Return what the sources state about which of a room's n objects are in or on which others."""
     n, index = len(arrays), {name: k for k, name in enumerate(arrays.object_ids)}
     on, inside, named = (np.zeros((n, n), dtype=np.bool_) for _ in range(3))
     receptacles = {item.object_id: item.receptacles or () for item in arrays.objects}
@@ -56,7 +56,7 @@ def holding_of(arrays: RoomArrays) -> Holding:
 
 
 def closure(direct: Mask) -> Mask:
-    """Return (n, n): whether each pair is connected by a chain of one or more links of `direct`."""
+    """Return a mask (n, n): whether a chain of one or more links of the mask `direct` (n, n) leads from i to j."""
     found = direct
     while True:
         steps = found.astype(np.float32)

@@ -91,7 +91,7 @@ def pair_metrics(centers: F64, aabb_min: F64, aabb_max: F64, radius: F64) -> Pai
 
 
 def _between(low: F64, high: F64) -> F64:
-    """Return the gap between each two of n intervals along one axis, (n, n). The gap of intervals that overlap is
+    """Return the gap (n, n) between each two of n intervals along one axis. The gap of intervals that overlap is
     negative.
     """
     one_way = low[:, None] - high[None, :]

@@ -71,32 +71,32 @@ class Pieces:
         return self.arrays is not self.whole
 
     def spread(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return values (m, m) of all pairs of pieces. Each pair has the value, from `values` (n, n), of the two
-        objects that the pieces belong to.
+        """Return an array (m, m) for pairs of pieces. Each pair of pieces has the entry of `values` (n, n) for the two
+        objects to which the pieces belong.
         """
         return values[np.ix_(self.owner, self.owner)] if self.several else values
 
     def any(self, mask: Mask) -> Mask:
-        """Return (n, n): whether the mask (m, m) is true for some pair of a piece of one object and a piece of the
-        other.
+        """Return a mask (n, n) for pairs of objects: whether the mask (m, m) is true for some pair of a piece of one
+        object and a piece of the other.
         """
         return np.asarray(self._reduced(np.logical_or, mask), dtype=np.bool_)
 
     def all(self, mask: Mask) -> Mask:
-        """Return (n, n): whether the mask (m, m) is true for every pair of a piece of one object and a piece of the
-        other.
+        """Return a mask (n, n) for pairs of objects: whether the mask (m, m) is true for every pair of a piece of one
+        object and a piece of the other.
         """
         return np.asarray(self._reduced(np.logical_and, mask), dtype=np.bool_)
 
     def least(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (n, n): the least value over all pairs of pieces of both objects; NaN if any of these values is
-        NaN.
+        """Return, for pairs of objects (n, n), the least of the `values` (m, m) over all pairs of a piece of one and a
+        piece of the other; NaN if any of these values is NaN.
         """
         return np.asarray(self._reduced(np.minimum, values), dtype=np.float64)
 
     def most(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (n, n): the greatest value over all pairs of pieces of both objects; NaN if any of these values is
-        NaN.
+        """Return, for pairs of objects (n, n), the greatest of the `values` (m, m) over all pairs of a piece of one and
+        a piece of the other; NaN if any of these values is NaN.
         """
         return np.asarray(self._reduced(np.maximum, values), dtype=np.float64)
 

@@ -104,7 +104,7 @@ _PREDICATE_CODE: Final = {predicate: code for code, predicate in enumerate(_PRED
 
 def _groups(relations: RoomRelations) -> Iterator[tuple[str, str, NDArray[np.intp], NDArray[np.intp]]]:
     """Yield (predicate, kind, subjects, targets) for each predicate. Subjects and targets are the indices of the
-    objects at the ends of its edges.
+    objects between which the predicate has an edge.
     """
     for code, predicate in enumerate(CANONICAL):
         i, j = np.nonzero(relations.canonical == code)

@@ -73,17 +73,21 @@ class TextFacts:
     _thresholds: Thresholds
 
     def between(self, pairs: NDArray[np.intp]) -> tuple[Status, F64]:
-        """Return status and margin (n, p) of "between a and b" for p pairs (p, 2) of anchors."""
+        """Return the status and the margin of the statements "object i is between a and b", (n, p) each. `pairs` (p, 2)
+        has the indices of each a and b.
+        """
         return between_facts(self._arrays.centers, self._whole, self._compound, pairs, self._thresholds)
 
     def closest(self, rival: Mask) -> tuple[Status, F64]:
-        """Return status and margin (n, n) of "closest to". `rival` (n, n) is whether object j could be meant by the
-        label of object i.
+        """Return the status and the margin of the statements "object i is the closest to object j", (n, n) each.
+        `rival` (n, n) says whether the label of object i could mean object j.
         """
         return closest_facts(self._distance, self._arrays.labels, rival, self._held, self._thresholds)
 
     def sizes(self, rival: Mask) -> dict[str, Status]:
-        """Return the status (n,) of each predicate of `SIZE_PREDICATES`. `rival` is the same as for `closest`."""
+        """Return the status (n,) of each predicate of `SIZE_PREDICATES`. `rival` (n, n) says whether the label of
+        object i could mean object j.
+        """
         return size_facts(self._arrays, rival, self._thresholds)
 
 
@@ -209,8 +213,8 @@ def _said_in(fact: _Fact, holding: Holding) -> _Fact:
 
 
 def _rising(value: F64, emitted: float, text: float) -> F64:
-    """Return the distance of `value` from `emitted` in the direction of `text`, divided by the distance between
-    `emitted` and `text`.
+    """Return the position of `value` on the scale on which the threshold `emitted` is 0 and the threshold `text`
+    is 1.
     """
     scaled: F64 = (value - emitted) * (1.0 / (text - emitted))
     return scaled

@@ -46,7 +46,9 @@ def make_layout(seed: int, n_rooms: int | None = None) -> Layout:
     """
     if n_rooms is not None and not MIN_ROOMS <= n_rooms <= MAX_ROOMS:
         raise UsageError(
-            f"{n_rooms} rooms were asked for", place="n_rooms", remedy=f"Ask for {MIN_ROOMS} to {MAX_ROOMS} rooms."
+            f"the number of rooms is out of range: {n_rooms}",
+            place="n_rooms",
+            remedy=f"Ask for {MIN_ROOMS} to {MAX_ROOMS} rooms.",
         )
     attempt = 0
     while True:

@@ -133,8 +133,8 @@ def _panoramas(views: Viewpoints, ids: list[str], number: Mapping[str, int]) -> 
 
 
 def pose(spot: list[float]) -> list[float]:
-    """Return the 4 × 4 camera-to-world matrix, row by row. Camera axes: x right, y down, z forward; it looks along
-    +y.
+    """Return the 4 × 4 camera-to-world matrix, row by row. Camera axes: x right, y down, z forward; the camera looks
+    along +y.
     """
     return [1.0, 0.0, 0.0, spot[0], 0.0, 0.0, 1.0, spot[1], 0.0, -1.0, 0.0, spot[2], 0.0, 0.0, 0.0, 1.0]
 

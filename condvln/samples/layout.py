@@ -60,7 +60,7 @@ class Yaw:
 
     @property
     def square(self) -> bool:
-        """Whether this is a multiple of 90°."""
+        """Whether the angle is a multiple of 90°."""
         return 0 in (self.cosine25, self.sine25)
 
     def turned(self, by: Yaw) -> Yaw:
@@ -72,7 +72,7 @@ class Yaw:
         return Yaw(cosine // YAW_DENOMINATOR, sine // YAW_DENOMINATOR)
 
     def apply(self, x: float, z: float) -> tuple[float, float]:
-        """Return a point (x, z) of a piece's own frame in the scene's frame."""
+        """Convert a point (x, z) from a piece's own frame to the scene's frame."""
         return self.cosine * x + self.sine * z, -self.sine * x + self.cosine * z
 
     @property

@@ -95,10 +95,12 @@ def make_samples(
     if family not in FORMS:
         known = ", ".join(sorted(FORMS))
         raise UsageError(
-            f"no samples can be made of a family {family!r}", place="family", remedy=f"Choose one of: {known}."
+            f"no samples can be made for the family {family!r}", place="family", remedy=f"Choose one of: {known}."
         )
     if scenes < 1:
-        raise UsageError(f"{scenes} scenes were asked for", place="scenes", remedy="Ask for at least one.")
+        raise UsageError(
+            f"the number of scenes must be positive, got {scenes}", place="scenes", remedy="Ask for at least one."
+        )
     layouts = make_layouts(scenes, seed)
     return _write(Path(folder), family, layouts, FORMS[family](layouts))
 

@@ -75,7 +75,7 @@ def articulated_files(kind: Kind) -> dict[str, bytes]:
 
 
 def _to_link(boxes: F64) -> F64:
-    """Convert boxes from the y-up frame to a link's: (x, y, z) becomes (x, z, −y)."""
+    """Convert boxes from the y-up frame to the frame of a URDF link: (x, y, z) becomes (x, z, −y)."""
     turned = boxes[..., [0, 2, 1]] * np.array([1.0, 1.0, -1.0])
     return np.sort(turned, axis=-2)
 

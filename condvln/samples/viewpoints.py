@@ -126,7 +126,7 @@ def _thinned(places: F64, distance: float, kept: int = 0) -> F64:
 
 
 def _joined(places: F64, area: shapely.Geometry) -> Flags:
-    """Return (n, n): whether two different viewpoints are connected by a straight line inside `area`."""
+    """Return a mask (n, n): whether two different viewpoints are connected by a straight line inside `area`."""
     n = len(places)
     pairs = np.stack(np.broadcast_arrays(places[:, None], places[None]), axis=2)
     joined: Flags = shapely.covers(area, shapely.linestrings(pairs.reshape(-1, 2, 2))).reshape(n, n)

@@ -21,8 +21,8 @@ _SIGNS: Final = np.array(list(product((-1.0, 1.0), repeat=3)))
 def placement(
     rotation: ArrayLike | None = None, translation: ArrayLike | None = None, scale: ArrayLike | None = None
 ) -> F64:
-    """Return the (4, 4) transform that scales (one factor or three), then rotates by (3, 3), then translates by (3,)
-    metres.
+    """Return the (4, 4) transform that first scales (by one factor or three), then applies the rotation (3, 3), then
+    the translation (3,) in metres.
     """
     matrix = np.eye(4)
     if rotation is not None:

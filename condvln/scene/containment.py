@@ -79,8 +79,8 @@ def with_containment(objects: Sequence[SceneObject], family: str) -> tuple[Scene
 
 
 def stated_holders(objects: Sequence[SceneObject]) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
-    """Return two mappings by object id: the ids of the objects that an object is on, and of those that it is in. They
-    include only objects for which the source states these.
+    """Return two mappings from the id of an object: to the ids of the objects that it is on, and to the ids of those
+    that it is in. Each mapping has only the objects for which the source states this.
     """
     links, of = _Links(), {item.object_id: item for item in objects}
     for item in objects:
@@ -249,7 +249,9 @@ def _volume(box: F64 | None) -> float:
 
 
 def _shares_inside(boxes: F64, holders: F64) -> F64:
-    """Return (n, m): the share of the volume of boxes (n, 2, 3) that lies in holders (m, 2, 3)."""
+    """Return a table (n, m) of shares: how much of the volume of each of the boxes (n, 2, 3) lies in each of the
+    holders (m, 2, 3).
+    """
     low, high = boxes[:, 0], np.maximum(boxes[:, 1], boxes[:, 0] + THIN)
     sides = np.minimum(high[:, None], holders[None, :, 1]) - np.maximum(low[:, None], holders[None, :, 0])
     share: F64 = np.prod(np.clip(sides, 0.0, None) / (high - low)[:, None], axis=2)

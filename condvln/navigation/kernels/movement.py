@@ -183,7 +183,7 @@ def _nudge_inwards(mesh: QueryMesh, poly: int, point: Floats) -> None:
 
 @compiled
 def steps(mesh: QueryMesh, starts: Floats, ends: Floats, sliding: bool) -> Floats:
-    """Apply :func:`step` to each of n pairs, (n, 3)."""
+    """Return the end points (n, 3) of n moves from ``starts`` towards ``ends``, each as :func:`step` gives it."""
     reached = np.empty((starts.shape[0], 3), np.float32)
     for i in range(starts.shape[0]):
         step(mesh, starts[i], ends[i], sliding, reached[i])
@@ -194,7 +194,8 @@ def steps(mesh: QueryMesh, starts: Floats, ends: Floats, sliding: bool) -> Float
 def nearest_wall(
     mesh: QueryMesh, search: Search, point: Floats, max_radius: np.float32, hit: Floats, normal: Floats
 ) -> np.float32:
-    """Return the horizontal distance from a snapped point to the nearest wall; write the wall's point and the normal.
+    """Return the horizontal distance from a snapped point to the nearest wall. Write the nearest point on the wall to
+    ``hit``, and the wall's normal to ``normal``.
 
     Off the mesh the distance is infinite and both are zero. If no wall is within ``max_radius``, the distance is that
     radius, the wall's point is zero and the normal is computed from it, as in habitat-sim. On a wall the normal is NaN.

@@ -135,7 +135,7 @@ def _nearest_within(
     mesh: QueryMesh, x: np.float32, y: np.float32, z: np.float32, island: int, reach: np.float32, over_only: bool
 ) -> tuple[int, np.float32, np.float32, np.float32]:
     """Return the result of :func:`nearest_polygon` for the polygons in a box around the point. With ``over_only``, only
-    polygons at distance 0 count, and the first of them is returned.
+    polygons at distance 0 count, and the first such polygon is returned.
     """
     grid = mesh.grid
     low_x, low_y, low_z = x - reach, y - REACH_HEIGHT, z - reach
@@ -199,8 +199,8 @@ def _nearest_within(
 
 @compiled
 def _too_far(mesh: QueryMesh, poly: int, x: np.float32, z: np.float32, best: np.float32) -> bool:
-    """Return whether the polygon's box is too far away to contain a nearer point. Its squared horizontal distance,
-    after subtracting a margin, is compared with ``best``.
+    """Return whether the polygon's box is too far away to contain a point nearer than ``best``, a squared distance. A
+    margin is subtracted from the horizontal distance to the box.
     """
     box = mesh.boxes[poly]
     dx = max(max(box[0] - x, x - box[2]) - mesh.grid[SLACK], ZERO)
@@ -237,7 +237,7 @@ def navigable(mesh: QueryMesh, x: np.float32, y: np.float32, z: np.float32, max_
 
 @compiled
 def all_navigable(mesh: QueryMesh, points: Floats, max_y_delta: np.float32) -> npt.NDArray[np.bool_]:
-    """Apply :func:`navigable` to each of n points."""
+    """Return a mask (n,) of the points that are navigable, see :func:`navigable`."""
     answer = np.empty(points.shape[0], np.bool_)
     for i in range(points.shape[0]):
         answer[i] = navigable(mesh, points[i, 0], points[i, 1], points[i, 2], max_y_delta)

@@ -34,7 +34,7 @@ def _fan_area(mesh: QueryMesh, poly: int, corner: int) -> np.float32:
 
 @compiled
 def points_on_polygons(mesh: QueryMesh, polys: Indices, picks: Floats, spreads: Floats) -> Floats:
-    """Return one point on each of n polygons, (n, 3). A point is NaN if rounding placed it off its polygon.
+    """Return points (n, 3), one on each of n polygons. A point is NaN if rounding placed it off its polygon.
 
     ``picks`` chooses the triangle of the polygon's fan and the position along its far edge, ``spreads`` the distance
     from the first corner; if both are uniform in [0, 1), the points are uniform on the polygon.

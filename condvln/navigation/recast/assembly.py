@@ -91,8 +91,8 @@ def _detail_records(mesh: PolyMesh, detail: DetailMesh) -> Records:
 
 
 def _beyond_corners(mesh: PolyMesh, detail: DetailMesh) -> Records:
-    """Return (v,) bool: whether each detail vertex is additional to the corners of its polygon. The vertices of a
-    polygon begin with its corners.
+    """Return a mask (v,) of the detail vertices that are not corners of their polygon. The vertices of a polygon begin
+    with its corners.
     """
     within = np.arange(len(detail.vertices)) - np.repeat(detail.meshes[:, 0], detail.meshes[:, 1])
     beyond: Records = within >= np.repeat(mesh.vert_counts, detail.meshes[:, 1])

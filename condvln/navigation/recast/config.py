@@ -29,8 +29,8 @@ LEAST_SAMPLE_CELLS = np.float32(0.9)
 
 
 class RecastProfile(str, Enum):
-    """The version of Recast to reproduce. The two differ in one comparison, which decides whether low passages are
-    walkable.
+    """The version of Recast to reproduce. The two versions differ in one comparison, which decides whether low passages
+    are walkable.
     """
 
     HABITAT_0_3_3 = "habitat<=0.3.3"
@@ -171,7 +171,7 @@ def _check_settings(settings: NavMeshSettings) -> None:
         cells = np.float32(getattr(settings, name)) / np.float32(getattr(settings, unit))
         if not cells <= most:
             raise UsageError(
-                f"{name} {getattr(settings, name):g} is {cells:.0f} cells of {unit} {getattr(settings, unit):g}",
+                f"{name} {getattr(settings, name):g} makes {cells:.0f} cells of {unit} {getattr(settings, unit):g}",
                 place="navmesh settings",
                 remedy=f"Recast takes at most {most} cells; use a larger {unit}",
             )

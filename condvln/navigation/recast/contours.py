@@ -68,7 +68,9 @@ def trace_contours(
 
 @compiled
 def _open_edges(neighbour: Array, region: Array) -> Array:
-    """Return (s,) uint8 with bit d set if the edge in direction d leaves the span's region."""
+    """Return an array (s,), uint8, of bits for each span: bit d is set if the edge in direction d leaves the span's
+    region.
+    """
     edges = np.zeros(len(region), np.uint8)
     for i in range(len(region)):
         if region[i] != 0:
@@ -83,8 +85,8 @@ def _open_edges(neighbour: Array, region: Array) -> Array:
 
 @compiled
 def _corner_height(i: int, direction: int, floor: Array, neighbour: Array) -> int:
-    """Return the height of the highest floor among the spans that meet at the corner after edge ``direction``. These
-    are at most four.
+    """Return the height of the highest floor among the spans, at most four, that meet at the corner after edge
+    ``direction``.
     """
     height = floor[i]
     turned = (direction + 1) & 3

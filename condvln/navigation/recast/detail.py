@@ -83,8 +83,8 @@ def build_detail(mesh: PolyMesh, field: CompactHeightfield, region: Array, confi
 
 
 def _boxes(mesh: PolyMesh, counts: Array, width: int, depth: int) -> Array:
-    """Return the box of cells around each polygon, (p, 4) int32: its least x, its least z, its number of columns, its
-    number of rows.
+    """Return a box of cells around each polygon, (p, 4) int32. The four numbers are the least x, the least z, the
+    number of columns, and the number of rows.
     """
     corners = mesh.vertices[
         np.where(

@@ -22,7 +22,7 @@ BLUR_FROM = 2
 
 
 def erode(field: CompactHeightfield, walkable_radius: int) -> Array:
-    """Return the area id of each span, (s,) uint8. It is set to 0 for spans nearer than ``walkable_radius`` cells to a
+    """Return the area ids (s,) of the spans, uint8, with 0 for spans nearer than ``walkable_radius`` cells to a
     border.
     """
     distance = _border_distance(field.neighbour, field.area, FAR_8)

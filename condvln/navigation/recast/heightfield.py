@@ -74,7 +74,7 @@ def rasterize(vertices: Array, faces: Array, face_area: Array, config: RecastCon
 def _cut_row(
     x: Array, y: Array, z: Array, source: int, corners: int, line: np.float32, row: int, rest: int
 ) -> tuple[int, int]:
-    """Cut the polygon in row ``source`` of the (4, 12) float32 work arrays where z equals ``line``.
+    """Cut the polygon in row ``source`` of the (4, 12) float32 work arrays at z = ``line``.
 
     The part before the line goes to row ``row``, the part after it to ``rest``; return their numbers of corners.
     """
@@ -110,8 +110,8 @@ def _cut_row(
 def _cut_cell(
     x: Array, y: Array, source: int, corners: int, line: np.float32, rest: int
 ) -> tuple[int, int, np.float32, np.float32]:
-    """Cut the polygon of a row at x equal to ``line`` into the piece in one cell and the rest, which goes to row
-    ``rest``.
+    """Cut the polygon in row ``source`` of the work arrays at x = ``line``: into the piece in one cell, and the rest,
+    which goes to row ``rest``.
 
     Returns the numbers of corners of the cell's piece and of the rest, and the least and greatest y of the piece, for
     which alone it is needed.

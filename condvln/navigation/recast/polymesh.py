@@ -195,8 +195,8 @@ def _merge_gain(p: Array, n: int, q: Array, m: int, vertices: Array, most: int) 
 
 @compiled
 def _best_partner(j: int, parts: Array, size: Array, n: int, vertices: Array, most: int) -> tuple[int, int]:
-    """Return the index of the polygon after j that gives the largest merge gain with j, and this gain; (-1, 0) if there
-    is none. The first one is taken on ties.
+    """Return which of the polygons after j has the largest merge gain with j: its index, and the gain; (-1, 0) if none
+    has any. The first such polygon is taken on ties.
     """
     best = -1
     gain = 0
