@@ -137,8 +137,8 @@ def _numba_cache_in(folder: Path | None) -> Iterator[None]:
 
 @cache
 def _cache_folder(kernels: Path, package: str) -> Path | None:
-    """Return the cache folder of the kernels in folder ``kernels``; its name depends on their content. None if no
-    folder is writable.
+    """Return the cache folder of the kernels in folder ``kernels``, or None if no folder is writable. The cache
+    folder's name depends on the content of the kernels.
     """
     digest = hashlib.sha256()
     for file in sorted(kernels.glob("*.py")):

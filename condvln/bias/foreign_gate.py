@@ -52,8 +52,8 @@ class _View:
 
 @dataclass(frozen=True)
 class FileCounts:
-    """Numbers of texts in a file: all, those with a condition, those that could be split, and those whose path shows
-    the right clause. `mean_words` is the mean length of all texts.
+    """Numbers of texts in a file: all texts, those with a condition, those that could be split, and those whose path
+    shows which clause was right. `mean_words` is the mean length of all texts.
     """
 
     texts: int
@@ -243,7 +243,7 @@ def _asked(view: _View) -> Iterator[str]:
 
 
 def _in_place(view: _View) -> Iterator[str]:
-    """Yield words with the clause in which they occur."""
+    """Yield each word of a text, marked with the clause in which the word occurs."""
     for name, text in _parts(view):
         yield from (f"{name} {word}" for word in words(text))
 

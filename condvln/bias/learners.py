@@ -135,8 +135,8 @@ def majority_leaf(views: Sequence[GuesserView]) -> Guesses:
 
 
 def _prior(key: Callable[[Asked], tuple[str, ...]]) -> Learner:
-    """Return a learner that picks the leaf whose conditions' truths are likeliest. They are rated by how often
-    statements with the same `key` were true.
+    """Return a learner that picks the likeliest leaf. A leaf is likely if the truths that lead to it were frequent for
+    statements with the same `key`.
 
     `key` maps a condition to the statement that is counted. A condition's position in the tree alone changes how often
     it is true, so the estimate uses the ratio of observed to expected counts.

@@ -85,9 +85,7 @@ def blocked_footprints(
 
 
 def _stands_low(item: SceneObject, pathfinder: PathfinderProtocol) -> bool:
-    """Return whether an object stands on the floor: its bottom is less than FLOOR_STANDING above the floor nearest to
-    it.
-    """
+    """Return whether an object stands on the floor: its bottom is less than FLOOR_STANDING above the nearest floor."""
     assert item.aabb is not None
     bottom = np.array([[item.center[0], item.aabb[0][1], item.center[2]]])
     snapped = pathfinder.snap_points(bottom)
@@ -122,7 +120,8 @@ def goal_points(
     obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
     view: SceneView | None = None,
 ) -> F64:
-    """Return navigable points (k, 3) around `item`, nearest to its box first, at most ``rules.points``; empty if none.
+    """Return navigable points (k, 3) around `item`, those nearest to its box first. There are at most ``rules.points``;
+    empty if there are none.
 
     With a `view`, part of the object is visible from each point, to the camera or to a lower eye that can look under a
     table. All points lie on the same side of any wall: their geodesic distance to the point nearest to the box is at

@@ -26,8 +26,8 @@ def allowed_share(label_cap: float, labels: int) -> float:
 
 
 def most_leaves(share: float, leaves: int) -> int:
-    """Return the maximum number of ``leaves`` leaves that one label may have. It is rounded up, so that small sets are
-    not dropped.
+    """Return how many of ``leaves`` leaves may have the same label if the maximum share is ``share``. The number is
+    rounded up, so that small sets are not dropped.
     """
     return math.ceil(share * leaves)
 

@@ -198,8 +198,8 @@ class Observer:
             self._seen.update({(name, key): row for key, row in zip(places_of, seen, strict=True)})
 
     def _known(self, ways: _Needs, eyes: F64, yaw: float | None = None) -> bool:
-        """Return whether, for at least one of the `ways` to know a condition's truth, all its evidence is visible from
-        the `eyes`. With a `yaw`, only the view straight ahead counts.
+        """Return whether a condition's truth can be known from the `eyes`: all evidence of at least one of the `ways`
+        to know it is visible. With a `yaw`, only the view straight ahead counts.
         """
         return any(all(self._is_seen(name, eyes, yaw) for name in way) for way in ways)
 

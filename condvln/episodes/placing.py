@@ -111,7 +111,7 @@ class Placement:
 
     @property
     def steps(self) -> int:
-        """Number of ground-truth actions of the longest leaf, so that it does not depend on which leaf is gold."""
+        """Number of ground-truth actions of the longest leaf. The number is thus the same whichever leaf is gold."""
         return max(leaf.steps for leaf in self.leaves)
 
 

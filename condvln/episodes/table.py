@@ -66,7 +66,9 @@ def goals_from_table(table: pa.Table) -> dict[str, NDArray[np.float64]]:
 def placements_table(
     scene_id: str, pool: EpisodePool, compositions: Mapping[str, str], navmesh_sha256: str
 ) -> pa.Table:
-    """Return the pool's episodes as PLACEMENTS rows. `compositions` has each instruction's composition by its id."""
+    """Return the pool's episodes as PLACEMENTS rows. `compositions` has the composition of each instruction, by
+    instruction id.
+    """
     rows = [_row(scene_id, e, compositions[e.instruction_id], navmesh_sha256) for e in pool.episodes]
     return pa.Table.from_pylist(rows, schema=PLACEMENTS)
 

@@ -31,7 +31,9 @@ _WAVE: Final = 8
 
 @dataclass(frozen=True, eq=False)
 class SnappedPath:
-    """A path (n, 3), the snapped position of each point (NaN if there is none), and whether snapping moved it."""
+    """A path (n, 3), the snapped position of each point (NaN if there is none), and whether snapping moved the
+    point.
+    """
 
     positions: Points
     snapped: Points
@@ -46,7 +48,7 @@ class Nearness:
         self._prune = prune
 
     def snap(self, positions: Points) -> SnappedPath:
-        """Return a path together with its snapped positions, as the methods below take it."""
+        """Return a path together with the snapped position of each point, as the methods below require it."""
         # Turning does not change the position: equal consecutive positions are snapped once.
         fresh = np.concatenate(([True], (np.diff(positions, axis=0) != 0).any(axis=1)))
         once = np.asarray(self._pathfinder.snap_points(positions[fresh]), dtype=np.float64).reshape(-1, 3)

@@ -90,7 +90,7 @@ class EpisodeTools:
         return 0 if self._episode is None else self._episode.limit - self._episode.steps
 
     def reset(self, episode_id: str | int | None = None, **row: Any) -> str:
-        """Begin an episode: the one that is named, else the next one of the split.
+        """Begin the episode `episode_id`, or the next one of the split if no id is given.
 
         Other values of a row of a dataset are not looked at.
         """

@@ -236,7 +236,7 @@ def _why_alone(
 
 
 def with_entry(changelog: str, changes: Changes) -> str:
-    """Return the changelog with one more section at its head; unchanged if that section is already there."""
+    """Return the changelog with one more section at its head; unchanged if the changelog already has this section."""
     body = changelog.removeprefix(_TITLE).lstrip("\n")
     entry = changes.entry()
     if entry in body:

@@ -79,7 +79,7 @@ def consumer_files(report: ExportReport) -> dict[str, str]:
 
 
 def _success_distance(report: ExportReport) -> tuple[float, bool]:
-    """Return the most frequent success distance, and whether there are others."""
+    """Return the most frequent success distance, and whether other success distances occur."""
     counts: dict[str, int] = {}
     for split in SPLITS:
         for value, count in report.shapes.get(split, {}).get("success_distance", {}).items():

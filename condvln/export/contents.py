@@ -58,7 +58,9 @@ def read_document(path: Path) -> dict[str, Any] | None:
 
 
 def document_digest(document: Mapping[str, Any]) -> str:
-    """Return the SHA-256 of a document without its own ``digest``, which detects changed or truncated documents."""
+    """Return the SHA-256 of a document without its own ``digest``. The hash shows whether a document was changed or
+    truncated.
+    """
     rest = {key: value for key, value in document.items() if key != "digest"}
     return hashlib.sha256(orjson.dumps(rest, option=orjson.OPT_SORT_KEYS)).hexdigest()
 
@@ -96,8 +98,8 @@ def owned_files(folder: Path) -> set[str]:
 
 
 def stale_proofs(folder: Path, files: dict[str, str]) -> set[str]:
-    """Return the paths of the certificates in ``folder`` that no longer hold. All of them hold if the files that they
-    prove have exactly the hashes in ``files`` (by path).
+    """Return the paths of the certificates in ``folder`` that no longer hold. Either all hold or none: they hold if
+    each file that they prove has, in ``files``, the hash that they recorded.
     """
     proofs = {path.relative_to(folder).as_posix() for pattern in _PROOFS for path in folder.glob(pattern)}
     try:

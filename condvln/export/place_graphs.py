@@ -65,8 +65,8 @@ class Places:
 
 
 def graph_keys(scene_id: str) -> list[str]:
-    """Return the keys under which the map looks a scene up: its file name up to the first dot, and its folder's
-    name.
+    """Return the keys under which VLN-CE's map looks for a scene: the scene's file name up to the first dot, and the
+    name of its folder.
     """
     parts = scene_id.split("/")
     return sorted({parts[-1].split(".")[0], *parts[-2:-1]})

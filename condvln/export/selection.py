@@ -233,8 +233,8 @@ def _quotas(pool: ExportPool, blocks: dict[int, npt.NDArray[np.int64]], per_cell
 
 
 def _wanted(pool: ExportPool, quotas: dict[int, int], per_cell: int | None) -> dict[int, int]:
-    """Return, by source, the wanted number of episodes of each leaf, ``per_cell`` in total. It is the source's quota,
-    plus a share of the number that all sources together lack.
+    """Return, by source, the wanted number of episodes of each leaf; the numbers add up to ``per_cell``. A source's
+    number is its quota plus a share of what all sources together lack.
     """
     wanted = dict(quotas)
     left = (per_cell or 0) - sum(quotas.values())
@@ -319,8 +319,8 @@ class _Picker:
         return rows[0]
 
     def _evenest(self, queue: _Queue) -> list[int] | None:
-        """Remove and return that one of the queue's next candidates which increases Σ (true − false)² least; the
-        earliest on ties. The sum is over the kinds of condition.
+        """Remove from the queue, and return, the next candidate that increases Σ (true − false)² least; the earliest
+        one on ties. The sum is over the kinds of condition.
         """
         while queue.waiting and len(queue.window) < LOOKAHEAD:
             rows = queue.waiting.pop()

@@ -93,8 +93,8 @@ def _twin(episode: dict[str, Any], text: str, vocabulary: Vocabulary | None) -> 
 
 
 def _tokens(vocabulary: Vocabulary | None, text: str, former: Any) -> list[int]:
-    """Return the tokens of ``text``; none without a vocabulary. They are padded to the length of ``former``, the tokens
-    that the split has, if those are padded.
+    """Return the tokens of ``text``; an empty list without a vocabulary. If the split's own tokens of the episode,
+    ``former``, are padded, the tokens are padded to the same length.
     """
     if vocabulary is None:
         return []

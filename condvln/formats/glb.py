@@ -119,7 +119,9 @@ def _joined(parts: list[tuple[NDArray[np.float64], NDArray[np.int64]]], where: s
 
 
 def _watertight(faces: NDArray[np.int64], n: int) -> bool:
-    """Return whether each directed edge occurs exactly once, and so does its reverse."""
+    """Return whether a mesh is watertight: each directed edge occurs exactly once, and so does the reverse of each
+    edge.
+    """
     if not len(faces):
         return False
     start = faces[:, [0, 1, 2]].ravel()

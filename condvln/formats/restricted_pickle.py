@@ -103,7 +103,9 @@ def _encode(text: Any, encoding: Any = "latin1") -> bytes:
 
 
 def _no_bytes(*content: Any) -> bytes:
-    """Return empty bytes, in place of the `bytes` constructor, which pickles of protocol 2 call to make them."""
+    """Return empty bytes. This takes the place of the `bytes` constructor, which pickles of protocol 2 call to make
+    empty bytes.
+    """
     if content:
         raise UnsafePickleError("bytes are created by their class")
     return b""

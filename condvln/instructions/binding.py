@@ -82,8 +82,8 @@ def _holds(context: Context, truths: Sequence[bool]) -> bool:
 
 
 def _heard(words: Language, pieces: Sequence[str | Slot]) -> dict[int, list[Context]]:
-    """Return, by leaf, the contexts in which a listener goes to it. Raises ValueError for a wording that no listener
-    understands.
+    """Return, by leaf, the contexts in which a listener goes to the leaf. Raises ValueError for a wording that no
+    listener understands.
     """
     listener = _Listener()
     connectives = {

@@ -170,8 +170,8 @@ class ConditionSampler:
     def _pair(
         self, room: RoomRef, statements: Statements, claims: Sequence[Claim], given: Presupposed, draws: Draws
     ) -> dict[bool, Condition] | None:
-        """Return a true and a false condition of one kind and predicate, by truth, that can both be used; None if there
-        is no such pair.
+        """Return two usable conditions of one kind and predicate, by truth: a true one and a false one. Return None if
+        there is no such pair.
         """
         # Pools live as long as this sampler, so their ids are valid cache keys.
         asked = self._asked.setdefault((room, id(statements)), {})

@@ -191,8 +191,8 @@ def outcomes(category: Category) -> dict[tuple[bool, ...], int]:
 
 
 def idle_conditions(category: Category, goals: Sequence[str]) -> tuple[int, ...]:
-    """Return the indices of the conditions that never matter: negating one leaves the goal the same for every
-    assignment of truths to the others.
+    """Return the indices of the conditions that never matter: negating such a condition never changes the goal,
+    whatever the truths of the other conditions.
     """
     table = outcomes(category)
     return tuple(

@@ -91,8 +91,8 @@ def called_counters(arrays: RoomArrays) -> Bools:
 
 
 def fallen(arrays: RoomArrays) -> Bools:
-    """Return (n,): whether an object extends far below the floor, or lies on the floor though its model
-    stands upright.
+    """Return a mask (n,) of the objects that extend far below the floor, or lie on the floor though their model stands
+    upright.
     """
     return np.array([_has_fallen(item, arrays.floor_y) for item in arrays.objects], dtype=bool)
 

@@ -106,8 +106,8 @@ def pieces(texts: Sequence[str], size: int = PIECE_WORDS) -> Iterator[list[list[
 
 
 def distinct(piece: Sequence[Sequence[str]], n: int) -> float:
-    """Return the share of distinct n-grams among all n-grams of a piece; NaN if it has none. An n-gram never spans two
-    texts.
+    """Return the share of distinct n-grams among all n-grams of a piece; NaN if the piece has no n-grams. An n-gram
+    never spans two texts.
     """
     seen: set[tuple[str, ...]] = set()
     total = 0

@@ -66,7 +66,7 @@ class HabitatPathfinder:
 
     @property
     def bounds(self) -> tuple[Floats, Floats]:
-        """Lowest and highest corner, (3,) each, in metres."""
+        """Lowest and highest corner of the navmesh, (3,) each, in metres."""
         low, high = self._habitat.get_bounds()
         return np.array(low, np.float32), np.array(high, np.float32)
 

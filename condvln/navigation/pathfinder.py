@@ -119,7 +119,9 @@ class Pathfinder:
 
     @property
     def bounds(self) -> tuple[Floats, Floats]:
-        """Lowest and highest corner, (3,) each, in metres; the upper one includes the agent's height."""
+        """Lowest and highest corner of the navmesh, (3,) each, in metres; the highest corner includes the agent's
+        height.
+        """
         return self._tile.bounds
 
     @property

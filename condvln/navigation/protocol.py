@@ -29,7 +29,7 @@ class PathfinderProtocol(Protocol):
 
     @property
     def bounds(self) -> tuple[Floats, Floats]:
-        """Lowest and highest corner, (3,) each, in metres."""
+        """Lowest and highest corner of the navmesh or graph, (3,) each, in metres."""
 
     @property
     def navigable_area(self) -> float:

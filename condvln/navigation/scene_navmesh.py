@@ -20,7 +20,7 @@ __all__ = ["built_path", "with_built_navmesh", "with_shipped_navmesh"]
 
 
 def with_shipped_navmesh(scene: Scene, agent: AgentConfig) -> Scene:
-    """Return the scene with the navmesh of its dataset that was built for the agent.
+    """Return the scene with one of the navmeshes that its dataset ships, preferably one built for the agent.
 
     Of ``scene.shipped_navmeshes`` the first file whose settings fit the agent is taken, else the first one that
     exists, with the warning ``navmesh_does_not_fit``. If none exists, the scene has no navmesh and the warning

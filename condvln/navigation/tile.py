@@ -185,7 +185,9 @@ class NavMeshTile:
 
     @property
     def bounds(self) -> tuple[Floats, Floats]:
-        """Lowest and highest corner, (3,) float32 each, in metres; the upper one includes the agent's height."""
+        """Lowest and highest corner of the tile, (3,) float32 each, in metres; the highest corner includes the agent's
+        height.
+        """
         return self.header["bmin"].astype(np.float32), self.header["bmax"].astype(np.float32)
 
     @property

@@ -47,7 +47,7 @@ def closest_facts(distance: F64, labels: Sequence[str], rival: Mask, held: Mask,
 
 
 def size_facts(arrays: RoomArrays, rival: Mask, t: Thresholds) -> dict[str, Status]:
-    """Return the status (n,) of "the bigger" and "the smaller" for each object. They compare the only two objects of
+    """Return the status (n,) of "the bigger" and "the smaller" for each object. Both compare the only two objects of
     one label, so the status is 0 if the room has a third object that the label might mean.
 
     The volumes of their boxes decide; an object of several boxes is not compared. The status is 0 if the areas of their

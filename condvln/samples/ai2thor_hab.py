@@ -57,8 +57,8 @@ def ai2thor_hab_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, byte
 
 
 def in_house_frame(layout: Layout) -> Layout:
-    """Return the same apartment in its house's frame. The lowest corner in Unity's frame becomes the origin; then z is
-    mirrored.
+    """Return `layout` in the coordinate frame of its house. The lowest corner in Unity's frame becomes the origin; then
+    z is mirrored.
     """
     (x0, _), (_, z1) = layout.bounds
 

@@ -34,8 +34,8 @@ class Model:
 
 
 def model_of(kind: Kind, variant: int) -> Model:
-    """Return the asset of one variant (size) of a kind. Its origin is not the centre of its box, as in models made by
-    artists.
+    """Return the asset of one variant (size) of a kind. The asset's origin is not the centre of its box, as in models
+    made by artists.
     """
     width, height, depth = (v / 1000 for v in kind.sizes[variant])
     # Pivots are at floor level or slightly above, at a corner, edge or side of the plan, depending on the kind.
@@ -48,7 +48,7 @@ def model_of(kind: Kind, variant: int) -> Model:
 
 
 def body_size(kind: Kind) -> tuple[float, float, float]:
-    """Return width, height and depth in metres of an articulated body before its instance's uniform scale."""
+    """Return width, height and depth in metres of an articulated body, without the uniform scale of an instance."""
     width, height, depth = kind.sizes[kind.scales.index(1.0)]
     return width / 1000, height / 1000, depth / 1000
 

@@ -116,7 +116,9 @@ def _camel(label: str) -> str:
 
 
 def _objects(layout: Layout, number: Mapping[str, int], frame: UnityFrame) -> list[Json]:
-    """Return the objects, with those that stand on them as children, at any depth."""
+    """Return the object records of a house. Objects that stand on another object are children of its record, at any
+    depth.
+    """
     records: dict[str, Json] = {}
     tops = []
     for count, piece in enumerate(layout.furniture):

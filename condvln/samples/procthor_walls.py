@@ -67,7 +67,7 @@ class HouseWall(NamedTuple):
 
 
 def house_walls(room: int, outline: list[Point], outlines: list[list[Point]]) -> list[HouseWall]:
-    """Return the room's walls, split at the corners of other rooms that lie on them."""
+    """Return the room's walls, split where corners of other rooms lie on a wall."""
     walls = []
     for start, end in zip(outline, [*outline[1:], outline[0]], strict=True):
         side = shapely.LineString([start, end])

@@ -39,7 +39,9 @@ def dtw(path: Points, reference: Points) -> float:
 
 @compiled
 def dtw_of_costs(costs: Points) -> float:
-    """Return the dynamic time warping of :func:`dtw` for given distances (n, m), such as distances on a graph."""
+    """Return the same sum as :func:`dtw`, computed from given distances (n, m) between the points, such as distances on
+    a graph.
+    """
     n, m = costs.shape
     row = np.full(m + 1, np.inf)
     row[0] = 0.0

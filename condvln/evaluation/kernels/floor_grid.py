@@ -169,8 +169,8 @@ def ways(cost: F32, start: int) -> tuple[F32, I32]:
 
 @compiled
 def line_is_open(shut: Bools, a: float, b: float, p: float, q: float, ignored: float) -> bool:
-    """Return whether no shut cell is on the line from (a, b) to (p, q), in cells, except in its last `ignored`
-    cells.
+    """Return whether the straight line from (a, b) to (p, q), in cell coordinates, meets no cell of the mask `shut`.
+    The last `ignored` cells of the line are not tested.
     """
     length = np.sqrt((p - a) * (p - a) + (q - b) * (q - b))
     steps = int(np.ceil(2 * (length - ignored)))

@@ -38,8 +38,8 @@ def gap(one: Thing, other: Thing) -> float:
 
 
 def holds(predicate: Predicate, thing: Thing, anchors: Sequence[Thing], north: float | None, t: Thresholds) -> float:
-    """Return the score of a relation between an object and its anchors. `predicate` must not be a relation of
-    `Compared`.
+    """Return a score that is positive if `predicate` holds between an object and its anchors. `predicate` must not be a
+    relation of `Compared`.
 
     north : agent's heading at the start in degrees clockwise from north; None if the text does not state it
     """
@@ -127,7 +127,7 @@ def _inside(thing: Thing, anchor: Thing) -> float:
 
 def _on(thing: Thing, anchor: Thing) -> float:
     """Return the score of "on": `thing` is above the anchor's footprint, and its bottom is not above the anchor's top.
-    It may be below that top, since headboards and arm rests are higher than what a bed or sofa carries.
+    The bottom may be below the anchor's top, since headboards and arm rests are higher than what a bed or sofa carries.
 
     Text never denies a true "on".
     """

@@ -42,7 +42,7 @@ class Options:
 
 
 def validate(path: Path, options: Options | None = None) -> list[Finding]:
-    """Return all findings in a file, or in the files of these formats below a folder, sorted by file.
+    """Return all findings in a file, or in all VLN-CE, ANSR-v1, RxR and R2R files below a folder, sorted by file.
 
     Files that belong together are checked together: ``x.json.gz`` with ``x_gt.json.gz`` beside it, and the splits of
     one folder for leakage, with their shards below ``content/``.

@@ -47,7 +47,7 @@ class EpisodeNavmeshes:
         self.lacking: dict[str, str] = {}
 
     def __call__(self, episode: Mapping[str, Any]) -> Pathfinder | None:
-        """Return the pathfinder of an episode's scene; None if there is none."""
+        """Return the pathfinder of an episode's scene; None if no navmesh of the scene exists."""
         info, scene = episode.get("info"), str(episode.get("scene_id"))
         digest = str(info.get("navmesh_sha256")) if isinstance(info, dict) else ""
         key = scene, digest

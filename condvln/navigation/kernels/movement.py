@@ -106,8 +106,8 @@ def move_along_surface(
 
 @compiled
 def _stop_at_wall(mesh: QueryMesh, start: Floats, end: Floats, visited: Indices, count: int, reached: Floats) -> None:
-    """Move ``reached`` back to the wall that the segment start–end crosses nearest to its end. Only walls of the
-    visited polygons count.
+    """Move ``reached`` back to a wall of the visited polygons: where the segment from ``start`` to ``end`` crosses
+    several walls, to the wall nearest to ``end``.
     """
     best = GREATEST
     for i in range(count):

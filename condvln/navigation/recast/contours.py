@@ -52,7 +52,7 @@ class Contours:
 def trace_contours(
     field: CompactHeightfield, area: Array, region: Array, max_error: np.float32, max_edge_length: int
 ) -> tuple[Contours, Contours]:
-    """Return the raw and simplified outlines of all regions, outer ones and those of holes.
+    """Return the raw and the simplified outlines of all regions: outer outlines, and outlines of holes.
 
     Parameters
     ----------

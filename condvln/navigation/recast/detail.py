@@ -101,7 +101,7 @@ def _boxes(mesh: PolyMesh, counts: Array, width: int, depth: int) -> Array:
 @compiled
 def _fan(points: Array, hull: Array, n: int, n_corners: int, triangles: Array) -> int:
     """Write the triangles of the ring ``hull`` to ``triangles`` and return their number. The first is the corner
-    triangle of least perimeter; each other one adds the nearer of the next points on both sides.
+    triangle of least perimeter; each further triangle adds the nearer of the next points on both sides.
     """
     start = 0
     left = 1

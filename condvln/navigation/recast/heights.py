@@ -128,7 +128,7 @@ def _seed(
     stack: Array,
 ) -> int:
     """Return the span from which to fill the patch of a polygon that has no spans of its own region; -1 if there is
-    none. It is where a walk from a vertex to the polygon's middle ends.
+    none. This is the span at which a walk from a vertex to the polygon's middle ends.
     """
     i = _nearest_span(box, corners, width, start, floor)
     if i < 0:

@@ -157,8 +157,8 @@ def _polygons(
 
 @compiled
 def _shared_edge(p: Array, n: int, q: Array, m: int) -> tuple[int, int]:
-    """Return the index in p and the index in q of the edge that both polygons share; (-1, -1) if there is none. If they
-    share several, it is the last one of p.
+    """Return the index in p and the index in q of an edge that both polygons share; (-1, -1) if there is none. If they
+    share several edges, the last of these in p counts.
     """
     at = -1
     other = -1

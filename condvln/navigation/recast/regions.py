@@ -117,7 +117,7 @@ def _survey(
 @compiled
 def _walk_outline(span: int, direction: int, neighbour: Array, region: Array, out: Array) -> int:
     """Write to ``out`` the adjacent regions along the outline that passes the edge of ``span`` in ``direction``; return
-    their number. A region is written wherever it differs from the one before.
+    their number. A region is written wherever it differs from the region written before.
     """
     first_span = span
     first_direction = direction
