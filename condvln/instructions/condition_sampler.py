@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from condvln.instructions.conditions import ConditionPool, PresencePool, Question, RelationPool
-from condvln.instructions.degeneracy import Claim, Presupposed, clash, repeats_anchor
+from condvln.instructions.degeneracy import Claim, Presupposed, clash
 from condvln.instructions.predicates import PREDICATE_GROUPS
 from condvln.instructions.referents import Referents, qualifier_of
 from condvln.instructions.rejection import GivenUp
@@ -28,13 +28,10 @@ Statements = PresencePool | RelationPool
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Asked:
-    """A condition about a room under one of the room's names. `clumsy` says whether the condition repeats the object
-    that distinguishes the room.
-    """
+    """A condition about a room under one of the room's names, and what it claims."""
 
     condition: Condition
     claim: Claim
-    clumsy: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,15 +175,13 @@ class ConditionSampler:
         found: dict[bool, Condition] = {}
         for truth in (True, False):
             sums = statements.sums[truth]
-            for attempt in range(self._sampling.attempts):
+            for _ in range(self._sampling.attempts):
                 place = draws.cumulative(sums)
                 one = asked.get((truth, place))
                 if one is None:
                     condition = self._condition(room, statements.question(truth, place))
-                    one = _Asked(condition, Claim.of(condition), repeats_anchor(condition, self._vocabulary))
+                    one = _Asked(condition, Claim.of(condition))
                     asked[truth, place] = one
-                if one.clumsy and 2 * attempt < self._sampling.attempts:
-                    continue  # used only if nothing else is found
                 rule = clash(one.claim, claims, given, self._vocabulary)
                 if rule is None:
                     found[truth] = one.condition

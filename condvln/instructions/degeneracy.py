@@ -24,7 +24,6 @@ __all__ = [
     "idle_conditions",
     "is_circular",
     "outcomes",
-    "repeats_anchor",
     "returns_to_room",
 ]
 
@@ -34,7 +33,8 @@ REASONS: Final[dict[str, str]] = {
     "one_label": "two conditions are about objects that may have the same name, so 'if there is one' is ambiguous",
     "given_away": "the presuppositions of stops or room names reveal a condition's truth",
     "names_stop": "a condition is about something that is also a stop in that room, so 'the lamp' is ambiguous",
-    "circular": "a phrase names an object by its room and that room by the same object",
+    "circular": "a room is named by an object that the text also names as a stop, an anchor or a question there",
+    "two_things": "a word names objects in two rooms, so 'the TV' might be taken for the other one",
     "one_target": "two leaves have the same goal",
     "repeated_stop": "an object is visited twice in one leaf",
     "zigzag": "a leaf's stops leave a room and return to it",
@@ -55,6 +55,12 @@ class Claim:
     label: str
     anchors: tuple[str, ...] = ()
     presence: bool = True
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Return the labels that the text names for it: its own, those of its anchors and of its room's name."""
+        tag = () if self.room_anchor is None else (self.room_anchor,)
+        return (self.label, *self.anchors, *tag)
 
     @classmethod
     def of(cls, condition: Condition) -> Claim:
@@ -94,6 +100,16 @@ class Presupposed:
         rooms = {room for room, _ in self.stops}
         return {one: frozenset(label for room, label in self.stops if room == one) for one in rooms}
 
+    def labels_outside(self, room_id: str) -> frozenset[str]:
+        """Return the labels of everything presupposed in other rooms than `room_id`."""
+        if room_id not in self._outside:
+            self._outside[room_id] = frozenset(label for room, label in self.things if room != room_id)
+        return self._outside[room_id]
+
+    @cached_property
+    def _outside(self) -> dict[str, frozenset[str]]:
+        return {}
+
     @classmethod
     def by(cls, stops: Iterable[ObjectRef]) -> Presupposed:
         """Return what the phrases of all `stops` together presuppose."""
@@ -114,6 +130,8 @@ def clash(claim: Claim, others: Sequence[Claim], given: Presupposed, vocabulary:
     words = vocabulary.overlapping(claim.label)
     if words.intersection(claim.anchors) or claim.room_anchor in words:
         return "tautology"
+    if claim.room_anchor is not None and vocabulary.overlapping(claim.room_anchor).intersection(claim.anchors):
+        return "circular"
     # A label that is absent here can be a stop only elsewhere. If presence is never asked of any stop's label, true and
     # false conditions look alike.
     everywhere = claim.presence
@@ -140,7 +158,13 @@ def clash(claim: Claim, others: Sequence[Claim], given: Presupposed, vocabulary:
             return "implied"
     if any(other.label in words for other in others):
         return "one_label"
-    return "implied" if _closes_cycle(claim, same_room, vocabulary) else None
+    if _closes_cycle(claim, same_room, vocabulary):
+        return "implied"
+    outside = given.labels_outside(claim.room_id)
+    if len(same_room) < len(others):
+        outside = outside.union(*(other.labels for other in others if other.room_id != claim.room_id))
+    shared = any(not vocabulary.overlapping(label).isdisjoint(outside) for label in claim.labels)
+    return "two_things" if shared else None
 
 
 def _closes_cycle(claim: Claim, others: Sequence[Claim], vocabulary: Vocabulary) -> bool:
@@ -159,15 +183,13 @@ def _closes_cycle(claim: Claim, others: Sequence[Claim], vocabulary: Vocabulary)
 
 
 def is_circular(ref: ObjectRef, vocabulary: Vocabulary) -> bool:
-    """Return whether a phrase is circular, like "the desk in the bedroom with the desk"."""
-    return ref.room.anchor_label is not None and ref.label in vocabulary.overlapping(ref.room.anchor_label)
-
-
-def repeats_anchor(named: ObjectRef | Condition, vocabulary: Vocabulary) -> bool:
-    """Return whether a phrase is like "the chair near the desk in the bedroom with the desk": valid, but clumsy."""
-    if named.qualifier is None or named.room.anchor_label is None:
+    """Return whether a phrase names an object twice: "the desk in the bedroom with the desk", or "the chair near the
+    desk in the bedroom with the desk".
+    """
+    if ref.room.anchor_label is None:
         return False
-    return not vocabulary.overlapping(named.room.anchor_label).isdisjoint(named.qualifier.anchor_labels)
+    anchors = ref.qualifier.anchor_labels if ref.qualifier is not None else ()
+    return not vocabulary.overlapping(ref.room.anchor_label).isdisjoint((ref.label, *anchors))
 
 
 def returns_to_room(moves: Sequence[ObjectRef]) -> bool:
@@ -221,6 +243,8 @@ def degeneracies(program: Program, vocabulary: Vocabulary) -> tuple[str, ...]:
     if any(is_circular(move, vocabulary) for move in moves):
         found.add("circular")
     given = Presupposed.by(moves)
+    if any(vocabulary.overlapping(label) & given.labels_outside(room) for room, label in given.things):
+        found.add("two_things")
     claims = [Claim.of(condition) for condition in program.conditions]
     for k, claim in enumerate(claims):
         reason = clash(claim, claims[:k], given, vocabulary)

@@ -13,6 +13,7 @@ REASONS: Final[dict[str, str]] = {
     "it has too few objects, or they are not visible from where an agent can stand",
     "no_targets": "too few objects can be named, reached and distinguished",
     "no_waypoint": "no further stop is far enough from the leaf's other stops and the other leaves' goals",
+    "one_first_stop": "more than half of the leaves begin with the same stop",
     "no_condition": "every statement of the wanted truth violates a rule",
     "composition_missed": "the draw does not have the composition that the cell asks for",
     "words_missed": "the text has fewer or more words than the cell asks for",

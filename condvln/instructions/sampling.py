@@ -8,7 +8,7 @@ reveals its truth. Every draw is seeded by (dataset seed, family, scene, categor
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property, reduce
@@ -19,7 +19,7 @@ from typing import Final
 from condvln.instructions.condition_sampler import ConditionSampler
 from condvln.instructions.conditions import ConditionPool
 from condvln.instructions.counterfactuals import Group, counterfactual_group
-from condvln.instructions.degeneracy import idle_conditions, is_circular, outcomes, repeats_anchor
+from condvln.instructions.degeneracy import idle_conditions, is_circular, outcomes
 from condvln.instructions.predicates import GROUP_OF, sayable
 from condvln.instructions.priors import PriorBits
 from condvln.instructions.programs import composition, instruction_id
@@ -34,7 +34,7 @@ from condvln.seeding import Draws, generator
 from schemas.config import InstructionCell, InstructionsConfig, SamplingConfig
 from schemas.config.constants import MOST_ROOMS, PLAIN_ROOM_WEIGHT
 from schemas.episode import Composition
-from schemas.program import CATEGORIES, SHAPES, Category, Leaf, ObjectRef, Program, RoomRef, asked_in
+from schemas.program import CATEGORIES, SHAPES, Category, Leaf, ObjectRef, Program, Qualifier, RoomRef, asked_in
 
 __all__ = ["ProgramSampler"]
 
@@ -124,7 +124,7 @@ class ProgramSampler:
             if room.room_id in facts
         }
         self._names = room_refs(list(self.referents.values()), words)
-        self.targets = targets(self.referents, self._names, stops, sampling)
+        self.targets = targets(self.referents, self._names, stops, sampling, words)
         pools = {name: (self.referents[name], self._pool(name, bits)) for name in self._names}
         self.condition_sampler = ConditionSampler(pools, sampling, words, single_room=scene.single_room)
         self._refs: dict[tuple[RoomRef, str], tuple[ObjectRef, ...]] = {}
@@ -153,6 +153,11 @@ class ProgramSampler:
         for k, target in enumerate(self.targets):
             members[target.label] = members.get(target.label, 0) | 1 << k
         return dict(sorted(members.items()))
+
+    @cached_property
+    def _clear(self) -> int:
+        """The positions of the targets that have a clear name, as bits."""
+        return sum(1 << target.position for target in self.targets if target.clear)
 
     @cached_property
     def _waypoints(self) -> TargetPool:
@@ -337,22 +342,12 @@ class ProgramSampler:
         allowed = 0
         for room_id in rooms:
             allowed |= self._held[room_id]
-        goals = self._goals(shape, allowed, draws, pool)
-        stops = [self._moves(goal, goals, n, allowed, draws) for goal, n in zip(goals, shape.moves, strict=True)]
+        stops = self._stops(shape, allowed, draws, pool)
         visited = [target for moves in stops for target in moves]
-        names = {room_id: draws.choice(self._room_names(room_id, visited)) for room_id in rooms}
+        names = self._room_names(rooms, visited, draws)
         near = [room for room in self.condition_sampler.start_rooms if room in names] if shape.bearings else []
         start_room = draws.choice(near) if near else None
-        # Each additional egocentric statement leaves fewer starts. At least one is left for a condition.
-        bearings = self.sampling.bearings
-        leaves = []
-        for targets_of_leaf in stops:
-            named = []
-            for target in targets_of_leaf:
-                here = target.room_id == start_room and bearings > 1
-                named.append(self._named(target, names[target.room_id], draws, here))
-                bearings -= named[-1].is_bearing
-            leaves.append(Leaf(moves=tuple(named)))
+        leaves, bearings = self._leaves(stops, names, draws, start_room)
         # Truths that don't matter on the way to the gold leaf are fair coins.
         truths = draws.choice([assignment for assignment, leaf in outcomes(category).items() if leaf == shape.gold])
         moves = [move for leaf in leaves for move in leaf.moves]
@@ -365,6 +360,33 @@ class ProgramSampler:
         if composition(program) != shape.composition:
             raise GivenUp("composition_missed")
         return program
+
+    def _leaves(
+        self, stops: Sequence[Sequence[Target]], names: Mapping[str, RoomRef], draws: Draws, start_room: str | None
+    ) -> tuple[list[Leaf], int]:
+        """Return the leaves with a name for each stop, and the number of egocentric statements left for conditions. An
+        object has the same name in all leaves.
+        """
+        # Each additional egocentric statement leaves fewer starts. At least one is left for a condition.
+        bearings = self.sampling.bearings
+        said = {(target.room_id, target.label) for moves in stops for target in moves}
+        said |= {(room_id, name.anchor_label) for room_id, name in names.items() if name.anchor_label is not None}
+        named: dict[str, ObjectRef] = {}
+        leaves = []
+        for moves in stops:
+            refs = []
+            for target in moves:
+                ref = named.get(target.object_id)
+                if ref is None or (ref.is_bearing and bearings < 2):
+                    here = target.room_id == start_room and bearings > 1
+                    ref = named[target.object_id] = self._named(target, names[target.room_id], draws, here, said)
+                    said.update(
+                        (target.room_id, label) for label in (ref.qualifier.anchor_labels if ref.qualifier else ())
+                    )
+                refs.append(ref)
+                bearings -= ref.is_bearing
+            leaves.append(Leaf(moves=tuple(refs)))
+        return leaves, bearings
 
     def _spread(self, category: Category, shape: _Shape, draws: Draws) -> Sequence[str]:
         """Return the rooms for a shape, all of different types.
@@ -383,27 +405,31 @@ class ProgramSampler:
             )
             if not roomy:
                 raise GivenUp("no_waypoint" if self._roomy(category) else "no_targets")
-            return [draws.choice(roomy)]
-        return self._few(2 if wanted == "C1" else MOST_ROOMS, shape, draws)
+            return [self._preferred(roomy, draws)]
+        return self._few(2, 2, shape, draws) if wanted == "C1" else self._few(3, MOST_ROOMS, shape, draws)
 
-    def _few(self, most: int, shape: _Shape, draws: Draws) -> list[str]:
-        """Return up to `most` rooms that together have targets for all stops. Conditions can be asked about the first
-        room. Rooms that are named by their label alone are preferred.
+    def _preferred(self, rooms: Sequence[str], draws: Draws) -> str:
+        """Return one of the `rooms`. Rooms that are named by their label alone are preferred."""
+        return draws.weighted(rooms, [PLAIN_ROOM_WEIGHT if self._is_plain(room) else 1.0 for room in rooms])
+
+    def _few(self, least: int, most: int, shape: _Shape, draws: Draws) -> list[str]:
+        """Return `least` to `most` rooms that together have targets for all stops. Conditions can be asked about
+        the first room. The others are named by their label alone if enough such rooms are left, so that a text hardly ever has two
+        rooms like "the bedroom with the piano".
         """
-        few = [draws.choice(self.condition_sampler.rooms)]
+        few, n = [self._preferred(self.condition_sampler.rooms, draws)], len(shape.moves)
         while len(few) < most:
             left = [room for rooms in self._rooms_of_type.values() if not {*rooms} & {*few} for room in rooms]
-            if not left:
+            plain = [room for room in left if self._is_plain(room)]
+            held = reduce(or_, (self._held[room] for room in few))
+            if not left or (not plain and len(few) >= least and self._fits(held, n, shape.waypoints)):
                 break
             if len(few) == most - 1:
-                held = reduce(or_, (self._held[room] for room in few))
-                n = len(shape.moves)
-                fitting = [room for room in left if self._fits(held | self._held[room], n, shape.waypoints)]
-                if not fitting:
-                    few_fit = any(self._fits(held | self._held[room], n) for room in left)
-                    raise GivenUp("no_waypoint" if few_fit else "no_targets")
-                left = fitting
-            few.append(draws.weighted(left, [PLAIN_ROOM_WEIGHT if self._is_plain(room) else 1.0 for room in left]))
+                left = [room for room in left if self._fits(held | self._held[room], n, shape.waypoints)]
+                if not left:
+                    raise GivenUp("no_waypoint" if shape.waypoints else "no_targets")
+                plain = [room for room in left if self._is_plain(room)]
+            few.append(draws.choice(plain or left))
         return few
 
     @cached_property
@@ -418,6 +444,26 @@ class ProgramSampler:
         """Return whether a room's label alone names it."""
         return self._names[room_id][0].anchor_label is None
 
+    def _stops(self, shape: _Shape, allowed: int, draws: Draws, pool: TargetPool) -> list[list[Target]]:
+        """Return the stops of all leaves: their goals, and waypoints before them. No word names stops in two rooms.
+        Leaves begin with the same stop only if there is no other, and never all of them.
+        """
+        goals = self._goals(shape, allowed, draws, pool)
+        for goal in goals:
+            allowed &= goal.apart
+        stops: list[list[Target]] = []
+        used = 0
+        for goal, count in zip(goals, shape.moves, strict=True):
+            moves = self._moves(goal, count, allowed, used, draws)
+            used |= 1 << moves[0].position
+            for stop in moves[:-1]:
+                allowed &= ~stop.alike
+            stops.append(moves)
+        firsts = Counter(moves[0].position for moves in stops)
+        if max(firsts.values()) > (len(stops) + 1) // 2:
+            raise GivenUp("one_first_stop")
+        return stops
+
     def _goals(self, shape: _Shape, allowed: int, draws: Draws, pool: TargetPool) -> list[Target]:
         """Return one goal for each leaf. The goals have different labels and are pairwise apart; rarely used labels are
         preferred. Enough targets are left for the waypoints of the longest leaf.
@@ -429,7 +475,8 @@ class ProgramSampler:
         free, unused = allowed, allowed & pool.drawable
         allowed = unused
         while len(goals) < n:
-            position = pool.draw(allowed, draws)
+            position = pool.draw(allowed & self._clear, draws)
+            position = pool.draw(allowed, draws) if position is None else position
             if position is None:
                 raise GivenUp("no_waypoint" if waypoints else "no_targets")
             goal = self.targets[position]
@@ -442,49 +489,64 @@ class ProgramSampler:
                 allowed &= ~(1 << position)
         return goals
 
-    def _moves(self, goal: Target, goals: Sequence[Target], count: int, allowed: int, draws: Draws) -> list[Target]:
-        """Return the stops of one leaf: first `count` - 1 waypoints, then `goal`. The waypoints are apart from one
-        another and from the goals of all leaves.
+    def _moves(self, goal: Target, count: int, allowed: int, used: int, draws: Draws) -> list[Target]:
+        """Return the stops of one leaf: first `count` - 1 waypoints among `allowed`, then `goal`. The waypoints are
+        apart from one another. The first is one of `used`, with which other leaves begin, only if no others are left.
         """
         allowed &= ~self._members[goal.label]
-        for other in goals:
-            allowed &= other.apart
         stops: list[Target] = []
         for _ in range(count - 1):
-            position = self._waypoints.draw(allowed, draws)
-            if position is None:
+            for preferred in (allowed & ~used & self._clear, allowed & ~used, allowed):
+                position = self._waypoints.draw(preferred, draws)
+                if position is not None:
+                    break
+            else:
                 raise GivenUp("no_waypoint")
+            used = 0
             stops.append(self.targets[position])
             allowed &= stops[-1].apart & ~self._members[stops[-1].label]
         if len(stops) == 2 and stops[0].room_id == goal.room_id != stops[1].room_id:
             stops.reverse()  # stops never return to a room
         return [*stops, goal]
 
-    def _room_names(self, room_id: str, visited: Sequence[Target]) -> Sequence[RoomRef]:
-        """Return the names of a room that do not rely on the label of an object visited in this room."""
-        labels = {target.label for target in visited if target.room_id == room_id}
-        names = [
-            name
-            for name in self._names[room_id]
-            if name.anchor_label is None or not labels & self.words.overlapping(name.anchor_label)
-        ]
-        if not names:
-            raise GivenUp("circular")
-        return names[:ALTERNATIVES]
+    def _room_names(self, rooms: Sequence[str], visited: Sequence[Target], draws: Draws) -> dict[str, RoomRef]:
+        """Return a name of each room. None relies on an object with the label of a stop or of another room's name."""
+        said = {target.label for target in visited}
+        names: dict[str, RoomRef] = {}
+        for room_id in rooms:
+            free = [
+                name
+                for name in self._names[room_id]
+                if name.anchor_label is None or not said & self.words.overlapping(name.anchor_label)
+            ]
+            if not free:
+                raise GivenUp("circular")
+            name = names[room_id] = draws.choice(free[:ALTERNATIVES])
+            said |= {name.anchor_label} if name.anchor_label is not None else set()
+        return names
 
-    def _named(self, target: Target, room: RoomRef, draws: Draws, start: bool) -> ObjectRef:
+    def _named(
+        self, target: Target, room: RoomRef, draws: Draws, start: bool, said: Collection[tuple[str, str]]
+    ) -> ObjectRef:
         """Return one of the names of a target, drawn by preference. An egocentric name is possible only if `start` is
-        true: the start is in the target's room.
+        true: the start is in the target's room. `said` are the rooms and labels of what the text names already.
         """
         key = (room, target.object_id)
         if key not in self._refs:
             refs = object_refs(self.referents[target.room_id], target.index, room)
-            sound = tuple(ref for ref in refs if not is_circular(ref, self.words))
-            self._refs[key] = tuple(ref for ref in sound if not repeats_anchor(ref, self.words)) or sound
+            self._refs[key] = tuple(ref for ref in refs if not is_circular(ref, self.words))
         refs = self._refs[key] if start else tuple(ref for ref in self._refs[key] if not ref.is_bearing)
         if not refs:
             raise GivenUp("circular")
+        outside = {label for room_id, label in said if room_id != target.room_id}
+        refs = tuple(ref for ref in refs if ref.qualifier is None or not self._is_said(ref.qualifier, outside))
+        if not refs:
+            raise GivenUp("two_things")
         return draws.weighted(refs, self._preferences(refs))
+
+    def _is_said(self, qualifier: Qualifier, labels: Collection[str]) -> bool:
+        """Return whether a word for an anchor of `qualifier` might mean one of `labels`."""
+        return any(not self.words.overlapping(label).isdisjoint(labels) for label in qualifier.anchor_labels)
 
     def _preferences(self, refs: Sequence[ObjectRef]) -> list[float]:
         """Return weights of the names of an object, by predicate; a name of weight 0 is used only if it is the only

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 from typing import Final
@@ -10,7 +10,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.instructions.predicates import GROUP_OF
 from condvln.instructions.referents import Referents
+from condvln.labels import Vocabulary
 from condvln.scene import Scene
 from condvln.seeding import Draws
 from schemas.config import PlacesConfig, SamplingConfig
@@ -35,7 +37,10 @@ class Target:
     """An object that may be a stop.
 
     position : its index among all targets; index : its index among the room's objects
-    apart : the targets far enough from this one, as bits of an integer
+    apart : the targets that may be stops of the same leaf, or goals of the same program: far enough away, and not in
+        `alike`; as bits of an integer
+    alike : the targets in other rooms that the same word might name, as bits
+    clear : it has a name other than those used only if nothing else can be named ("the chair away from the desk")
     """
 
     object_id: str
@@ -45,6 +50,8 @@ class Target:
     label: str
     weight: float
     apart: int
+    alike: int
+    clear: bool
 
 
 class TargetPool:
@@ -99,7 +106,11 @@ def apart_by_centres(scene: Scene, places: PlacesConfig) -> Stops:
 
 
 def targets(
-    referents: Mapping[str, Referents], rooms: Iterable[str], stops: Stops, sampling: SamplingConfig
+    referents: Mapping[str, Referents],
+    rooms: Iterable[str],
+    stops: Stops,
+    sampling: SamplingConfig,
+    words: Vocabulary,
 ) -> tuple[Target, ...]:
     """Return the usable, reachable objects of the named `rooms`, in order of room and object id."""
     alone = len(referents) == 1
@@ -111,7 +122,8 @@ def targets(
         if referents[room_id].arrays.object_ids[i] in row_of
     ]
     rows = [row for _, _, row in chosen]
-    apart = stops.apart[np.ix_(rows, rows)]
+    alike = _alike([(room_id, referents[room_id].arrays.labels[i]) for room_id, i, _ in chosen], words)
+    apart = stops.apart[np.ix_(rows, rows)] & ~alike
     large = {referents[room_id].arrays.labels[i] for room_id, i, _ in chosen if not referents[room_id].small[i]}
     return tuple(
         Target(
@@ -122,9 +134,24 @@ def targets(
             label=referents[room_id].arrays.labels[i],
             weight=1.0 if referents[room_id].arrays.labels[i] in large else sampling.small_target_weight,
             apart=_bits(apart[k]),
+            alike=_bits(alike[k]),
+            clear=_is_clear(referents[room_id], i, sampling),
         )
         for k, (room_id, i, _) in enumerate(chosen)
     )
+
+
+def _alike(named: Sequence[tuple[str, str]], words: Vocabulary) -> NDArray[np.bool_]:
+    """Return (n, n): whether two of the n (room, label) pairs are in different rooms and one word might name both."""
+    meant = {label: words.overlapping(label) for _, label in named}
+    found = [[room != other and label in meant[one] for other, label in named] for room, one in named]
+    return np.array(found, dtype=bool).reshape(len(named), len(named))
+
+
+def _is_clear(referents: Referents, index: int, sampling: SamplingConfig) -> bool:
+    """Return whether an object has a name whose predicate has a weight above 0, or needs no predicate."""
+    groups = [GROUP_OF[q.predicate] for q in referents.qualifications[index]]
+    return bool(referents.unique[index]) or any(getattr(sampling.predicates, group) > 0.0 for group in groups)
 
 
 def _bits(row: NDArray[np.bool_]) -> int:

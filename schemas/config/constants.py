@@ -191,7 +191,7 @@ MOST_MOVES_OF_FOUR_LEAVES: Final = 2
 MOST_ROOMS: Final = 4
 """Most rooms of a program that spans three or more rooms: people name few, and return to those."""
 
-PLAIN_ROOM_WEIGHT: Final = 3.0
+PLAIN_ROOM_WEIGHT: Final = 10.0
 """Weight of a room that its label alone identifies, relative to rooms that need an object in them ("the bedroom with
 the piano")."""
 

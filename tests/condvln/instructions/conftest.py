@@ -123,7 +123,7 @@ def facts_maker() -> FactsMaker:
 @pytest.fixture(scope="session")
 def sampled() -> list[tuple[Scene, dict[str, TextFacts], ProgramSampler, list[Program]]]:
     """Two houses and two apartments with their facts, sampler and programs, all categories."""
-    kinds = [(HOUSE, 18), (HOUSE, 14), (("apartment",), 30), (("apartment",), 26)]
+    kinds = [(HOUSE, 14), (HOUSE, 12), (("apartment",), 30), (("apartment",), 26)]
     scenes = [made_scene(seed, rooms, n) for seed, (rooms, n) in enumerate(kinds)]
     priors = LabelPriors.merged(LabelPriors.of_scene(scene, T, 0.3) for scene in scenes)
     wanted = dict.fromkeys(CATEGORIES, 6)

@@ -24,7 +24,9 @@ from schemas.program import (
 
 BEDROOM = RoomRef(room_id="r0", label="bedroom")
 PIANO_ROOM = RoomRef(room_id="r0", label="bedroom", anchor_id="p", anchor_label="piano")
+CHAIR_ROOM = RoomRef(room_id="r0", label="bedroom", anchor_id="c", anchor_label="armchair")
 KITCHEN = RoomRef(room_id="r1", label="kitchen")
+OFFICE = RoomRef(room_id="r2", label="office")
 
 
 def related(predicate: Predicate, anchor: str) -> Qualifier:
@@ -64,12 +66,30 @@ CASES = [
     ("a word for its own anchor", simple(asks("chair", "armchair")), ("tautology",)),
     ("the room's own name", simple(asks("piano", room=PIANO_ROOM)), ("tautology",)),
     ("the room's own name in a relation", simple(asks("piano", "bed", PIANO_ROOM)), ("tautology",)),
-    ("a room named by the anchor", simple(asks("lamp", "piano", PIANO_ROOM)), ()),
+    ("a room named by the anchor", simple(asks("lamp", "piano", PIANO_ROOM)), ("circular",)),
+    ("a room named by the anchor's word", simple(asks("lamp", "chair", CHAIR_ROOM)), ("circular",)),
     ("a room named by a stop", simple(asks("lamp"), [stop("piano", room=PIANO_ROOM)]), ("circular",)),
-    ("a room named by a stop's anchor", simple(asks("desk"), [stop("lamp", "piano", PIANO_ROOM)]), ()),
+    ("a room named by a stop's anchor", simple(asks("desk"), [stop("lamp", "piano", PIANO_ROOM)]), ("circular",)),
     ("a stop", simple(asks("lamp", "bed"), [stop("lamp", room=BEDROOM)]), ("names_stop",)),
     ("a word for a stop", simple(asks("chair"), [stop("armchair", room=BEDROOM)]), ("names_stop",)),
-    ("a stop's label in another room", simple(asks("lamp", "bed"), [stop("lamp")]), ()),
+    ("a stop's label in another room", simple(asks("lamp", "bed"), [stop("lamp")]), ("two_things",)),
+    ("a word for a stop in another room", simple(asks("desk", "chair"), [stop("armchair")]), ("two_things",)),
+    ("an anchor's label in another room", simple(asks("lamp", "bed"), [stop("vase", "bed")]), ("two_things",)),
+    (
+        "a room named by a stop in another room",
+        simple(asks("lamp", "bed", PIANO_ROOM), [stop("piano")]),
+        ("two_things",),
+    ),
+    (
+        "stops of one label in two rooms",
+        simple(asks("lamp"), [stop("desk")], [stop("desk", room=BEDROOM, name="d")]),
+        ("two_things",),
+    ),
+    (
+        "an anchor in two rooms",
+        nested(asks("lamp", "bed"), asks("vase", "bed", OFFICE)),
+        ("two_things",),
+    ),
     ("a stop that is only its anchor", simple(asks("lamp", "bed"), [stop("bed", room=BEDROOM)]), ()),
     ("the presence of a stop's label elsewhere", simple(asks("lamp"), [stop("lamp")]), ("names_stop",)),
     ("what a stop's anchor gives away", simple(asks("lamp"), [stop("bed", "lamp", BEDROOM)]), ("given_away",)),
@@ -89,7 +109,7 @@ CASES = [
         program(
             "long_chain",
             [asks("lamp", "bed"), asks("bed", "desk"), asks("desk", "lamp")],
-            [[stop(x)] for x in ("sink", "stove", "table", "plate")],
+            [[stop(x)] for x in ("sink", "stove", "kettle", "plate")],
         ),
         ("implied",),
     ),
@@ -98,17 +118,17 @@ CASES = [
         program(
             "long_chain",
             [asks("lamp", "bed"), asks("bed", "desk"), asks("desk", "wardrobe")],
-            [[stop(x)] for x in ("sink", "stove", "table", "plate")],
+            [[stop(x)] for x in ("sink", "stove", "kettle", "plate")],
         ),
         (),
     ),
     ("one target", simple(asks("lamp"), [stop("sink")], [stop("sink")]), ("idle_condition", "one_target")),
     (
         "a room entered twice",
-        simple(asks("lamp"), [stop("sink"), stop("desk", room=BEDROOM), stop("table")]),
+        simple(asks("lamp"), [stop("sink"), stop("desk", room=BEDROOM), stop("kettle")]),
         ("zigzag",),
     ),
-    ("two stops in each room", simple(asks("lamp"), [stop("sink"), stop("table"), stop("desk", room=BEDROOM)]), ()),
+    ("two stops in each room", simple(asks("lamp"), [stop("sink"), stop("kettle"), stop("desk", room=BEDROOM)]), ()),
     ("a stop seen twice", simple(asks("lamp"), [stop("sink"), stop("stove"), stop("sink")]), ("repeated_stop",)),
 ]
 

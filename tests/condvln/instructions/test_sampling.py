@@ -86,6 +86,57 @@ def test_no_leaf_comes_back_to_a_room(sampled) -> None:
     assert {(a == b, b == c) for a, b, c in routes} == {(True, False), (False, True)}
 
 
+def named_in(program: Program) -> list[tuple[str, str]]:
+    """Room and label of everything that a text names, names of rooms included."""
+    named = [(one.room, one.label) for one in program.named]
+    named += [(one.room, label) for one in program.named if one.qualifier for label in one.qualifier.anchor_labels]
+    named += [(one.room, one.room.anchor_label) for one in program.named if one.room.anchor_label]
+    return [(room.room_id, label) for room, label in named]
+
+
+def test_a_word_names_things_of_one_room_only(sampled) -> None:
+    for _, _, _, programs in sampled:
+        for program in programs:
+            named = named_in(program)
+            rooms = {
+                word: {room for room, label in named if word in vocabulary.overlapping(label)} for _, word in named
+            }
+            assert max(map(len, rooms.values())) == 1
+
+
+def test_what_names_a_room_is_named_for_nothing_else(sampled) -> None:
+    tagged = 0
+    for _, _, _, programs in sampled:
+        for program in programs:
+            rooms = {one.room for one in program.named if one.room.anchor_label}
+            tags = [vocabulary.overlapping(room.anchor_label or "") for room in rooms]
+            said = [label for _, label in named_in(program)]
+            assert all(sum(label in words for label in said) == tally(program, words) for words in tags)
+            tagged += bool(tags)
+    assert tagged > 10, "the made houses have two bedrooms"
+
+
+def tally(program: Program, words: frozenset[str]) -> int:
+    """How many names of rooms in a program are among `words`."""
+    return sum(one.room.anchor_label in words for one in program.named)
+
+
+def test_at_most_one_room_is_named_by_a_thing_in_it(sampled) -> None:
+    for _, _, _, programs in sampled:
+        tags = Counter(len({one.room for one in p.named if one.room.anchor_label}) for p in programs)
+        assert tags[0] >= 0.7 * len(programs)
+        assert set(tags) <= {0, 1}
+
+
+def test_leaves_begin_with_different_stops_and_a_thing_has_one_name(sampled) -> None:
+    for _, _, _, programs in sampled:
+        for program in programs:
+            firsts = Counter(leaf.moves[0].object_id for leaf in program.leaves)
+            assert max(firsts.values()) <= (len(program.leaves) + 1) // 2
+            stops = {move for leaf in program.leaves for move in leaf.moves}
+            assert len(stops) == len({stop.object_id for stop in stops})
+
+
 def test_conditions_off_the_gold_route_are_fair_coins(sampled) -> None:
     off = Counter(
         condition.truth
@@ -142,8 +193,8 @@ def test_compositions(sampled) -> None:
 @pytest.mark.parametrize("composition_", ["C0", "C1", "C2"])
 @pytest.mark.parametrize("moves", [1, 3])
 def test_a_cell_can_be_asked_for(make_scene, facts_maker, composition_: str, moves: int) -> None:
-    # Nine stops in one room of 18 boxes at random, of which every other label repeats, can't all be told apart.
-    scene = make_scene(0, objects=10 if (composition_, moves) == ("C0", 3) else 18, side=8.0)
+    # Many boxes of few labels in a room can't all be told apart, and every label is in two rooms or more.
+    scene = make_scene(0, objects=10 if (composition_, moves) == ("C0", 3) else 14, side=8.0)
     facts, bits = facts_maker(scene), LabelPriors.of_scene(scene, Thresholds(), 0.3).bits(scene, 0.05)
     cells = (InstructionCell(category="nested", composition=composition_, moves=moves, count=2),)
     sampler = made_sampler(scene, facts, bits, per_category={"nested": 90}, cells=cells, candidates=10)
