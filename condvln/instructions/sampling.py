@@ -414,8 +414,8 @@ class ProgramSampler:
 
     def _few(self, least: int, most: int, shape: _Shape, draws: Draws) -> list[str]:
         """Return `least` to `most` rooms that together have targets for all stops. Conditions can be asked about
-        the first room. The others are named by their label alone if enough such rooms are left, so that a text hardly ever has two
-        rooms like "the bedroom with the piano".
+        the first room. The others are named by their label alone if enough such rooms are left, so that a text hardly
+        ever has two rooms like "the bedroom with the piano".
         """
         few, n = [self._preferred(self.condition_sampler.rooms, draws)], len(shape.moves)
         while len(few) < most:
