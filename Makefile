@@ -7,7 +7,7 @@ WORKERS ?= 2
 # the seed of soak's examples: another number for each release; fresh: new ones in each run
 DRAWS  ?= 20261122
 
-.PHONY: help setup demo test soak agents lint bench docs
+.PHONY: help setup demo test soak agents browser lint bench docs
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
@@ -49,6 +49,10 @@ agents: $(VENV)-agents/.ready  ## tests of the tools for language agents, each d
 	$(VENV)-agents/bin/python -m pip check
 	$(VENV)-agents/bin/python -c "import inspect_ai, openenv, transformers"
 	$(VENV)-agents/bin/python -m pytest -rs tests/condvln/evaluation/test_agent_packages.py
+
+browser: $(VENV)/.ready  ## tests of the explorer's page in a real Chromium
+	tests/browser/install_chromium.sh
+	CONDVLN_BROWSER=1 $(BIN)/python -m pytest -rs -s tests/browser
 
 bench: $(VENV)/.ready  ## side-by-side measurements, ratios in one run
 	$(BIN)/python -m benchmarks

@@ -18,6 +18,8 @@ REASONS = (
     r"the published lists are not here to compare with",
     # Libraries of an environment of their own, in which make agents runs these tests.
     r"(transformers|openenv|inspect-ai) is absent: make agents installs it",
+    # A browser, which is installed by make browser.
+    r"make browser runs the tests of the page",
     # The machine.
     r"the golden hashes were made on ",
     r"needs \d+ GiB of free memory",

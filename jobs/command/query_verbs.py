@@ -11,7 +11,7 @@ from jobs.command.answers import answer, console, leave
 from jobs.command.options import AsJson, ConfigPath, NavmeshRoots, Overrides, RefName, TargetName
 from schemas.errors import UsageError
 
-__all__ = ["query", "render", "show", "sources", "status"]
+__all__ = ["explore", "query", "render", "show", "sources", "status"]
 
 
 def sources(
@@ -118,6 +118,39 @@ def show(
         )
     loaded = load_config(target, overrides or (), check_roots=picture is not None)
     answer(show_episodes(loaded, episode=episode, sample=sample, picture=picture), as_json)
+
+
+def explore(
+    target: Annotated[Path, typer.Argument(metavar="CONFIG|EXPORT", help="YAML configuration, or folder of an export")],
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="folder to write the page to; a page that is there is replaced")
+    ],
+    predictions: Annotated[
+        list[Path] | None,
+        typer.Option("--predictions", metavar="FILE", help="predictions or results of an agent; may be repeated"),
+    ] = None,
+    before: Annotated[
+        Path | None, typer.Option("--before", metavar="EXPORT", help="a former export to compare the counts with")
+    ] = None,
+    navmesh_root: NavmeshRoots = None,
+    overrides: Overrides = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write a page that shows scenes, trees, evidence, paths, statistics and agents; open it in a browser.
+
+    The page needs no server and no network. With a configuration it shows rooms, furniture and relations too; an export
+    alone has navmeshes and no furniture.
+    """
+    from jobs.configuration import load_config
+    from jobs.explore import Exploration, explore
+
+    whole = target.is_dir()
+    if whole and overrides:
+        raise UsageError("an export has no keys to override", place="--set", remedy="Name its configuration.")
+    config = None if whole else load_config(target, overrides or (), check_roots=False)
+    export = target if config is None else config.export
+    asked = Exploration(out, export, config, tuple(predictions or ()), tuple(navmesh_root or ()), before)
+    answer(explore(asked), as_json)
 
 
 def render(

@@ -1,0 +1,113 @@
+"use strict";
+/* Agents compared: main table, sweeps over depth and chain with intervals, and the episodes where two differ. */
+
+{
+  const { element, svg, link, count } = explorer;
+  const MEASURES = [["success", "SR"], ["bsa_all", "BSA-all"], ["csr_all", "CSR-all"]];
+  const PERCENT = new Set(["success", "oracle_success", "spl", "spl_route", "ndtw", "sdtw", "cls", "bsa", "csr", "bsa_all", "csr_all",
+    "leaf_correct", "wrong_branch", "no_commit", "stopped"]);
+  const CHART = { width: 300, height: 170, left: 34, bottom: 24 };
+
+  function cell(name, value) {
+    if (value === null || value === undefined) return "–";
+    if (typeof value !== "object") return typeof value === "number" && !Number.isInteger(value) ? value.toFixed(3) : String(value);
+    if (value.mean === null) return "–";
+    const scale = PERCENT.has(name) ? 100 : 1;
+    const text = (value.mean * scale).toFixed(scale === 100 ? 1 : 2);
+    const digits = scale === 100 ? 0 : 1;
+    return value.low === null ? text : `${text} [${(value.low * scale).toFixed(digits)}, ${(value.high * scale).toFixed(digits)}]`;
+  }
+
+  function shown(table) {
+    if (!table.rows.length) return "";
+    const names = Object.keys(table.rows[0]);
+    const columns = names.map((name) => (typeof table.rows[0][name] === "string" ? name : `#${name}`).replaceAll("_", " "));
+    return element("div", {}, explorer.table(`${table.title} (${table.split})`, columns, table.rows.map((row) => names.map((name) => cell(name, row[name]))), table.name),
+      table.note ? element("p", { class: "note" }, table.note) : "");
+  }
+
+  /* Return a chart of a measure over depth or chain, a line an agent with its 95 % interval. */
+  function sweep(table, axis, measure, title, agents) {
+    const { width, height, left, bottom } = CHART;
+    const rows = table.rows.filter((row) => row[axis] !== "all" && row[measure]?.mean !== null && row[measure] !== undefined);
+    const steps = [...new Set(rows.map((row) => String(row[axis])))].sort();
+    const x = (step, k) => left + 20 + (steps.length > 1 ? (steps.indexOf(step) / (steps.length - 1)) * (width - left - 50) : 0) + k * 5;
+    const y = (value) => 8 + (1 - value) * (height - bottom - 8);
+    const node = svg("svg", { viewBox: `0 0 ${width} ${height}`, class: "line-chart", role: "img", "aria-label": `${title} by ${axis}; the table has the numbers` },
+      [0, 0.5, 1].map((value) => [svg("path", { class: "grid", d: `M${left} ${y(value)}H${width - 4}` }), svg("text", { x: left - 4, y: y(value) + 3, "font-size": 10, "text-anchor": "end" }, `${value * 100}`)]),
+      steps.map((step) => svg("text", { x: x(step, 0), y: height - 8, "font-size": 10, "text-anchor": "middle" }, `${axis} ${step}`)));
+    agents.forEach((agent, k) => {
+      const own = rows.filter((row) => row.agent === agent);
+      node.append(svg("polyline", { class: `way walk agent-${k % 4}`, points: own.map((row) => `${x(String(row[axis]), k)},${y(row[measure].mean)}`).join(" ") }));
+      for (const row of own) {
+        const at = x(String(row[axis]), k);
+        const { low, high, mean } = row[measure];
+        node.append(svg("g", { class: `point agent-${k % 4}` }, svg("title", {}, `${agent}, ${axis} ${row[axis]}: ${(mean * 100).toFixed(1)}`),
+          low === null ? null : svg("path", { d: `M${at} ${y(low)}V${y(high)}` }), svg("circle", { cx: at, cy: y(mean), r: 3.5 })));
+      }
+    });
+    return element("figure", {}, element("figcaption", {}, `${title}, %`), node);
+  }
+
+  function key(agents) {
+    return element("ul", { class: "legend" }, agents.map((agent, k) => element("li", {}, element("span", { class: `key line agent-${k % 4}` }), agent)));
+  }
+
+  function sweeps(tables) {
+    return tables.filter((table) => table.name === "by_depth" || table.name === "by_chain").map((table) => {
+      const axis = table.name.slice("by_".length);
+      const agents = [...new Set(table.rows.map((row) => row.agent))];
+      return element("section", {}, element("h3", {}, `By ${axis} (${table.split})`), key(agents),
+        element("div", { class: "columns" }, MEASURES.map(([measure, title]) => sweep(table, axis, measure, title, agents))), shown(table));
+    });
+  }
+
+  /* Return how often each pair of outcomes of two agents occurs, with links to the episodes. */
+  function compared(first, second) {
+    const { outcomes, size } = explorer.index;
+    const found = outcomes.map(() => new Int32Array(outcomes.length));
+    for (let row = 0; row < size; row += 1) found[first.outcome[row]][second.outcome[row]] += 1;
+    const used = outcomes.map((_, k) => k).filter((k) => k > 0 && found.some((own, j) => j > 0 && (own[k] || found[k][j])));
+    const rows = used.map((j) => [`${first.name}: ${outcomes[j]}`, ...used.map((k) => (found[j][k]
+      ? link(count(found[j][k]), "browse", { [`agent:${first.name}`]: outcomes[j], [`agent:${second.name}`]: outcomes[k] }) : "0"))]);
+    return explorer.table(`Where ${first.name} and ${second.name} differ`, ["episodes", ...used.map((k) => `#${second.name}: ${outcomes[k]}`)], rows, "compared");
+  }
+
+  function comparison() {
+    const { agents } = explorer.index;
+    if (agents.length < 2) return "";
+    const holder = element("div", {});
+    const choice = (start, id, title) => element("select", { id, "aria-label": title }, agents.map((agent, k) => element("option", { value: k, selected: k === start }, agent.name)));
+    const one = choice(0, "first-agent", "First agent");
+    const other = choice(1, "second-agent", "Second agent");
+    const draw = () => holder.replaceChildren(compared(agents[one.value], agents[other.value]));
+    one.addEventListener("change", draw);
+    other.addEventListener("change", draw);
+    draw();
+    return element("section", {}, element("h2", {}, "Two agents"), element("div", { class: "row" }, one, " and ", other), holder);
+  }
+
+  function outcomesOf() {
+    const { agents, outcomes } = explorer.index;
+    const used = outcomes.map((_, k) => k).filter((k) => k > 0 && agents.some((agent) => agent.outcome.includes(k)));
+    const rows = agents.map((agent) => {
+      const found = new Int32Array(outcomes.length);
+      for (const value of agent.outcome) found[value] += 1;
+      return [agent.name, ...used.map((k) => (found[k] ? link(count(found[k]), "browse", { [`agent:${agent.name}`]: outcomes[k] }) : "0"))];
+    });
+    return explorer.table("What became of the episodes", ["agent", ...used.map((k) => `#${outcomes[k]}`)], rows, "outcomes");
+  }
+
+  explorer.views.agents = async (main) => {
+    if (!explorer.index.agents.length) {
+      main.replaceChildren(element("h1", {}, "Agents"), element("p", {}, "No predictions were given: condvln explore … --predictions FILE shows agents."));
+      return "Agents";
+    }
+    const { tables } = await explorer.load("agents");
+    const rest = new Set(["main", "by_depth", "by_chain"]);
+    main.replaceChildren(element("h1", {}, "Agents"), outcomesOf(), tables.filter((table) => table.name === "main").map(shown)[0] || "");
+    main.append(...tables.filter((table) => table.name === "main").slice(1).map(shown), element("h2", {}, "Depth and chain"), ...sweeps(tables), comparison() || "",
+      element("details", {}, element("summary", {}, "All tables"), tables.filter((table) => !rest.has(table.name)).map(shown)));
+    return "Agents";
+  };
+}

@@ -1,0 +1,239 @@
+"use strict";
+/* The view of one episode: plan, instruction, tree, evidence, axes, certificate, pictures, and agents' walks. */
+
+{
+  const { element, number, link } = explorer;
+  const AXES = {
+    C0: "C0, all in one room", C1: "C1, several rooms", C2: "C2, condition and leaves in three rooms",
+    O0: "O0, evidence seen from the start", O0f: "O0f, evidence in the first view",
+    O1: "O1, seen on the way that all leaves share", O2: "O2, seen only after a detour",
+  };
+
+  /* Draw an episode over a plan. Returns `choose(about)`, which marks a condition or a leaf, or nothing. */
+  function drawing(episode) {
+    const leaves = new Map();
+    let plan = null;
+    let fixed = null;
+
+    function over(drawn) {
+      plan = drawn;
+      leaves.clear();
+      const order = episode.leaves.filter((leaf) => leaf.leaf !== episode.gold);
+      const gold = episode.leaves.find((leaf) => leaf.leaf === episode.gold);
+      for (const leaf of [...order, gold]) {
+        const kind = leaf === gold ? "gold" : `leaf-${leaf.leaf % 4}`;
+        const nodes = [plan.way("paths", leaf.path, kind)];
+        for (const [k, stop] of leaf.stops.entries()) {
+          nodes.push(plan.mark(stop.at, `stop ${kind}`, String(k + 1), `leaf ${leaf.leaf}, stop ${k + 1}: ${stop.object}`));
+        }
+        for (const goal of leaf.goals.slice(1)) nodes.push(plan.mark(goal, `dot ${kind}`, "", `leaf ${leaf.leaf}: another goal point`));
+        const end = leaf.path[leaf.path.length - 1];
+        nodes.push(plan.mark(end, `${leaf === gold ? "star" : "goal"} ${kind}`, String(leaf.leaf), `leaf ${leaf.leaf}: ${leaf.object}`));
+        leaves.set(leaf.leaf, nodes);
+      }
+      plan.arrow("marks", episode.start, episode.heading, "start");
+      mark(fixed);
+    }
+
+    function mark(about) {
+      if (!plan) return;
+      plan.clear("rays");
+      for (const kind of ["witness", "rival", "anchor", "goal"]) plan.light(kind, []);
+      for (const nodes of leaves.values()) for (const node of nodes) node.classList.remove("lit", "dim");
+      if (about?.leaf !== undefined) {
+        const leaf = episode.leaves.find((one) => one.leaf === about.leaf);
+        for (const [name, nodes] of leaves) for (const node of nodes) node.classList.add(name === about.leaf ? "lit" : "dim");
+        plan.light("goal", [leaf.object, ...leaf.stops.map((stop) => stop.object)]);
+      }
+      if (about?.condition !== undefined) markCondition(about.condition);
+    }
+
+    function markCondition(index) {
+      const condition = episode.program.conditions[index];
+      const things = episode.facts?.[index].things || condition.witnesses.map((id) => ({ id, role: "witness" }));
+      const anchors = condition.qualifier ? condition.qualifier.anchors.map((anchor) => anchor.object_id) : [];
+      plan.light("witness", things.filter((thing) => thing.role === "witness").map((thing) => thing.id));
+      plan.light("rival", things.filter((thing) => thing.role !== "witness").map((thing) => thing.id));
+      plan.light("anchor", anchors);
+      const centre = (id) => plan.scene.objects.find((item) => item.id === id)?.center;
+      const targets = things.map((thing) => centre(thing.id)).filter(Boolean);
+      for (const anchor of anchors.map(centre).filter(Boolean)) {
+        for (const target of targets) plan.way("rays", [anchor, target], "measure");
+      }
+      const view = episode.views?.[index];
+      if (view) {
+        for (const target of [...targets, ...anchors.map(centre).filter(Boolean)]) plan.way("rays", [view.at, target], "ray");
+        plan.layers.rays.append(plan.mark(view.at, "eye", "", `first seen from here, ${number(view.walked, 1)} m along the gold path`));
+      }
+    }
+
+    function choose(about, keep) {
+      if (keep) fixed = JSON.stringify(about) === JSON.stringify(fixed) ? null : about;
+      mark(about || fixed);
+      return fixed;
+    }
+
+    return { over, choose };
+  }
+
+  function positions(episode) {
+    return [episode.start, ...episode.leaves.flatMap((leaf) => [...leaf.path, ...leaf.goals])];
+  }
+
+  /* Return a plan with its switches. `drawn` is what `drawing` returned. */
+  function planPanel(scene, episode, drawn, onDraw) {
+    const holder = element("div", { class: "plan-holder" });
+    const named = [...new Set([...episode.leaves.flatMap((leaf) => [leaf.object, ...leaf.stops.map((stop) => stop.object)]),
+      ...episode.program.conditions.flatMap((one) => [...one.witnesses, ...(one.qualifier?.anchors || []).map((a) => a.object_id)])])];
+    const options = {
+      title: `Plan of scene ${episode.scene}, north up, with the start and the ways to all leaves`,
+      points: positions(episode), named, level: null,
+      over: (plan) => { drawn.over(plan); if (onDraw) onDraw(plan); },
+      pick: (item) => { location.hash = explorer.address(`scene/${encodeURIComponent(`${episode.source}/${episode.scene}`)}`, { object: item.id }); },
+    };
+    let plan = null;
+    const draw = () => { plan = new explorer.Plan(holder, scene, options); };
+    const navmesh = element("input", { type: "checkbox", checked: true, id: "navmesh", onchange: () => {
+      options.navmesh = navmesh.checked;
+      plan.layers.floor.classList.toggle("off", !navmesh.checked);
+    } });
+    const switches = element("div", { class: "row switches" }, element("label", {}, navmesh, " navmesh"));
+    const levels = explorer.levels(scene);
+    if (levels.length > 1) {
+      const choice = element("select", { "aria-label": "Storey", onchange: () => {
+        options.level = choice.value === "" ? null : Number(choice.value);
+        draw();
+      } }, element("option", { value: "" }, "all storeys"), levels.map((level) => element("option", { value: level }, `storey ${level}`)));
+      switches.append(choice);
+    }
+    if (!scene.rooms.length) switches.append(element("span", { class: "note" }, "An export has no furniture; name its configuration to see it."));
+    const resized = explorer.later(() => { if (holder.isConnected && Math.abs(holder.clientWidth - plan.width) > 2) draw(); }, 120);
+    new ResizeObserver(resized).observe(holder);
+    return { node: element("div", { class: "plan-panel" }, holder, switches, legend()), draw };
+  }
+
+  function legend() {
+    const entries = [["start", "start and heading"], ["gold", "★ gold leaf and its path"], ["other", "other leaves"],
+      ["witness", "witness"], ["rival", "rival or elsewhere"], ["anchor", "anchor"]];
+    return element("ul", { class: "legend" }, entries.map(([kind, text]) => element("li", {}, element("span", { class: `key ${kind}` }), text)));
+  }
+
+  function fact(name, value) {
+    return [element("dt", {}, name), element("dd", { "data-fact": name }, value)];
+  }
+
+  function axes(episode) {
+    const seen = episode.observability === "O0" && episode.in_view ? "O0f" : episode.observability;
+    return element("dl", { class: "facts-list" },
+      fact("scene", link(`${episode.source}/${episode.scene}`, `scene/${encodeURIComponent(`${episode.source}/${episode.scene}`)}`)),
+      fact("split", episode.split), fact("category", episode.category),
+      fact("composition", AXES[episode.composition] || episode.composition),
+      fact("observability", `${AXES[seen] || "unknown"}${episode.approximate ? " (by boxes)" : ""}`),
+      fact("moves on the gold leaf", String(episode.moves)), fact("words", String(episode.words)),
+      fact("straight to the goal", `${number(episode.geodesic_distance)} m`), fact("by all stops", `${number(episode.route_length)} m`),
+      fact("success distance", `${number(episode.success_distance, 1)} m`), fact("step budget", `${episode.max_steps} steps`),
+      fact("start heading", `${number(episode.heading, 0)}° clockwise from north`),
+      fact("certificate", certificate(episode)));
+  }
+
+  function certificate(episode) {
+    const proof = episode.certificate;
+    if (!proof) return "none; condvln verify writes them";
+    if (proof.proven) return `proven, ${proof.facts} facts of ${proof.kinds} kinds agree`;
+    const kinds = proof.disagreements.map((one) => one.fact || one.kind || "").filter(Boolean);
+    return `not proven: ${proof.disagreements.length} disagreements ${kinds.join(", ")}`;
+  }
+
+  function leafTable(episode) {
+    const rows = episode.leaves.map((leaf) => [
+      `${leaf.leaf}${leaf.leaf === episode.gold ? " ★ gold" : ""}`, leaf.object, leaf.stops.map((stop) => stop.object).join(", ") || "–",
+      number(leaf.geodesic_distance), number(leaf.route_length)]);
+    return explorer.table("Leaves", ["leaf", "goal", "stops before it", "#direct, m", "#by its stops, m"], rows, "leaves");
+  }
+
+  function outcomeText(row, agent) {
+    const found = explorer.index.agents.find((one) => one.name === agent);
+    if (!found || !found.outcome[row]) return "not scored";
+    const leaf = found.scores.committed_leaf?.[row];
+    const name = explorer.index.outcomes[found.outcome[row]];
+    return leaf >= 0 ? `${name}, leaf ${leaf}` : name;
+  }
+
+  function agentTable(row) {
+    const rows = explorer.index.agents.filter((agent) => agent.outcome[row]).map((agent) => [
+      agent.name, outcomeText(row, agent.name), number(agent.scores.navigation_error?.[row]), number(agent.scores.spl?.[row]),
+      number(agent.scores.ndtw?.[row]), number(agent.scores.bsa_all?.[row])]);
+    return rows.length ? explorer.table("Agents on this episode", ["agent", "outcome", "#NE, m", "#SPL", "#nDTW", "#BSA-all"], rows, "agents-here") : null;
+  }
+
+  function frames(episode) {
+    if (!episode.frames.length) return null;
+    return element("section", {}, element("h2", {}, "What is seen"), element("div", { class: "frames" },
+      episode.frames.map((frame) => element("figure", {}, element("img", { src: frame.file, alt: frame.caption, loading: "lazy" }),
+        element("figcaption", {}, frame.caption)))));
+  }
+
+  /* Return one episode as a node, whole or small (for groups side by side), and `shown`, to be called when it is in
+     the page. */
+  explorer.episodePanel = async (row, small) => {
+    const episode = await explorer.loadEpisode(row);
+    const [scene, walks] = await Promise.all([explorer.load(`scene-${explorer.index.columns.scene[row]}`), explorer.loadWalks(row)]);
+    const drawn = drawing(episode);
+    const details = element("div", { class: "details" }, element("p", { class: "note" }, "Point at a condition, or choose it, to see what decides it."));
+    const root = element("div", { class: small ? "episode small" : "episode" });
+    function choose(about, keep) {
+      const fixed = drawn.choose(about, keep);
+      const now = about || fixed;
+      for (const node of root.querySelectorAll("[data-condition], [data-leaf]")) {
+        const same = now && (now.condition !== undefined ? node.dataset.condition === String(now.condition) : node.dataset.leaf === String(now.leaf));
+        node.classList.toggle("lit", Boolean(same));
+        node.setAttribute("aria-pressed", String(Boolean(same && fixed)));
+      }
+      if (now?.condition !== undefined) details.replaceChildren(explorer.facts(episode, now.condition));
+    }
+    const playback = !small && Object.keys(walks).length ? new explorer.Playback(walks, (agent) => outcomeText(row, agent)) : null;
+    const panel = planPanel(scene, episode, drawn, playback && ((plan) => playback.attach(plan)));
+    root.append(
+      element("div", { class: "left" }, panel.node, playback && playback.node),
+      element("div", { class: "right" }, explorer.instructionText(episode, choose), explorer.tree(episode, choose), details,
+        small ? null : leafTable(episode), small ? null : agentTable(row), small ? null : axes(episode)));
+    if (!small) root.append(frames(episode) || "");
+    return { node: root, episode, shown: panel.draw };
+  };
+
+  /* The view of an episode: #/episode/ID, with the filter of the list it came from. */
+  explorer.views.episode = async (main, path, asked) => {
+    const { index } = explorer;
+    const row = index.rows.get(path[0]);
+    if (row === undefined) throw new Error(`there is no episode ${path[0]}`);
+    const found = await explorer.filter(asked);
+    const at = found.indexOf(row);
+    const before = at > 0 ? index.columns.id[found[at - 1]] : null;
+    const after = at >= 0 && at < found.length - 1 ? index.columns.id[found[at + 1]] : null;
+    const panel = await explorer.episodePanel(row, false);
+    const group = index.columns.group[row];
+    const place = at < 0 ? "not in this list" : `${explorer.count(at + 1)} of ${explorer.count(found.length)}`;
+    main.replaceChildren(
+      element("div", { class: "row heading" }, element("h1", {}, `Episode ${panel.episode.id}`),
+        link("◀ Back to the list", "browse", { ...asked, page: at < 0 ? "" : String(Math.floor(at / explorer.PAGE) + 1) }, { id: "back" }),
+        before && link("← Previous", `episode/${before}`, asked, { id: "previous", rel: "prev" }), element("span", { id: "place" }, place),
+        after && link("Next →", `episode/${after}`, asked, { id: "next", rel: "next" }),
+        group >= 0 && link("Its counterfactual group", `group/${group}`, {}, { id: "group" })),
+      panel.node);
+    panel.shown();
+    return `Episode ${panel.episode.id}`;
+  };
+
+  /* The view of a counterfactual group: its episodes side by side. */
+  explorer.views.group = async (main, path) => {
+    const rows = explorer.filter({ group: path[0] });
+    if (!rows.length) throw new Error(`there is no group ${path[0]}`);
+    const panels = await Promise.all([...rows].map((row) => explorer.episodePanel(row, true)));
+    main.replaceChildren(element("h1", {}, "Counterfactual group"),
+      element("p", {}, "One start; the truth of a condition is flipped, or two leaves are exchanged."),
+      element("div", { class: "side-by-side" }, panels.map((panel) => element("section", { "aria-label": `Episode ${panel.episode.id}` },
+        element("h2", {}, link(`Episode ${panel.episode.id}`, `episode/${panel.episode.id}`, { group: path[0] })), panel.node))));
+    for (const panel of panels) panel.shown();
+    return "Counterfactual group";
+  };
+}

@@ -1,0 +1,81 @@
+"use strict";
+/* The page: addresses, keys, and the list of episodes that everything else needs. */
+
+{
+  const { element } = explorer;
+  const main = document.getElementById("main");
+  const KEYS = [["→ or n", "next episode of the list"], ["← or p", "previous episode"], ["/", "search in texts"], ["Esc", "back to the list"],
+    ["Tab, Enter", "go to a clause, a condition or a leaf, and keep it marked"]];
+  let turn = 0;
+
+  function address() {
+    const [path, query] = location.hash.replace(/^#\/?/, "").split("?");
+    const asked = Object.fromEntries(new URLSearchParams(query || ""));
+    const [view, ...rest] = (path || "browse").split("/");
+    return { view, path: rest, asked };
+  }
+
+  explorer.views.help = (view) => {
+    view.replaceChildren(element("h1", {}, "Help"),
+      element("p", {}, "Each episode is an instruction with conditions. Its tree leads to one leaf, the gold one; the agent must go through that leaf's stops and stop at its goal."),
+      element("p", {}, "Point at a clause, a condition or a leaf to see it on the plan. Choose it with a click or Enter to keep it marked. Every list, episode, scene and object has its own address, which can be sent to others."),
+      element("p", {}, "Ranges are written from..to: 5..10, 5.. or ..10."),
+      explorer.table("Keys", ["key", "what it does"], KEYS, "keys"));
+    return "Help";
+  };
+
+  async function show() {
+    const own = (turn += 1);
+    const { view, path, asked } = address();
+    for (const tab of document.querySelectorAll("header nav a")) {
+      const here = tab.dataset.view === view || (tab.dataset.view === "browse" && (view === "episode" || view === "group")) || (tab.dataset.view === "scenes" && view === "scene");
+      if (here) tab.setAttribute("aria-current", "page");
+      else tab.removeAttribute("aria-current");
+    }
+    const fresh = element("div", { class: `view view-${view}` });
+    main.replaceChildren(fresh);
+    let title = "Not found";
+    try {
+      if (!Object.hasOwn(explorer.views, view)) throw new Error(`there is no view ${view}`);
+      title = await explorer.views[view](fresh, path, asked);
+    } catch (error) {
+      fresh.replaceChildren(element("h1", {}, "Nothing to show"), element("p", { role: "alert" }, error.message));
+    }
+    if (own !== turn) return;
+    document.title = explorer.shown(`${title} · ${explorer.index.title}`);
+    document.body.dataset.ready = String(own);
+    performance.mark("shown");
+    explorer.say(title);
+  }
+
+  function key(event) {
+    const typing = event.target.closest("input, select, textarea");
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    const press = (id) => document.getElementById(id)?.click();
+    if (event.key === "Escape") return void (typing ? typing.blur() : press("back"));
+    if (typing) return;
+    if (event.key === "ArrowRight" || event.key === "n") press("next");
+    else if (event.key === "ArrowLeft" || event.key === "p") press("previous");
+    else if (event.key === "/") {
+      event.preventDefault();
+      const field = document.getElementById("filter-q");
+      if (field) field.focus();
+      else location.hash = "#/browse";
+    }
+  }
+
+  async function start() {
+    try {
+      explorer.setIndex(await explorer.load("index", false));
+    } catch (error) {
+      main.replaceChildren(element("p", { role: "alert" }, `The data can't be read: ${error.message}`));
+      return;
+    }
+    document.getElementById("title").textContent = explorer.shown(explorer.index.title);
+    window.addEventListener("hashchange", show);
+    document.addEventListener("keydown", key);
+    await show();
+  }
+
+  start();
+}

@@ -1,0 +1,120 @@
+"use strict";
+/* The list of scenes, and the view of one: its plan, its objects, and the relations of a chosen object. */
+
+{
+  const { element, link, number, count } = explorer;
+
+  explorer.views.scenes = async (main) => {
+    const { index } = explorer;
+    const rows = index.scenes.map((scene) => {
+      const name = `${scene.source}/${scene.id}`;
+      return [link(name, `scene/${encodeURIComponent(name)}`), count(scene.rooms), count(scene.objects),
+        scene.episodes ? link(count(scene.episodes), "browse", { scene: name }) : "0"];
+    });
+    main.replaceChildren(element("h1", {}, "Scenes"), explorer.table("Scenes", ["scene", "#rooms", "#objects", "#episodes"], rows, "scenes"));
+    return "Scenes";
+  };
+
+  function describe(item, scene) {
+    const room = scene.rooms[item.room];
+    const height = item.low === null ? "unknown" : `${number(item.low)} to ${number(item.high)} m`;
+    const seen = item.hidden ? "hidden in something shut" : item.seeable === true ? "seeable" : item.seeable === false ? "not seeable enough for text" : "unknown";
+    const fact = (name, value) => [element("dt", {}, name), element("dd", { "data-fact": name }, value)];
+    return element("dl", { class: "facts-list" }, fact("label", item.label), fact("the source's label", item.raw), fact("room", room ? room.label : "–"),
+      fact("geometry", item.geometry), fact("height", height), fact("seen", seen), fact("in", item.parent || "–"), fact("on", item.support || "–"));
+  }
+
+  /* Return the edges of an object to all others as rows: other, distance, direction, predicates with margins. */
+  function edges(graph, scene, chosen) {
+    const others = new Map();
+    for (let k = 0; k < graph.subject.length; k += 1) {
+      if (graph.subject[k] !== chosen) continue;
+      const other = graph.target[k];
+      const own = others.get(other) || { other, semantic: [] };
+      if (graph.semantic[k]) own.semantic.push({ predicate: graph.predicates[graph.predicate[k]], inText: graph.in_text[k], margin: graph.margin[k] });
+      else Object.assign(own, { direction: graph.predicates[graph.predicate[k]], used: graph.used_distance[k], horizontal: graph.horizontal_distance[k],
+        height: graph.height[k], surface: graph.surface_distance[k] });
+      others.set(other, own);
+    }
+    return [...others.values()].sort((a, b) => (a.used ?? 99) - (b.used ?? 99));
+  }
+
+  function relationTable(found, scene, pick) {
+    const said = (one) => one.semantic.map((edge) => element("span", { class: edge.inText ? "fit" : "unfit" },
+      `${edge.predicate} (${edge.inText ? "fit for text" : "not for text"}${edge.margin === null ? "" : `, margin ${number(edge.margin)}`}) `));
+    const rows = found.map((one) => [
+      element("button", { type: "button", class: "as-link", onclick: () => pick(one.other) }, scene.objects[one.other].id), one.direction || "–",
+      number(one.used), number(one.surface), number(one.horizontal), number(one.height), one.semantic.length ? said(one) : "–"]);
+    return explorer.table("Relations to the other objects of its room",
+      ["of", "it lies", "#distance, m", "#surfaces, m", "#on the ground, m", "#higher, m", "predicates"], rows, "edges");
+  }
+
+  explorer.views.scene = async (main, path, asked) => {
+    const name = decodeURIComponent(path[0]);
+    const at = explorer.index.scenes.findIndex((scene) => `${scene.source}/${scene.id}` === name);
+    if (at < 0) throw new Error(`there is no scene ${name}`);
+    const entry = explorer.index.scenes[at];
+    const scene = await explorer.load(`scene-${at}`);
+    const graph = entry.graph ? await explorer.load(`graph-${at}`) : null;
+    const holder = element("div", { class: "plan-holder" });
+    const details = element("div", { class: "details", id: "object" }, element("p", {}, "Choose an object on the plan or in the list."));
+    const list = element("select", { id: "objects", size: 8, "aria-label": "Objects" }, scene.rooms.length
+      ? scene.rooms.map((room, k) => element("optgroup", { label: explorer.shown(`${room.label} (${room.id})`) },
+        scene.objects.map((item, n) => (item.room === k ? element("option", { value: n }, `${item.label} (${item.id})${item.hidden ? " hidden" : ""}`) : null))))
+      : scene.objects.map((item, n) => element("option", { value: n }, item.id)));
+    let plan = null;
+    let chosen = -1;
+
+    function pick(number_) {
+      chosen = number_;
+      const item = scene.objects[chosen];
+      list.value = String(chosen);
+      history.replaceState(null, "", explorer.address(`scene/${encodeURIComponent(name)}`, { object: item.id }));
+      const found = graph ? edges(graph, scene, chosen) : [];
+      details.replaceChildren(element("h2", {}, `${item.label} (${item.id})`), describe(item, scene), graph ? relationTable(found, scene, pick)
+        : element("p", {}, "Relations are known only where a configuration is explored."));
+      light(found);
+      explorer.say(`${item.label}, ${found.length} relations`);
+    }
+
+    function light(found) {
+      if (chosen < 0 || !plan) return;
+      const item = scene.objects[chosen];
+      const id = (number_) => scene.objects[number_].id;
+      const holds = (one, ...predicates) => one.semantic.some((edge) => predicates.includes(edge.predicate));
+      plan.light("chosen", [item.id]);
+      plan.light("witness", found.filter((one) => holds(one, "near")).map((one) => id(one.other)));
+      const resting = scene.objects.filter((one) => one.support === item.id || one.parent === item.id || one.id === item.support || one.id === item.parent);
+      plan.light("anchor", resting.map((one) => one.id));
+      plan.clear("rays");
+      for (const one of found.filter((edge) => holds(edge, "near"))) plan.way("rays", [item.center, scene.objects[one.other].center], "measure");
+    }
+
+    const options = { title: `Plan of scene ${name}, north up`, pick: (item, k) => pick(k), level: null };
+    const draw = () => {
+      plan = new explorer.Plan(holder, scene, options);
+      if (chosen >= 0) light(graph ? edges(graph, scene, chosen) : []);
+    };
+    list.addEventListener("change", () => pick(Number(list.value)));
+    const navmesh = element("input", { type: "checkbox", checked: true, onchange: () => {
+      options.navmesh = navmesh.checked;
+      plan.layers.floor.classList.toggle("off", !navmesh.checked);
+    } });
+    const levels = explorer.levels(scene);
+    const storey = levels.length > 1 ? element("select", { "aria-label": "Storey", onchange: (event) => {
+      options.level = event.target.value === "" ? null : Number(event.target.value);
+      draw();
+    } }, element("option", { value: "" }, "all storeys"), levels.map((level) => element("option", { value: level }, `storey ${level}`))) : null;
+    main.replaceChildren(element("h1", {}, `Scene ${name}`),
+      element("p", {}, `${count(entry.rooms)} rooms, ${count(entry.objects)} objects, `, link(`${count(entry.episodes)} episodes`, "browse", { scene: name })),
+      element("div", { class: "episode" }, element("div", { class: "left" }, holder, element("div", { class: "row switches" }, element("label", {}, navmesh, " navmesh"), storey),
+        element("ul", { class: "legend" }, [["chosen", "chosen"], ["witness", "near it"], ["anchor", "in, on or under it"], ["hidden", "hidden"]].map(([kind, text]) =>
+          element("li", {}, element("span", { class: `key ${kind}` }), text)))),
+      element("div", { class: "right" }, element("label", { for: "objects" }, "Objects by room"), list, details)));
+    draw();
+    new ResizeObserver(explorer.later(() => { if (holder.isConnected && Math.abs(holder.clientWidth - plan.width) > 2) draw(); }, 120)).observe(holder);
+    const wanted = scene.objects.findIndex((item) => item.id === asked.object);
+    if (wanted >= 0) pick(wanted);
+    return `Scene ${name}`;
+  };
+}

@@ -1,0 +1,120 @@
+"use strict";
+/* Counts over the episodes and over what became of their candidates. Each count of episodes is a link to them. */
+
+{
+  const { element, link, count } = explorer;
+  const BINS = { route_length: 5, words: 20 };
+  const MOST = 30;
+
+  /* Return how many episodes have each value of a column of names, or of two columns. */
+  function counted(...columns) {
+    const { index } = explorer;
+    const found = new Map();
+    for (let row = 0; row < index.size; row += 1) {
+      const key = columns.map((name) => explorer.named(name, row)).join("\u0001");
+      found.set(key, (found.get(key) || 0) + 1);
+    }
+    return found;
+  }
+
+  function crossed(rowName, columnName) {
+    const found = counted(rowName, columnName);
+    const { names } = explorer.index;
+    const across = [...names[columnName]].sort();
+    const cell = (a, b) => {
+      const value = found.get(`${a}\u0001${b}`) || 0;
+      return value ? link(count(value), "browse", { [rowName]: a, [columnName]: b }) : "0";
+    };
+    const rows = [...names[rowName]].sort().map((a) => [
+      link(a, "browse", { [rowName]: a }), ...across.map((b) => cell(a, b)),
+      count(across.reduce((sum, b) => sum + (found.get(`${a}\u0001${b}`) || 0), 0))]);
+    return explorer.table(`${explorer.TITLES[rowName]} by ${explorer.TITLES[columnName].toLowerCase()}`,
+      [rowName, ...across.map((name) => `#${name}`), "#all"], rows, `${rowName}-${columnName}`);
+  }
+
+  /* Return a chart of horizontal bars; each has a label, a number and a link. */
+  function bars(title, entries, name) {
+    const most = Math.max(1, ...entries.map((one) => one.value));
+    return element("section", { class: "bars", "data-bars": name }, element("h3", {}, title), element("ul", {},
+      entries.map((one) => element("li", {}, one.address ? element("a", { href: one.address }, one.label) : element("span", {}, one.label),
+        element("meter", { min: 0, max: most, value: one.value, "aria-label": `${one.label}: ${one.value}` }),
+        element("span", { class: "value" }, count(one.value))))));
+  }
+
+  function histogram(name) {
+    const column = explorer.index.columns[name];
+    const size = BINS[name];
+    const found = new Map();
+    for (const value of column) found.set(Math.floor(value / size), (found.get(Math.floor(value / size)) || 0) + 1);
+    const entries = [...found.keys()].sort((a, b) => a - b).map((bin) => ({
+      label: `${bin * size}–${(bin + 1) * size}`, value: found.get(bin),
+      address: explorer.address("browse", { [name]: `${bin * size}..${((bin + 1) * size - 0.001).toFixed(3)}` }) }));
+    return bars(explorer.TITLES[name], entries, name);
+  }
+
+  function listed(name) {
+    const { values } = explorer.index.lists[name];
+    const names = explorer.index.names[name];
+    const found = new Int32Array(names.length);
+    for (const value of values) found[value] += 1;
+    const entries = [...found.keys()].sort((a, b) => found[b] - found[a]).slice(0, MOST).map((k) => ({
+      label: names[k], value: found[k], address: explorer.address("browse", { [name]: names[k] }) }));
+    return bars(name === "label" ? `Labels that episodes name (first ${MOST})` : "Predicates of conditions", entries, name);
+  }
+
+  function goldLabels() {
+    const found = [...counted("gold_label")].sort((a, b) => b[1] - a[1]).slice(0, MOST);
+    return bars(`Labels of gold goals (first ${MOST})`,
+      found.map(([label, value]) => ({ label, value, address: explorer.address("browse", { gold_label: label }) })), "gold_label");
+  }
+
+  function funnel(rows) {
+    return explorer.table("Funnel: from candidates to episodes", ["source", "cell", "#wanted", "#candidates", "#rejected", "#placed"],
+      rows.map((row) => [link(row[0], "browse", { source: row[0] }), row[1], ...row.slice(2).map(count)]), "funnel");
+  }
+
+  function rejections(rows) {
+    const named = rows.map((row) => [row.source, row.stage, row.reason, count(row.count), row.examples.length
+      ? element("details", {}, element("summary", {}, `${row.examples.length} examples`), element("ul", {}, row.examples.map((one) =>
+        element("li", {}, link(one.scene, `scene/${encodeURIComponent(`${row.source}/${one.scene}`)}`), ` ${one.cell}: `, element("bdi", {}, one.example)))))
+      : "–"]);
+    return explorer.table("Why candidates were rejected", ["source", "stage", "reason", "#count", "examples"], named, "rejections");
+  }
+
+  function gate(found) {
+    if (!found) return element("p", {}, "The bias gate was not run on this export.");
+    const beating = found.findings.filter((one) => one.beats_chance);
+    const shown = [...beating, ...found.findings.filter((one) => !one.beats_chance && one.source === "all" && one.category === "all" && one.predicate === "all")];
+    return element("div", {}, element("p", { "data-gate": found.passed ? "passed" : "failed" }, `${found.passed ? "✔ passed" : "✘ not passed"}: ${found.verdict}`),
+      explorer.table("Guessers that see no scene", ["guesser", "source", "category", "asks", "#episodes", "#accuracy", "#chance", "beats chance"],
+        shown.map((one) => [one.guesser, one.source, one.category, one.predicate, count(one.episodes), one.accuracy.toFixed(3), one.chance.toFixed(3), one.beats_chance ? "✘ yes" : "no"]), "gate"));
+  }
+
+  function drift(found) {
+    if (!found) return element("p", {}, "No former export was given; --before EXPORT compares with one.");
+    return element("div", {}, element("p", {}, `${count(found.kept)} episodes are in both, ${count(found.new)} are new, ${count(found.gone)} are gone.`),
+      explorer.table("Episodes before and now", ["split", "category", "#before", "#now", "#change"],
+        found.cells.map(([split, category, was, now]) => [split, category, count(was), link(count(now), "browse", { split, category }), (now > was ? "+" : "") + (now - was)]), "drift"));
+  }
+
+  explorer.views.statistics = async (main) => {
+    const found = await explorer.load("statistics");
+    const { index } = explorer;
+    const section = (title, ...nodes) => element("section", {}, element("h2", {}, title), nodes);
+    main.replaceChildren(element("h1", {}, "Statistics"),
+      element("p", { id: "totals" }, `${count(index.size)} episodes of ${count(index.scenes.length)} scenes, ${count(index.groups)} counterfactual groups`,
+        index.snapshot ? ` · snapshot ${index.snapshot}` : ""),
+      section("Episodes by cell", crossed("split", "category"), crossed("source", "category"), crossed("source", "split"),
+        crossed("composition", "category"), crossed("observability", "category")),
+      section("Lengths", element("div", { class: "columns" }, histogram("route_length"), histogram("words"))),
+      section("Labels and predicates", element("div", { class: "columns" }, goldLabels(), listed("label"), listed("predicate"))),
+      found.relations.length ? section("Relations of the scenes", explorer.table("Emitted edges, and those that text may use", ["source", "predicate", "#emitted", "#fit for text"],
+        found.relations.map((row) => [row[0], row[1], count(row[2]), count(row[3])]), "relations")) : "",
+      found.funnel.length ? section("Funnel", funnel(found.funnel)) : "",
+      found.rejections.length ? section("Rejections", rejections(found.rejections)) : "",
+      Object.keys(found.left_out).length ? section("Left out of the export", explorer.table("Why episodes were left out", ["reason", "#episodes"],
+        Object.entries(found.left_out).map(([reason, value]) => [reason, count(value)]), "left-out")) : "",
+      section("Bias gate", gate(found.gate)), section("Drift", drift(found.drift)));
+    return "Statistics";
+  };
+}

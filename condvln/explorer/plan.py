@@ -1,0 +1,106 @@
+"""A scene as the page draws it from above: rooms, footprints of furniture, and the navmesh."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.episodes.footprint import Footprint
+from condvln.labels import vocabulary
+from condvln.navigation.tile import NavMeshTile
+from condvln.scene import Room, Scene, SceneObject
+
+__all__ = ["floor_document", "plan_document"]
+
+Document = dict[str, Any]
+F64 = NDArray[np.float64]
+_DECIMALS: Final = 3
+
+
+def plan_document(
+    scene: Scene, tile: NavMeshTile | None = None, seeable: Mapping[str, bool | None] | None = None
+) -> Document:
+    """Return a scene's plan. Coordinates are metres in Habitat's frame, rounded to 1 mm.
+
+    Parameters
+    ----------
+    tile : the navmesh; None where it is not there
+    seeable : by object id, whether text may use the object (table ``visibility``)
+    """
+    numbers = {room.room_id: number for number, room in enumerate(scene.rooms)}
+    return {
+        "rooms": [_room(room) for room in scene.rooms],
+        "objects": [_object(item, numbers, seeable or {}) for item in scene.objects],
+        "floor": floor_document(tile),
+    }
+
+
+def floor_document(tile: NavMeshTile | None) -> list[list[float]]:
+    """Return the polygons of a navmesh, each as ``[y, x, z, x, z, …]`` with y the mean height; rounded to 1 cm."""
+    if tile is None:
+        return []
+    found = []
+    for poly in tile.polys:
+        count = int(poly["vert_count"])
+        if count < 3:  # an off-mesh connection
+            continue
+        corners = np.asarray(tile.verts[poly["verts"][:count]], dtype=np.float64)
+        outline = corners[:, [0, 2]].ravel()
+        found.append([round(float(value), 2) for value in (corners[:, 1].mean(), *outline)])
+    return found
+
+
+def _room(room: Room) -> Document:
+    return {
+        "id": room.room_id,
+        "label": room.label,
+        "raw": room.raw_label,
+        "level": room.level,
+        "floor": _number(room.floor_y),
+        "ceiling": _number(room.ceiling_y),
+        "polygon": None if room.polygon is None else _rows(room.polygon),
+        "annotation": room.annotation,
+        "complete": room.complete,
+    }
+
+
+def _object(item: SceneObject, rooms: Mapping[str, int], seeable: Mapping[str, bool | None]) -> Document:
+    footprint = Footprint.of(item)
+    rectangles = [] if footprint is None else [_corners(part) for part in footprint.parts or (footprint,)]
+    box = item.box
+    return {
+        "id": item.object_id,
+        "label": item.label,
+        "raw": item.raw_label,
+        "room": rooms.get(item.room_id, -1),
+        "center": _row(item.center),
+        "shape": rectangles,
+        "low": None if box is None else _number(box[0][1]),
+        "high": None if box is None else _number(box[1][1]),
+        "geometry": item.geometry,
+        "parent": item.parent,
+        "support": item.support,
+        "hidden": item.hidden,
+        "structure": vocabulary.is_structure(item.label),
+        "seeable": seeable.get(item.object_id),
+    }
+
+
+def _corners(box: Footprint) -> list[float]:
+    corners = box.center + (np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * box.half) @ box.axes
+    return _row(corners.ravel())
+
+
+def _rows(values: F64) -> list[list[float]]:
+    return [_row(row) for row in values]
+
+
+def _row(values: Sequence[float] | F64) -> list[float]:
+    return [round(float(value), _DECIMALS) for value in values]
+
+
+def _number(value: float) -> float | None:
+    return round(float(value), _DECIMALS) if np.isfinite(value) else None

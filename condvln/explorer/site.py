@@ -1,0 +1,183 @@
+"""The folder of the page: scripts and styles as they are, and chunks of data, each scene's apart."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterable, Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Final
+
+from condvln.explorer.chunks import write_chunk
+from condvln.explorer.columns import Columns
+from condvln.explorer.walks import OUTCOMES, AgentResults
+from condvln.formats.streams import atomic_stream
+from schemas.errors import UsageError
+
+__all__ = ["PAGE", "Site"]
+
+Document = dict[str, Any]
+PAGE: Final = "index.html"
+DATA: Final = "data"
+PARTS: Final = ("page.html", "page.css", "chunks.js", "elements.js", "episodes.js", "plan.js", "instruction.js",
+                "walk.js", "episode.js", "browse.js", "statistics.js", "agents.js", "scene.js", "page.js")  # fmt: skip
+EPISODES_A_CHUNK: Final = 100
+TEXTS_A_CHUNK: Final = 4000
+
+
+class Site:
+    """Writes the page into a folder, scene by scene, so that memory holds one scene and one entry per episode.
+
+    The page appears with :meth:`finish`. A folder that holds something else is left alone.
+
+    Parameters
+    ----------
+    out : folder to write; one of a former page is replaced
+    level : of the compression
+
+    Raises
+    ------
+    UsageError : the folder holds other files
+    """
+
+    def __init__(self, out: Path, *, level: int = 6) -> None:
+        self.out, self._level = out, level
+        if out.exists() and not out.is_dir():
+            raise UsageError("--out is a file", place=str(out), remedy="Name a folder.")
+        page = out / PAGE
+        if out.is_dir() and any(out.iterdir()) and not _is_ours(page):
+            raise UsageError(
+                "the folder holds other files", place=str(out), remedy="Name a new or empty folder with --out."
+            )
+        page.unlink(missing_ok=True)
+        for folder in (DATA, FRAMES):
+            shutil.rmtree(out / folder, ignore_errors=True)
+        (out / DATA).mkdir(parents=True, exist_ok=True)
+        self._columns = Columns()
+        self._scenes: list[Document] = []
+        self._chunks: list[int] = []
+        self._texts: list[str] = []
+        self._text_chunks = 0
+
+    def add_scene(
+        self,
+        source: str,
+        scene_id: str,
+        rows: Sequence[Mapping[str, Any]],
+        documents: Iterable[Document],
+        *,
+        plan: Document,
+        graph: Document | None = None,
+        walks: Mapping[str, Document] | None = None,
+    ) -> None:
+        """Add a scene with its episodes.
+
+        Parameters
+        ----------
+        rows : manifest rows of its episodes
+        documents : what `episode_document` makes of each of them
+        graph : its relations; None where they are not known
+        walks : by episode id, the walks of each agent by name
+        """
+        number = len(self._scenes)
+        scene = {
+            "source": source,
+            "id": scene_id,
+            "episodes": len(rows),
+            "rooms": len(plan["rooms"]),
+            "objects": len(plan["objects"]),
+            "graph": graph is not None,
+        }
+        self._scenes.append(scene)
+        self._write(f"scene-{number}", {"source": source, "id": scene_id, **plan})
+        if graph is not None:
+            self._write(f"graph-{number}", graph)
+        chunk: list[Document] = []
+        for row, document in zip(rows, documents, strict=True):
+            if not chunk:
+                self._chunks.append(len(self._columns))
+            self._columns.add(row, number)
+            self._add_text(row["instruction_text"])
+            chunk.append(document)
+            if len(chunk) == EPISODES_A_CHUNK:
+                self._episodes(chunk, walks or {})
+                chunk = []
+        if chunk:
+            self._episodes(chunk, walks or {})
+
+    def finish(
+        self,
+        title: str,
+        *,
+        snapshot: str = "",
+        statistics: Document | None = None,
+        agents: Sequence[AgentResults] = (),
+        tables: Sequence[Document] = (),
+    ) -> Path:
+        """Write what is about all scenes, then the page itself, and return its path."""
+        self._write_texts()
+        columns = self._columns.document()
+        index = {
+            "title": title,
+            "snapshot": snapshot,
+            "scenes": self._scenes,
+            "chunks": self._chunks,
+            "texts": {"size": TEXTS_A_CHUNK, "chunks": self._text_chunks},
+            "outcomes": list(OUTCOMES),
+            "agents": [_agent(name, own, columns["columns"]["id"]) for name, own in _by_name(agents).items()],
+            **columns,
+        }
+        self._write("index", index)
+        self._write("statistics", statistics or {})
+        self._write("agents", {"tables": list(tables)})
+        for name in PARTS:
+            with atomic_stream(self.out / (PAGE if name == "page.html" else name)) as stream:
+                stream.write(files("condvln.explorer").joinpath("page", name).read_bytes())
+        return self.out / PAGE
+
+    def _episodes(self, documents: list[Document], walks: Mapping[str, Document]) -> None:
+        number = len(self._chunks) - 1
+        self._write(f"episodes-{number}", documents)
+        self._write(f"walks-{number}", {one["id"]: walks[one["id"]] for one in documents if one["id"] in walks})
+
+    def _add_text(self, text: str) -> None:
+        self._texts.append(text)
+        if len(self._texts) == TEXTS_A_CHUNK:
+            self._write_texts()
+
+    def _write_texts(self) -> None:
+        if self._texts:
+            self._write(f"texts-{self._text_chunks}", self._texts)
+            self._text_chunks += 1
+            self._texts = []
+
+    def _write(self, name: str, document: Any) -> None:
+        write_chunk(self.out / DATA, name, document, self._level)
+
+
+FRAMES: Final = "frames"
+"""Folder of pictures along gold paths."""
+
+
+def _is_ours(page: Path) -> bool:
+    return page.is_file() and b"condvln-explorer" in page.read_bytes()[:2000]
+
+
+def _by_name(agents: Sequence[AgentResults]) -> dict[str, list[AgentResults]]:
+    """Return the results of each agent, on several splits or one."""
+    found: dict[str, list[AgentResults]] = {}
+    for agent in agents:
+        found.setdefault(agent.name, []).append(agent)
+    return found
+
+
+def _agent(agent: str, results: Sequence[AgentResults], ids: Sequence[str]) -> Document:
+    episodes = {name: row for one in results for name, row in one.episodes.items()}
+    found = [episodes.get(name) for name in ids]
+    measures = [*next((scores for _, scores in episodes.values()), {})]
+    return {
+        "name": agent,
+        "splits": [one.split for one in results],
+        "outcome": [0 if one is None else one[0] for one in found],
+        "scores": {name: [None if one is None else one[1][name] for one in found] for name in measures},
+    }

@@ -1,0 +1,97 @@
+"""Counts that the page shows besides those of its episodes: funnel, rejections, relations, gate, drift."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from condvln.manifest import manifest_lines, manifest_paths
+from jobs.explore_scenes import ExploredScene
+from schemas.errors import UsageError
+
+__all__ = ["Counts", "statistics_document"]
+
+Document = dict[str, Any]
+EXAMPLES: Final = 3
+"""Number of examples that are kept of each reason of rejection."""
+
+
+@dataclass
+class Counts:
+    """Sums over the scenes of a page."""
+
+    scenes: int = 0
+    episodes: int = 0
+    objects: Counter[str] = field(default_factory=Counter)
+    rooms: Counter[str] = field(default_factory=Counter)
+    relations: dict[tuple[str, str], list[int]] = field(default_factory=dict)
+    funnel: dict[tuple[str, str], list[int]] = field(default_factory=dict)
+    rejections: dict[tuple[str, str, str], int] = field(default_factory=dict)
+    examples: dict[tuple[str, str, str], list[Document]] = field(default_factory=dict)
+    ids: dict[str, tuple[str, str]] = field(default_factory=dict)
+
+    def add(self, scene: ExploredScene) -> None:
+        """Add a scene."""
+        source, scene_id = scene.scene.family, scene.scene.scene_id
+        self.scenes += 1
+        self.episodes += len(scene.rows)
+        self.objects.update(item.label for item in scene.scene.objects)
+        self.rooms.update(room.label for room in scene.scene.rooms)
+        for row in scene.relations or ():
+            if row["kind"] == "semantic":
+                sums = self.relations.setdefault((source, row["predicate"]), [0, 0])
+                sums[0] += 1
+                sums[1] += bool(row["true_in_text"])
+        tables = scene.tables or {}
+        for row in tables.get("funnel", ()):
+            sums = self.funnel.setdefault((source, row["cell"]), [0, 0, 0, 0])
+            for k, name in enumerate(("wanted", "candidates", "rejected", "placed")):
+                sums[k] += row[name]
+        for row in tables.get("rejections", ()):
+            key = (source, row["stage"], row["reason"])
+            self.rejections[key] = self.rejections.get(key, 0) + row["count"]
+            kept = self.examples.setdefault(key, [])
+            if row["example"] is not None and len(kept) < EXAMPLES:
+                kept.append({"scene": scene_id, "cell": row["cell"], "example": row["example"]})
+        self.ids.update({str(row["episode_id"]): (row["split"], row["category"]) for row in scene.rows})
+
+
+def statistics_document(counts: Counts, record: Mapping[str, Any] | None, before: Path | None) -> Document:
+    """Return what the page's statistics show.
+
+    Parameters
+    ----------
+    record : the export's ``export.json``
+    before : a former export, whose counts are compared with these
+    """
+    return {
+        "objects": counts.objects.most_common(),
+        "rooms": counts.rooms.most_common(),
+        "relations": [[*key, *sums] for key, sums in sorted(counts.relations.items())],
+        "funnel": [[*key, *sums] for key, sums in sorted(counts.funnel.items())],
+        "rejections": [
+            {"source": key[0], "stage": key[1], "reason": key[2], "count": count, "examples": counts.examples[key]}
+            for key, count in sorted(counts.rejections.items(), key=lambda item: (-item[1], item[0]))
+        ],
+        "gate": None if record is None else record.get("bias"),
+        "left_out": {} if record is None else record.get("left_out") or {},
+        "drift": None if before is None else _drift(counts, before),
+    }
+
+
+def _drift(counts: Counts, before: Path) -> Document:
+    paths = manifest_paths(before)
+    if not paths:
+        raise UsageError("--before names no export", place=str(before), remedy="Name the folder of a former export.")
+    former = {}
+    for path in paths:
+        for line in manifest_lines(path):
+            fields = line.fields()
+            former[str(fields.get("episode_id"))] = (path.stem, str(fields.get("category")))
+    was, now = Counter(former.values()), Counter(counts.ids.values())
+    cells = [[*cell, was[cell], now[cell]] for cell in sorted({*was, *now})]
+    old, new = former.keys(), counts.ids.keys()
+    return {"cells": cells, "kept": len(old & new), "gone": len(old - new), "new": len(new - old)}

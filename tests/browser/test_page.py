@@ -1,0 +1,313 @@
+"""The page in a real Chromium, from the disk: filters, links, hovers, keys and playback act, and numbers are right."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from selenium.webdriver.common.by import By
+from selenium.webdriver.support.ui import Select
+
+from tests.browser.conftest import AGENTS, Run
+from tests.browser.driver import Page
+
+
+def count(page: Page) -> int:
+    """Return the number of episodes that the list shows."""
+    return int(page.one("#count").get_attribute("data-count") or -1)
+
+
+def choose(page: Page, name: str, value: str) -> None:
+    """Set a filter as a person does, and wait for the list."""
+    page.open("#/browse")
+    field = page.one(f"[name='{name}']")
+    before = page.run("return location.hash")
+    if field.tag_name == "select":
+        Select(field).select_by_value(value)
+    else:
+        field.send_keys(value + "\t")
+    said = "document.getElementById('status').textContent.includes('episodes')"
+    page.until(f"return location.hash !== arguments[0] && {said}", before)
+    page.settle()
+
+
+def test_each_filter_gives_what_duckdb_counts(page: Page, made: Run) -> None:
+    total = made.ask("select count(*) from episodes")[0][0]
+    assert count(page) == total
+    for name in ("source", "category", "composition", "gold_label"):
+        value, wanted = made.ask(f"select {name}, count(*) n from episodes group by 1 order by n, 1")[0]
+        choose(page, name, value)
+        assert count(page) == wanted, name
+    exported = sum(row["split"] == made.split for row in made.manifest.values())
+    choose(page, "split", made.split)
+    assert count(page) == exported
+    scene, source, wanted = made.ask("select scene_id, source, count(*) from episodes group by 1, 2 order by 1")[0]
+    choose(page, "scene", f"{source}/{scene}")
+    assert count(page) == wanted
+    for name, low, high in (("route_length", 3, 7.5), ("words", 30, 60), ("moves", 2, 3)):
+        choose(page, name, f"{low}..{high}")
+        sql = f"select count(*) from episodes where round({name}, 2) between {low} and {high}"
+        assert count(page) == made.ask(sql)[0][0], name
+    for name in ("depth", "chain"):
+        choose(page, name, "2")
+        sql = f"select count(*) from episodes join instructions using (instruction_id, scene_id) where {name} = 2"
+        assert count(page) == made.ask(sql)[0][0], name
+    choose(page, "observability", "O2")
+    assert count(page) == made.ask("select count(*) from episodes where observability = 'O2'")[0][0]
+    choose(page, "group", "any")
+    assert count(page) == made.ask("select count(*) from episodes where group_id is not null")[0][0]
+    asked = """select count(*) from episodes join instructions using (instruction_id, scene_id)
+        where len(list_filter(conditions, c -> c.qualifier.predicate = 'near')) > 0"""
+    choose(page, "predicate", "near")
+    assert count(page) == made.ask(asked)[0][0]
+    label = made.ask("select conditions[1].label, count(*) n from instructions group by 1 order by n desc, 1")[0][0]
+    named = f"""select count(*) from episodes e join instructions i using (instruction_id, scene_id) where
+        len(list_filter(conditions, c -> c.label = '{label}' or
+            len(list_filter(c.qualifier.anchors, a -> a.label = '{label}')) > 0)) > 0 or
+        len(list_filter(i.leaves, f -> len(list_filter(f.moves, m -> m.label = '{label}' or
+            len(list_filter(m.qualifier.anchors, a -> a.label = '{label}')) > 0)) > 0)) > 0"""
+    choose(page, "label", label)
+    assert count(page) == made.ask(named)[0][0]
+
+
+def test_search_finds_words_and_ids(page: Page, made: Run) -> None:
+    choose(page, "q", "If THERE")
+    wanted = "select count(*) from episodes where contains(lower(instruction_text), 'if there')"
+    assert count(page) == made.ask(wanted)[0][0] > 0
+    some = made.ask("select episode_id from episodes order by 1")[0][0]
+    choose(page, "q", str(some))
+    assert page.texts(".episodes .id") == [str(some)]
+
+
+def test_outcomes_of_agents_are_filters_and_links(page: Page, made: Run) -> None:
+    own = sum(row["split"] == made.split for row in made.manifest.values())
+    page.go("#/agents")
+    table = {row[0]: row[1:] for row in (row.split("|") for row in cells(page, "outcomes"))}
+    assert set(table) == set(AGENTS)
+    assert all(sum(map(int, row)) == own for row in table.values())
+    assert table["perfect"][0] == str(own)
+    link = page.one("[data-table='outcomes'] tbody a")
+    wanted = int(link.text)
+    link.click()
+    page.until("return location.hash.startsWith('#/browse') && Boolean(document.getElementById('count'))")
+    assert count(page) == wanted
+
+
+def objects(page: Page, kind: str) -> list[str]:
+    """Return the sorted ids of the objects of the plan that are marked so."""
+    script = "return [...document.querySelectorAll(`.object.${arguments[0]}`)].map((node) => node.dataset.object)"
+    return sorted(page.run(script, kind))
+
+
+def cells(page: Page, table: str) -> list[str]:
+    """Return the rows of a table as texts of cells with bars between them."""
+    script = """return [...document.querySelectorAll(`[data-table="${arguments[0]}"] tbody tr`)]
+        .map((row) => [...row.children].map((cell) => cell.textContent.replaceAll(",", "")).join("|"))"""
+    found: list[str] = page.run(script, table)
+    return found
+
+
+def test_statistics_equal_the_tables(page: Page, made: Run) -> None:
+    page.go("#/statistics")
+    crossed = made.ask("select source, category, count(*) from episodes group by 1, 2")
+    head = page.texts("[data-table='source-category'] thead th")
+    shown = {(row.split("|")[0], name): int(value) for row in cells(page, "source-category")
+             for name, value in zip(head[1:-1], row.split("|")[1:-1], strict=True)}  # fmt: skip
+    assert {key: value for key, value in shown.items() if value} == {(s, c): n for s, c, n in crossed}
+    sums = "sum(wanted), sum(candidates), sum(rejected), sum(placed)"
+    assert [tuple(row.split("|")) for row in cells(page, "funnel")] == [
+        tuple(map(str, row)) for row in made.ask(f"select source, cell, {sums} from funnel group by 1, 2 order by 1, 2")
+    ]
+    rejected = made.ask("select source, stage, reason, sum(count) from rejections group by 1, 2, 3")
+    assert {tuple(row.split("|")[:4]) for row in cells(page, "rejections")} == {tuple(map(str, r)) for r in rejected}
+    relations = made.ask("""select source, predicate, count(*), count(*) filter (true_in_text) from relations
+        where kind = 'semantic' group by 1, 2 order by 1, 2""")
+    assert [tuple(row.split("|")) for row in cells(page, "relations")] == [tuple(map(str, row)) for row in relations]
+    assert made.config.export is not None
+    gate = json.loads((made.config.export / "export.json").read_text())["bias"]
+    if gate is not None:
+        assert page.one("[data-gate]").get_attribute("data-gate") == ("passed" if gate["passed"] else "failed")
+
+
+def relational(made: Run, truth: bool) -> tuple[str, int]:
+    """Return an exported episode with a relational condition of this truth, and the condition's number."""
+    for name, row in sorted(made.manifest.items()):
+        for k, condition in enumerate(row["program"]["conditions"]):
+            qualifier = condition["qualifier"]
+            if condition["truth"] is truth and qualifier is not None and qualifier["predicate"] in ("near", "far from"):
+                return name, k
+    pytest.fail("no such episode was made")
+
+
+def test_a_condition_shows_its_witness_and_measure(page: Page, made: Run) -> None:
+    name, k = relational(made, True)
+    row = made.manifest[name]
+    condition = row["program"]["conditions"][k]
+    page.go(f"#/episode/{name}")
+    page.hover(f".tree [data-condition='{k}']")
+    assert objects(page, "witness") == sorted(condition["witnesses"])
+    anchor = condition["qualifier"]["anchors"][0]["object_id"]
+    assert objects(page, "anchor") == [anchor]
+    sql = f"""select used_distance from relations where scene_id = '{row["scene_id"]}' and kind = 'canonical'
+        and source = '{row["source"]}' and subject = '{condition["witnesses"][0]}' and target = '{anchor}'"""
+    shown = next(line for line in cells(page, "facts") if line.startswith(condition["witnesses"][0]))
+    assert f"distance {made.ask(sql)[0][0]:.2f} m" in shown
+    assert "margin" in "".join(page.texts("[data-table='facts'] thead"))
+    assert f"Certificate: {str(condition['truth']).lower()}" in page.one(".details").text
+    page.hover("h1")
+    assert page.all(".object.witness") == []
+
+
+def test_text_tree_and_plan_are_linked(page: Page, made: Run) -> None:
+    name, row = min(made.manifest.items())
+    page.go(f"#/episode/{name}")
+    for k in range(len(row["program"]["conditions"])):
+        assert page.all(f".instruction [data-condition='{k}']"), f"condition {k} has no clause"
+    for leaf in row["leaves"]:
+        page.hover(f".instruction [data-leaf='{leaf['leaf']}']")
+        assert page.texts(f".tree .lit[data-leaf='{leaf['leaf']}']")
+        assert page.all(".way.lit")
+        assert leaf["object_id"] in objects(page, "goal")
+    page.one(".tree [data-condition='0']").send_keys("\ue007")
+    page.hover("h1")
+    assert page.one(".tree [data-condition='0']").get_attribute("aria-pressed") == "true"
+    facts = dict(zip(page.texts(".facts-list dt"), page.texts(".facts-list dd"), strict=True))
+    assert facts["split"] == row["split"]
+    assert facts["step budget"] == f"{row['max_steps']} steps"
+    assert facts["by all stops"] == f"{row['route_length']:.2f} m"
+    assert facts["certificate"].startswith("proven, ")
+
+
+def test_the_plan_is_to_scale(page: Page, made: Run) -> None:
+    name, row = min(made.manifest.items())
+    page.go(f"#/episode/{name}")
+    gold = next(leaf for leaf in row["leaves"] if leaf["leaf"] == row["gold_leaf"])
+    points = [tuple(map(float, p.split(","))) for p in str(page.one(".way.gold").get_attribute("points")).split()]
+    circle = page.one(".arrow.start circle")
+    start = [float(circle.get_attribute(name) or "nan") for name in ("cx", "cy")]
+    assert points[0] == pytest.approx(start, abs=0.1)
+    path = gold["reference_path"]
+    far = max(range(len(path)), key=lambda k: abs(path[k][0] - path[0][0]) + abs(path[k][2] - path[0][2]))
+    metres = ((path[far][0] - path[0][0]) ** 2 + (path[far][2] - path[0][2]) ** 2) ** 0.5
+    pixels = ((points[far][0] - points[0][0]) ** 2 + (points[far][1] - points[0][1]) ** 2) ** 0.5
+    upright = f"""select object_id, aabb_min.x, aabb_max.x from objects where scene_id = '{row["scene_id"]}'
+        and source = '{row["source"]}' and len(parts) = 0 and obb is null"""
+    item = made.ask(upright)[0]
+    box = page.run("return document.querySelector(`[data-object='${arguments[0]}'] polygon`).getBBox().width", item[0])
+    assert box / (item[2] - item[1]) == pytest.approx(pixels / metres, rel=0.02)
+    page.one("#navmesh").click()
+    assert not page.one(".layer-floor").is_displayed()
+
+
+def test_playback_walks_to_the_goal(page: Page, made: Run) -> None:
+    name = min(key for key, row in made.manifest.items() if row["split"] == made.split)
+    page.go(f"#/episode/{name}")
+    before = cells(page, "walks")
+    assert before[0].startswith("perfect|0 of ")
+    assert float(before[0].split("|")[2]) == pytest.approx(made.manifest[name]["geodesic_distance"], abs=0.02)
+    page.one(".play").click()
+    page.until("return Number(document.querySelector('.playback input[type=range]').value) > 2")
+    page.one(".play").click()
+    page.run("""const slider = document.querySelector('.playback input[type=range]');
+        slider.value = slider.max; slider.dispatchEvent(new Event('input'))""")
+    after = next(row for row in cells(page, "walks") if row.startswith("perfect"))
+    assert float(after.split("|")[2]) < made.manifest[name]["success_distance"]
+    assert f"success leaf {made.manifest[name]['gold_leaf']}" in after
+    page.one("[data-agent='always-then']").click()
+    assert len(cells(page, "walks")) == 3
+
+
+def test_keys_and_links_lead_through_a_list(page: Page, made: Run) -> None:
+    page.open("#/browse?category=nested")
+    listed = page.texts(".episodes .id")
+    page.one(".episodes a").click()
+    page.one("#next")
+    assert page.texts("#place") == [f"1 of {len(listed)}"]
+    for key in ("ARROW_RIGHT", "n", "ARROW_LEFT"):
+        before = page.run("return location.hash")
+        page.key(key)
+        shown = "document.title.includes(location.hash.split('/')[2].split('?')[0])"
+        page.until(f"return location.hash !== arguments[0] && {shown}", before)
+    assert listed[1] in page.run("return location.hash")
+    page.open(page.run("return location.hash"))  # the address alone leads to the same place
+    assert page.texts("#place") == [f"2 of {len(listed)}"]
+    page.key("ESCAPE")
+    page.until("return location.hash.startsWith('#/browse')")
+    assert page.texts(".episodes .id") == listed
+
+
+def test_a_group_is_shown_side_by_side(page: Page, made: Run) -> None:
+    groups = "select group_id, count(*) from episodes where group_id is not null group by 1 order by 1"
+    group, wanted = made.ask(groups)[0]
+    name = made.ask(f"select min(episode_id) from episodes where group_id = '{group}'")[0][0]
+    page.go(f"#/episode/{name}")
+    page.one("#group").click()
+    page.until("return document.querySelectorAll('.side-by-side .plan').length > 0")
+    assert len(page.all(".side-by-side section")) == wanted
+
+
+def test_an_object_shows_its_relations(page: Page, made: Run) -> None:
+    source, scene, subject, n = made.ask("""select source, scene_id, subject, count(distinct target) n from relations
+        where kind = 'canonical' group by all order by n desc, 1, 2, 3""")[0]
+    page.go(f"#/scene/{source}%2F{scene.replace('/', '%2F')}?object={subject}")
+    rows = cells(page, "edges")
+    assert len(rows) == n
+    used = made.ask(f"""select target, used_distance, horizontal_distance from relations where kind = 'canonical'
+        and source = '{source}' and scene_id = '{scene}' and subject = '{subject}'""")
+    shown = {row.split("|")[0]: (row.split("|")[2], row.split("|")[4]) for row in rows}
+    assert shown == {target: (f"{a:.2f}", f"{b:.2f}") for target, a, b in used}
+    near = made.ask(f"""select target from relations where predicate = 'near' and source = '{source}'
+        and scene_id = '{scene}' and subject = '{subject}' and kind = 'semantic' order by 1""")
+    assert objects(page, "witness") == [target for (target,) in near]
+    other = page.all("[data-table='edges'] button")[0]
+    name = other.text
+    other.click()
+    assert f"({name})" in page.one("#object h2").text
+    shapes = [node for node in page.all(".object") if node.get_attribute("data-object") == subject]
+    page.run("arguments[0].dispatchEvent(new MouseEvent('click', {bubbles: true}))", shapes[0])
+    assert f"({subject})" in page.one("#object h2").text
+
+
+def test_labels_do_not_overlap_and_the_page_fits(page: Page, made: Run) -> None:
+    script = """const boxes = [...document.querySelectorAll('.layer-labels .object-label, .layer-labels .room-label')]
+        .map((node) => [node.textContent, node.getBoundingClientRect()]);
+        const bad = [];
+        for (const [a, p] of boxes) for (const [b, q] of boxes) {
+            if (p === q) continue;
+            const wide = Math.min(p.right, q.right) - Math.max(p.left, q.left);
+            const high = Math.min(p.bottom, q.bottom) - Math.max(p.top, q.top);
+            if (wide > 3 && high > 5) bad.push(`${a} and ${b}: ${wide} x ${high}`);
+        }
+        return [boxes.length, bad]"""
+    for width in (1280, 390):
+        page.size(width)
+        for name in sorted(made.manifest)[:3]:
+            page.open(f"#/episode/{name}")
+            labels, bad = page.run(script)
+            assert labels > 0
+            assert bad == [], width
+        for address in (
+            "#/browse",
+            f"#/episode/{min(made.manifest)}",
+            "#/statistics",
+            "#/agents",
+            "#/scenes",
+            "#/help",
+        ):
+            page.open(address)
+            assert page.run("return document.documentElement.scrollWidth <= arguments[0]", width), (width, address)
+
+
+def test_a_broken_address_says_so(page: Page) -> None:
+    for address in ("#/episode/0", "#/scene/no%2Fwhere", "#/group/77777", "#/constructor", "#/views"):
+        page.open(address)
+        assert "there is no" in page.one("[role=alert]").text
+
+
+def test_all_categories_print(page: Page, made: Run, tmp_path: Path) -> None:
+    page.go(f"#/episode/{min(made.manifest)}")
+    page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    assert not page.driver.find_element(By.CSS_SELECTOR, "header nav").is_displayed()
+    assert page.driver.find_element(By.CSS_SELECTOR, ".plan").is_displayed()
+    page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
