@@ -42,7 +42,7 @@ class ForeignEpisode:
 
 
 def read_foreign(path: str | os.PathLike[str]) -> Iterator[ForeignEpisode]:
-    """Yield the episodes of a file in order, one for each text.
+    """Yield the episodes of another project's file in order, one for each instruction text.
 
     Raises
     ------

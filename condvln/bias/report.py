@@ -134,7 +134,8 @@ class BiasReport:
         }
 
     def overview(self) -> list[tuple[str | int | float, ...]]:
-        """Return the table's rows: each guesser per source, and each category or predicate in which it beats chance.
+        """Return the table's rows: each guesser in each source, and each category or predicate in which the guesser
+        beats chance.
 
         Columns: guesser, source, category or predicate, episodes, accuracy, low, high, chance, corrected p.
         """

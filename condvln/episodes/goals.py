@@ -33,8 +33,8 @@ F64 = NDArray[np.float64]
 
 
 def wide_islands(pathfinder: PathfinderProtocol, places: PlacesConfig) -> tuple[int, ...]:
-    """Return the islands that episodes may use: wide enough, and with floor area (some consist of degenerate
-    triangles).
+    """Return the islands that episodes may use. They are wide enough and have floor area, which islands of degenerate
+    triangles lack.
     """
     return tuple(
         k

@@ -134,7 +134,7 @@ class GroupAccuracy:
 
 
 def group_accuracy(evaluation: Evaluation, *, seed: int = 0) -> GroupAccuracy:
-    """Return the accuracy over the groups that have at least two episodes in the split."""
+    """Return the accuracy over the counterfactual groups that have at least two episodes in the split."""
     members: dict[str, list[int]] = defaultdict(list)
     for row, group in enumerate(evaluation.group_ids):
         if group is not None:

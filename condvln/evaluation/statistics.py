@@ -70,7 +70,7 @@ def estimate(
 
 @dataclass(frozen=True)
 class PairedTest:
-    """The difference of two agents over the episodes that both were scored on.
+    """The difference between two agents in a measure, over the episodes that both were scored on.
 
     Attributes
     ----------

@@ -56,7 +56,9 @@ class SceneTable:
         return data
 
     def navmesh_path(self, source: str, scene: str) -> tuple[str, bool]:
-        """Return the path of the navmesh for the manifest, and whether it is a file of the export."""
+        """Return the path of a scene's navmesh as manifests state it, and whether the navmesh is a file of the
+        export.
+        """
         row = self._rows[source][scene]
         return str(row["navmesh_path"]), self._is_shipped(row)
 

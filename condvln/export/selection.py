@@ -109,7 +109,7 @@ def select(pool: ExportPool, config: SplitsConfig) -> Selection:
 
 
 def _empty_splits(pool: ExportPool, config: SplitsConfig, selection: Selection) -> dict[Split, str]:
-    """Return, for each split without episodes, the reason. Splits without a share and without scenes in the
+    """Return the reason why a split has no episodes, by split. Splits without a share and without scenes in the
     configuration are left out.
     """
     groups = Counter(scene_group(family, scene, config) for family, scene in pool.scenes)

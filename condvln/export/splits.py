@@ -46,7 +46,8 @@ def scene_group(family: str, scene_id: str, config: SplitsConfig) -> Group:
 
 
 def fractions(hashes: npt.NDArray[np.uint64], seed: int, purpose: str) -> npt.NDArray[np.float64]:
-    """Return for each 64-bit hash a number in [0, 1) that depends only on it, ``seed`` and ``purpose``.
+    """Return, for each of the 64-bit `hashes`, a number in [0, 1) that depends only on the hash, ``seed`` and
+    ``purpose``.
 
     The mixer is SplitMix64's finaliser (Steele, Lea and Flood 2014).
     """

@@ -120,7 +120,7 @@ def _first_scene(file: pq.ParquetFile) -> str:
 
 
 def rows_by_scene(batches: Iterator[pa.RecordBatch], where: str) -> Iterator[tuple[str, list[Row]]]:
-    """Yield the rows of each scene together.
+    """Yield the id of each scene, with all rows of the scene.
 
     Raises
     ------

@@ -107,12 +107,12 @@ def _no_bytes(*content: Any) -> bytes:
     empty bytes.
     """
     if content:
-        raise UnsafePickleError("bytes are created by their class")
+        raise UnsafePickleError("bytes are created by calling their class")
     return b""
 
 
 def _ndarray(*_: Any) -> Any:
-    raise UnsafePickleError("an array is created by its class")
+    raise UnsafePickleError("an array is created by calling its class")
 
 
 _KNOWN: Final = {

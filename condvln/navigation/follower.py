@@ -221,7 +221,7 @@ class SteppedWalk:
 
     @property
     def heading(self) -> float:
-        """Radians in [0, 2π), counter-clockwise, 0 facing −z."""
+        """The agent's heading in radians, in [0, 2π): counter-clockwise, 0 facing −z."""
         return float(_headings(self._gait.first_heading, np.array(self._facing), self._space))
 
     def take(self, action: int) -> None:

@@ -93,7 +93,8 @@ class MeshOccluders:
 
 
 def _distance_along(eyes: Points, direction: Points, triangles: Points) -> Points:
-    """Return the distance (k,) in metres from each eye to the plane of the triangle that its ray hits.
+    """Return the distance (k,) in metres from each eye, along the eye's ray, to the plane of the triangle that the ray
+    hits.
 
     For a ray parallel to the plane the intersection is ill-defined; the result is clipped to the triangle's corners.
     """

@@ -1,4 +1,4 @@
-"""The boxes (pieces) that a room's objects consist of: one for most, several for an L-shaped counter."""
+"""The boxes (pieces) of which a room's objects consist: one box for most objects, several for an L-shaped counter."""
 
 from __future__ import annotations
 

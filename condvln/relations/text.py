@@ -222,7 +222,7 @@ def _rising(value: F64, emitted: float, text: float) -> F64:
 
 def _near(s: Stacking, metrics: PairMetrics, radius: F64, surface: F64, t: Thresholds) -> _Fact:
     """Return status and margin of "near". It is true if two objects are close in space and neither is far above the
-    other; it is false only by their distance along the ground.
+    other. It is false if they are far apart along the ground; a difference in height alone is not enough.
 
     Footprints, and circles around bounding spheres, enclose their objects and so bound their ground distance; centres
     do not.

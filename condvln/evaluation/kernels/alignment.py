@@ -84,8 +84,8 @@ _FROM_PATH, _FROM_REFERENCE, _FROM_BOTH = 0, 1, 2
 
 @compiled
 def _windowed(path: Points, reference: Points, low: Ints, high: Ints) -> tuple[float, Ints]:
-    """Return DTW with row i of the table restricted to the columns ``low[i] <= j < high[i]``, and the alignment as (k,
-    2) pairs.
+    """Return the DTW distance and the alignment, as (k, 2) pairs. Only the columns ``low[i] <= j < high[i]`` of row i
+    of the table are used.
     """
     n = path.shape[0]
     starts = np.zeros(n + 1, np.int64)

@@ -436,7 +436,7 @@ class Looker:
     # Movement
 
     def _towards(self, aim: F64) -> int | None:
-        """Return the action that leads towards a position; None if it is reached or unreachable."""
+        """Return the action that leads towards a position; None if the position is reached or unreachable."""
         here = self._place[[0, 2]]
         left = float(np.hypot(*(aim - here)))
         if left <= ARRIVED:

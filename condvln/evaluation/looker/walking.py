@@ -90,9 +90,7 @@ def _from_start(position: F64, heading: float, start: F64, first: float) -> tupl
 
 
 def _reveal(looker: Looker, eyes: Eyes, pathfinder: Pathfinder, start: F64, first: float) -> None:
-    """Add the walkable floor around the start to the agent's map. It is used for an agent that is given the map in
-    advance.
-    """
+    """Add the walkable floor around the start to the map of an agent that is given the floor in advance."""
     reach = np.arange(-15.0, 15.0, 0.1) + 0.05
     x, z = (axis.ravel() for axis in np.meshgrid(reach, reach, indexing="ij"))
     c, s = math.cos(first), math.sin(first)
