@@ -26,10 +26,10 @@ from jobs.progress import LoggedRun, RunProgress
 from jobs.report import Report, Section
 from jobs.store_lock import alone_in_store
 from jobs.workspace import git_revision, local_state, open_store, published
-from schemas.config import Config
+from schemas.config import Config, RayConfig
 from schemas.errors import CorruptShardError, SmallerExportError
 
-__all__ = ["add_export", "bring_up_to_date", "run_generate", "run_report"]
+__all__ = ["CompilationNote", "add_export", "bring_up_to_date", "open_executor", "run_generate", "run_report"]
 
 SHOWN_FAILURES: Final = 20
 """Number of quarantined scenes listed on a terminal; ``condvln status`` has all of them."""
@@ -96,12 +96,12 @@ def bring_up_to_date(
     if any(not any(i.path.endswith(".navmesh") for i in unit.inputs) for unit in units):
         kernels.add("navmesh builder")
     if warm:
-        warm_up(_CompilationNote(console), only=kernels)
+        warm_up(CompilationNote(console), only=kernels)
     store = open_store(config)
     with (
         RunProgress(console) as bar,
         LoggedRun(store, local_state(config.store), bar) as log,
-        _executor(config, inline, bar.note) as executor,
+        open_executor(config.ray, inline, bar.note) as executor,
     ):
         done = run(
             build_pipeline(config),
@@ -144,7 +144,7 @@ def add_export(report: Report, config: Config, *, renewed: bool = False) -> bool
     return True
 
 
-class _CompilationNote:
+class CompilationNote:
     """Prints what is compiled and, before the first kernel that is not cached, how long that takes."""
 
     def __init__(self, console: Console) -> None:
@@ -163,7 +163,8 @@ class _CompilationNote:
 
 
 @contextmanager
-def _executor(config: Config, inline: bool, say: Callable[[str], None]) -> Iterator[Executor]:
+def open_executor(ray: RayConfig, inline: bool, say: Callable[[str], None]) -> Iterator[Executor]:
+    """Open what runs the tasks: this process, or Ray with the configured workers or cluster. `say` shows a message."""
     if inline:
         yield InlineExecutor()
         return
@@ -172,11 +173,11 @@ def _executor(config: Config, inline: bool, say: Callable[[str], None]) -> Itera
     # Ray tells of lost nodes on standard output, in the middle of a line if need be; that one is the report's.
     with (
         redirect_stdout(sys.stderr),
-        RayExecutor(workers=config.ray.workers, address=config.ray.address) as ray,
+        RayExecutor(workers=ray.workers, address=ray.address) as cluster,
     ):
         # Who names workers or a cluster gets them; else Ray must pay for its own start.
-        asked = config.ray.address is not None or config.ray.workers is not None
-        yield ray if asked else AutoExecutor(ray, say=say)
+        asked = ray.address is not None or ray.workers is not None
+        yield cluster if asked else AutoExecutor(cluster, say=say)
 
 
 def run_report(done: RunReport) -> Report:

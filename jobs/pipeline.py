@@ -27,7 +27,7 @@ from schemas.config.constants import GROUP_SIZE
 from schemas.errors import ConfigError
 from schemas.tables import SORT_KEYS, TABLES
 
-__all__ = ["build_pipeline", "built_navmeshes", "list_units", "open_configured"]
+__all__ = ["build_pipeline", "built_navmeshes", "list_units", "open_configured", "scene_payload"]
 
 BYTES_BASE: Final = 300 * 2**20
 """Memory of a worker before it reads a scene, bytes: interpreter, numpy, Arrow, compiled kernels."""
@@ -98,6 +98,20 @@ def open_configured(config: Config, source: SourceConfig, hash_file: HashFile) -
     )
 
 
+def scene_payload(source: SourceConfig, scene_id: str) -> dict[str, Any]:
+    """Return what the stages need to open a scene of a configured source; see `jobs.stages.inputs.source_of`."""
+    return {
+        "family": source.family,
+        "root": str(source.root),
+        "scene_id": scene_id,
+        "regions": None if source.regions is None else str(source.regions),
+        "houses": None if source.houses is None else str(source.houses),
+        "navmesh": source.navmesh,
+        "absence": source.absence,
+        "connectivity": None if source.connectivity is None else str(source.connectivity),
+    }
+
+
 def list_units(config: Config, hash_file: HashFile) -> list[Unit]:
     """List all scenes of all sources as units. A scene that can't be listed becomes a unit that holds its error."""
     units = []
@@ -105,22 +119,12 @@ def list_units(config: Config, hash_file: HashFile) -> list[Unit]:
     asked = sum(cell.count for cell in wanted.wanted) + GROUP_SIZE * wanted.counterfactual_groups
     for source in config.sources:
         for handle in open_configured(config, source, hash_file).handles():
-            payload: dict[str, Any] = {
-                "family": handle.family,
-                "root": str(source.root),
-                "scene_id": handle.scene_id,
-                "regions": None if source.regions is None else str(source.regions),
-                "houses": None if source.houses is None else str(source.houses),
-                "navmesh": source.navmesh,
-                "absence": source.absence,
-                "connectivity": None if source.connectivity is None else str(source.connectivity),
-            }
             units.append(
                 Unit(
                     unit_id=f"{handle.family}/{handle.scene_id}",
                     partition=handle.family,
                     inputs=tuple(InputFile(i.path, i.size, i.sha256) for i in handle.inputs),
-                    payload=payload,
+                    payload=scene_payload(source, handle.scene_id),
                     costs={} if handle.fault else stage_costs(handle.family, handle.counts, asked),
                     memory=BYTES_BASE + 4 * sum(i.size for i in handle.inputs),
                     fault=handle.fault,

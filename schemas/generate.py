@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import pyarrow as pa
 from pydantic import BaseModel
@@ -22,6 +22,7 @@ from schemas.relation import RelationRecord
 from schemas.scene import SceneRecord
 from schemas.snapshot import SnapshotManifest
 from schemas.tables import ABOUT, SORT_KEYS, TABLES, description
+from schemas.trajectory_tables import TRAJECTORY_ABOUT, TRAJECTORY_SORT_KEYS, TRAJECTORY_TABLES
 from schemas.unit import UnitCommit
 from schemas.version import SCHEMA_VERSION
 from schemas.vlnce import GroundTruth, VlnCeDocument
@@ -60,15 +61,26 @@ def generated_files() -> dict[str, str]:
             **model.model_json_schema(),
         }
         files[f"{name}.schema.json"] = _text(schema)
-    files["tables.json"] = _text({"schema_version": SCHEMA_VERSION, "tables": {k: _table(k) for k in TABLES}})
+    for kind, (about, keys, schemas) in _KINDS.items():
+        tables = {name: _table(schema, about[name], keys[name]) for name, schema in schemas.items()}
+        files[f"{kind}.json"] = _text({"schema_version": SCHEMA_VERSION, "tables": tables})
     return files
 
 
-def _table(name: str) -> dict[str, Any]:
+_Described: TypeAlias = tuple[dict[str, str], dict[str, tuple[str, ...]], dict[str, pa.Schema]]
+
+_KINDS: Final[dict[str, _Described]] = {
+    "tables": (ABOUT, SORT_KEYS, TABLES),
+    "trajectory-tables": (TRAJECTORY_ABOUT, TRAJECTORY_SORT_KEYS, TRAJECTORY_TABLES),
+}
+"""Descriptions, sort keys and columns of tables, by the name of their file in ``schemas/json``."""
+
+
+def _table(schema: pa.Schema, about: str, keys: tuple[str, ...]) -> dict[str, Any]:
     return {
-        "description": ABOUT[name],
-        "sorted_by": list(SORT_KEYS[name]),
-        "columns": [_field(f) for f in TABLES[name]],
+        "description": about,
+        "sorted_by": list(keys),
+        "columns": [_field(f) for f in schema],
     }
 
 
@@ -105,15 +117,27 @@ def data_page() -> str:
         "−Z forward, east = +X, north = −Z. Positions are rounded to 1 mm. A struct of coordinates has the fields "
         "`x`, `y`, `z`.",
     ]
-    for name, schema in TABLES.items():
-        keys = ", ".join(f"`{key}`" for key in SORT_KEYS[name])
+    parts += _sections(_KINDS["tables"])
+    parts.append(
+        "# Tables of trajectories\n\n`condvln trajectories` writes them as one file each, with the family in a last "
+        "column `source`; see [training data](training.md). Positions are not rounded: replayed actions give them "
+        "again bit for bit. `schemas/json/trajectory-tables.json` has the same for programs."
+    )
+    parts += _sections(_KINDS["trajectory-tables"])
+    return "\n\n".join(parts) + "\n"
+
+
+def _sections(described: _Described) -> Iterator[str]:
+    """Yield a section for each table."""
+    abouts, sort_keys, schemas = described
+    for name, schema in schemas.items():
+        keys = ", ".join(f"`{key}`" for key in sort_keys[name])
         rows = [f"| `{f.name}` | {_type(f.type)} | {'yes' if f.nullable else ''} | {description(f)} |" for f in schema]
         table = "\n".join(["| column | type | may be null | meaning |", "|---|---|---|---|", *rows])
-        parts.append(f"## {name}\n\n{ABOUT[name]} Sorted by {keys}.\n\n{table}")
+        yield f"## {name}\n\n{abouts[name]} Sorted by {keys}.\n\n{table}"
         inner = [f"| `{f.name}.{path}` | {about} |" for f in schema for path, about in _inner(f.type) if about]
         if inner:
-            parts.append("\n".join(["| inside | meaning |", "|---|---|", *inner]))
-    return "\n\n".join(parts) + "\n"
+            yield "\n".join(["| inside | meaning |", "|---|---|", *inner])
 
 
 def _type(kind: pa.DataType) -> str:

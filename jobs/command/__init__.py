@@ -10,7 +10,16 @@ from typing import Final
 import typer
 from rich.console import Console
 
-from jobs.command import benchmark, build_verbs, evaluation_verbs, export_verbs, navmesh, query_verbs, submit_verb
+from jobs.command import (
+    benchmark,
+    build_verbs,
+    evaluation_verbs,
+    export_verbs,
+    navmesh,
+    query_verbs,
+    submit_verb,
+    trajectories_verb,
+)
 from jobs.command.options import EXIT_CODES
 from schemas.errors import CondVLNError
 
@@ -38,6 +47,7 @@ app.command(
 app.command(epilog=EXIT_CODES)(export_verbs.export)
 app.command()(export_verbs.oracle)
 app.command(epilog=EXIT_CODES)(export_verbs.compose)
+app.command(epilog=EXIT_CODES)(trajectories_verb.trajectories)
 app.command()(query_verbs.query)
 app.command()(query_verbs.show)
 app.command()(query_verbs.explore)

@@ -29,6 +29,7 @@ from schemas.config.run import (
 )
 from schemas.config.section import Section
 from schemas.config.sensors import CameraConfig, LookerConfig, NoiseConfig
+from schemas.config.trajectories import TrajectoryConfig, WalkKind
 
 __all__ = [
     "MOVED",
@@ -57,6 +58,8 @@ __all__ = [
     "StepBudget",
     "TextConfig",
     "Thresholds",
+    "TrajectoryConfig",
     "VoiceName",
+    "WalkKind",
     "WordingConfig",
 ]

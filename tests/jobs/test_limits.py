@@ -138,5 +138,5 @@ def generated_by_ray(config: Config, workers: int) -> Report:
             yield ray
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("jobs.generate._executor", executor)
+        patch.setattr("jobs.generate.open_executor", executor)
         return run_generate(config)

@@ -16,7 +16,7 @@ from factory.heartbeat import Busy
 from factory.ray_executor import RayExecutor
 from factory.receipt import Receipt, StageReceipt
 from factory.report import Silence
-from jobs.generate import _executor
+from jobs.generate import open_executor
 from jobs.progress import LOGS, LoggedRun, RunProgress
 from schemas.config import Config, RayConfig, SourceConfig
 from schemas.errors import StoreError
@@ -122,7 +122,7 @@ def test_the_executor_is_the_one_configured(
         ray=RayConfig.model_validate(ray),
     )
     said: list[str] = []
-    with _executor(config, inline, said.append) as executor:
+    with open_executor(config.ray, inline, said.append) as executor:
         assert type(executor) is kind
         if isinstance(executor, RayExecutor) and "workers" in ray:
             assert executor.workers == ray["workers"]

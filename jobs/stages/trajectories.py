@@ -1,0 +1,174 @@
+"""Stages ``walks`` and ``frames``: an export's episodes of one scene → walks → images and their poses."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from condvln.manifest import manifest_lines
+from condvln.navigation.navmesh_folder import NavmeshFolder
+from condvln.sensors import Renderer, open_renderer
+from condvln.trajectories.images import ImageWriter
+from condvln.trajectories.tables import WalkRows
+from condvln.trajectories.walks import LeftOut, gold_walk, heading_of, recovery_walks, twin_of
+from factory.rows import logical_hash
+from factory.stage import Stage, StageOutput
+from factory.unit import Unit
+from jobs.oracle import linear_text
+from jobs.stages.inputs import Tables, dump, source_of
+from schemas.canonical import JSON, digest
+from schemas.config import CameraConfig, LimitsConfig, TrajectoryConfig, WordingConfig
+from schemas.errors import FormatError
+from schemas.evaluation import ManifestEpisode
+
+__all__ = ["STAMP", "FrameStage", "WalkStage", "stamp_path"]
+
+STAMP: Final = "stamp"
+"""File of a commit of ``frames`` that says which images it wrote; see `stamp_path`."""
+
+_IMAGE_KEYS: Final = frozenset({"jpeg_quality", "png_level"})
+"""Keys of the configuration that the images depend on, and the walks do not."""
+
+
+def stamp_path(state: Path, unit_id: str) -> Path:
+    """Return the file that says which commit the images of a unit belong to.
+
+    It is written before the first image, so that a commit never vouches for images that another one overwrote.
+    """
+    return state / "written" / hashlib.sha256(unit_id.encode()).hexdigest()
+
+
+@dataclass
+class WalkStage(Stage):
+    """Episodes of a split → walks with their poses.
+
+    texts : how the export's texts were rendered, for the oracle-linear twin; None if it is not asked for
+    """
+
+    config: TrajectoryConfig
+    texts: Mapping[str, Any] | None = None
+    name: str = "walks"
+    version: int = 1
+    tables: tuple[str, ...] = ("trajectories", "steps", "left_out")
+    reads_inputs: bool = True
+
+    def parameters(self, unit: Unit) -> JSON:
+        walks = {key: value for key, value in dump(self.config).items() if key not in _IMAGE_KEYS}
+        return {"walks": walks, "texts": None if self.texts is None else dict(self.texts)}
+
+    def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
+        navmeshes = _navmeshes(tuple(str(root) for root in _list(unit, "roots")))
+        rows = WalkRows(str(unit.payload["scene_id"]))
+        for episode in _episodes(unit):
+            pathfinder = navmeshes(episode)
+            gold = gold_walk(episode, pathfinder, self.config)
+            found = [gold] if "gold" in self.config.walks or "oracle" in self.config.walks else []
+            if "recovery" in self.config.walks:
+                found += recovery_walks(episode, pathfinder, self.config)
+            for walked in found:
+                if isinstance(walked, LeftOut):
+                    rows.leave_out(episode, walked)
+                    continue
+                repeats = (walked.actions == walked.executed).astype(np.int32)
+                rows.add(episode, walked, pathfinder, episode.instruction_text, repeats)
+            if "oracle" in self.config.walks and not isinstance(gold, LeftOut):
+                repeats = np.ones(len(gold), np.int32)
+                rows.add(episode, twin_of(gold, episode), pathfinder, self._twin(episode), repeats, gold.name)
+        tables = rows.tables()
+        return StageOutput(tables=tables, measures={"frames": float(tables["steps"].num_rows)})
+
+    def _twin(self, episode: ManifestEpisode) -> str:
+        texts = self.texts or {}
+        wording = WordingConfig.model_validate({k: v for k, v in texts.items() if k in WordingConfig.model_fields})
+        heading = -math.degrees(heading_of(episode.start_rotation)) % 360.0
+        return linear_text(
+            episode.program,
+            episode.instruction_id,
+            heading,
+            wording,
+            seed=int(texts.get("seed", 0)),
+            preamble=bool(texts.get("preamble", True)),
+        )
+
+
+@dataclass
+class FrameStage(Stage):
+    """Poses → images below `folder`, and one row for each.
+
+    folder : the folder of the trajectories; never keyed
+    state : the folder of the run's own records; never keyed
+    """
+
+    folder: Path
+    state: Path
+    cameras: Mapping[str, CameraConfig]
+    config: TrajectoryConfig
+    limits: LimitsConfig = field(default_factory=LimitsConfig)
+    name: str = "frames"
+    version: int = 1
+    tables: tuple[str, ...] = ("poses",)
+    reads: tuple[str, ...] | None = ("steps",)
+    reads_inputs: bool = True
+
+    def parameters(self, unit: Unit) -> JSON:
+        return {
+            "cameras": {name: dump(camera) for name, camera in self.cameras.items()},
+            "images": {key: getattr(self.config, key) for key in sorted(_IMAGE_KEYS)},
+        }
+
+    def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
+        steps = upstream["steps"]
+        files: list[JSON] = [[file.path, file.size, file.sha256] for file in unit.inputs]
+        stamp = digest([files, self.parameters(unit), self.version, logical_hash(steps)[0]])
+        marker = stamp_path(self.state, unit.unit_id)
+        marker.parent.mkdir(parents=True, exist_ok=True)
+        marker.write_text(stamp)
+        poses = ImageWriter(self.folder, self._renderer(unit), self.cameras, self.config).write(steps)
+        size = sum(poses["bytes"].to_pylist())
+        return StageOutput(
+            tables={"poses": poses},
+            files={STAMP: stamp.encode()},
+            measures={"images": float(poses.num_rows), "image_bytes": float(size)},
+        )
+
+    def _renderer(self, unit: Unit) -> Renderer:
+        source = source_of(unit, self.limits)
+        scene = source.read(str(unit.payload["scene_id"]))
+        return open_renderer(scene, source.geometry(scene))
+
+
+@lru_cache(maxsize=2)
+def _navmeshes(roots: tuple[str, ...]) -> NavmeshFolder:
+    return NavmeshFolder([Path(root) for root in roots])
+
+
+def _list(unit: Unit, key: str) -> list[JSON]:
+    found = unit.payload[key]
+    assert isinstance(found, list)
+    return found
+
+
+def _episodes(unit: Unit) -> Iterator[ManifestEpisode]:
+    """Yield the episodes of a unit, sorted by id."""
+    path = Path(str(unit.payload["manifest"]))
+    wanted = {int(str(number)) for number in _list(unit, "lines")}
+    found = []
+    for line in manifest_lines(path):
+        if line.number in wanted:
+            row = line.row()
+            if not str(row.episode_id).isdigit():
+                raise FormatError(
+                    f"the id {row.episode_id!r} is not an integer, as loaders need it",
+                    where=path,
+                    place=f"line {line.number}: episode_id",
+                    remedy="Export the split again",
+                )
+            found.append(row)
+    return iter(sorted(found, key=lambda row: int(row.episode_id)))

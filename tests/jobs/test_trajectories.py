@@ -1,0 +1,201 @@
+"""``condvln trajectories``: walks that replay to their poses, images that repeat, runs that go on after a stop."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from PIL import Image
+
+from condvln.evaluation.export_folder import open_export
+from condvln.navigation.follower import Follower
+from condvln.sensors import open_renderer
+from condvln.sources.registry import open_source
+from condvln.trajectories.cameras import PRESETS, hub_cameras
+from condvln.trajectories.images import encode_rgb
+from condvln.trajectories.walks import heading_of
+from jobs.report import Report
+from jobs.trajectories import Request, make_trajectories, trajectory_config
+from schemas.config import CameraConfig, Config, TrajectoryConfig
+from schemas.errors import UsageError
+
+TINY = CameraConfig(width=32, height=24, hfov=79.0, max_depth=None, normalized=False)
+WALKS = TrajectoryConfig(walks=("gold", "oracle", "recovery"))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def tiny() -> Iterator[None]:
+    """A camera of few pixels, so that a walk costs milliseconds."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("condvln.trajectories.cameras.PRESETS", {**PRESETS, "tiny": TINY})
+        yield
+
+
+@pytest.fixture(scope="module")
+def asked(made_run: tuple[Config, Report], export: Path, split: str) -> Request:
+    """The request of the tests, over the made dataset's export; the folder is to be replaced."""
+    (source,) = made_run[0].sources
+    return Request(
+        target=str(export),
+        out=Path("unset"),
+        split=split,
+        camera="tiny",
+        config=WALKS,
+        scenes=(f"replicacad={source.root}",),
+        inline=True,
+    )
+
+
+def to(asked: Request, out: Path, **changes: Any) -> Request:
+    return Request(**{**{name: getattr(asked, name) for name in asked.__dataclass_fields__}, "out": out, **changes})
+
+
+@pytest.fixture(scope="module")
+def made(asked: Request, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Trajectories of the whole split; read only."""
+    out = tmp_path_factory.mktemp("trajectories") / "out"
+    assert make_trajectories(to(asked, out)).exit_code == 0
+    return out
+
+
+def rows(folder: Path, table: str) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = pq.read_table(folder / f"{table}.parquet").to_pylist()
+    return found
+
+
+def content(folder: Path) -> dict[str, str]:
+    """Hash of every file, without the run's own records."""
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and ".condvln" not in path.parts
+    }
+
+
+def test_every_walk_replays_to_its_poses_and_ends_at_the_goal(asked: Request, made: Path) -> None:
+    export = open_export(asked.target, [Path(asked.scenes[0].partition("=")[2])])
+    episodes = {int(episode.episode_id): episode for episode in export.episodes(asked.split)}
+    walks = rows(made, "trajectories")
+    assert {row["kind"] for row in walks} == {"gold", "oracle", "recovery"}
+    assert {row["episode_id"] for row in walks if row["kind"] == "gold"} == set(episodes)
+    poses: dict[str, list[dict[str, Any]]] = {}
+    for row in rows(made, "poses"):
+        poses.setdefault(row["trajectory"], []).append(row)
+    slipped = 0
+    for walk in walks:
+        episode = episodes[walk["episode_id"]]
+        found = poses[walk["frames_of"]]
+        assert [row["frame"] for row in found] == [*range(walk["n_frames"])]
+        assert [row["executed"] for row in found] == walk["executed"]
+        pathfinder = export.pathfinder(episode)
+        replay = Follower(pathfinder).walk(episode.start_position, heading_of(episode.start_rotation), walk["executed"])
+        places = np.array([[row["position"][axis] for axis in "xyz"] for row in found])
+        np.testing.assert_array_equal(places, replay.positions[:-1].astype(np.float64))
+        np.testing.assert_array_equal([row["heading"] for row in found], replay.headings[:-1])
+        goals = [[goal[axis] for axis in "xyz"] for goal in walk["goals"]]
+        left = pathfinder.distance_table(places[-1:], goals).min()
+        assert left <= walk["success_distance"]
+        assert found[-1]["distance_to_goal"] == left
+        wrong = np.array(walk["actions"]) != np.array(walk["executed"])
+        assert walk["actions"][-1] == 0
+        assert walk["repeats"] == (~wrong).astype(int).tolist()
+        assert wrong.any() == (walk["kind"] == "recovery")
+        slipped += int(wrong.sum())
+    assert slipped
+
+
+def test_the_images_are_what_the_renderer_draws(asked: Request, made: Path) -> None:
+    source = open_source("replicacad", asked.scenes[0].partition("=")[2])
+    scenes = {name: source.read(name) for name in source.scene_ids()}
+    renderers = {name: open_renderer(scene, source.geometry(scene)) for name, scene in scenes.items()}
+    for row in rows(made, "poses")[::97]:
+        data = (made / row["image"]).read_bytes()
+        assert (len(data), hashlib.sha256(data).hexdigest()) == (row["bytes"], row["sha256"])
+        assert Image.open(made / row["image"]).size == (32, 24) == (row["width"], row["height"])
+        place = [row["position"][axis] for axis in "xyz"]
+        frame = renderers[row["scene_id"]].look(TINY, place, row["heading"])
+        assert encode_rgb(frame.rgb, WALKS.jpeg_quality) == data
+        assert row["rotation"]["y"] == pytest.approx(math.sin(row["heading"] / 2))
+
+
+def test_annotations_are_streamvln_s(made: Path) -> None:
+    walks = {row["trajectory"]: row for row in rows(made, "trajectories")}
+    entries = json.loads((made / "annotations.json").read_bytes())
+    assert len(entries) == len(walks)
+    for entry in entries:
+        walk = walks[entry["trajectory"]]
+        images = sorted(path.name for path in (made / entry["video"] / "rgb").iterdir())
+        assert images == [f"{k:03d}.jpg" for k in range(1, walk["n_frames"] + 1)]
+        assert len(entry["actions"]) == len(images)
+        assert [*entry["actions"][1:], 0] == walk["actions"]
+        assert entry["instructions"] == [walk["instruction_text"]]
+        assert entry["id"] == walk["episode_id"]
+
+
+def test_a_second_run_finds_everything_and_a_damaged_image_is_made_again(
+    asked: Request, made: Path, tmp_path: Path
+) -> None:
+    before = content(made)
+    out = tmp_path / "copy"
+    shutil.copytree(made, out)
+    again = make_trajectories(to(asked, out))
+    assert again.document["counts"]["fresh"] == again.document["counts"]["total"]
+    assert content(out) == before
+    victim = next((out / "images").rglob("003.jpg"))
+    victim.write_bytes(victim.read_bytes()[:-9])
+    (out / "images" / "stray").mkdir()
+    (out / "poses.parquet").unlink()
+    repaired = make_trajectories(to(asked, out))
+    assert repaired.document["stages"] == {"frames": 1}
+    assert content(out) == before
+
+
+@pytest.mark.soak
+def test_other_images_in_between_are_not_taken_for_the_first_ones(asked: Request, made: Path, tmp_path: Path) -> None:
+    out = tmp_path / "copy"
+    shutil.copytree(made, out)
+    rough = WALKS.model_copy(update={"jpeg_quality": 10})
+    assert make_trajectories(to(asked, out, config=rough)).exit_code == 0
+    assert content(out) != content(made)
+    make_trajectories(to(asked, out))
+    assert content(out) == content(made)
+
+
+def test_what_is_refused(asked: Request, made: Path, tmp_path: Path) -> None:
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.tex").write_text("x")
+    for changes, words in (
+        ({"layouts": ("habitat",)}, "no layout 'habitat'"),
+        ({"camera": "gopro"}, "no main camera 'gopro'"),
+        ({"split": "dev"}, "no split 'dev'"),
+        ({"scenes": ()}, "no dataset was named"),
+        ({"out": tmp_path / "mine"}, "did not write"),
+        ({"out": Path(asked.target) / "frames"}, "must not hold meshes or images"),
+    ):
+        with pytest.raises(UsageError, match=words):
+            make_trajectories(to(asked, **{"out": tmp_path / "new", **changes}))
+    for text in ("jpeg_quality", "jpeg_quality=high", "quality=3", "least_mistake=99"):
+        with pytest.raises(UsageError):
+            trajectory_config((), (text,))
+    assert (tmp_path / "mine" / "thesis.tex").exists()
+
+
+def test_a_plan_makes_nothing(asked: Request, made: Path, tmp_path: Path) -> None:
+    plan = make_trajectories(to(asked, tmp_path / "planned", plan=True)).document["plan"]
+    assert not (tmp_path / "planned").exists()
+    record = json.loads((made / "trajectories.json").read_bytes())
+    assert plan["episodes"] == record["episodes"]
+    assert record["frames"] / 2 < plan["frames"] < record["frames"] * 2
+
+
+def test_the_level_camera_of_a_pair_is_the_main_one() -> None:
+    cameras = hub_cameras("streamvln", ("internvla-n1",))
+    assert sorted(cameras) == ["depth.125cm_30deg", "rgb", "rgb.125cm_30deg"]
