@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.instructions.borders import NO_BORDER, borders
 from condvln.instructions.referents import Referents, room_refs
 from condvln.labels import vocabulary
 from condvln.scene import Scene
@@ -65,9 +66,17 @@ def scene_yield(scene: Scene, anchor_size: float) -> SceneYield:
 
     anchor_size : least longest side of a thing that names a room, metres
     """
-    facts = _NoFacts({}, {}, {}, {})
+    facts, astride = _NoFacts({}, {}, {}, {}), borders(scene)
     referents = [
-        Referents.of(room, scene.arrays(room.room_id), facts, vocabulary, anchor_size, scene.family)
+        Referents.of(
+            room,
+            scene.arrays(room.room_id),
+            facts,
+            vocabulary,
+            anchor_size,
+            scene.family,
+            border=astride.get(room.room_id, NO_BORDER),
+        )
         for room in scene.rooms
     ]
     named = room_refs(referents, vocabulary) if referents else {}

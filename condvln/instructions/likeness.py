@@ -1,7 +1,8 @@
 """Objects that people can't tell apart, or would not name by their label, judging by boxes.
 
-Two boxes of a scan may be the same object; an unlabelled object may have the label of a labelled one of its size; a
-high table may be called a counter; and nobody looks for a fallen object under its label.
+Two boxes of a scan may be the same object, and one box may hold two; an unlabelled object may have the label of a
+labelled one of its size; a high table may be called a counter, a short one a side table; and nobody looks for a fallen
+object, or for a compartment of other furniture, under its label.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.labels.roles import labels_with_role
+from condvln.labels import vocabulary
+from condvln.labels.roles import Role, labels_with_role
 from condvln.relations.metrics import millimetres
 from condvln.scene import RoomArrays, SceneObject
 from schemas.config.constants import (
@@ -27,9 +29,27 @@ from schemas.config.constants import (
     FALLEN_SUNK,
     LIKE_HEIGHT,
     LIKE_SIZE,
+    PART_INSIDE,
+    SCREEN_TO_KEYBOARD,
+    SEAT_LENGTH,
+    SEAT_RATIO,
+    SIDE_TABLE_LENGTH,
+    THIN_GAP,
+    THIN_SHARE,
+    TWIN_HEIGHT,
 )
 
-__all__ = ["SCANS", "called_counters", "doubles", "fallen", "look_alikes"]
+__all__ = [
+    "SCANS",
+    "called_counters",
+    "called_side_tables",
+    "doubles",
+    "fallen",
+    "look_alikes",
+    "mistakable",
+    "parts",
+    "twins",
+]
 
 Bools = NDArray[np.bool_]
 
@@ -54,9 +74,23 @@ def doubles(arrays: RoomArrays, meant: Bools) -> Bools:
     one = (smaller > 0.0) & (meets[0] * meets[1] >= DOUBLE_FOOTPRINT * smaller) & (gap <= 1000.0 * DOUBLE_GAP)
     between = centre[:, None] - centre[None, :]
     one |= (between * between).sum(axis=2) <= (1000.0 * DOUBLE_CENTRES) ** 2
+    one |= _thin_beside(low, high, gap)
     one &= meant | meant.T
     np.fill_diagonal(one, False)
     return np.asarray(one.any(axis=1))
+
+
+def _thin_beside(low: NDArray[np.float64], high: NDArray[np.float64], gap: NDArray[np.float64]) -> Bools:
+    """Return (n, n): whether one of two boxes is thin and directly beside the other, as where a scan has a hole.
+
+    low, high (n, 3) : millimetres; gap (n, n) : the vertical gap between the boxes
+    """
+    beyond = [np.maximum(low[:, None, k] - high[None, :, k], low[None, :, k] - high[:, None, k]) for k in (0, 2)]
+    away = np.hypot(np.maximum(beyond[0], 0.0), np.maximum(beyond[1], 0.0))
+    short = (high - low)[:, [0, 2]].min(axis=1)
+    thinner = np.minimum(short[:, None], short[None, :])
+    thin = (thinner > 0.0) & (thinner <= THIN_SHARE * np.maximum(short[:, None], short[None, :]))
+    return np.asarray(thin & (away <= 1000.0 * THIN_GAP) & (gap < 0.0))
 
 
 def look_alikes(arrays: RoomArrays, vague: Bools) -> tuple[frozenset[str], ...]:
@@ -81,13 +115,63 @@ def called_counters(arrays: RoomArrays) -> Bools:
     as large as the smallest of the room's counters, if any.
     """
     low, high = millimetres(arrays.aabb_min), millimetres(arrays.aabb_max)
-    worktop = np.isin(arrays.labels, sorted(labels_with_role("worktop")))
+    worktop = _with_role(arrays, "worktop")
     worktop &= high[:, 1] - millimetres(arrays.floor_y) >= 1000.0 * COUNTER_HEIGHT
     sides = high[:, [0, 2]] - low[:, [0, 2]]
     worktop &= sides.max(axis=1, initial=-np.inf) >= 1000.0 * COUNTER_LENGTH
     area = sides.prod(axis=1)
     counters = area[np.array([label == "counter" for label in arrays.labels], dtype=bool)]
     return np.asarray(worktop & (area >= np.fmin.reduce(counters, initial=np.inf if len(counters) else 0.0)))
+
+
+def called_side_tables(arrays: RoomArrays) -> Bools:
+    """Return (n,): whether people may call an object a side table. This holds for short tables of any kind."""
+    sides = (millimetres(arrays.aabb_max) - millimetres(arrays.aabb_min))[:, [0, 2]]
+    short = sides.max(axis=1, initial=-np.inf) <= 1000.0 * SIDE_TABLE_LENGTH
+    return np.asarray(_with_role(arrays, "worktop") & short)
+
+
+def parts(arrays: RoomArrays) -> Bools:
+    """Return (n,): whether an object is a part of other furniture, such as a compartment of a television stand. A shelf
+    or a drawer is one if most of its box is inside the box of a larger object of another kind.
+    """
+    part = _with_role(arrays, "part")
+    if not part.any():
+        return np.asarray(part)
+    own = np.flatnonzero(part)
+    held = ~part & np.array([vocabulary.fit_for_text(label) for label in arrays.labels], dtype=bool)
+    low, high = millimetres(arrays.aabb_min), millimetres(arrays.aabb_max)
+    shared = np.maximum(np.minimum(high[own, None], high[None]) - np.maximum(low[own, None], low[None]), 0.0)
+    volume = (high - low).prod(axis=1)
+    inside = (shared.prod(axis=2) >= PART_INSIDE * volume[own, None]) & (volume[None, :] > volume[own, None])
+    part[own] = (inside & held[None, :] & (volume[own, None] > 0.0)).any(axis=1)
+    return np.asarray(part)
+
+
+def mistakable(arrays: RoomArrays) -> Bools:
+    """Return (n,): whether the box of a scan may be something else than its label says: a screen that may be a monitor,
+    a chair that may be two.
+    """
+    low, high = millimetres(arrays.aabb_min), millimetres(arrays.aabb_max)
+    ground = (high - low)[:, [0, 2]]
+    short, long = ground.min(axis=1, initial=np.inf), ground.max(axis=1, initial=-np.inf)
+    pair = _with_role(arrays, "seat") & (long >= 1000.0 * SEAT_LENGTH) & (long >= SEAT_RATIO * short)
+    screen, desktop = _with_role(arrays, "screen"), np.flatnonzero(_with_role(arrays, "desktop"))
+    sides = [(low[:, None, k] - high[None, desktop, k], low[None, desktop, k] - high[:, None, k]) for k in (0, 2)]
+    beyond = [np.maximum(np.maximum(one, other), 0.0) for one, other in sides]
+    away = np.hypot(beyond[0], beyond[1])
+    before = (away <= 1000.0 * SCREEN_TO_KEYBOARD).any(axis=1)
+    return np.asarray(pair | (screen & (before | (high[:, 1] - low[:, 1] > long))))
+
+
+def twins(arrays: RoomArrays, rival: Bools) -> Bools:
+    """Return (n,): whether a rival with the same label is about as high. In a scan, the smaller box of the two may be
+    that of an equal object that was scanned in part.
+    """
+    labels = np.array(arrays.labels, dtype=object)
+    height = millimetres(arrays.aabb_max)[:, 1] - millimetres(arrays.aabb_min)[:, 1]
+    larger, smaller = np.maximum(height[:, None], height[None, :]), np.minimum(height[:, None], height[None, :])
+    return np.asarray((rival & (labels[:, None] == labels[None, :]) & (larger <= TWIN_HEIGHT * smaller)).any(axis=1))
 
 
 def fallen(arrays: RoomArrays) -> Bools:
@@ -107,3 +191,7 @@ def _has_fallen(item: SceneObject, floor: float) -> bool:
     upwards: Sequence[float] = item.mesh[0].transform[:3, 1].tolist()
     tilted = upwards[1] < math.cos(math.radians(FALLEN_DEGREES)) * math.hypot(*upwards)
     return tilted and round(lift) <= 1000.0 * FALLEN_OFF_FLOOR
+
+
+def _with_role(arrays: RoomArrays, role: Role) -> Bools:
+    return np.asarray(np.isin(arrays.labels, sorted(labels_with_role(role))))

@@ -21,7 +21,18 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.instructions.likeness import SCANS, called_counters, doubles, fallen, look_alikes
+from condvln.instructions.borders import NO_BORDER, Border
+from condvln.instructions.likeness import (
+    SCANS,
+    called_counters,
+    called_side_tables,
+    doubles,
+    fallen,
+    look_alikes,
+    mistakable,
+    parts,
+    twins,
+)
 from condvln.instructions.predicates import OF_THINGS, PREDICATE_GROUPS
 from condvln.labels import Vocabulary
 from condvln.labels.roles import labels_with_role
@@ -109,6 +120,7 @@ class Referents:
     nameable (n,) : visible, the label is fit for text, and no word for it might mean a doubtful object
     unique (n,) : nameable without rivals; small (n,) : shorter than the anchor size
     double (n,) : may be the same object as a rival, so that no qualifier distinguishes them
+    twin (n,) : may be as large as a rival, so that their sizes do not distinguish them
     anchors (a,) : indices of possible anchors: unique, of known extent, neither small nor portable
     suits (n, n) : j may be the anchor of i: it is fixed, or the larger of the two
     may_be (n,) : labels that an object may have besides its own, for objects that can only have some labels
@@ -125,6 +137,7 @@ class Referents:
     nameable: Bools
     unique: Bools
     double: Bools
+    twin: Bools
     small: Bools
     anchors: NDArray[np.intp]
     suits: Bools
@@ -229,17 +242,26 @@ class Referents:
         family: str | None = None,
         sightings: Sightings = EVERYTHING_SEEN,
         sayable: Container[str] = OF_THINGS,
+        border: Border = NO_BORDER,
     ) -> Referents:
         """Return the names of all objects of a room.
 
         family : family whose labels they are; None if each object is only what its label says
+        border : what may belong to two rooms, and so is named in neither
         """
-        seen = ~sightings.hidden(arrays)
+        part = parts(arrays)
+        seen = ~(sightings.hidden(arrays) | part)
         may_be, open_, blocked, unplaced = _nameless(arrays, vocabulary, family)
         meant = meant_by(arrays.labels, arrays.labels, may_be, vocabulary)
         nameable = np.array([vocabulary.fit_for_text(label) for label in arrays.labels], dtype=bool) & seen
-        nameable &= ~meant[:, sightings.in_doubt(arrays)].any(axis=1)
+        nameable &= ~meant[:, sightings.in_doubt(arrays) & ~part].any(axis=1)
         nameable &= ~fallen(arrays)
+        nameable &= ~np.array([name in border.own for name in arrays.object_ids], dtype=bool)
+        if border.labels:
+            blocked, unplaced = blocked | border.labels, unplaced | border.labels
+            nameable &= np.array([not vocabulary.overlapping(x) & border.labels for x in arrays.labels], dtype=bool)
+        if family in SCANS:
+            nameable &= ~mistakable(arrays)
         rival = meant & seen & seen[:, None]
         np.fill_diagonal(rival, False)
         unique = nameable & ~rival.any(axis=1)
@@ -258,6 +280,7 @@ class Referents:
             nameable=nameable,
             unique=unique,
             double=doubles(arrays, meant) if family in SCANS else np.zeros(len(arrays), dtype=bool),
+            twin=twins(arrays, rival) if family in SCANS else np.zeros(len(arrays), dtype=bool),
             small=small,
             anchors=anchors,
             suits=_suits(sizes, np.asarray(fixed)),
@@ -297,7 +320,7 @@ def things_meant(
     """
     arrays = scene.arrays(room_id)
     meant = meant_by((label,), arrays.labels, _nameless(arrays, vocabulary, scene.family)[0], vocabulary)[0]
-    return tuple(arrays.object_ids[i] for i in np.flatnonzero(meant & ~sightings.hidden(arrays)))
+    return tuple(arrays.object_ids[i] for i in np.flatnonzero(meant & ~sightings.hidden(arrays) & ~parts(arrays)))
 
 
 def _nameless(
@@ -317,6 +340,10 @@ def _nameless(
     ]
     found = [
         labels | {"counter"} if tall else labels for labels, tall in zip(found, called_counters(arrays), strict=True)
+    ]
+    found = [
+        labels | {"side table"} if short else labels
+        for labels, short in zip(found, called_side_tables(arrays), strict=True)
     ]
     vague = np.array([vocabulary.is_vague(label, family) for label in arrays.labels], dtype=bool)
     may_be = tuple(
@@ -364,7 +391,7 @@ def _qualifications(referents: Referents) -> tuple[tuple[Qualification, ...], ..
                     ways[k].append((0.0, (), predicate))
                 continue
             if predicate in SUPERLATIVES:
-                for k in np.flatnonzero(sizes[predicate][rows] == 1).tolist():
+                for k in np.flatnonzero((sizes[predicate][rows] == 1) & ~referents.twin[rows]).tolist():
                     ways[k].append((0.0, (), predicate))
                 continue
             anchors, status, margin, suits = referents.related(predicate)

@@ -16,6 +16,7 @@ from itertools import accumulate
 from operator import or_
 from typing import Final
 
+from condvln.instructions.borders import NO_BORDER, borders
 from condvln.instructions.condition_sampler import ConditionSampler
 from condvln.instructions.conditions import ConditionPool
 from condvln.instructions.counterfactuals import Group, counterfactual_group
@@ -109,6 +110,7 @@ class ProgramSampler:
         self._sayable = sayable(wanted.directions, placed=placed)
         self.words = words
         self.rejections: Counter[tuple[InstructionCell | None, str]] = Counter()
+        astride = borders(scene)
         self.referents = {
             room.room_id: Referents.of(
                 room,
@@ -119,6 +121,7 @@ class ProgramSampler:
                 scene.family,
                 sightings,
                 self._sayable,
+                astride.get(room.room_id, NO_BORDER),
             )
             for room in sorted(scene.rooms, key=lambda r: r.room_id)
             if room.room_id in facts

@@ -31,6 +31,7 @@ FACTS: Final[Mapping[str, str]] = {
     "qualifier_needed": "a qualifier is used only if the label fits several objects",
     "qualifier_sufficient": "a qualified phrase is true of one object and false of all others, with margin",
     "referent_upright": "a qualified phrase refers to an object that has not fallen over",
+    "referent_clear": "a phrase refers to objects of one room only, whose boxes are what their labels say",
     "referent_single": "a qualified phrase refers to an object that no other box may be a part of",
     "absence_known": "absence is claimed only for completely annotated rooms",
     "absent_is_elsewhere": "a label claimed absent occurs in another room of the scene",

@@ -5,12 +5,12 @@ table may pass for a counter, an object may have fallen over.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 
 import numpy as np
 
 from condvln.verify.containment import FROM_SCANS
-from condvln.verify.surroundings import Thing, shared_sides
+from condvln.verify.surroundings import Thing, footprint_gap, shared_sides
 from schemas.config.constants import (
     COUNTER_HEIGHT,
     COUNTER_LENGTH,
@@ -22,9 +22,27 @@ from schemas.config.constants import (
     FALLEN_SUNK,
     LIKE_HEIGHT,
     LIKE_SIZE,
+    PART_INSIDE,
+    SCREEN_TO_KEYBOARD,
+    SEAT_LENGTH,
+    SEAT_RATIO,
+    SIDE_TABLE_LENGTH,
+    THIN_GAP,
+    THIN_SHARE,
+    TWIN_HEIGHT,
 )
 
-__all__ = ["has_fallen", "looks_like", "may_be_one", "passes_for_a_counter"]
+__all__ = [
+    "has_fallen",
+    "is_part",
+    "looks_like",
+    "may_be_one",
+    "may_be_twins",
+    "may_be_two",
+    "passes_for_a_counter",
+    "passes_for_a_side_table",
+    "passes_for_another_screen",
+]
 
 
 def may_be_one(one: Thing, other: Thing, family: str) -> bool:
@@ -40,7 +58,60 @@ def may_be_one(one: Thing, other: Thing, family: str) -> bool:
     smaller = min(math.prod(one.ground_sides()), math.prod(other.ground_sides()))
     x, _, z = shared_sides(one, other)
     air = max(one.box[0][1] - other.box[1][1], other.box[0][1] - one.box[1][1])
-    return smaller > 0 and x * z >= DOUBLE_FOOTPRINT * smaller and air <= 1000.0 * DOUBLE_GAP
+    if smaller > 0 and x * z >= DOUBLE_FOOTPRINT * smaller and air <= 1000.0 * DOUBLE_GAP:
+        return True
+    thin, thick = sorted(min(thing.ground_sides()) for thing in (one, other))
+    return 0 < thin <= THIN_SHARE * thick and air < 0 and footprint_gap(one, other) <= 1000.0 * THIN_GAP
+
+
+def may_be_twins(one: Thing, other: Thing, family: str) -> bool:
+    """Return whether two objects of a scan with one label are about as high, so that the smaller may be an equal one
+    that was scanned in part.
+    """
+    if family not in FROM_SCANS or one.label != other.label or one.box is None or other.box is None:
+        return False
+    low, high = sorted(thing.box[1][1] - thing.box[0][1] for thing in (one, other) if thing.box is not None)
+    return high <= TWIN_HEIGHT * low
+
+
+def may_be_two(seat: Thing, seats: Container[str], family: str) -> bool:
+    """Return whether the box of a chair in a scan is long enough for two chairs."""
+    if family not in FROM_SCANS or seat.label not in seats or seat.box is None:
+        return False
+    short, long = sorted(seat.ground_sides())
+    return long >= 1000.0 * SEAT_LENGTH and long >= SEAT_RATIO * short
+
+
+def passes_for_another_screen(
+    screen: Thing, things: Iterable[Thing], screens: Container[str], desktop: Container[str], family: str
+) -> bool:
+    """Return whether a screen of a scan may be a monitor where a television is meant: it is taller than wide, or a
+    keyboard is before it.
+    """
+    if family not in FROM_SCANS or screen.label not in screens or screen.box is None:
+        return False
+    if screen.box[1][1] - screen.box[0][1] > max(screen.ground_sides()):
+        return True
+    before = (thing for thing in things if thing.label in desktop and thing.box is not None)
+    return any(footprint_gap(screen, thing) <= 1000.0 * SCREEN_TO_KEYBOARD for thing in before)
+
+
+def is_part(thing: Thing, things: Iterable[Thing], parts: Container[str], named: Container[str]) -> bool:
+    """Return whether a shelf or a drawer is mostly inside a larger piece of other furniture."""
+    if thing.label not in parts or thing.box is None:
+        return False
+    volume = _volume(thing)
+    for other in things:
+        if other.box is None or other.label in parts or other.label not in named or _volume(other) <= volume:
+            continue
+        if volume and math.prod(shared_sides(thing, other)) >= PART_INSIDE * volume:
+            return True
+    return False
+
+
+def passes_for_a_side_table(table: Thing, tables: Container[str]) -> bool:
+    """Return whether a table is short enough to be called a side table."""
+    return table.label in tables and table.box is not None and max(table.ground_sides()) <= 1000.0 * SIDE_TABLE_LENGTH
 
 
 def looks_like(nameless: Thing, named: Thing) -> bool:
@@ -82,6 +153,11 @@ def has_fallen(thing: Thing, floor: float) -> bool:
     up = thing.item.mesh[0].transform[:3, :3] @ np.array([0.0, 1.0, 0.0])
     tilt = math.degrees(math.atan2(math.hypot(float(up[0]), float(up[2])), float(up[1])))
     return tilt > FALLEN_DEGREES and lift <= 1000.0 * FALLEN_OFF_FLOOR
+
+
+def _volume(thing: Thing) -> int:
+    assert thing.box is not None
+    return math.prod(high - low for low, high in zip(*thing.box, strict=True))
 
 
 def _sides(thing: Thing) -> tuple[int, int, int]:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from condvln.scene import Scene, SceneObject
 from condvln.verify.containment import said_of, shut_away
+from condvln.verify.outlines import astride_rooms
 from condvln.verify.phrases import Named, Phrase
 from condvln.verify.predicates import FALSE, TRUE, Judge, Judgement, Thing
 from condvln.verify.room_view import RoomView, longest_side, model_of
@@ -77,6 +78,7 @@ class SceneReferents:
             held.setdefault(item.room_id, []).append(item)
         self.hidden = shut_away(scene.objects, scene.family, self._label, self.meaning)
         said = said_of(scene.objects, self._label, self.meaning)
+        astride = astride_rooms(scene, self._label, self.meaning)
         self.rooms = {
             room.room_id: RoomView(
                 room,
@@ -88,6 +90,8 @@ class SceneReferents:
                 can_be_seen,
                 thresholds,
                 said,
+                frozenset(item.object_id for item, _ in astride if item.room_id == room.room_id),
+                frozenset(self._label(item) for item, others in astride if room.room_id in others),
             )
             for room in scene.rooms
         }
@@ -250,6 +254,8 @@ class SceneReferents:
         if isinstance(room, Problem):
             return room
         view, room_anchor = room
+        if view.may_be_foreign(phrase.label):
+            return _of_two_rooms(view, phrase.label)
         meant = view.meant(phrase.label)
         if phrase.qualifier is None:
             only = view.only(phrase.label)
@@ -269,6 +275,8 @@ class SceneReferents:
             return Problem("qualifier_sufficient", f"one {phrase}", open_ones)
         if (fault := _not_one(view, fitting[0])) is not None:
             return fault
+        if predicate in ("bigger", "smaller") and (twin := view.has_twin(fitting[0])) is not None:
+            return Problem("referent_single", f"{phrase.label}s of different heights", sorted(_ids((fitting[0], twin))))
         if not self._carries_the_phrase(anchors, fitting):
             return Problem("anchor_fit", f"an anchor larger than {fitting[0].object_id}", _ids(anchors))
         return Referent(fitting[0].object_id, view.room.room_id, _ids(anchors), room_anchor)
@@ -278,6 +286,8 @@ class SceneReferents:
         if isinstance(room, Problem):
             return room
         view, room_anchor = room
+        if view.may_be_foreign(phrase.label):
+            return _of_two_rooms(view, phrase.label)
         if phrase.qualifier is None:
             anchors: tuple[Thing, ...] = ()
             numbers: Mapping[str, float | None] = {}
@@ -326,6 +336,8 @@ class SceneReferents:
             return view
         assert start is not None
         assert phrase.qualifier is not None
+        if view.may_be_foreign(phrase.label):
+            return _of_two_rooms(view, phrase.label)
         meant = view.meant(phrase.label)
         if len(meant) < 2:
             return Problem("qualifier_needed", f"several things like a {phrase.label}", len(meant))
@@ -390,12 +402,18 @@ def _not_one(view: RoomView, thing: Thing) -> Problem | None:
     """Return the problem if an object may be the same as one of its rivals, or is not what people expect under its
     name.
     """
+    if not view.is_clear(thing):
+        return Problem("referent_clear", f"surely a {thing.label} of this room", thing.object_id)
     if not view.is_itself(thing):
         return Problem("referent_upright", f"a {thing.label} in its place", thing.object_id)
     other = view.double(thing)
     if other is not None:
         return Problem("referent_single", f"one box of one {thing.label}", sorted((thing.object_id, other.object_id)))
     return None
+
+
+def _of_two_rooms(view: RoomView, label: str) -> Problem:
+    return Problem("referent_clear", f"no {label} between {view.room.room_id} and another room", sorted(view.foreign))
 
 
 def _ids(things: Iterable[Thing]) -> tuple[str, ...]:

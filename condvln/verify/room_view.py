@@ -8,7 +8,17 @@ from collections.abc import Callable, Iterable, Set
 from functools import cached_property
 
 from condvln.scene import Room, SceneObject
-from condvln.verify.likeness import has_fallen, looks_like, may_be_one, passes_for_a_counter
+from condvln.verify.likeness import (
+    has_fallen,
+    is_part,
+    looks_like,
+    may_be_one,
+    may_be_twins,
+    may_be_two,
+    passes_for_a_counter,
+    passes_for_a_side_table,
+    passes_for_another_screen,
+)
 from condvln.verify.surroundings import Said, Surroundings, Thing
 from condvln.verify.words import Words
 from schemas.config import Thresholds
@@ -20,6 +30,8 @@ class RoomView:
     """One room with its objects, whose labels are derived again from their raw labels.
 
     things : all objects except those inside something shut; some may not be visible
+    astride : ids of objects that may belong to another room; foreign : labels of those of other rooms that may belong
+        to this one
     """
 
     def __init__(
@@ -33,6 +45,8 @@ class RoomView:
         can_be_seen: Callable[[str], bool],
         thresholds: Thresholds,
         said: Said,
+        astride: Set[str] = frozenset(),
+        foreign: Set[str] = frozenset(),
     ) -> None:
         self.room = room
         self.label = label
@@ -50,10 +64,20 @@ class RoomView:
             labels, anything = meaning.may_be(thing.label, family, longest_side(thing))
             if passes_for_a_counter(thing, meaning.roles["worktop"], things, room.floor_y):
                 labels |= {"counter"}
+            if passes_for_a_side_table(thing, meaning.roles["worktop"]):
+                labels |= {"side table"}
             alike = (x.label for x in things if anything and self._is_named(x) and looks_like(thing, x))
             self._open[thing.object_id] = frozenset(alike) if anything else labels
             self._vague[thing.object_id] = labels
         self._fallen = frozenset(thing.object_id for thing in things if has_fallen(thing, room.floor_y))
+        roles, self.foreign = meaning.roles, foreign
+        self._parts = frozenset(x.object_id for x in things if is_part(x, things, roles["part"], meaning.nouns))
+        self._unclear = astride | {
+            x.object_id
+            for x in things
+            if may_be_two(x, roles["seat"], family)
+            or passes_for_another_screen(x, things, roles["screen"], roles["desktop"], family)
+        }
 
     @cached_property
     def labels(self) -> frozenset[str]:
@@ -71,14 +95,29 @@ class RoomView:
         return tuple(thing for thing in self._called(label) if not self.is_seen(thing))
 
     def is_seen(self, thing: Thing) -> bool:
-        """Return whether an object is visible: it is not inside something shut, and it can be seen from where an agent
-        can stand.
+        """Return whether an object is visible by itself: it is not inside something shut nor a part of other furniture,
+        and it can be seen from where an agent can stand.
         """
-        return thing.object_id not in self._hidden and self._can_be_seen(thing.object_id)
+        if thing.object_id in self._hidden or thing.object_id in self._parts:
+            return False
+        return self._can_be_seen(thing.object_id)
+
+    def is_clear(self, thing: Thing) -> bool:
+        """Return whether an object is in this room only, and its box is surely what its label says."""
+        return thing.object_id not in self._unclear
+
+    def has_twin(self, thing: Thing) -> Thing | None:
+        """Return another object of a scan with which this one can't be compared by size, or None."""
+        others = (x for x in self.meant(thing.label) if x is not thing and may_be_twins(thing, x, self._family))
+        return next(others, None)
+
+    def may_be_foreign(self, label: str) -> bool:
+        """Return whether a word for `label` might mean an object on the border of another room and this one."""
+        return not self._meaning.meant_by(label).isdisjoint(self.foreign)
 
     def is_itself(self, thing: Thing) -> bool:
-        """Return whether an object is what people expect under its name, i.e. it has not fallen over."""
-        return thing.object_id not in self._fallen
+        """Return whether an object is what people expect under its name: it has not fallen over, and is clear."""
+        return thing.object_id not in self._fallen and self.is_clear(thing)
 
     def double(self, thing: Thing) -> Thing | None:
         """Return another box that may be the same object, or None."""
@@ -108,10 +147,12 @@ class RoomView:
         """Return whether absence of `label` can be known: no unlabelled object might have this label, and the
         annotation is complete.
         """
-        return self.room.complete and not self.nameless(label)
+        return self.room.complete and not self.nameless(label) and not self.may_be_foreign(label)
 
     def only(self, label: str) -> Thing | None:
         """Return the object with this label if no other visible object could be meant, else None."""
+        if self.may_be_foreign(label):
+            return None
         found = self.meant(label)
         return found[0] if len(found) == 1 and found[0].label == label and self.is_itself(found[0]) else None
 

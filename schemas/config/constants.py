@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Final
 
 __all__ = [
+    "BORDER_SHARE",
     "COUNTER_HEIGHT",
     "COUNTER_LENGTH",
     "DOUBLE_CENTRES",
@@ -40,6 +41,7 @@ __all__ = [
     "MOST_OBJECTS_PER_ROOM",
     "MOST_ROOMS",
     "OPEN_SHARE",
+    "PART_INSIDE",
     "PATH_SPACING",
     "PLAIN_ROOM_WEIGHT",
     "PREFIX_SAMPLES",
@@ -49,14 +51,21 @@ __all__ = [
     "REST_SHARE",
     "RING_GAP",
     "RING_SPACING",
+    "SCREEN_TO_KEYBOARD",
+    "SEAT_LENGTH",
+    "SEAT_RATIO",
     "SEEABLE_PLACES",
     "SEEABLE_SHARE",
+    "SIDE_TABLE_LENGTH",
     "SINK",
     "SNAP_AT_MOST",
     "SNAP_TOLERANCE",
     "STAGINGS",
     "STEP_CEILING",
+    "THIN_GAP",
+    "THIN_SHARE",
     "TOP_DEPTH",
+    "TWIN_HEIGHT",
     "UNKNOWN_EXTENT",
     "UPRIGHT_COSINE",
     "WALL_DETOUR",
@@ -231,3 +240,35 @@ FALLEN_OFF_FLOOR: Final = 0.1
 
 FALLEN_SUNK: Final = 0.1
 """Largest depth below the floor that a model may reach without counting as fallen over, metres."""
+
+PART_INSIDE: Final = 0.5
+"""Least share of a shelf's or a drawer's box inside the box of another piece of furniture for it to be a part of that
+furniture, which text does not name."""
+
+BORDER_SHARE: Final = 0.1
+"""Least share of an object's footprint inside the outline of a second room of a scan for it to be on the border of two
+rooms."""
+
+SCREEN_TO_KEYBOARD: Final = 0.5
+"""Distance between the footprints of a screen of a scan and of a keyboard up to which the screen may be a monitor,
+metres."""
+
+SEAT_LENGTH: Final = 1.0
+"""Length of the longer side of a chair's box in a scan from which it may be the box of two chairs, metres."""
+
+SEAT_RATIO: Final = 1.5
+"""Least ratio of the sides of such a box."""
+
+TWIN_HEIGHT: Final = 1.25
+"""Largest ratio of the heights of two objects of a scan with one label for them to be possibly equal, one of them
+scanned in part."""
+
+THIN_GAP: Final = 0.1
+"""Largest distance between the footprints of two boxes of a scan with one label, the one thin, for them to be possibly
+one thing, metres."""
+
+THIN_SHARE: Final = 0.5
+"""Largest ratio of the shorter side of the thin box to that of the other."""
+
+SIDE_TABLE_LENGTH: Final = 1.0
+"""Length of the longer side of a table up to which it may be called a side table, metres."""
