@@ -141,7 +141,7 @@ def _walks(rows: Sequence[Mapping[str, Any]], agents: _Agents, folder: NavmeshFo
 
 
 class _Certificates:
-    """The certificates of an export by episode id, kept as unread lines."""
+    """The certificates of an export by episode id, kept as unparsed JSON lines."""
 
     def __init__(self, export: Path | None) -> None:
         self._lines: dict[str, bytes] = {}

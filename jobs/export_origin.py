@@ -141,7 +141,7 @@ class Shrinkage:
 def compare(
     former: Origin | None, now: Origin, *, renewed: bool = False, listed: Callable[[], set[str] | None] | None = None
 ) -> Shrinkage:
-    """Compare the origins of two exports.
+    """Compare what two exports were made of.
 
     Parameters
     ----------

@@ -33,7 +33,7 @@ SHOWN: Final = 20
 
 
 def verify_export(config: Config, export_dir: Path, *, without_store: bool = False) -> Report:
-    """Prove every episode of an export from its text and the raw source files, and that the export is whole.
+    """Prove every episode of an export from its text and the raw source files, and check that the export is complete.
 
     Certificates are written to ``certificates/`` of the export. The files are compared with the export's own record,
     and its episodes with the published snapshot. The report's exit code is ProofError's where any fact disagrees,

@@ -49,7 +49,7 @@ def path_length(positions: Points) -> float:
 
 
 def without_repeats(positions: Points) -> Points:
-    """Return a path without points equal to their predecessor, which turning on the spot creates."""
+    """Return a path without consecutive equal points. Turning on the spot creates such points."""
     if len(positions) == 0:
         return positions
     moved = (np.diff(positions, axis=0) != 0).any(axis=1)

@@ -107,12 +107,12 @@ def _no_bytes(*content: Any) -> bytes:
     empty bytes.
     """
     if content:
-        raise UnsafePickleError("bytes are created by calling their class")
+        raise UnsafePickleError("the pickle calls bytes with arguments; bytes are read only as literals")
     return b""
 
 
 def _ndarray(*_: Any) -> Any:
-    raise UnsafePickleError("an array is created by calling its class")
+    raise UnsafePickleError("the pickle calls numpy.ndarray itself; arrays are read only as numpy writes them")
 
 
 _KNOWN: Final = {
@@ -146,7 +146,7 @@ class _Unpickler(pickle._Unpickler):
         elif isinstance(target, _DType) and isinstance(state, tuple) and len(state) > 1 and isinstance(state[1], str):
             target.order = state[1]
         else:
-            raise UnsafePickleError("a state is set on plain data")
+            raise UnsafePickleError("the pickle sets a state on an object that has none")
 
     dispatch[pickle.BUILD[0]] = load_build
 

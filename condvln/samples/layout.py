@@ -95,7 +95,8 @@ def _clean(metres: F64) -> F64:
 
 @dataclass(frozen=True, slots=True)
 class Room:
-    """A room: `label` in everyday words, `polygon` with the (x, z) corners at the middle of its walls, in metres.
+    """A room: `label` in everyday words, and `polygon`, the (x, z) corners in metres of its outline along the walls'
+    centre lines.
 
     The shoelace sum of the corners over (x, z) is positive; the outline is rectilinear, convex or L-shaped.
     """

@@ -1,4 +1,6 @@
-"""A whole layout as one mesh: slabs, walls, and the parts of every piece in place; as triangles or as GLB."""
+"""A whole layout as one mesh, as triangles or as GLB: floor slabs, walls, and all parts of each piece of furniture at
+its position.
+"""
 
 from __future__ import annotations
 

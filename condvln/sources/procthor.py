@@ -62,7 +62,8 @@ class ProcthorSource(SceneSource):
             )
 
     def listing(self) -> Iterator[tuple[str, Note]]:
-        """See `SceneSource.listing`. If a file of lines can't be read to its end, the fault has the file's name as id.
+        """See `SceneSource.listing`. If a JSON Lines file can't be read to its end, the listing has a fault whose id is
+        the file's name.
 
         Raises
         ------

@@ -111,8 +111,8 @@ class _Lines:
         self.row_ends = np.cumsum([len(row.leaves) for row in rows])
 
     def clearances(self) -> list[list[float]]:
-        """Return for each leaf the distances in metres from its path to the nearest goal of each leaf of its row. The
-        entry of the leaf itself is infinite.
+        """Return for each leaf the distances in metres from its path to the nearest goal of every leaf of the same
+        episode. The entry of the leaf itself is infinite.
 
         A straight line is never longer than a path, so a path with enough clearance by it never enters the success
         ball.

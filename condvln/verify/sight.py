@@ -193,7 +193,9 @@ class Sight:
         return self._floor(room_id)
 
     def surface(self, object_id: str, count: int) -> F64:
-        """Return this package's own points (count, 3) on an object's surface; its centre if its extent is unknown."""
+        """Return points (count, 3) on an object's surface, chosen independently of the generator's; the object's centre
+        if its extent is unknown.
+        """
         item = self._scene.object_of[object_id]
         triangles = self._triangles(item)
         return item.center[None] if triangles is None else evenly(triangles, count)

@@ -173,7 +173,9 @@ def _least(one: _Part, other: _Part) -> float:
 
 
 def _holds(outer: list[_Part], inner: list[_Part]) -> bool:
-    """Return whether a part of `inner` lies inside a part of `outer`. The surfaces of the two bodies do not touch."""
+    """Return whether some part of `inner` lies inside some part of `outer`. The caller has checked that the surfaces of
+    the two bodies do not touch.
+    """
     return all(part.shape.solid for part in outer) and any(_contains(one, other) for one in outer for other in inner)
 
 

@@ -23,7 +23,7 @@ __all__ = ["check_meaning"]
 def check_meaning(
     row: ManifestEpisode, referents: SceneReferents, rules: VerifierRules, certificate: Certificate
 ) -> None:
-    """Check everything about an episode that its text and the scene decide."""
+    """Check every property of an episode that follows from its text and the scene, without navmesh and paths."""
     certificate.same("words", row.words, len(row.instruction_text.split()))
     _check_rooms(row.program, referents, certificate)
     try:

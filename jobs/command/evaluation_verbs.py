@@ -29,7 +29,9 @@ def verify(
     overrides: Overrides = None,
     as_json: AsJson = False,
 ) -> None:
-    """Prove every published episode again, from its text and the raw source files, and that the export is whole."""
+    """Prove every published episode again from its text and the raw source files, and check that the export is
+    complete.
+    """
     from jobs.configuration import load_config
     from jobs.verify import verify_export
 

@@ -191,7 +191,7 @@ class Thresholds(Section):
         "ahead and behind to be used",
     )
     level: Degrees = Field(
-        22.5, lt=90, description="maximum elevation between the centres of two things that are level"
+        22.5, lt=90, description="two things are level if the line between their centres rises by less than this angle"
     )
     degenerate_horizontal: Metres = Field(
         0.1, description="horizontal distance between the centres below which an edge is marked as degenerate"

@@ -122,8 +122,7 @@ class SplitsConfig(Section):
         200,
         ge=0,
         description="maximum number of tokens of a text; longer texts are left out, since VLN-CE's "
-        "instruction_tokens hold no more and an agent that reads them would miss a branch; 0 or "
-        "none = no limit",
+        "instruction_tokens would cut them off and hide a branch from the agent; 0 or none = no limit",
     )
     bias: Literal["off", "warn", "fail"] = Field(
         "warn", description="what an export does when a guesser that sees no scene beats chance; fail = exit code 3"

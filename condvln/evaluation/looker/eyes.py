@@ -200,9 +200,7 @@ class Eyes:
 
 
 def _turned(points: F64, turn: float) -> F64:
-    """Convert points (right, up, ahead) that are given in a frame turned left by `turn` radians to the frame without
-    this turn.
-    """
+    """Convert points (right, up, ahead) from a frame that is turned left by `turn` radians into the unturned frame."""
     c, s = math.cos(turn), math.sin(turn)
     right, up, ahead = points[..., 0], points[..., 1], points[..., 2]
     return np.stack([c * right - s * ahead, up, s * right + c * ahead], axis=-1)

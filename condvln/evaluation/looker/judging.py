@@ -126,8 +126,9 @@ def _inside(thing: Thing, anchor: Thing) -> float:
 
 
 def _on(thing: Thing, anchor: Thing) -> float:
-    """Return the score of "on": `thing` is above the anchor's footprint, and its bottom is not above the anchor's top.
-    The bottom may be below the anchor's top, since headboards and arm rests are higher than what a bed or sofa carries.
+    """Return the score of "on": `thing` lies over the anchor's footprint, and its bottom is at the anchor's top or
+    lower. The bottom may be below the anchor's top, since headboards and arm rests are higher than what a bed or sofa
+    carries.
 
     Text never denies a true "on".
     """

@@ -99,8 +99,8 @@ def compose_scene(scene: Scene, geometry: SceneGeometry | None, agent: AgentConf
 
 
 def _assemble(writer: GlbWriter, scene: Scene) -> int:
-    """Add stage and objects to the file, the meshes of each source file only once. Return the number of textures that
-    can't be copied.
+    """Add the stage and the objects to the file. The meshes of a source file that several objects use are written once.
+    Return the number of textures that can't be copied.
     """
     files = DatasetRoot(scene.root)
     known: dict[str, GlbPart] = {}

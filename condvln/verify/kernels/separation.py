@@ -16,7 +16,7 @@ I64 = NDArray[np.int64]
 @compiled
 def clearances(corners: F64, corner_ends: I64, goals: F64, goal_ends: I64, row_ends: I64, widest: int) -> F64:
     """For each of the l leaves, return the squared distances (l, widest) in m² from its path to the nearest goal of
-    each leaf of its row. The entry of the leaf itself is infinite.
+    every leaf of the same episode. The entry of the leaf itself is infinite.
 
     corners (n, 3), goals (m, 3) : of all leaves, concatenated; corner_ends, goal_ends (l,) : end index of each leaf
     row_ends (r,) : end index of each row's leaves; widest : largest number of leaves of a row
