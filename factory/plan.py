@@ -75,7 +75,9 @@ class Plan:
 
     @property
     def unchanged(self) -> bool:
-        """Whether a run would publish exactly what is published now, and all published files exist by a listing."""
+        """Whether a run would publish exactly what is published now. All published files exist, as a listing of the
+        store shows.
+        """
         return self.empty and self.snapshot_id is not None and self.carried == len(self.entries)
 
     def add(self, entry: PlanEntry) -> None:

@@ -233,8 +233,8 @@ def _quotas(pool: ExportPool, blocks: dict[int, npt.NDArray[np.int64]], per_cell
 
 
 def _wanted(pool: ExportPool, quotas: dict[int, int], per_cell: int | None) -> dict[int, int]:
-    """Return, by source, the wanted number of episodes of each leaf; the numbers add up to ``per_cell``. A source's
-    number is its quota plus a share of what all sources together lack.
+    """Return, for each source, the wanted number of episodes of each leaf: its quota, plus a share of what all quotas
+    together are short of ``per_cell``. Over the sources, the numbers add up to ``per_cell``.
     """
     wanted = dict(quotas)
     left = (per_cell or 0) - sum(quotas.values())

@@ -22,7 +22,7 @@ MAX_COUNTED: Final = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class Download:
-    """One kind of files of a dataset.
+    """One kind of file in a dataset.
 
     patterns : globs relative to the dataset's folder; one match is enough
     need : without ``required`` files nothing can be read; ``optional`` files add information

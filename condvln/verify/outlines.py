@@ -17,8 +17,8 @@ __all__ = ["astride_rooms"]
 def astride_rooms(
     scene: Scene, label_of: Callable[[SceneObject], str], meaning: Words
 ) -> list[tuple[SceneObject, frozenset[str]]]:
-    """Return each object with the ids of the other rooms, on its height, whose outline covers some of its footprint.
-    Objects that text does not name, and fixed ones, are left out.
+    """Return each object whose footprint is partly covered by the outline of another room at the same height, with the
+    ids of all such rooms. Objects that text does not name, and fixed ones, are left out.
     """
     if scene.family not in FROM_SCANS:
         return []

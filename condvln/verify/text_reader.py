@@ -197,8 +197,8 @@ class _Reader(PhraseReader):
                     yield from self._but(state._replace(at=end), cases, base)
 
     def _but(self, state: _State, context: int, base: int) -> Iterator[tuple[_State, int]]:
-        """Parse the consequences of an answer or a claim, possibly with one more claim: "if not, but there's a
-        chair, …".
+        """Parse what follows an answer or a claim: its consequences, which one more claim may precede, as in "if not,
+        but there's a chair, …".
         """
         yield from self._comma(state, context, base)
         if self._is(state.at, ","):

@@ -24,7 +24,9 @@ class Thresholds(Section):
 
     near: Metres = Field(1.0, description="maximum distance between two boxes at which “near” is emitted")
     near_true: Metres = Field(
-        0.5, description="maximum distance between two boxes, and between their surfaces, at which text may say “near”"
+        0.5,
+        description="maximum distance between two objects, both between their boxes and between their surfaces, at "
+        "which text may say “near”",
     )
     near_over: Metres = Field(
         0.25,

@@ -89,8 +89,8 @@ def _remaining(mesh: QueryMesh, search: Search, point: Floats, goal: Goal, point
 
 @compiled
 def _turns_to_aim(gait: Gait, heading: int, points: Floats, count: int) -> float:
-    """Return the number of turns, fractional and counter-clockwise, from ``heading`` to the direction of the path
-    ``points``. It is at most half a circle either way.
+    """Return how many turn actions lead from ``heading`` to the direction of the path ``points``: a fraction, positive
+    for left turns, at most 180° either way.
     """
     for i in range(1, count):
         dx = points[i, 0] - points[0, 0]

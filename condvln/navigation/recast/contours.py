@@ -112,8 +112,8 @@ def _walk(
     edges: Array,
     out: Array,
 ) -> int:
-    """Write the points of the outline that passes ``start`` to ``out``, and remove its edges from ``edges``. Return the
-    number of points.
+    """Write to ``out`` the points of the outline that goes through ``start``, and remove the outline's edges from
+    ``edges``. Return the number of points.
     """
     i = start
     direction = 0
