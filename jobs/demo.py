@@ -11,6 +11,7 @@ from rich.console import Console
 from condvln.manifest import manifest_lines, manifest_path
 from condvln.samples import make_samples
 from jobs.evaluate import EvaluationReport, Question, evaluate_predictions, walk_split
+from jobs.explore import Exploration, explore
 from jobs.generate import run_generate
 from jobs.report import Report, Section, terminal
 from jobs.show import show_episodes
@@ -63,6 +64,8 @@ def run_demo(out: Path, *, scenes: int, seed: int, workers: int | None, console:
         printed.print(part)
     proof = verify_export(config, out / "export")
     measured = _measure(config, out)
+    files = tuple(out / "predictions" / f"{agent}.json" for agent in AGENTS) if measured is not None else ()
+    page = explore(Exploration(out / "page", config.export, config, files, views=1)).document["page"]
     snapshot = published(config)
     closing = Report(
         {},
@@ -72,6 +75,7 @@ def run_demo(out: Path, *, scenes: int, seed: int, workers: int | None, console:
             f"episodes     {config.export}",
             f"predictions  {out / 'predictions'}",
             f"pictures     {out / 'pictures'}",
+            f"page         {page}",
             f"done in {time.monotonic() - began:.0f} s",
         ],
         [Section("Tables", ("table", "rows"), [(n, t.rows) for n, t in sorted(snapshot.manifest.tables.items())])],

@@ -16,13 +16,17 @@ from condvln.evaluation.split import SplitOptions, evaluate_split
 from condvln.evaluation.tables import all_tables
 from condvln.explorer import Site, episode_document, plan_document
 from condvln.explorer.graph import graph_document
+from condvln.explorer.views import first_views, pictures
 from condvln.explorer.walks import AgentResults, walk_document
 from condvln.export.contents import read_document
 from condvln.formats.json_entries import json_lines
 from condvln.manifest import manifest_lines, manifest_paths
 from condvln.navigation.navmesh_folder import NavmeshFolder
+from condvln.sources.source import hash_file
+from condvln.world import open_world
 from jobs.explore_scenes import ExploredScene, export_scenes, snapshot_scenes
-from jobs.explore_statistics import Counts, statistics_document
+from jobs.explore_statistics import Counts, former_cells, statistics_document
+from jobs.pipeline import open_configured
 from jobs.report import Report
 from schemas.config import Config
 from schemas.errors import InputError, UsageError
@@ -44,6 +48,7 @@ class Exploration:
     predictions : a file an agent and split; its split is found by its ids
     roots : folders of datasets with navmeshes that the export does not ship
     before : an export with which the counts are compared
+    views : number of episodes of each scene with pictures and places of first sight; they need the sources' files
     """
 
     out: Path
@@ -52,6 +57,7 @@ class Exploration:
     predictions: tuple[Path, ...] = ()
     roots: tuple[Path, ...] = ()
     before: Path | None = None
+    views: int = 0
 
 
 @dataclass
@@ -83,15 +89,18 @@ def explore(asked: Exploration) -> Report:
         snapshot_scenes(asked.config, export) if asked.config is not None else export_scenes(_folder(export), roots)
     )
     agents = _agents(export, asked.predictions, roots)
+    if asked.views and asked.config is None:
+        raise UsageError("an export has nothing to see", place="--views", remedy="Name its configuration.")
+    former = None if asked.before is None else former_cells(asked.before)
     site = Site(asked.out)
     counts = Counts()
     proofs = _Certificates(export)
     folder = NavmeshFolder(tuple(path for path in (export, *roots) if path is not None))
     for scene in scenes.scenes():
         counts.add(scene)
-        _add(site, scene, proofs, agents, folder)
+        _add(site, scene, proofs, agents, folder, asked)
     record = None if export is None else read_document(export / "export.json")
-    statistics = statistics_document(counts, record, asked.before)
+    statistics = statistics_document(counts, record, former)
     page = site.finish(
         scenes.title, snapshot=scenes.snapshot, statistics=statistics, agents=agents.results, tables=agents.tables
     )
@@ -104,10 +113,14 @@ def _folder(export: Path | None) -> Path:
     return export
 
 
-def _add(site: Site, scene: ExploredScene, proofs: _Certificates, agents: _Agents, folder: NavmeshFolder) -> None:
+def _add(
+    site: Site, scene: ExploredScene, proofs: _Certificates, agents: _Agents, folder: NavmeshFolder, asked: Exploration
+) -> None:
     documents = [
         episode_document(row, facts=scene.facts, certificate=proofs.of(row)) for row in scene.rows
     ]  # fmt: skip
+    if asked.config is not None and documents[: asked.views]:
+        _look(site, scene, documents[: asked.views], asked.config)
     ids = [item.object_id for item in scene.scene.objects]
     site.add_scene(
         scene.scene.family,
@@ -118,6 +131,18 @@ def _add(site: Site, scene: ExploredScene, proofs: _Certificates, agents: _Agent
         graph=None if scene.relations is None else graph_document(scene.relations, ids),
         walks=_walks(scene.rows, agents, folder),
     )
+
+
+def _look(site: Site, scene: ExploredScene, documents: Sequence[Document], config: Config) -> None:
+    """Add pictures and places of first sight to the documents of some episodes."""
+    configured = next(one for one in config.sources if one.family == scene.scene.family)
+    name = scene.scene.scene_id
+    asked = configured.model_copy(update={"scenes": (name,), "exclude": ()})
+    world = open_world(open_configured(config, asked, hash_file), name, config.agent)
+    for document in documents:
+        document["views"] = first_views(document, world.view, config.places, config.episodes)
+        for k, (caption, data) in enumerate(pictures(document, world.renderer)):
+            document["frames"].append({"file": site.add_picture(f"{document['id']}-{k}", data), "caption": caption})
 
 
 def _walks(rows: Sequence[Mapping[str, Any]], agents: _Agents, folder: NavmeshFolder) -> dict[str, Document]:

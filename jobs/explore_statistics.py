@@ -12,7 +12,10 @@ from condvln.manifest import manifest_lines, manifest_paths
 from jobs.explore_scenes import ExploredScene
 from schemas.errors import UsageError
 
-__all__ = ["Counts", "statistics_document"]
+__all__ = ["Counts", "former_cells", "statistics_document"]
+
+Cells = dict[str, tuple[str, str]]
+"""Split and category by episode id."""
 
 Document = dict[str, Any]
 EXAMPLES: Final = 3
@@ -31,7 +34,7 @@ class Counts:
     funnel: dict[tuple[str, str], list[int]] = field(default_factory=dict)
     rejections: dict[tuple[str, str, str], int] = field(default_factory=dict)
     examples: dict[tuple[str, str, str], list[Document]] = field(default_factory=dict)
-    ids: dict[str, tuple[str, str]] = field(default_factory=dict)
+    ids: Cells = field(default_factory=dict)
 
     def add(self, scene: ExploredScene) -> None:
         """Add a scene."""
@@ -59,13 +62,13 @@ class Counts:
         self.ids.update({str(row["episode_id"]): (row["split"], row["category"]) for row in scene.rows})
 
 
-def statistics_document(counts: Counts, record: Mapping[str, Any] | None, before: Path | None) -> Document:
+def statistics_document(counts: Counts, record: Mapping[str, Any] | None, former: Cells | None) -> Document:
     """Return what the page's statistics show.
 
     Parameters
     ----------
     record : the export's ``export.json``
-    before : a former export, whose counts are compared with these
+    former : episodes of a former export, with which these are compared
     """
     return {
         "objects": counts.objects.most_common(),
@@ -78,20 +81,21 @@ def statistics_document(counts: Counts, record: Mapping[str, Any] | None, before
         ],
         "gate": None if record is None else record.get("bias"),
         "left_out": {} if record is None else record.get("left_out") or {},
-        "drift": None if before is None else _drift(counts, before),
+        "drift": None if former is None else _drift(counts.ids, former),
     }
 
 
-def _drift(counts: Counts, before: Path) -> Document:
-    paths = manifest_paths(before)
+def former_cells(export: Path) -> Cells:
+    """Return the episodes of a former export. Raises UsageError if the folder holds none."""
+    paths = manifest_paths(export)
     if not paths:
-        raise UsageError("--before names no export", place=str(before), remedy="Name the folder of a former export.")
-    former = {}
-    for path in paths:
-        for line in manifest_lines(path):
-            fields = line.fields()
-            former[str(fields.get("episode_id"))] = (path.stem, str(fields.get("category")))
-    was, now = Counter(former.values()), Counter(counts.ids.values())
+        raise UsageError("--before names no export", place=str(export), remedy="Name the folder of a former export.")
+    rows = ((path.stem, line.fields()) for path in paths for line in manifest_lines(path))
+    return {str(fields.get("episode_id")): (split, str(fields.get("category"))) for split, fields in rows}
+
+
+def _drift(ids: Cells, former: Cells) -> Document:
+    was, now = Counter(former.values()), Counter(ids.values())
+    old, new = former.keys(), ids.keys()
     cells = [[*cell, was[cell], now[cell]] for cell in sorted({*was, *now})]
-    old, new = former.keys(), counts.ids.keys()
     return {"cells": cells, "kept": len(old & new), "gone": len(old - new), "new": len(new - old)}

@@ -19,9 +19,7 @@ UNPUBLISHED: Final = "not exported"
 """Split of an episode that is in the snapshot and in no split of the export."""
 
 
-def episode_document(
-    row: Row, *, facts: SceneFacts | None = None, certificate: Row | None = None, frames: Sequence[str] = ()
-) -> Document:
+def episode_document(row: Row, *, facts: SceneFacts | None = None, certificate: Row | None = None) -> Document:
     """Return an episode's document.
 
     Parameters
@@ -29,7 +27,6 @@ def episode_document(
     row : a row of a manifest, as `condvln.manifest.manifest_row` makes it or as JSON; points are lists or have x, y, z
     facts : relations of its scene; without them the page shows no measures
     certificate : its line of ``certificates/<split>.jsonl``
-    frames : paths of pictures along the gold path, relative to the page
     """
     program = Program.model_validate(row["program"])
     start = _point(row["start_position"])
@@ -68,7 +65,8 @@ def episode_document(
         "snapshot": row["snapshot"],
         "facts": None if facts is None else [facts.of(condition, place, heading) for condition in program.conditions],
         "certificate": None if certificate is None else _certificate(certificate),
-        "frames": list(frames),
+        "frames": [],
+        "views": {},
     }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from importlib.resources import files
@@ -44,12 +45,11 @@ class Site:
         self.out, self._level = out, level
         if out.exists() and not out.is_dir():
             raise UsageError("--out is a file", place=str(out), remedy="Name a folder.")
-        page = out / PAGE
-        if out.is_dir() and any(out.iterdir()) and not _is_ours(page):
+        if out.is_dir() and not _is_ours(out):
             raise UsageError(
                 "the folder holds other files", place=str(out), remedy="Name a new or empty folder with --out."
             )
-        page.unlink(missing_ok=True)
+        (out / PAGE).unlink(missing_ok=True)
         for folder in (DATA, FRAMES):
             shutil.rmtree(out / folder, ignore_errors=True)
         (out / DATA).mkdir(parents=True, exist_ok=True)
@@ -105,6 +105,15 @@ class Site:
         if chunk:
             self._episodes(chunk, walks or {})
 
+    def add_picture(self, name: str, data: bytes) -> str:
+        """Write a PNG file and return its address, relative to the page. `name` has letters, digits and ``-`` only."""
+        if not re.fullmatch(r"[a-zA-Z0-9-]+", name):
+            raise ValueError(f"{name!r} is not the name of a picture")
+        (self.out / FRAMES).mkdir(exist_ok=True)
+        with atomic_stream(self.out / FRAMES / f"{name}.png") as stream:
+            stream.write(data)
+        return f"{FRAMES}/{name}.png"
+
     def finish(
         self,
         title: str,
@@ -159,8 +168,14 @@ FRAMES: Final = "frames"
 """Folder of pictures along gold paths."""
 
 
-def _is_ours(page: Path) -> bool:
-    return page.is_file() and b"condvln-explorer" in page.read_bytes()[:2000]
+def _is_ours(out: Path) -> bool:
+    """Return whether a folder is empty, or holds a page and nothing else; the page may be half written."""
+    page, data = out / PAGE, out / DATA
+    if page.exists() and not (page.is_file() and b"condvln-explorer" in page.read_bytes()[:2000]):
+        return False
+    names = {path.name for path in out.iterdir()} - {PAGE, DATA, FRAMES, *PARTS}
+    chunks = data.iterdir() if data.is_dir() else ()
+    return not names and all(re.fullmatch(r"[a-z]+(-\d+)?\.js", path.name) for path in chunks)
 
 
 def _by_name(agents: Sequence[AgentResults]) -> dict[str, list[AgentResults]]:

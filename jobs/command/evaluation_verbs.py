@@ -139,6 +139,10 @@ def evaluate(
             "--plots", metavar="DIR", help="folder to write plots of SR, BSA and CSR against depth and chain to"
         ),
     ] = None,
+    html: Annotated[
+        Path | None,
+        typer.Option("--html", metavar="DIR", help="folder to write the page of condvln explore with these agents to"),
+    ] = None,
     strict: Annotated[
         bool, typer.Option("--strict", help="exit with code 3 and print no tables if an episode has no prediction")
     ] = False,
@@ -174,6 +178,10 @@ def evaluate(
     for target, write in ((scores, report.write_scores), (csv, report.write_csv), (plots, report.write_plots)):
         if target is not None:
             write(target)
+    if html is not None:
+        from jobs.explore import Exploration, explore
+
+        explore(Exploration(html, export, None, tuple(predictions), tuple(navmesh_root or ())))
     if latex or markdown:
         for warning in report.warnings:
             console().print(f"warning: {warning}", markup=False, soft_wrap=True)

@@ -132,6 +132,14 @@ def explore(
     before: Annotated[
         Path | None, typer.Option("--before", metavar="EXPORT", help="a former export to compare the counts with")
     ] = None,
+    views: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            help="number of episodes of each scene that get pictures along the gold path, and the places from which "
+            "their conditions are first seen; reads the sources' files",
+        ),
+    ] = 0,
     navmesh_root: NavmeshRoots = None,
     overrides: Overrides = None,
     as_json: AsJson = False,
@@ -149,7 +157,7 @@ def explore(
         raise UsageError("an export has no keys to override", place="--set", remedy="Name its configuration.")
     config = None if whole else load_config(target, overrides or (), check_roots=False)
     export = target if config is None else config.export
-    asked = Exploration(out, export, config, tuple(predictions or ()), tuple(navmesh_root or ()), before)
+    asked = Exploration(out, export, config, tuple(predictions or ()), tuple(navmesh_root or ()), before, views)
     answer(explore(asked), as_json)
 
 

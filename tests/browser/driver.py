@@ -66,7 +66,7 @@ class Page:
 
     def outside(self) -> list[str]:
         """Return the addresses that were asked for outside the page's folder."""
-        own = (f"file://{self.folder}/", "about:", "chrome:")
+        own = (f"file://{self.folder}/", "about:", "chrome:", "data:")
         return [address for address in self.requests if not address.startswith(own)]
 
     def run(self, script: str, *values: Any) -> Any:

@@ -58,15 +58,15 @@ def test_each_filter_gives_what_duckdb_counts(page: Page, made: Run) -> None:
     choose(page, "group", "any")
     assert count(page) == made.ask("select count(*) from episodes where group_id is not null")[0][0]
     asked = """select count(*) from episodes join instructions using (instruction_id, scene_id)
-        where len(list_filter(conditions, c -> c.qualifier.predicate = 'near')) > 0"""
+        where len(list_filter(conditions, lambda c: c.qualifier.predicate = 'near')) > 0"""
     choose(page, "predicate", "near")
     assert count(page) == made.ask(asked)[0][0]
     label = made.ask("select conditions[1].label, count(*) n from instructions group by 1 order by n desc, 1")[0][0]
     named = f"""select count(*) from episodes e join instructions i using (instruction_id, scene_id) where
-        len(list_filter(conditions, c -> c.label = '{label}' or
-            len(list_filter(c.qualifier.anchors, a -> a.label = '{label}')) > 0)) > 0 or
-        len(list_filter(i.leaves, f -> len(list_filter(f.moves, m -> m.label = '{label}' or
-            len(list_filter(m.qualifier.anchors, a -> a.label = '{label}')) > 0)) > 0)) > 0"""
+        len(list_filter(conditions, lambda c: c.label = '{label}' or
+            len(list_filter(c.qualifier.anchors, lambda a: a.label = '{label}')) > 0)) > 0 or
+        len(list_filter(i.leaves, lambda f: len(list_filter(f.moves, lambda m: m.label = '{label}' or
+            len(list_filter(m.qualifier.anchors, lambda a: a.label = '{label}')) > 0)) > 0)) > 0"""
     choose(page, "label", label)
     assert count(page) == made.ask(named)[0][0]
 
@@ -196,7 +196,7 @@ def test_the_plan_is_to_scale(page: Page, made: Run) -> None:
     item = made.ask(upright)[0]
     box = page.run("return document.querySelector(`[data-object='${arguments[0]}'] polygon`).getBBox().width", item[0])
     assert box / (item[2] - item[1]) == pytest.approx(pixels / metres, rel=0.02)
-    page.one("#navmesh").click()
+    page.one("input.navmesh").click()
     assert not page.one(".layer-floor").is_displayed()
 
 

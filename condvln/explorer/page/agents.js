@@ -6,6 +6,8 @@
   const MEASURES = [["success", "SR"], ["bsa_all", "BSA-all"], ["csr_all", "CSR-all"]];
   const PERCENT = new Set(["success", "oracle_success", "spl", "spl_route", "ndtw", "sdtw", "cls", "bsa", "csr", "bsa_all", "csr_all",
     "leaf_correct", "wrong_branch", "no_commit", "stopped"]);
+  const HEADINGS = { path_length: "TL, m", navigation_error: "NE, m", oracle_success: "OSR", success: "SR", spl: "SPL", spl_route: "SPL-route",
+    ndtw: "nDTW", sdtw: "SDTW", cls: "CLS", bsa_all: "BSA-all", csr_all: "CSR-all", bsa: "BSA (paper)", csr: "CSR (paper)" };
   const CHART = { width: 300, height: 170, left: 34, bottom: 24 };
 
   function cell(name, value) {
@@ -21,7 +23,7 @@
   function shown(table) {
     if (!table.rows.length) return "";
     const names = Object.keys(table.rows[0]);
-    const columns = names.map((name) => (typeof table.rows[0][name] === "string" ? name : `#${name}`).replaceAll("_", " "));
+    const columns = names.map((name) => (typeof table.rows[0][name] === "string" ? "" : "#") + (HEADINGS[name] || name.replaceAll("_", " ")));
     return element("div", {}, explorer.table(`${table.title} (${table.split})`, columns, table.rows.map((row) => names.map((name) => cell(name, row[name]))), table.name),
       table.note ? element("p", { class: "note" }, table.note) : "");
   }

@@ -93,7 +93,7 @@
     };
     let plan = null;
     const draw = () => { plan = new explorer.Plan(holder, scene, options); };
-    const navmesh = element("input", { type: "checkbox", checked: true, id: "navmesh", onchange: () => {
+    const navmesh = element("input", { type: "checkbox", checked: true, class: "navmesh", onchange: () => {
       options.navmesh = navmesh.checked;
       plan.layers.floor.classList.toggle("off", !navmesh.checked);
     } });

@@ -188,7 +188,7 @@
     mark(position, kind, text, title) {
       const [x, y] = [this.x(position[0]), this.y(position[2])];
       const shapes = {
-        star: () => svg("path", { d: star(x, y, 10) }),
+        star: () => svg("path", { d: star(x, y, 15) }),
         goal: () => svg("rect", { x: x - 8, y: y - 8, width: 16, height: 16, rx: 3 }),
         stop: () => svg("circle", { cx: x, cy: y, r: 7 }),
         dot: () => svg("circle", { cx: x, cy: y, r: 2.5 }),

@@ -63,11 +63,20 @@ def test_a_former_page_is_replaced_whole(tmp_path: Path) -> None:
     assert "episodes-1" not in chunks(tmp_path)
 
 
-def test_a_folder_with_other_files_is_left_alone(tmp_path: Path) -> None:
-    (tmp_path / "index.html").write_text("mine")
+@pytest.mark.parametrize("name", ["index.html", "notes.txt", "data/table.parquet", "data/index.json"])
+def test_a_folder_with_other_files_is_left_alone(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_text("mine")
     with pytest.raises(UsageError, match="holds other files"):
         Site(tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["index.html"]
+    assert [path.read_text() for path in tmp_path.rglob("*") if path.is_file()] == ["mine"]
+
+
+def test_a_page_that_was_half_written_is_written_again(tmp_path: Path) -> None:
+    write(tmp_path, made_manifest(2))
+    Site(tmp_path)  # begins, and is cut off
+    assert not (tmp_path / "index.html").exists()
+    assert write(tmp_path, made_manifest(2)).is_file()
 
 
 def test_the_page_names_its_scripts_and_nothing_from_elsewhere(tmp_path: Path) -> None:
