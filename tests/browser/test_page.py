@@ -191,11 +191,11 @@ def test_the_plan_is_to_scale(page: Page, made: Run) -> None:
     far = max(range(len(path)), key=lambda k: abs(path[k][0] - path[0][0]) + abs(path[k][2] - path[0][2]))
     metres = ((path[far][0] - path[0][0]) ** 2 + (path[far][2] - path[0][2]) ** 2) ** 0.5
     pixels = ((points[far][0] - points[0][0]) ** 2 + (points[far][1] - points[0][1]) ** 2) ** 0.5
-    upright = f"""select object_id, aabb_min.x, aabb_max.x from objects where scene_id = '{row["scene_id"]}'
-        and source = '{row["source"]}' and len(parts) = 0 and obb is null"""
-    item = made.ask(upright)[0]
-    box = page.run("return document.querySelector(`[data-object='${arguments[0]}'] polygon`).getBBox().width", item[0])
-    assert box / (item[2] - item[1]) == pytest.approx(pixels / metres, rel=0.02)
+    room, corners = made.ask(f"""select room_id, polygon from rooms where polygon is not null
+        and scene_id = '{row["scene_id"]}' and source = '{row["source"]}' order by 1""")[0]
+    east = [corner["x"] for corner in corners]
+    box = page.run("return document.querySelector(`[data-room='${arguments[0]}']`).getBBox().width", room)
+    assert box / (max(east) - min(east)) == pytest.approx(pixels / metres, rel=0.02)
     page.one("input.navmesh").click()
     assert not page.one(".layer-floor").is_displayed()
 
@@ -255,8 +255,9 @@ def test_an_object_shows_its_relations(page: Page, made: Run) -> None:
     assert len(rows) == n
     used = made.ask(f"""select target, used_distance, horizontal_distance from relations where kind = 'canonical'
         and source = '{source}' and scene_id = '{scene}' and subject = '{subject}'""")
-    shown = {row.split("|")[0]: (row.split("|")[2], row.split("|")[4]) for row in rows}
-    assert shown == {target: (f"{a:.2f}", f"{b:.2f}") for target, a, b in used}
+    shown = {row.split("|")[0]: [float(row.split("|")[k]) for k in (2, 4)] for row in rows}
+    assert shown.keys() == {target for target, _, _ in used}
+    assert all(shown[target] == pytest.approx([a, b], abs=0.006) for target, a, b in used)  # two decimals are shown
     near = made.ask(f"""select target from relations where predicate = 'near' and source = '{source}'
         and scene_id = '{scene}' and subject = '{subject}' and kind = 'semantic' order by 1""")
     assert objects(page, "witness") == [target for (target,) in near]
