@@ -138,7 +138,7 @@ def test_a_large_export_stays_quick(fresh: Page) -> None:
         f"filters {took} ms (wanted 150); search {search:.0f} ms, "
         f"the first {first_search:.0f} ms (loads all texts); episodes opened in {np.median(opened):.0f} ms, at most "
         f"{max(opened):.0f} (wanted 300); memory of the page {used:.0f} MB (wanted 500). "
-        f"Processor time of the page: loading {loading:.0f} ms, a filter {filtering:.0f} ms, an episode {opening:.0f} ms"
+        f"Processor time: loading {loading:.0f} ms, a filter {filtering:.0f} ms, an episode {opening:.0f} ms"
     )
     assert shown < 2000 * GENEROUS
     assert max(filters.values()) < 150 * GENEROUS
