@@ -32,6 +32,7 @@ from schemas.config.constants import (
     PART_INSIDE,
     SCREEN_TO_KEYBOARD,
     SEAT_LENGTH,
+    SEAT_LONGEST,
     SEAT_RATIO,
     SIDE_TABLE_LENGTH,
     THIN_GAP,
@@ -155,7 +156,8 @@ def mistakable(arrays: RoomArrays) -> Bools:
     low, high = millimetres(arrays.aabb_min), millimetres(arrays.aabb_max)
     ground = (high - low)[:, [0, 2]]
     short, long = ground.min(axis=1, initial=np.inf), ground.max(axis=1, initial=-np.inf)
-    pair = _with_role(arrays, "seat") & (long >= 1000.0 * SEAT_LENGTH) & (long >= SEAT_RATIO * short)
+    pair = (long >= 1000.0 * SEAT_LENGTH) & (long >= SEAT_RATIO * short)
+    pair = _with_role(arrays, "seat") & (pair | (long >= 1000.0 * SEAT_LONGEST))
     screen, desktop = _with_role(arrays, "screen"), np.flatnonzero(_with_role(arrays, "desktop"))
     sides = [(low[:, None, k] - high[None, desktop, k], low[None, desktop, k] - high[:, None, k]) for k in (0, 2)]
     beyond = [np.maximum(np.maximum(one, other), 0.0) for one, other in sides]

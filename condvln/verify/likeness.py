@@ -25,6 +25,7 @@ from schemas.config.constants import (
     PART_INSIDE,
     SCREEN_TO_KEYBOARD,
     SEAT_LENGTH,
+    SEAT_LONGEST,
     SEAT_RATIO,
     SIDE_TABLE_LENGTH,
     THIN_GAP,
@@ -79,6 +80,8 @@ def may_be_two(seat: Thing, seats: Container[str], family: str) -> bool:
     if family not in FROM_SCANS or seat.label not in seats or seat.box is None:
         return False
     short, long = sorted(seat.ground_sides())
+    if long >= 1000.0 * SEAT_LONGEST:
+        return True
     return long >= 1000.0 * SEAT_LENGTH and long >= SEAT_RATIO * short
 
 

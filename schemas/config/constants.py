@@ -53,6 +53,7 @@ __all__ = [
     "RING_SPACING",
     "SCREEN_TO_KEYBOARD",
     "SEAT_LENGTH",
+    "SEAT_LONGEST",
     "SEAT_RATIO",
     "SEEABLE_PLACES",
     "SEEABLE_SHARE",
@@ -258,6 +259,10 @@ SEAT_LENGTH: Final = 1.0
 
 SEAT_RATIO: Final = 1.5
 """Least ratio of the sides of such a box."""
+
+SEAT_LONGEST: Final = 1.4
+"""Length of the longer side from which the box of a chair may be that of several, whatever the ratio of its sides,
+metres."""
 
 TWIN_HEIGHT: Final = 1.25
 """Largest ratio of the heights of two objects of a scan with one label for them to be possibly equal, one of them

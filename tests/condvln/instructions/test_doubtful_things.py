@@ -118,6 +118,8 @@ def test_a_screen_of_a_scan_that_may_be_a_monitor_is_no_television(
         ("chair", (0.43, 0.70, 1.08), False),
         ("bar stool", (1.08, 0.70, 0.43), False),
         ("chair", (0.87, 0.91, 1.12), True),  # large, but not long
+        ("chair", (1.40, 0.97, 1.40), False),  # no chair is so large
+        ("chair", (1.399, 0.97, 1.399), True),
         ("chair", (0.30, 0.94, 0.50), True),
         ("sofa", (0.70, 0.94, 1.30), True),
     ],
