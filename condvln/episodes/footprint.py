@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -76,6 +77,20 @@ class Footprint:
     def polygon(self) -> shapely.Polygon:
         """The footprint as a polygon in the (x, z) plane."""
         return shapely.Polygon(self.center + (np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * self.half) @ self.axes)
+
+    def is_beside(self, low: F64, high: F64) -> bool:
+        """Return True only if the footprint is outside the bounds `low` (3,) and `high` (3,), in metres. It may be
+        outside where this is False.
+        """
+        for box in self.parts or (self,):
+            reach = math.hypot(*box.half.tolist()) + ROUNDING
+            apart = [
+                middle - reach > high[axis] or middle + reach < low[axis]
+                for middle, axis in zip(box.center.tolist(), (0, 2), strict=True)
+            ]
+            if not any(apart):
+                return False
+        return True
 
     def distance(self, points: F64) -> F64:
         """Return the horizontal distance (n,) in metres from points (n, 3) to the footprint; 0 inside."""

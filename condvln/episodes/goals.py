@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Final
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,15 +34,23 @@ __all__ = ["blocked_footprints", "goal_points", "is_standable", "scene_goals", "
 F64 = NDArray[np.float64]
 
 
+_WIDE: Final[WeakKeyDictionary[PathfinderProtocol, dict[float, tuple[int, ...]]]] = WeakKeyDictionary()
+"""Wide islands of each pathfinder in use, by the least radius."""
+
+
 def wide_islands(pathfinder: PathfinderProtocol, places: PlacesConfig) -> tuple[int, ...]:
     """Return the islands that episodes may use. They are wide enough and have floor area, which islands of degenerate
     triangles lack.
     """
-    return tuple(
-        k
-        for k in range(pathfinder.num_islands)
-        if pathfinder.island_radius(k) >= places.island_radius and pathfinder.island_area(k) > 0
-    )
+    known = _WIDE.setdefault(pathfinder, {})
+    found = known.get(places.island_radius)
+    if found is None:
+        found = known[places.island_radius] = tuple(
+            k
+            for k in range(pathfinder.num_islands)
+            if pathfinder.island_radius(k) >= places.island_radius and pathfinder.island_area(k) > 0
+        )
+    return found
 
 
 def is_standable(pathfinder: PathfinderProtocol, points: F64, places: PlacesConfig) -> NDArray[np.bool_]:
@@ -189,10 +199,13 @@ def _standing_places(
         keep &= np.abs(points[:, 1] - room.floor_y) <= SINK
         if room.polygon is not None:
             keep &= contains_xy(Polygon(room.polygon), points[:, 0], points[:, 2])
-    for other, footprint in obstacles:
-        if other.object_id != item.object_id:
-            keep &= footprint.distance(points) > 0.0
     points = points[keep]
+    low, high = (points.min(axis=0), points.max(axis=0)) if len(points) else (np.zeros(3), np.zeros(3))
+    free = np.ones(len(points), dtype=bool)
+    for other, footprint in obstacles:
+        if other.object_id != item.object_id and not footprint.is_beside(low, high):
+            free &= footprint.distance(points) > 0.0
+    points = points[free]
     if view is not None:
         points = points[_seeing(points, item, view, places)]
     if not len(points):

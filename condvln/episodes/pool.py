@@ -123,7 +123,9 @@ def fill_pool(
         wanted += round(groups * sum(leaves) / len(members))
     labels = {leaf.goal.label for candidate in queue for leaf in candidate.program.leaves}
     most_of_label = most_leaves(allowed_share(label_cap, len(labels)), wanted)
-    tries = [_Try(group) for group in members.values()] + [_Try([c]) for c in queue if c.cell is not None]
+    numbers: dict[Program, int] = {}
+    together = [*members.values(), *([c] for c in queue if c.cell is not None)]
+    tries = [_Try(group, {numbers.setdefault(c.program, len(numbers)) for c in group}) for group in together]
     filling = _Filling(placer, groups, names_compass, observer, cells, move_shares)
     filling.fill(tries, most_of_label)
     filling.trim(tries, label_cap)
@@ -133,11 +135,12 @@ def fill_pool(
 class _Try:
     """Candidates that are placed together: a single one, or a counterfactual group (same leaves in different order).
 
+    programs : numbers of their programs; equal programs have equal numbers
     refused : reason why they are not placed, so far; placement : that of the first of them, computed once
     """
 
-    def __init__(self, members: Sequence[Candidate]) -> None:
-        self.members = members
+    def __init__(self, members: Sequence[Candidate], programs: set[int]) -> None:
+        self.members, self.programs = members, programs
         self.cell = members[0].cell
         self.gold = members[0].program.gold_leaf()
         self.labels = [Counter(leaf.goal.label for leaf in member.program.leaves) for member in members]
@@ -169,7 +172,7 @@ class _Filling:
         self._taken: Counter[InstructionCell] = Counter()
         self._golds: defaultdict[InstructionCell, Counter[int]] = defaultdict(Counter)
         self._labels: Counter[str] = Counter()
-        self._seen: set[Program] = set()
+        self._seen: set[int] = set()
 
     def fill(self, tries: Sequence[_Try], most_of_label: int) -> None:
         """Place candidates in order. Then, where a cell is still short, place the candidates that were postponed for
@@ -231,7 +234,7 @@ class _Filling:
         one of the programs is already placed; both may change later.
         """
         cell = one.cell
-        if any(member.program in self._seen for member in one.members):
+        if not self._seen.isdisjoint(one.programs):
             return "program_placed"
         if cell is None:
             if self._groups >= self._groups_wanted:
@@ -296,13 +299,12 @@ class _Filling:
             self._golds[one.cell][one.gold] += by
             for n, count in one.moves.items():
                 self._moves[one.cell][n] += by * count
-        programs = {member.program for member in one.members}
         if by > 0:
             self._labels += one.targets
-            self._seen |= programs
+            self._seen |= one.programs
         else:
             self._labels -= one.targets
-            self._seen -= programs
+            self._seen -= one.programs
 
     def _fit(self, cell: InstructionCell, program: Program) -> Fit | None:
         asked, observer = cell.observability, self._observer

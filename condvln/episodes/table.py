@@ -48,10 +48,7 @@ STOPS: Final = pa.schema(
 
 def stops_table(scene_id: str, goals: Mapping[str, NDArray[np.float64]]) -> pa.Table:
     """Return goal points (k, 3) by object id as STOPS rows."""
-    rows = [
-        {"scene_id": scene_id, "object_id": name, "points": [_point(point) for point in points]}
-        for name, points in goals.items()
-    ]
+    rows = [{"scene_id": scene_id, "object_id": name, "points": _points(points)} for name, points in goals.items()]
     return pa.Table.from_pylist(rows, schema=STOPS)
 
 
@@ -99,8 +96,8 @@ def _row(scene_id: str, pooled: PooledEpisode, composition: str, navmesh_sha256:
         "leaves": [_leaf(k, placed) for k, placed in enumerate(placement.leaves)],
         "success_distance": placement.success_distance,
         "ground_truth_steps": placement.steps,
-        "actions": [int(action) for action in leaf.walk.actions],
-        "locations": [_point(point) for point in round_mm(leaf.walk.locations)],
+        "actions": leaf.walk.actions.tolist(),
+        "locations": _points(round_mm(leaf.walk.locations)),
         "navmesh_sha256": navmesh_sha256,
     }
 
@@ -120,20 +117,24 @@ def _leaf(index: int, leaf: PlacedLeaf) -> dict[str, Any]:
     return {
         "leaf": index,
         "object_id": leaf.objects[-1],
-        "goals": [_point(point) for point in leaf.goals],
+        "goals": _points(leaf.goals),
         "subgoals": [
             {"object_id": name, "position": _point(point)}
             for name, point in zip(leaf.objects[:-1], leaf.route.stops[:-1], strict=True)
         ],
-        "reference_path": [_point(point) for point in leaf.route.path],
+        "reference_path": _points(leaf.route.path),
         "geodesic_distance": leaf.geodesic_distance,
         "route_length": leaf.route.length,
     }
 
 
 def _point(values: NDArray[np.float64]) -> dict[str, float]:
-    x, y, z = (float(value) for value in values)
+    x, y, z = values.tolist()
     return {"x": x, "y": y, "z": z}
+
+
+def _points(values: NDArray[np.float64]) -> list[dict[str, float]]:
+    return [{"x": x, "y": y, "z": z} for x, y, z in values.tolist()]
 
 
 def with_text(placements: pa.Table, texts: Mapping[int, str], max_steps: StepBudget, steps_per_word: int) -> pa.Table:
@@ -142,18 +143,22 @@ def with_text(placements: pa.Table, texts: Mapping[int, str], max_steps: StepBud
     A proportional budget is max(`steps_per_word` × words, 2 × ground-truth actions), as in the paper. In a
     counterfactual group the words of the longest text count, so that all members have the same budget.
     """
-    rows = placements.to_pylist()
+    columns = ("episode_id", "group_id", "ground_truth_steps")
+    rows = list(zip(*(placements[name].to_pylist() for name in columns), strict=True))
+    said = [texts[episode_id] for episode_id, _, _ in rows]
+    words = [len(text.split()) for text in said]
     longest: dict[str | int, int] = {}
-    for row in rows:
-        row["instruction_text"] = texts[row["episode_id"]]
-        row["words"] = len(row["instruction_text"].split())
-        unit = row["group_id"] or row["episode_id"]
-        longest[unit] = max(longest.get(unit, 0), row["words"])
-    for row in rows:
-        words = longest[row["group_id"] or row["episode_id"]]
-        proportional = max(steps_per_word * words, 2 * row["ground_truth_steps"])
-        row["max_steps"] = proportional if max_steps == "proportional" else max_steps
-    return pa.Table.from_pylist(rows, schema=EPISODES)
+    for (episode_id, group_id, _), count in zip(rows, words, strict=True):
+        unit = group_id or episode_id
+        longest[unit] = max(longest.get(unit, 0), count)
+    budgets = [
+        max(steps_per_word * longest[group_id or episode_id], 2 * steps) if max_steps == "proportional" else max_steps
+        for episode_id, group_id, steps in rows
+    ]
+    new = dict(zip(TEXT_COLUMNS, (words, budgets, said), strict=True))
+    return pa.table(
+        [pa.array(new[f.name], f.type) if f.name in new else placements[f.name] for f in EPISODES], schema=EPISODES
+    )
 
 
 def rejections_table(

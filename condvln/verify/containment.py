@@ -81,6 +81,11 @@ class _Holder:
         self.box = None if item.box is None else _whole(item.box)
         self.tops = [_whole(_bounds(part)) for part in item.parts] or ([] if self.box is None else [self.box])
         self.links: list[tuple[_Holder, bool]] | None = None
+        x, y, z = (0, 0, 0) if self.box is None else map(int.__sub__, self.box[1], self.box[0])
+        self.area = max(x, 1) * max(z, 1)
+        self.volume = float(max(x, 1)) * max(y, 1) * max(z, 1)
+        self.middle = 0 if self.box is None else self.box[0][1] + self.box[1][1]
+        """Twice the height of the middle of its box."""
 
 
 def _below(thing: _Holder, things: dict[str, _Holder]) -> list[tuple[_Holder, bool]]:
@@ -91,7 +96,7 @@ def _below(thing: _Holder, things: dict[str, _Holder]) -> list[tuple[_Holder, bo
         if thing.box is not None and not thing.structure:
             others = [x for x in others if x.box is not None and not x.structure]
             if thing.item.receptacles is None:
-                thing.links += [(x, True) for x in others if x.kind and _encloses(x.box, thing.box)]
+                thing.links += [(x, True) for x in others if x.kind and _encloses(x, thing)]
             if not thing.links:
                 thing.links += [(x, False) for x in others if x.label != IN_FURNITURE and _bears(x, thing)]
     return thing.links
@@ -114,27 +119,25 @@ def _stated(thing: _Holder, things: dict[str, _Holder]) -> Iterable[tuple[_Holde
             yield holder, holder.kind == "open" and _share_inside(own, its) >= INSIDE_SHARE - 1e-6
 
 
-def _encloses(holder: _Box | None, box: _Box) -> bool:
-    assert holder is not None
-    volumes = [np.prod([max(side, 1) for side in _sides(each)], dtype=np.float64) for each in (holder, box)]
-    return bool(volumes[0] > volumes[1] and _share_inside(box, holder) >= INSIDE_SHARE - 1e-6)
+def _encloses(holder: _Holder, thing: _Holder) -> bool:
+    assert holder.box is not None
+    assert thing.box is not None
+    return holder.volume > thing.volume and _share_inside(thing.box, holder.box) >= INSIDE_SHARE - 1e-6
 
 
 def _bears(holder: _Holder, thing: _Holder) -> bool:
     """Return whether `holder` supports `thing`: it is larger, its top is near the bottom of `thing`, and enough of
     `thing` is above it.
     """
-    own, its = thing.box, holder.box
-    assert own is not None
-    assert its is not None
-    areas = [max(_sides(box)[0], 1) * max(_sides(box)[2], 1) for box in (own, its)]
-    if areas[1] <= areas[0] or its[0][1] + its[1][1] >= own[0][1] + own[1][1]:
+    if holder.area <= thing.area or holder.middle >= thing.middle:
         return False
+    own = thing.box
+    assert own is not None
     shared = 0.0
     for top in holder.tops:
         if abs(own[0][1] - top[1][1]) <= REST_GAP * _MM + 1e-6:
             over = [max(min(own[1][k], top[1][k]) - max(own[0][k], top[0][k]), 0) for k in (0, 2)]
-            shared = max(shared, over[0] * over[1] / areas[0])
+            shared = max(shared, over[0] * over[1] / thing.area)
     return shared >= REST_SHARE - 1e-6
 
 

@@ -5,8 +5,8 @@ All possible parses are followed; ``reading`` decides which of them form a whole
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Any, Final, NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Final, NamedTuple, TypeVar
 
 from condvln.verify.phrasebook import SO_FAR, Matches, Phrasebook
 from condvln.verify.standpoint import BEARINGS
@@ -64,6 +64,25 @@ def _beside(thing: Phrase, before: Phrase) -> Phrase:
     return thing._replace(room=before.room) if thing.room is None and not at_start else thing
 
 
+F = TypeVar("F")
+
+
+def _parsed_once(
+    parse: Callable[[PhraseReader, int, Named | None], Iterator[F]],
+) -> Callable[[PhraseReader, int, Named | None], list[F]]:
+    """Make a parser look each position of a text up once: several readings of what is before it come to it."""
+    name = parse.__name__
+
+    def parsed(self: PhraseReader, at: int, last: Named | None) -> list[F]:
+        key = (name, at, last, self.scope)
+        found = self._parsed.get(key)
+        if found is None:
+            found = self._parsed[key] = list(parse(self, at, last))
+        return found
+
+    return parsed
+
+
 class PhraseReader:
     """Finds the phrases in one text. Which phrases begin at a word is looked up once for all parses.
 
@@ -76,6 +95,7 @@ class PhraseReader:
         self.furthest = 0
         self.scope: Named | None = None
         self._matches: dict[int, Matches] = {}
+        self._parsed: dict[tuple[str, int, Named | None, Named | None], list[Any]] = {}
         self._apart: list[tuple[int, Named]] | None = None
 
     def rest(self) -> str:
@@ -104,9 +124,10 @@ class PhraseReader:
         here = self._matches.get(at)
         if here is None:
             here = self._here(at)
-        if kind not in here:
+        found = here.get(kind)
+        if found is None:
             return ()
-        return [(at + words, value, classes) for words, value, classes in here[kind]]
+        return [(at + words, value, classes) for words, value, classes in found]
 
     def _is(self, at: int, mark: str) -> bool:
         return at < len(self.tokens) and self.tokens[at] == mark
@@ -273,6 +294,7 @@ class PhraseReader:
                     if what.room == self.scope:
                         yield after, what._replace(room=room), named
 
+    @_parsed_once
     def _said(self, at: int, last: Named | None) -> Iterator[tuple[int, bool, Phrase, Named | None]]:
         """Parse claims. Yield (end, True if asserted or False if denied, claim, room named last)."""
         for present, some, known in (
@@ -284,6 +306,7 @@ class PhraseReader:
                 for end, what, named in found:
                     yield end, present, what, named
 
+    @_parsed_once
     def _requests(self, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:
         """Parse requests to look, and questions with their question mark."""
         for end, _, _ in self._of(at, "see"):
@@ -296,6 +319,7 @@ class PhraseReader:
         questions += [found for end, _, _ in self._of(at, "asks_is") for found in self._known(None, end, last)]
         yield from ((end, what, named) for end, what, named in questions if self._is(end, "?"))
 
+    @_parsed_once
     def _stops(self, at: int, last: Named | None) -> Iterator[tuple[int, Moves, Named | None]]:
         """Parse moves to one or more stops, up to the end of a clause. Punctuation must follow directly after them."""
         for start, _, _ in self._of(at, "go"):

@@ -119,7 +119,7 @@ def prove_scene(
     labels = SceneReferents(scene, rules.thresholds, rules.anchor_size, shapes)
     sight = sight_of(scene, surfaces, labels.is_structure, labels.is_frame, navmesh.pathfinder, obstacles, rules)
     onlookers = Onlookers(scene, sight, navmesh.pathfinder, rules.places, labels.hidden)
-    referents = SceneReferents(scene, rules.thresholds, rules.anchor_size, shapes, onlookers.see)
+    referents = SceneReferents(scene, rules.thresholds, rules.anchor_size, shapes, onlookers.see, labels)
     _check_words(rows, certificates, referents, rules)
     for row, certificate in zip(rows, certificates, strict=True):
         check_seen(row.manifest.program, onlookers, certificate)

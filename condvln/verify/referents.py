@@ -58,6 +58,7 @@ class SceneReferents:
     """Resolves the phrases of all texts of one scene; each phrase is resolved once.
 
     anchor_size : metres; an object that is smaller and not fixed can't be an anchor
+    labels : those of the same scene, made before it was known what can be seen; what is shut away is taken from there
     """
 
     def __init__(
@@ -67,6 +68,7 @@ class SceneReferents:
         anchor_size: float,
         shapes: Shapes,
         can_be_seen: Callable[[str], bool] = lambda object_id: True,
+        labels: SceneReferents | None = None,
     ) -> None:
         self.scene = scene
         self._anchor_size, self._thresholds = anchor_size, thresholds
@@ -76,9 +78,13 @@ class SceneReferents:
         held: dict[str, list[SceneObject]] = {room.room_id: [] for room in scene.rooms}
         for item in scene.objects:
             held.setdefault(item.room_id, []).append(item)
-        self.hidden = shut_away(scene.objects, scene.family, self._label, self.meaning)
-        said = said_of(scene.objects, self._label, self.meaning)
-        astride = astride_rooms(scene, self._label, self.meaning)
+        if labels is None:
+            self.hidden = shut_away(scene.objects, scene.family, self._label, self.meaning)
+            self.said = said_of(scene.objects, self._label, self.meaning)
+            self.astride = astride_rooms(scene, self._label, self.meaning)
+        else:
+            self.hidden, self.said, self.astride = labels.hidden, labels.said, labels.astride
+        astride = self.astride
         self.rooms = {
             room.room_id: RoomView(
                 room,
@@ -89,7 +95,7 @@ class SceneReferents:
                 self.hidden,
                 can_be_seen,
                 thresholds,
-                said,
+                self.said,
                 frozenset(item.object_id for item, _ in astride if item.room_id == room.room_id),
                 frozenset(self._label(item) for item, others in astride if room.room_id in others),
             )

@@ -174,9 +174,12 @@ class Surroundings:
         area = 0 if upper.box is None else math.prod(upper.ground_sides())
         if upper.box is None or lower.box is None or not area:
             return False
-        bottom, (x, _, z) = upper.box[0][1], shared_sides(upper, lower)
+        bottom = upper.box[0][1]
         at_height = bottom - lower.box[0][1] > self._lift or bottom - lower.box[1][1] >= -self._lift
-        return at_height and bottom - lower.box[1][1] < self._slack and x * z / area >= self._share
+        if not at_height or bottom - lower.box[1][1] >= self._slack:
+            return False
+        x, _, z = shared_sides(upper, lower)
+        return x * z / area >= self._share
 
     def _surrounds(self, outer: Thing, inner: Thing) -> bool:
         """Return whether most of a piece of `inner` is inside a piece of `outer`."""
@@ -231,8 +234,9 @@ def shared_sides(one: Thing, other: Thing) -> tuple[int, int, int]:
     """Return the lengths along x, y and z of the overlap of two boxes."""
     assert one.box is not None
     assert other.box is not None
-    x, y, z = (max(min(one.box[1][k], other.box[1][k]) - max(one.box[0][k], other.box[0][k]), 0) for k in range(3))
-    return x, y, z
+    (x, y, z), (x1, y1, z1) = one.box
+    (u, v, w), (u1, v1, w1) = other.box
+    return max(min(x1, u1) - max(x, u), 0), max(min(y1, v1) - max(y, v), 0), max(min(z1, w1) - max(z, w), 0)
 
 
 def _whole(point: object) -> Point:

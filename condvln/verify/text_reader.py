@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from condvln.verify.phrasebook import phrasebook
+from condvln.verify.phrasebook import Phrasebook, phrasebook
 from condvln.verify.phrases import Moves, Named, Phrase, PhraseReader
 
 __all__ = ["MAX_CONDITIONS", "TextReading", "Unreadable", "read"]
@@ -103,10 +103,12 @@ _Function = tuple[tuple[Phrase, ...], tuple[Moves, ...], str | None]
 class _Reader(PhraseReader):
     """All readings of one text."""
 
+    def __init__(self, book: Phrasebook, text: str) -> None:
+        super().__init__(book, text)
+        self._continued: set[tuple[_State, int, Named | None]] = set()
+
     def readings(self) -> Iterator[tuple[_Function, bool]]:
-        """Yield each meaning of the whole text (the same may occur twice), and whether an answer refers to a question
-        before the latest one.
-        """
+        """Yield each meaning of the whole text, and whether an answer refers to a question before the latest one."""
         for at, heading in self._opening():
             for start, scope in self._scopes(at):
                 self.scope = scope
@@ -118,7 +120,13 @@ class _Reader(PhraseReader):
     # -- sentences -----------------------------------------------------------------------------------------------------
 
     def _sentences(self, state: _State, base: int) -> Iterator[_State]:
-        """Parse clauses to the end of the text; `base` : the cases that the clauses of this sentence are about."""
+        """Parse clauses to the end of the text; `base` : the cases that the clauses of this sentence are about.
+
+        More than half of all states are reached in several ways; what follows them is read once.
+        """
+        if (state, base, self.scope) in self._continued:
+            return
+        self._continued.add((state, base, self.scope))
         for end, _, _ in self._of(state.at, "list"):
             if self._is(end, ".") or self._is(end, ":"):
                 yield from self._sentences(state._replace(at=end + 1, listed=0), base)

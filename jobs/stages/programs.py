@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import pyarrow as pa
 
+from condvln.collector import no_collection
 from condvln.episodes.candidates import candidates_table
-from condvln.episodes.steps import draw_programs
+from condvln.episodes.steps import DrawnPrograms, draw_programs
 from condvln.episodes.table import (
     rejections_table,
     stops_table,
@@ -19,7 +20,7 @@ from condvln.instructions import (
     PriorBits,
 )
 from condvln.navigation.graph_pathfinder import GraphPathfinder
-from condvln.relations import RoomRelations, text_facts
+from condvln.relations import RoomRelations, TextFacts, text_facts
 from condvln.scene import Scene
 from factory.stage import Aggregate, Stage, StageOutput
 from factory.unit import Unit
@@ -107,7 +108,23 @@ class ProgramStage(Stage):
             arrays = scene.arrays(room.room_id)
             relations = RoomRelations.from_table(upstream["relations"], arrays, self.thresholds)
             facts[room.room_id] = text_facts(relations, self.thresholds)
-        drawn = draw_programs(
+        with no_collection():  # programs are trees; collecting garbage among them takes a tenth of this stage
+            drawn = self._drawn(unit, scene, facts, upstream, shared)
+            candidates = candidates_table(scene.scene_id, drawn.candidates)
+        keep_candidates(candidates, self.instructions.wanted, drawn.candidates)
+        return StageOutput(
+            tables={
+                "stops": stops_table(scene.scene_id, drawn.goals),
+                "candidates": candidates,
+                "rejections": rejections_table(scene.scene_id, self.name, drawn.rejections),
+            },
+            measures={"candidates": float(len(drawn.candidates))},
+        )
+
+    def _drawn(
+        self, unit: Unit, scene: Scene, facts: Mapping[str, TextFacts], upstream: Tables, shared: Tables
+    ) -> DrawnPrograms:
+        return draw_programs(
             scene,
             facts,
             self._bits(scene, shared),
@@ -120,16 +137,6 @@ class ProgramStage(Stage):
             preamble=self.preamble,
             seed=self.seed,
             graph=self._graph(unit, scene),
-        )
-        candidates = candidates_table(scene.scene_id, drawn.candidates)
-        keep_candidates(candidates, self.instructions.wanted, drawn.candidates)
-        return StageOutput(
-            tables={
-                "stops": stops_table(scene.scene_id, drawn.goals),
-                "candidates": candidates,
-                "rejections": rejections_table(scene.scene_id, self.name, drawn.rejections),
-            },
-            measures={"candidates": float(len(drawn.candidates))},
         )
 
     def _graph(self, unit: Unit, scene: Scene) -> GraphPathfinder | None:
