@@ -75,7 +75,6 @@ def run_demo(out: Path, *, scenes: int, seed: int, workers: int | None, console:
             f"episodes     {config.export}",
             f"predictions  {out / 'predictions'}",
             f"pictures     {out / 'pictures'}",
-            f"page         {page}",
             f"done in {time.monotonic() - began:.0f} s",
         ],
         [Section("Tables", ("table", "rows"), [(n, t.rows) for n, t in sorted(snapshot.manifest.tables.items())])],
@@ -84,6 +83,7 @@ def run_demo(out: Path, *, scenes: int, seed: int, workers: int | None, console:
     if measured is not None:
         printed.print(measured)
     printed.print(closing)
+    printed.print(Report({}, [f"the page: open {page}"]))
     return max(report.exit_code, proof.exit_code)
 
 

@@ -1,0 +1,114 @@
+"""``condvln explore``: the page of a configuration and of an export alone, with agents, without a browser."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from condvln.explorer.chunks import chunk_content
+from condvln.manifest import manifest_lines, manifest_paths
+from jobs.evaluate import walk_split
+from jobs.explore import Exploration, explore
+from jobs.report import Report
+from jobs.workspace import published
+from schemas.config import Config
+from schemas.errors import UsageError
+
+
+def chunks(page: Path) -> dict[str, Any]:
+    return dict(chunk_content(path.read_bytes()) for path in sorted((page / "data").glob("*.js")))
+
+
+@pytest.fixture(scope="module")
+def asked(
+    made_run: tuple[Config, Report], export: Path, split: str, tmp_path_factory: pytest.TempPathFactory
+) -> Exploration:
+    folder = tmp_path_factory.mktemp("explored")
+    config = made_run[0].model_copy(update={"export": export})
+    walk_split(export, split, "perfect", folder / "perfect.json", [config.sources[0].root], 0)
+    return Exploration(folder / "page", export, config, (folder / "perfect.json",))
+
+
+def test_a_snapshot_is_shown_whole(asked: Exploration, split: str) -> None:
+    assert asked.config is not None
+    report = explore(asked)
+    found = chunks(asked.out)
+    snapshot = published(asked.config)
+    assert (
+        report.document["episodes"] == snapshot.manifest.tables["episodes"].rows == len(found["index"]["columns"]["id"])
+    )
+    shown = {one["id"]: one for name, many in found.items() if name.startswith("episodes-") for one in many}
+    for row in snapshot.table("episodes").to_pylist():
+        one = shown[str(row["episode_id"])]
+        assert one["text"] == row["instruction_text"]
+        assert one["heading"] == pytest.approx(row["start_heading_degrees"], abs=0.06)
+        assert [leaf["route_length"] for leaf in one["leaves"]] == [leaf["route_length"] for leaf in row["leaves"]]
+        assert one["clauses"], "the text's own grammar reads it"
+    plans = [found[f"scene-{k}"] for k in range(len(found["index"]["scenes"]))]
+    assert sum(len(plan["objects"]) for plan in plans) == snapshot.manifest.tables["objects"].rows
+    assert sum(len(plan["rooms"]) for plan in plans) == snapshot.manifest.tables["rooms"].rows
+    assert all(plan["floor"] for plan in plans)
+    edges = [row for row in snapshot.table("relations", columns=["kind"])["kind"].to_pylist() if row != "containment"]
+    assert sum(len(found[f"graph-{k}"]["subject"]) for k in range(len(plans))) == len(edges)
+    (agent,) = found["index"]["agents"]
+    own = {str(line.fields()["episode_id"]) for line in manifest_lines(asked.export / "manifest" / f"{split}.jsonl")}  # type: ignore[operator]
+    success = found["index"]["outcomes"].index("success")
+    assert {
+        name: outcome
+        for name, outcome in zip(found["index"]["columns"]["id"], agent["outcome"], strict=True)
+        if outcome
+    } == dict.fromkeys(own, success)
+    walks = {name: walk for key, many in found.items() if key.startswith("walks-") for name, walk in many.items()}
+    assert walks.keys() == own
+    assert all(walk["perfect"]["distance"][-1] < 1.0 and walk["perfect"]["geodesic"] for walk in walks.values())
+
+
+def test_a_condition_has_the_numbers_of_the_tables(asked: Exploration) -> None:
+    assert asked.config is not None
+    explore(dataclasses.replace(asked, predictions=()))
+    used = {
+        (row["scene_id"], row["subject"], row["target"]): row["used_distance"]
+        for row in published(asked.config).table("relations").to_pylist()
+        if row["kind"] == "canonical"
+    }
+    compared = 0
+    for name, many in chunks(asked.out).items():
+        for one in many if name.startswith("episodes-") else ():
+            for condition, facts in zip(one["program"]["conditions"], one["facts"], strict=True):
+                named = {thing["id"] for thing in facts["things"] if thing["role"] == "witness"}
+                assert named == set(condition["witnesses"])
+                if condition["qualifier"] is not None and len(condition["qualifier"]["anchors"]) == 1:
+                    anchor = condition["qualifier"]["anchors"][0]["object_id"]
+                    for thing in facts["things"]:
+                        assert thing["used"] == pytest.approx(used[one["scene"], thing["id"], anchor], abs=6e-4)
+                        compared += 1
+    assert compared
+
+
+def test_an_export_alone_is_shown_without_furniture(asked: Exploration, export: Path, tmp_path: Path) -> None:
+    explore(Exploration(tmp_path / "page", export, roots=asked.roots, before=export))
+    found = chunks(tmp_path / "page")
+    rows = [line.fields() for path in manifest_paths(export) for line in manifest_lines(path)]
+    assert sorted(found["index"]["columns"]["id"]) == sorted(str(row["episode_id"]) for row in rows)
+    assert found["scene-0"]["rooms"] == found["scene-0"]["objects"] == []
+    assert found["statistics"]["drift"] == {
+        "cells": found["statistics"]["drift"]["cells"], "kept": len(rows), "gone": 0, "new": 0
+    }  # fmt: skip
+
+
+def test_faults_leave_no_page(asked: Exploration, export: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.json"
+    other.write_text(json.dumps({"999": [{"position": [0, 0, 0], "heading": 0, "stop": True}]}))
+    for wrong, said in (
+        (Exploration(tmp_path / "page", tmp_path), "neither a configuration nor an export"),
+        (Exploration(tmp_path / "page", export, predictions=(other,)), "no episode of the export"),
+        (Exploration(tmp_path / "page", export, before=tmp_path), "names no export"),
+        (Exploration(tmp_path / "page", export, views=1), "nothing to see"),
+    ):
+        with pytest.raises(UsageError, match=said):
+            explore(wrong)
+        assert not (tmp_path / "page").exists()
