@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import asdict, dataclass, field
 from importlib import metadata
 from pathlib import Path
@@ -21,6 +21,9 @@ from condvln.formats.streams import atomic_stream
 from condvln.trajectories.cameras import Sweep, hub_cameras
 from condvln.trajectories.hub import SceneWalks, write_hub
 from condvln.trajectories.images import clear_parts, folders_of
+from condvln.trajectories.internvla import internvla_n1
+from condvln.trajectories.layouts import AddScene, Layout, janusvln, navila
+from condvln.trajectories.uninavid import uninavid
 from factory.commits import Commits
 from factory.files import FileHashes
 from factory.heartbeat import Busy
@@ -46,8 +49,11 @@ from schemas.version import SCHEMA_VERSION
 
 __all__ = ["LAYOUTS", "RECORD", "Request", "make_trajectories", "trajectory_config"]
 
-LAYOUTS: Final = ("streamvln",)
-"""Names of the layouts."""
+_VIEWS: Final[Mapping[str, Layout]] = {"navila": navila, "uninavid": uninavid, "janusvln": janusvln}
+"""Layouts that need the main camera only."""
+
+LAYOUTS: Final = ("streamvln", *_VIEWS, "internvla-n1")
+"""Names of the layouts. The first one is the hub, which is always written."""
 
 RECORD: Final = "trajectories.json"
 """The folder's own record: layouts, cameras, configuration, counts and versions. It is written last."""
@@ -224,18 +230,11 @@ class _Run:
         counts = {"trajectories": 0, "episodes": 0, "frames": 0, "images": 0, "bytes": 0, "left_out": 0}
         kinds: dict[str, int] = {}
         kept: set[str] = set()
-        for scene in write_hub(self.folder, self._scenes(snapshot, pipeline)):
-            rows = scene.trajectories()
-            poses = scene.tables["poses"]
-            counts["trajectories"] += len(rows)
-            counts["episodes"] += len({row["episode_id"] for row in rows})
-            counts["frames"] += sum(row["n_frames"] for row in rows if row["frames_of"] == row["trajectory"])
-            counts["images"] += poses.num_rows
-            counts["bytes"] += sum(poses["bytes"].to_pylist())
-            counts["left_out"] += scene.tables["left_out"].num_rows
-            for row in rows:
-                kinds[row["kind"]] = kinds.get(row["kind"], 0) + 1
-                kept.add(row["frames_of"])
+        with ExitStack() as stack:
+            views = [stack.enter_context(view) for view in self._views()]
+            self._count(write_hub(self.folder, self._scenes(snapshot, pipeline)), views, counts, kinds, kept)
+        for name in set(LAYOUTS[1:]) - set(self.request.layouts):
+            shutil.rmtree(self.folder / name, ignore_errors=True)
         for name, path in folders_of(self.folder).items():
             if name not in kept:
                 shutil.rmtree(path)
@@ -254,6 +253,38 @@ class _Run:
         with atomic_stream(self.folder / RECORD) as stream:
             stream.write(orjson.dumps(record, option=orjson.OPT_INDENT_2 | orjson.OPT_SORT_KEYS) + b"\n")
         return {**counts, "kinds": kinds, "folder": str(self.folder)}
+
+    def _views(self) -> Iterator[AbstractContextManager[AddScene]]:
+        """Yield the layouts beside the hub that are asked for."""
+        for name in self.request.layouts:
+            if name in _VIEWS:
+                yield _VIEWS[name](self.folder, self.target.split)
+            elif name == "internvla-n1":
+                yield internvla_n1(self.folder, self.target.split, self.cameras)
+
+    @staticmethod
+    def _count(
+        scenes: Iterator[SceneWalks],
+        views: Sequence[AddScene],
+        counts: dict[str, int],
+        kinds: dict[str, int],
+        kept: set[str],
+    ) -> None:
+        """Hand the scenes to the layouts, and count what they have."""
+        for scene in scenes:
+            for add in views:
+                add(scene)
+            rows = scene.trajectories()
+            poses = scene.tables["poses"]
+            counts["trajectories"] += len(rows)
+            counts["episodes"] += len({row["episode_id"] for row in rows})
+            counts["frames"] += sum(row["n_frames"] for row in rows if row["frames_of"] == row["trajectory"])
+            counts["images"] += poses.num_rows
+            counts["bytes"] += sum(poses["bytes"].to_pylist())
+            counts["left_out"] += scene.tables["left_out"].num_rows
+            for row in rows:
+                kinds[row["kind"]] = kinds.get(row["kind"], 0) + 1
+                kept.add(row["frames_of"])
 
     def _scenes(self, snapshot: Snapshot, pipeline: Pipeline) -> Iterator[SceneWalks]:
         """Yield the scenes of a snapshot in the order of their ids; one at a time is in memory."""

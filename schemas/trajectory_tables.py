@@ -19,6 +19,10 @@ def _required(name: str, kind: pa.DataType, about: str) -> pa.Field:
     return pa.field(name, kind, nullable=False, metadata={"description": about})
 
 
+def _optional(name: str, kind: pa.DataType, about: str) -> pa.Field:
+    return pa.field(name, kind, metadata={"description": about})
+
+
 _S: Final = pa.string()
 _I: Final = pa.int32()
 _F: Final = pa.float64()
@@ -80,6 +84,8 @@ POSES: Final = pa.schema(
         _required("eye_height", _F, "height of the camera above the agent's feet, metres"),
         _required("look_down", _F, "angle by which the camera looks below the horizon, degrees"),
         _required("intrinsics", _INTRINSICS, "focal lengths and principal point, pixels; pixel centres are at .5"),
+        _optional("goal", pa.list_(_I), "column and row of the farthest later place that a depth camera sees, if any"),
+        _optional("goal_frame", _I, "number of frames until that place is reached"),
         _required("bytes", pa.int64(), "size of the image file"),
         _required("sha256", _S, "SHA-256 of the image file"),
     ]

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from condvln.sensors import Frame, Renderer
 from condvln.trajectories.cameras import Cameras, intrinsics, is_depth
+from condvln.trajectories.pixel_goals import mistake_after, pixel_goal
 from schemas.config import CameraConfig, TrajectoryConfig
 from schemas.errors import StoreError
 from schemas.trajectory_tables import POSES, STEPS
@@ -88,8 +89,14 @@ class ImageWriter:
                 (part / camera).mkdir(parents=True, exist_ok=True)
             places = _columns(steps["position"])
             images: list[dict[str, Any]] = []
+            right = np.asarray(steps["action"]) == np.asarray(steps["executed"])
             for frame, (place, heading) in enumerate(zip(places, steps["heading"].to_pylist(), strict=True)):
-                for camera, data in self.draw(place, heading):
+                ahead = places[frame + 1 : mistake_after(right, frame)]
+                for camera, data, seen in self.draw(place, heading):
+                    goal = None
+                    if seen is not None:
+                        slack = self._config.goal_slack
+                        goal = pixel_goal(self._cameras[camera], place, heading, ahead, seen, slack)
                     path = image_path(name, camera, frame)
                     (part / camera / path.rpartition("/")[2]).write_bytes(data)
                     images.append(
@@ -97,6 +104,8 @@ class ImageWriter:
                             "step": frame,
                             "camera": camera,
                             "image": path,
+                            "goal": None if goal is None else [goal.column, goal.row],
+                            "goal_frame": None if goal is None else goal.frames,
                             "bytes": len(data),
                             "sha256": hashlib.sha256(data).hexdigest(),
                         }
@@ -112,26 +121,34 @@ class ImageWriter:
             shutil.rmtree(part, ignore_errors=True)
         return self._rows(steps, images)
 
-    def draw(self, place: NDArray[np.float64], heading: float) -> Iterator[tuple[str, bytes]]:
-        """Yield each camera's name and image file at a pose; cameras that differ in modality are rendered once."""
+    def draw(
+        self, place: NDArray[np.float64], heading: float
+    ) -> Iterator[tuple[str, bytes, NDArray[np.float32] | None]]:
+        """Yield each camera's name, image file, and depth if it stores depth; cameras that differ in modality are
+        rendered once.
+        """
         for view, names in self._views.items():
             frame: Frame = self._renderer.look(view, place, heading, rgb=not all(map(is_depth, names)))
             for name in names:
                 if is_depth(name):
-                    yield name, encode_depth(frame.depth, self._config.png_level)
+                    yield name, encode_depth(frame.depth, self._config.png_level), frame.depth
                 else:
-                    yield name, encode_rgb(frame.rgb, self._config.jpeg_quality)
+                    yield name, encode_rgb(frame.rgb, self._config.jpeg_quality), None
 
     def _rows(self, steps: pa.Table, images: list[dict[str, Any]]) -> pa.Table:
         repeated = steps.take(pa.array([image["step"] for image in images], pa.int64()))
         cameras = [self._cameras[image["camera"]] for image in images]
         columns: dict[str, Any] = {name: repeated[name] for name in STEPS.names}
-        columns |= {key: [image[key] for image in images] for key in ("camera", "image", "bytes", "sha256")}
+        columns |= {
+            key: [image[key] for image in images]
+            for key in ("camera", "image", "goal", "goal_frame", "bytes", "sha256")
+        }
         columns |= {key: [getattr(camera, key) for camera in cameras] for key in _CAMERA}
         columns["intrinsics"] = [intrinsics(camera) for camera in cameras]
         return pa.table({name: columns[name] for name in POSES.names}, schema=POSES)
 
 
+_IMAGE: Final = ("camera", "image", "goal", "goal_frame", "bytes", "sha256")
 _CAMERA: Final = ("width", "height", "hfov", "eye_height", "look_down")
 
 

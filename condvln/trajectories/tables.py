@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from condvln.trajectories.walks import LeftOut, Walked
 from schemas.evaluation import ManifestEpisode
 from schemas.trajectory_tables import LEFT_OUT, STEPS, TRAJECTORIES
 
-__all__ = ["WalkRows", "rotation_of", "vector"]
+__all__ = ["WalkRows", "point_of", "vector"]
 
 
 def vector(values: Iterable[float]) -> dict[str, float]:
@@ -23,9 +22,9 @@ def vector(values: Iterable[float]) -> dict[str, float]:
     return dict(zip("xyz", map(float, values), strict=True))
 
 
-def rotation_of(heading: float) -> dict[str, float]:
-    """Return the quaternion of a heading, in radians counter-clockwise from −z, about +y."""
-    return {"x": 0.0, "y": math.sin(heading / 2), "z": 0.0, "w": math.cos(heading / 2)}
+def point_of(row: Mapping[str, float]) -> NDArray[np.float64]:
+    """Return a point (3,) from a row of the tables."""
+    return np.array([row[axis] for axis in "xyz"], np.float64)
 
 
 class WalkRows:

@@ -15,13 +15,23 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.navigation.follower import FORWARD, LEFT, RIGHT, FollowedRoute, Follower
+from condvln.navigation.follower import FORWARD, LEFT, RIGHT, STOP, FollowedRoute, Follower
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.seeding import Draws, generator
 from schemas.config import TrajectoryConfig, WalkKind
 from schemas.evaluation import ManifestEpisode
 
-__all__ = ["LeftOut", "Walked", "folder_name", "gold_walk", "heading_of", "leaf_stops", "recovery_walks", "twin_of"]
+__all__ = [
+    "LeftOut",
+    "Walked",
+    "folder_name",
+    "gold_walk",
+    "heading_of",
+    "leaf_stops",
+    "recovery_walks",
+    "repeats_of",
+    "twin_of",
+]
 
 F64 = NDArray[np.float64]
 Actions = NDArray[np.int8]
@@ -214,6 +224,13 @@ def _walked(
         walk.headings[: len(actions)],
         leaf,
     )
+
+
+def repeats_of(walked: Walked, config: TrajectoryConfig) -> NDArray[np.int32]:
+    """Return how often each frame (n,) is a sample, by its right action; 0 in a mistake."""
+    by_action = np.full(4, config.turn_repeats, np.int32)
+    by_action[STOP], by_action[FORWARD] = config.stop_repeats, config.forward_repeats
+    return np.where(walked.actions == walked.executed, by_action[walked.actions], 0).astype(np.int32)
 
 
 def twin_of(gold: Walked, episode: ManifestEpisode) -> Walked:

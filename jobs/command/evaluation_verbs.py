@@ -26,6 +26,15 @@ def verify(
     without_store: Annotated[
         bool, typer.Option("--without-store", help="do not compare with the published snapshot")
     ] = False,
+    trajectories: Annotated[
+        Path | None,
+        typer.Option(
+            "--trajectories",
+            metavar="DIR",
+            help="verify a folder of condvln trajectories instead: poses, images and instructions",
+        ),
+    ] = None,
+    split: Annotated[str, typer.Option(help="split of the trajectories' episodes")] = "train",
     overrides: Overrides = None,
     as_json: AsJson = False,
 ) -> None:
@@ -34,6 +43,16 @@ def verify(
     """
     from jobs.configuration import load_config
     from jobs.verify import verify_export
+
+    if trajectories is not None:
+        from jobs.trajectory_units import find_target
+        from jobs.verify_trajectories import verify_trajectories
+
+        changed = [*(overrides or ()), *([f"export={export.resolve()}"] if export is not None else [])]
+        proof = verify_trajectories(find_target(str(config), split, overrides=changed), trajectories)
+        answer(proof, as_json)
+        leave(proof.exit_code)
+        return
 
     loaded = load_config(config, overrides or ())
     folder = export or loaded.export

@@ -24,7 +24,8 @@ def trajectories(
         typer.Option(
             "--layout",
             metavar="NAME",
-            help="streamvln (always written, since the others name its images); may be repeated",
+            help="streamvln (always written, since the others name or link its images), navila, uninavid, janusvln, "
+            "internvla-n1; may be repeated",
         ),
     ] = None,
     camera: Annotated[str, typer.Option(help="main camera: streamvln, snav or vlnce")] = "streamvln",

@@ -10,14 +10,12 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from condvln.manifest import manifest_lines
 from condvln.navigation.navmesh_folder import NavmeshFolder
 from condvln.sensors import Renderer, open_renderer
 from condvln.trajectories.images import ImageWriter
 from condvln.trajectories.tables import WalkRows
-from condvln.trajectories.walks import LeftOut, gold_walk, heading_of, recovery_walks, twin_of
+from condvln.trajectories.walks import LeftOut, gold_walk, heading_of, recovery_walks, repeats_of, twin_of
 from factory.rows import logical_hash
 from factory.stage import Stage, StageOutput
 from factory.unit import Unit
@@ -33,7 +31,7 @@ __all__ = ["STAMP", "FrameStage", "WalkStage", "stamp_path"]
 STAMP: Final = "stamp"
 """File of a commit of ``frames`` that says which images it wrote; see `stamp_path`."""
 
-_IMAGE_KEYS: Final = frozenset({"jpeg_quality", "png_level"})
+_IMAGE_KEYS: Final = frozenset({"goal_slack", "jpeg_quality", "png_level"})
 """Keys of the configuration that the images depend on, and the walks do not."""
 
 
@@ -76,11 +74,11 @@ class WalkStage(Stage):
                 if isinstance(walked, LeftOut):
                     rows.leave_out(episode, walked)
                     continue
-                repeats = (walked.actions == walked.executed).astype(np.int32)
+                repeats = repeats_of(walked, self.config)
                 rows.add(episode, walked, pathfinder, episode.instruction_text, repeats)
             if "oracle" in self.config.walks and not isinstance(gold, LeftOut):
-                repeats = np.ones(len(gold), np.int32)
-                rows.add(episode, twin_of(gold, episode), pathfinder, self._twin(episode), repeats, gold.name)
+                twin, repeats = twin_of(gold, episode), repeats_of(gold, self.config)
+                rows.add(episode, twin, pathfinder, self._twin(episode), repeats, gold.name)
         tables = rows.tables()
         return StageOutput(tables=tables, measures={"frames": float(tables["steps"].num_rows)})
 

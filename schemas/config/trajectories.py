@@ -44,6 +44,13 @@ class TrajectoryConfig(Section):
         12, description="maximum number of wrong actions of a mistake"
     )
 
+    goal_slack: Share = Field(
+        0.1, description="share by which the seen depth may be less than that of a place that counts as seen"
+    )
+    stop_repeats: Count = Field(1, description="how often a frame whose right action is STOP is a sample")
+    forward_repeats: Count = Field(1, description="how often a frame whose right action is forward is a sample")
+    turn_repeats: Count = Field(1, description="how often a frame whose right action is a turn is a sample")
+
     @model_validator(mode="after")
     def _bounds_rise(self) -> TrajectoryConfig:
         for least, most in (("least_actions", "most_actions"), ("least_mistake", "most_mistake")):

@@ -23,7 +23,9 @@ from condvln.trajectories.cameras import PRESETS, hub_cameras
 from condvln.trajectories.images import encode_rgb
 from condvln.trajectories.walks import heading_of
 from jobs.report import Report
-from jobs.trajectories import Request, make_trajectories, trajectory_config
+from jobs.trajectories import LAYOUTS, Request, make_trajectories, trajectory_config
+from jobs.trajectory_units import find_target
+from jobs.verify_trajectories import verify_trajectories
 from schemas.config import CameraConfig, Config, TrajectoryConfig
 from schemas.errors import UsageError
 
@@ -49,6 +51,7 @@ def asked(made_run: tuple[Config, Report], export: Path, split: str) -> Request:
         split=split,
         camera="tiny",
         config=WALKS,
+        layouts=LAYOUTS,
         scenes=(f"replicacad={source.root}",),
         inline=True,
     )
@@ -92,7 +95,7 @@ def test_every_walk_replays_to_its_poses_and_ends_at_the_goal(asked: Request, ma
     slipped = 0
     for walk in walks:
         episode = episodes[walk["episode_id"]]
-        found = poses[walk["frames_of"]]
+        found = [row for row in poses[walk["frames_of"]] if row["camera"] == "rgb"]
         assert [row["frame"] for row in found] == [*range(walk["n_frames"])]
         assert [row["executed"] for row in found] == walk["executed"]
         pathfinder = export.pathfinder(episode)
@@ -116,7 +119,7 @@ def test_the_images_are_what_the_renderer_draws(asked: Request, made: Path) -> N
     source = open_source("replicacad", asked.scenes[0].partition("=")[2])
     scenes = {name: source.read(name) for name in source.scene_ids()}
     renderers = {name: open_renderer(scene, source.geometry(scene)) for name, scene in scenes.items()}
-    for row in rows(made, "poses")[::97]:
+    for row in [row for row in rows(made, "poses") if row["camera"] == "rgb"][::97]:
         data = (made / row["image"]).read_bytes()
         assert (len(data), hashlib.sha256(data).hexdigest()) == (row["bytes"], row["sha256"])
         assert Image.open(made / row["image"]).size == (32, 24) == (row["width"], row["height"])
@@ -140,6 +143,77 @@ def test_annotations_are_streamvln_s(made: Path) -> None:
         assert entry["id"] == walk["episode_id"]
 
 
+def test_the_other_layouts_name_the_same_images(asked: Request, made: Path) -> None:
+    walks = rows(made, "trajectories")
+    right = {row["trajectory"]: sum(row["repeats"]) for row in walks}
+    steps = [json.loads(line) for line in (made / "navila" / "annotations.json").read_bytes().splitlines()]
+    assert {step["episode_id"] for step in steps} == {row["episode_id"] for row in walks}
+    assert all((made / "images" / step["frames"][-1]).is_file() for step in steps)
+    samples = json.loads((made / "janusvln" / "train.json").read_bytes())
+    assert len(samples) == sum(right.values())
+    for sample in samples:
+        assert sample["conversations"][0]["value"].count("<image>") == len(sample["images"]) <= 9
+    gold = next(row for row in walks if row["kind"] == "gold")
+    linked = sorted((made / "janusvln/trajectory_data/R2R" / asked.split / str(gold["episode_id"])).iterdir())
+    words = {"STOP": 0, "MOVE_FORWARD": 1, "TURN_LEFT": 2, "TURN_RIGHT": 3}
+    for path, action in zip(linked, gold["actions"], strict=True):
+        parts = path.stem.split("_")  # as the project's script takes the action from a name
+        name = "_".join(parts[-2:]).upper() if len(parts) > 3 else parts[-1].upper()
+        assert words[name] == action
+    assert linked[2].samefile(made / "images" / gold["trajectory"] / "rgb" / "003.jpg")
+    talks = json.loads((made / "uninavid" / "annotations.json").read_bytes())
+    assert all((made / "uninavid" / talk["video"]).is_file() and "NAV_ID" in talk["id"] for talk in talks)
+    assert {len(talk["conversations"][1]["value"].split()) for talk in talks} == {4}
+
+
+def test_pairs_of_cameras_are_internvla_n1_s(made: Path) -> None:
+    walks = {row["trajectory"]: row for row in rows(made, "trajectories")}
+    lines = 0
+    goals = []
+    for scene in (made / "internvla-n1").iterdir():
+        for line in (scene / "meta" / "episodes.jsonl").read_bytes().splitlines():
+            entry = json.loads(line)
+            walk, lines = walks[entry["trajectory"]], lines + 1
+            number, count = entry["episode_index"], walk["n_frames"]
+            data = pq.read_table(scene / "data" / "chunk-000" / f"episode_{number:06d}.parquet").to_pydict()
+            assert data["action"] == [-1, *walk["actions"][:-1]]
+            assert len(data["action"]) == entry["length"] == count
+            for kind, suffix in (("rgb.125cm_0deg", "jpg"), ("rgb.125cm_30deg", "jpg"), ("depth.125cm_30deg", "png")):
+                images = scene / "videos" / "chunk-000" / f"observation.images.{kind}"
+                assert all((images / f"episode_{number:06d}_{frame}.{suffix}").is_file() for frame in range(count))
+            assert Image.open(images / f"episode_{number:06d}_0.png").mode == "I;16"
+            poses = np.array(data["pose.125cm_30deg"])
+            assert poses.shape == (count, 4, 4)
+            for frame, ahead in enumerate(data["relative_goal_frame_id.125cm_30deg"]):
+                if ahead < 0:
+                    continue
+                column, row = data["goal.125cm_30deg"][frame]
+                assert 0 <= column < 32
+                assert 0 <= row < 24
+                # The goal's pixel is where the place reached `ahead` frames later is projected.
+                feet = poses[frame + ahead][:3, 3] - [0, 1.25, 0]
+                x, y, z = np.linalg.solve(poses[frame], [*feet, 1])[:3]
+                focal = 16 / math.tan(math.radians(39.5))
+                middle = [column + 0.5, row + 0.5]
+                np.testing.assert_allclose([16 + focal * x / z, 12 + focal * y / z], middle, atol=0.5001)
+                goals.append(ahead)
+    assert lines == len(walks)
+    assert len(goals) > 20
+    assert max(goals) > 3
+
+
+def proven(asked: Request, folder: Path, **options: Any) -> Report:
+    return verify_trajectories(find_target(asked.target, asked.split, asked.scenes), folder, **options)
+
+
+def test_trajectories_are_proven(asked: Request, made: Path) -> None:
+    report = proven(asked, made, render_every=100)
+    assert report.document["faults"] == []
+    assert report.exit_code == 0
+    assert report.document["rendered"] > 3
+
+
+@pytest.mark.soak
 def test_a_second_run_finds_everything_and_a_damaged_image_is_made_again(
     asked: Request, made: Path, tmp_path: Path
 ) -> None:

@@ -1,0 +1,358 @@
+"""Prove a folder of trajectories: actions replay to poses, walks end at their goals, images are what the poses show.
+
+The tables are read again and compared with the export's manifest, its navmeshes and the scenes. Walks are not planned
+again: what is proven is that each one is a walk of its episode.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import math
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import orjson
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from condvln.navigation.follower import STOP, Follower
+from condvln.navigation.pathfinder import Pathfinder
+from condvln.sensors import Renderer
+from schemas.config import CameraConfig
+from schemas.errors import FormatError, MissingFileError
+from schemas.evaluation import ManifestEpisode
+
+__all__ = ["TrajectoryFault", "TrajectoryProof", "TrajectoryWorld", "prove_trajectories"]
+
+Row = Mapping[str, Any]
+F64 = NDArray[np.float64]
+
+_REMEDY: Final = "Run condvln trajectories again with this folder; it makes damaged images again."
+_CAMERA: Final = ("width", "height", "hfov", "eye_height", "look_down")
+_ANGLE: Final = 1e-9
+"""Largest difference in a component of two equal rotations."""
+
+
+@dataclass(frozen=True)
+class TrajectoryFault:
+    """What is wrong with a walk, or with the folder where `trajectory` is empty."""
+
+    trajectory: str
+    what: str
+
+    def __str__(self) -> str:
+        return f"{self.trajectory}: {self.what}" if self.trajectory else self.what
+
+
+@dataclass(frozen=True)
+class TrajectoryWorld:
+    """What walks are compared with.
+
+    episode : the manifest's row of an episode id; None if there is none
+    text : the instruction that a kind of walk of an episode has
+    pathfinder, renderer : of an episode's scene
+    render_every : of how many images one is rendered again; 0 for none
+    """
+
+    episode: Callable[[int], ManifestEpisode | None]
+    text: Callable[[ManifestEpisode, str], str]
+    pathfinder: Callable[[ManifestEpisode], Pathfinder]
+    renderer: Callable[[ManifestEpisode], Renderer]
+    render_every: int = 50
+
+
+@dataclass
+class TrajectoryProof:
+    """Counts of what was checked, and the faults."""
+
+    walks: int = 0
+    frames: int = 0
+    images: int = 0
+    rendered: int = 0
+    faults: list[TrajectoryFault] = field(default_factory=list)
+
+
+def prove_trajectories(folder: Path, world: TrajectoryWorld) -> TrajectoryProof:
+    """Check every walk of a folder; scenes are read one after the other.
+
+    Raises
+    ------
+    MissingFileError, FormatError : the folder holds no trajectories, or a table can't be read
+    """
+    record = _record(folder)
+    cameras = {name: CameraConfig.model_validate(camera) for name, camera in record["cameras"].items()}
+    images = record["config"]
+    proof = TrajectoryProof()
+    entries = {str(entry.get("trajectory")): entry for entry in _annotations(folder)}
+    walks = _table(folder, "trajectories").to_pylist()
+    names = [walk["trajectory"] for walk in walks]
+    if sorted(entries) != sorted(names) or len(set(names)) != len(names):
+        proof.faults.append(TrajectoryFault("", "annotations.json and trajectories.parquet have different walks"))
+    owners = {walk["trajectory"]: walk for walk in walks if walk["frames_of"] == walk["trajectory"]}
+    for walk in walks:
+        proof.walks += 1
+        found = _Walk(walk, entries.get(walk["trajectory"]), world)
+        faults = [*found.faults(owners)]
+        proof.faults += [TrajectoryFault(walk["trajectory"], what) for what in faults]
+    seen: set[str] = set()
+    for name, rows in _walks_of(folder / "poses.parquet"):
+        seen.add(name)
+        walk = owners.get(name)
+        if walk is None:
+            proof.faults.append(TrajectoryFault(name, "poses.parquet has a walk that trajectories.parquet has not"))
+            continue
+        frames = _Frames(folder, walk, rows, cameras, images, world)
+        proof.faults += [TrajectoryFault(name, what) for what in frames.faults(proof)]
+    proof.faults += [TrajectoryFault(name, "the walk has no poses") for name in sorted(set(owners) - seen)]
+    return proof
+
+
+class _Walk:
+    """The row of a walk against its episode and its entry in ``annotations.json``."""
+
+    def __init__(self, walk: Row, entry: Row | None, world: TrajectoryWorld) -> None:
+        self._walk, self._entry, self._world = walk, entry, world
+
+    def faults(self, owners: Mapping[str, Row]) -> Iterator[str]:
+        walk, entry = self._walk, self._entry
+        episode = self._world.episode(int(walk["episode_id"]))
+        if episode is None:
+            yield f"the export has no episode {walk['episode_id']}"
+            return
+        if walk["instruction_text"] != self._world.text(episode, walk["kind"]):
+            yield "the instruction is not the episode's"
+        gold = next(leaf for leaf in episode.leaves if leaf.leaf == episode.gold_leaf)
+        if [_point(goal).tolist() for goal in walk["goals"]] != [list(map(float, goal)) for goal in gold.goals]:
+            yield "the goals are not the episode's"
+        if walk["success_distance"] != episode.success_distance:
+            yield "the success distance is not the episode's"
+        if [walk["start_rotation"][axis] for axis in "xyzw"] != [*map(float, episode.start_rotation)]:
+            yield "the start rotation is not the episode's"
+        if (walk["navmesh"], walk["navmesh_sha256"]) != (episode.navmesh, episode.navmesh_sha256):
+            yield "the navmesh is not the episode's"
+        if walk["scene_id"] != episode.scene_id:
+            yield "the scene is not the episode's"
+        owner = owners.get(walk["frames_of"])
+        if owner is None:
+            yield f"the images of {walk['frames_of']} are not there"
+        elif [owner[key] for key in ("actions", "executed", "episode_id")] != [
+            walk[key] for key in ("actions", "executed", "episode_id")
+        ]:
+            yield "the walk has the images of another walk"
+        yield from self._actions()
+        if entry is not None:
+            yield from self._annotation(entry)
+        yield from self._replayed(episode)
+
+    def _actions(self) -> Iterator[str]:
+        walk = self._walk
+        actions, executed = np.array(walk["actions"]), np.array(walk["executed"])
+        if not len(actions) == len(executed) == len(walk["repeats"]) == walk["n_frames"] or not len(actions):
+            yield "actions, repeats and frames differ in number"
+            return
+        wrong = actions != executed
+        if actions[-1] != STOP or executed[-1] != STOP or (executed[:-1] == STOP).any():
+            yield "the walk does not end with its only STOP"
+        if walk["kind"] != "recovery" and wrong.any():
+            yield "an action is not the one that was taken"
+        if (np.array(walk["repeats"])[wrong] != 0).any() or (np.array(walk["repeats"])[~wrong] < 1).any():
+            yield "a frame of a mistake is a sample, or another one is not"
+
+    def _annotation(self, entry: Row) -> Iterator[str]:
+        walk = self._walk
+        if [*entry["actions"][1:], STOP] != walk["actions"] or entry["actions"][:1] != [-1]:
+            yield "annotations.json has other actions"
+        if entry["instructions"] != [walk["instruction_text"]]:
+            yield "annotations.json has another instruction"
+        if entry["id"] != walk["episode_id"] or entry["kind"] != walk["kind"]:
+            yield "annotations.json has another episode or kind"
+        if entry["video"] != f"images/{walk['frames_of']}":
+            yield "annotations.json names other images"
+        if entry.get("repeats") != walk["repeats"]:
+            yield "annotations.json has other repeats"
+
+    def _replayed(self, episode: ManifestEpisode) -> Iterator[str]:
+        pathfinder = self._world.pathfinder(episode)
+        walk = Follower(pathfinder).walk(episode.start_position, _heading(episode), self._walk["executed"])
+        left = float(pathfinder.distance_table(walk.positions[-1:], _goals(self._walk)).min())
+        if not left <= episode.success_distance:
+            yield f"the walk ends {left:.2f} m from the goal; it may end {episode.success_distance:g} m from it"
+        if _point(self._walk["start_position"]).tolist() != walk.positions[0].astype(float).tolist():
+            yield "the start is not the episode's"
+
+
+class _Frames:
+    """The poses and images of one walk."""
+
+    def __init__(
+        self,
+        folder: Path,
+        walk: Row,
+        rows: list[dict[str, Any]],
+        cameras: Mapping[str, CameraConfig],
+        images: Row,
+        world: TrajectoryWorld,
+    ) -> None:
+        self._folder, self._walk, self._rows, self._cameras = folder, walk, rows, cameras
+        self._images, self._world = images, world
+
+    def faults(self, proof: TrajectoryProof) -> Iterator[str]:
+        walk = self._walk
+        count = walk["n_frames"]
+        proof.frames += count
+        wanted = [(frame, name) for frame in range(count) for name in sorted(self._cameras)]
+        if [(row["frame"], row["camera"]) for row in self._rows] != wanted:
+            yield "a frame has no pose, or more than one"
+            return
+        if any(row["episode_id"] != walk["episode_id"] or row["kind"] != walk["kind"] for row in self._rows):
+            yield "a pose has another episode or kind than its walk"
+        episode = self._world.episode(int(walk["episode_id"]))
+        if episode is None:
+            return
+        pathfinder = self._world.pathfinder(episode)
+        replay = Follower(pathfinder).walk(episode.start_position, _heading(episode), walk["executed"])
+        places = replay.positions[:count].astype(np.float64)
+        distances = pathfinder.distance_table(replay.positions[:count], _goals(walk)).min(axis=1)
+        leaves = {leaf.leaf for leaf in episode.leaves}
+        found: set[str] = set()
+        for row in self._rows:
+            frame = row["frame"]
+            found |= set(self._pose(row, places[frame], float(replay.headings[frame]), leaves))
+            if row["distance_to_goal"] != float(distances[frame]):
+                found.add(f"frame {frame}: the distance to the goal is another one")
+            proof.images += 1
+            fault = self._image(row, places[frame], float(replay.headings[frame]), episode, proof)
+            if fault:
+                found.add(f"frame {frame}, {row['camera']}: {fault}")
+        yield from sorted(found)
+        for name in sorted(self._cameras):
+            own = {Path(row["image"]).name for row in self._rows if row["camera"] == name}
+            here = self._folder / "images" / walk["trajectory"] / name
+            if {path.name for path in here.glob("*")} != own:
+                yield f"{here.relative_to(self._folder)}: the files are not the walk's frames"
+
+    def _pose(self, row: Row, place: F64, heading: float, leaves: set[int]) -> Iterator[str]:
+        frame = row["frame"]
+        if row["action"] != self._walk["actions"][frame] or row["executed"] != self._walk["executed"][frame]:
+            yield f"frame {frame}: the action is not the walk's"
+        if not np.array_equal(_point(row["position"]), place) or row["heading"] != heading:
+            yield f"frame {frame}: the actions do not lead to this pose"
+        turned = np.array([row["rotation"][axis] for axis in "xyzw"])
+        if np.abs(turned - [0, math.sin(heading / 2), 0, math.cos(heading / 2)]).max() > _ANGLE:
+            yield f"frame {frame}: the rotation is not that of the heading"
+        if row["leaf"] not in leaves:
+            yield f"frame {frame}: the episode has no leaf {row['leaf']}"
+        camera = self._cameras[row["camera"]]
+        if any(row[key] != getattr(camera, key) for key in _CAMERA):
+            yield f"camera {row['camera']} is not that of trajectories.json"
+
+    def _image(
+        self, row: Row, place: F64, heading: float, episode: ManifestEpisode, proof: TrajectoryProof
+    ) -> str | None:
+        from PIL import Image
+
+        camera = self._cameras[row["camera"]]
+        suffix = "png" if row["camera"].startswith("depth") else "jpg"
+        if row["image"] != f"images/{row['trajectory']}/{row['camera']}/{row['frame'] + 1:03d}.{suffix}":
+            return "the image is not that of the frame"
+        try:
+            data = (self._folder / row["image"]).read_bytes()
+        except OSError as error:
+            return f"the image can't be read: {error.strerror}"
+        if len(data) != row["bytes"] or hashlib.sha256(data).hexdigest() != row["sha256"]:
+            return "the image is not the one that was written"
+        try:
+            with Image.open(io.BytesIO(data)) as image:
+                image.load()
+                if image.size != (camera.width, camera.height):
+                    return "the image has another size"
+        except (OSError, SyntaxError) as error:
+            return f"the image can't be decoded: {error}"
+        every = self._world.render_every
+        if not every or int(hashlib.sha256(row["image"].encode()).hexdigest(), 16) % every:
+            return None
+        proof.rendered += 1
+        frame = self._world.renderer(episode).look(camera, place, heading)
+        return (
+            None if _encoded(frame.rgb, frame.depth, suffix, self._images) == data else "the pose shows another image"
+        )
+
+
+def _encoded(rgb: NDArray[np.uint8], depth: NDArray[np.float32], suffix: str, images: Row) -> bytes:
+    from PIL import Image
+
+    stream = io.BytesIO()
+    if suffix == "jpg":
+        Image.fromarray(rgb).save(stream, "JPEG", quality=images["jpeg_quality"])
+    else:
+        millimetres = np.clip(np.rint(depth * np.float32(1000)), 0, 65535).astype(np.uint16)
+        Image.fromarray(millimetres).save(stream, "PNG", compress_level=images["png_level"])
+    return stream.getvalue()
+
+
+def _point(row: Row) -> F64:
+    return np.array([row[axis] for axis in "xyz"], np.float64)
+
+
+def _goals(walk: Row) -> F64:
+    return np.array([_point(goal) for goal in walk["goals"]])
+
+
+def _heading(episode: ManifestEpisode) -> float:
+    return 2.0 * math.atan2(episode.start_rotation[1], episode.start_rotation[3]) % (2.0 * math.pi)
+
+
+def _record(folder: Path) -> dict[str, Any]:
+    path = folder / "trajectories.json"
+    try:
+        found = orjson.loads(path.read_bytes())
+        return {"cameras": dict(found["cameras"]), "config": dict(found["config"])}
+    except FileNotFoundError:
+        raise MissingFileError("the folder holds no trajectories", where=folder, remedy=_REMEDY) from None
+    except (ValueError, KeyError, TypeError) as error:
+        raise FormatError(f"not a record of trajectories ({error})", where=path, remedy=_REMEDY) from None
+
+
+def _annotations(folder: Path) -> list[dict[str, Any]]:
+    path = folder / "annotations.json"
+    try:
+        found = orjson.loads(path.read_bytes())
+        for entry in found:
+            if {"id", "video", "instructions", "actions", "kind"} - entry.keys():
+                raise TypeError("an entry lacks a key")
+    except FileNotFoundError:
+        raise MissingFileError("annotations.json is missing", where=folder, remedy=_REMEDY) from None
+    except (ValueError, TypeError, AttributeError) as error:
+        raise FormatError(f"not a list of walks ({error})", where=path, remedy=_REMEDY) from None
+    return list(found)
+
+
+def _table(folder: Path, name: str) -> pa.Table:
+    path = folder / f"{name}.parquet"
+    try:
+        return pq.read_table(path)
+    except FileNotFoundError:
+        raise MissingFileError(f"{name}.parquet is missing", where=folder, remedy=_REMEDY) from None
+    except (pa.ArrowException, OSError) as error:
+        raise FormatError(f"not a Parquet file ({error})", where=path, remedy=_REMEDY) from None
+
+
+def _walks_of(path: Path) -> Iterator[tuple[str, list[dict[str, Any]]]]:
+    """Yield the poses of each walk; one row group, a scene, is in memory at a time."""
+    try:
+        with pq.ParquetFile(path) as file:
+            for group in range(file.num_row_groups):
+                rows: defaultdict[str, list[dict[str, Any]]] = defaultdict(list)
+                for row in file.read_row_group(group).to_pylist():
+                    rows[row["trajectory"]].append(row)
+                yield from rows.items()
+    except FileNotFoundError:
+        raise MissingFileError("poses.parquet is missing", where=path.parent, remedy=_REMEDY) from None
+    except (pa.ArrowException, OSError) as error:
+        raise FormatError(f"not a Parquet file ({error})", where=path, remedy=_REMEDY) from None
