@@ -176,17 +176,16 @@ class _Filling:
 
     def fill(self, tries: Sequence[_Try], most_of_label: int) -> None:
         """Place candidates in order. Then, where a cell is still short, place the candidates that were postponed for
-        their number of moves.
+        their number of moves, those with the fewest leaves beyond the shares first.
         """
         for one in tries:
             one.refused = self._turned_away(one, most_of_label) or self._over_its_moves(one) or self._unplaceable(one)
             if one.refused is None:
                 self._count(one, 1)
-        for one in tries:
-            if one.refused == LATER:
-                one.refused = self._turned_away(one, most_of_label) or self._unplaceable(one)
-                if one.refused is None:
-                    self._count(one, 1)
+        for one in sorted((one for one in tries if one.refused == LATER), key=self._beyond_its_moves):
+            one.refused = self._turned_away(one, most_of_label) or self._unplaceable(one)
+            if one.refused is None:
+                self._count(one, 1)
 
     def trim(self, tries: Sequence[_Try], label_cap: float) -> None:
         """Drop episodes above their label's share; candidates rejected for a full quota take their places."""
@@ -251,19 +250,20 @@ class _Filling:
         """Return `LATER` if the quota cell of the candidates `one` already has its share of leaves with the same
         numbers of moves; else None.
         """
+        return LATER if self._beyond_its_moves(one) else None
+
+    def _beyond_its_moves(self, one: _Try) -> int:
+        """Return how many leaves of the candidates `one` would be beyond the shares of their numbers of moves."""
         cell = one.cell
         if self._move_shares is None or cell is None or cell.moves is not None:
-            return None
+            return 0
         grouped = self._group_moves[cell.category]
         part = cell.count / self._free[cell.category]
         wanted = cell.count * SHAPES[cell.category].leaves + part * grouped.total()
         shares, taken = self._move_shares(cell.category), self._moves[cell]
         # Rounded, so that with few leaves no number of moves gets one more than its share at the cost of another.
-        over = any(
-            taken[n] + count > math.floor(shares[n - 1] * wanted - part * grouped[n] + 0.5)
-            for n, count in one.moves.items()
-        )
-        return LATER if over else None
+        most = {n: math.floor(shares[n - 1] * wanted - part * grouped[n] + 0.5) for n in one.moves}
+        return sum(max(0, min(count, taken[n] + count - most[n])) for n, count in one.moves.items())
 
     def _unplaceable(self, one: _Try) -> str | None:
         """Place the candidates `one` from one start, unless they are placed already. Return the reason if this is

@@ -304,7 +304,7 @@ class ProgramSampler:
         bearings = cell.observability != "O0f"
         if cell.moves is not None:
             return _Shape(wanted, (cell.moves,) * n_leaves, bearings, gold)
-        shares = tuple(accumulate(self.sampling.move_shares(category)))
+        shares = tuple(accumulate(self.sampling.drawn_move_shares(category)))
         return _Shape(wanted, tuple(1 + draws.cumulative(shares) for _ in range(n_leaves)), bearings, gold)
 
     def _roomy(self, category: Category) -> tuple[str, ...]:

@@ -236,6 +236,14 @@ class SamplingConfig(Section):
     moves_four_leaves: tuple[Share, Share] = Field(
         (0.6, 0.4), description="shares of leaves with 1 and with 2 moves, in programs with four leaves"
     )
+    moves_drawn: tuple[Share, Share, Share] = Field(
+        (0.28, 0.42, 0.3),
+        description="shares as in moves, of the candidates that are drawn: long routes are rejected more often, so more "
+        "of them are drawn than wanted",
+    )
+    moves_drawn_four_leaves: tuple[Share, Share] = Field(
+        (0.5, 0.5), description="shares as in moves_four_leaves, of the candidates that are drawn"
+    )
     presence_false_share: Share = Field(
         0.2, description="maximum share of label-only conditions among the false conditions, where a scene is one room"
     )
@@ -274,7 +282,12 @@ class SamplingConfig(Section):
 
     @model_validator(mode="after")
     def _shares_sum_to_one(self) -> SamplingConfig:
-        for name, count in (("moves", "three"), ("moves_four_leaves", "two")):
+        for name, count in (
+            ("moves", "three"),
+            ("moves_four_leaves", "two"),
+            ("moves_drawn", "three"),
+            ("moves_drawn_four_leaves", "two"),
+        ):
             total = sum(getattr(self, name))
             if abs(total - 1.0) > 1e-9:
                 raise ValueError(f"{name}: the {count} shares must sum to 1, got {total:g}")
@@ -283,6 +296,10 @@ class SamplingConfig(Section):
     def move_shares(self, category: Category) -> tuple[float, ...]:
         """Return the shares of leaves with 1, 2, … moves in programs of a category."""
         return self.moves_four_leaves if SHAPES[category].leaves == 4 else self.moves
+
+    def drawn_move_shares(self, category: Category) -> tuple[float, ...]:
+        """Return the shares of leaves with 1, 2, … moves in the candidates that are drawn of a category."""
+        return self.moves_drawn_four_leaves if SHAPES[category].leaves == 4 else self.moves_drawn
 
     def candidates(self, cell: InstructionCell) -> int:
         """Return the number of candidates drawn for a cell. It is larger for a cell whose bounds placing may miss."""

@@ -110,6 +110,8 @@ CHANGED: dict[str, Any] = {
     "sampling.candidates_per_episode": 2,
     "sampling.moves": [0.0, 0.0, 1.0],
     "sampling.moves_four_leaves": [0.0, 1.0],
+    "sampling.moves_drawn": [0.0, 0.0, 1.0],
+    "sampling.moves_drawn_four_leaves": [0.0, 1.0],
     "sampling.presence_false_share": 1.0,
     "sampling.presence_share": 1.0,
     "sampling.plausible_share": 0.9,

@@ -322,11 +322,25 @@ def test_a_cell_makes_up_for_the_moves_of_the_groups_of_its_category() -> None:
     assert moves(*group, *candidates) == {1: 8 + 6, 2: 14}
 
 
-def _with_waypoint(program: Program, name: str) -> Program:
+def test_a_cell_that_stays_short_takes_what_exceeds_the_shares_least() -> None:
+    """Five programs with one move a leaf reach the share of one move. Of the others, those with one leaf too many come
+    before those with two, whatever their order.
+    """
+    cell = simple(count=10)
+    things = [f"thing {k}" for k in range(40)]
+    short = [asking(things[k], things[k + 1], "w", k % 4 == 0) for k in range(0, 20, 2)]
+    mixed = [_with_waypoint(asking(things[k], things[k + 1], "w", k % 4 == 0), "w", 1) for k in range(20, 32, 2)]
+    candidates = [Candidate(f"{k}", program, cell) for k, program in enumerate([*short, *mixed])]
+    pool = fill_pool(candidates, Anywhere(), (cell,), 1.0, lambda _: False, None, 0, lambda _: (0.5, 0.5, 0.0))
+    moves = Counter(len(leaf.moves) for e in pool.episodes for leaf in e.program.leaves)
+    assert moves == {1: 15, 2: 5}
+
+
+def _with_waypoint(program: Program, name: str, leaves: int = 2) -> Program:
+    """The same program with a waypoint before the goals of its first `leaves` leaves."""
     way = ObjectRef(object_id=name, label=name, room=ZONE)
-    return program.model_copy(
-        update={"leaves": tuple(leaf.model_copy(update={"moves": (way, *leaf.moves)}) for leaf in program.leaves)}
-    )
+    longer = tuple(leaf.model_copy(update={"moves": (way, *leaf.moves)}) for leaf in program.leaves[:leaves])
+    return program.model_copy(update={"leaves": (*longer, *program.leaves[leaves:])})
 
 
 few = st.integers(0, 5).map("abcdef".__getitem__)
