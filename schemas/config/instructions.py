@@ -238,8 +238,8 @@ class SamplingConfig(Section):
     )
     moves_drawn: tuple[Share, Share, Share] = Field(
         (0.28, 0.42, 0.3),
-        description="shares as in moves, of the candidates that are drawn: long routes are rejected more often, so more "
-        "of them are drawn than wanted",
+        description="shares as in moves, of the candidates that are drawn: long routes are rejected more often, so "
+        "more of them are drawn than wanted",
     )
     moves_drawn_four_leaves: tuple[Share, Share] = Field(
         (0.5, 0.5), description="shares as in moves_four_leaves, of the candidates that are drawn"

@@ -18,7 +18,7 @@ def _document(path: Path) -> Any:
 
 @pytest.mark.parametrize("variant", ["vlnce", "ansr", "oracle"])
 def test_an_episode_has_what_a_collector_takes(exported: Path, variant: str) -> None:
-    """A folder's name from the scene and the number, one next place on the path, and actions short enough to be kept."""
+    """A folder's name from scene and number, one next place on the path, and actions short enough to be kept."""
     folders: set[str] = set()
     count = 0
     for split in SPLITS:
