@@ -28,9 +28,11 @@ def chart(
     eye: float,
     cell: float,
     climb: float,
+    high: float,
     height: float,
     reach: float,
     hit: Bools,
+    tall: Bools,
     clear: Bools,
     near: F32,
     region: I16,
@@ -43,8 +45,8 @@ def chart(
     regions (h, w) : room number of each pixel's point, -1 if unknown
     columns (w,), rows (h,) : see `condvln.sensors.camera.pixel_rays`
     place (2,) : x and z of the agent in metres; `eye` : height in metres of the eye above the feet
-    climb, height : points between these heights in metres above the feet are obstacles
-    hit, clear, near, region (n, n) : outputs; the grid's middle is the origin, rows along x
+    climb, height : points between these heights in metres above the feet are obstacles; above `high` they are tall
+    hit, tall, clear, near, region (n, n) : outputs; the grid's middle is the origin, rows along x
     """
     h, w = depth.shape
     n = hit.shape[0]
@@ -72,6 +74,8 @@ def chart(
                 continue
             if up > climb or up < -climb:
                 hit[a, b] = True
+                if up > high:
+                    tall[a, b] = True
                 wall = min(wall, ground)
             else:
                 far = max(far, ground)
@@ -186,7 +190,25 @@ def _warm_up() -> None:
     grid, rays, place = np.zeros((8, 8), bool), np.array([0.5, -0.5]), np.zeros(2)
     flat, near, region = np.ones((2, 2), np.float32), np.ones((8, 8), np.float32), np.zeros((8, 8), np.int16)
     rooms = flat.astype(np.int16)
-    chart(flat, rooms, -rays, rays, place, 0.0, 1.25, 0.1, 0.2, 1.5, 5.0, grid, grid.copy(), near, region)
+    chart(
+        flat,
+        rooms,
+        -rays,
+        rays,
+        place,
+        0.0,
+        1.25,
+        0.1,
+        0.2,
+        1.0,
+        1.5,
+        5.0,
+        grid,
+        grid.copy(),
+        grid.copy(),
+        near,
+        region,
+    )
     ways(np.ones((8, 8), np.float32), 0)
     line_is_open(grid, 0.0, 0.0, 3.0, 3.0, 0.0)
 

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from condvln.evaluation.kernels.floor_grid import chart, line_is_open, ways
+from condvln.evaluation.kernels.floor_grid import chart, line_is_open
+from condvln.evaluation.kernels.floor_grid import ways as cheapest
 from condvln.evaluation.looker.eyes import Look
 
-__all__ = ["CELL", "FloorMap", "Ground", "Ways"]
+__all__ = ["CELL", "HALF", "FloorMap", "Ground", "Ways"]
 
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -26,6 +27,10 @@ CLIMB: Final = 0.2
 """Metres above the floor up to which obstacles can be stepped over."""
 HEIGHT: Final = 1.5
 """Metres above the floor from which obstacles can be walked under. Both values are those of VLN-CE's agent."""
+TALL: Final = 1.0
+"""Metres above the floor from which obstacles hide what is behind them from the agent's eyes."""
+UNSEEN_COST: Final = 2.0
+"""Cost of a cell of unseen floor, if it is assumed to be open."""
 SURE: Final = 2
 """Evidence added by a view of an obstacle; a view of open floor adds −1."""
 MOST: Final = 6
@@ -48,16 +53,21 @@ class Ground:
     `corner` is the cell of the whole map at which they begin.
 
     passable : cells that the agent can enter; cost : cost of walking in them, infinite elsewhere
-    frontier : passable cells next to unseen floor
-    region : room number, -1 if unknown; near : least distance in metres from which the cell was seen
+    shut : cells with obstacles; tall : those with obstacles that the agent can't look over
+    unseen : cells of which nothing is known; frontier : passable cells next to them
+    region : room number, -1 if unknown; guess : that of the nearest cell whose room is known
+    near : least distance in metres from which the cell was seen
     """
 
     corner: tuple[int, int]
     passable: Bools
     cost: NDArray[np.float32]
     shut: Bools
+    tall: Bools
+    unseen: Bools
     frontier: Bools
     region: NDArray[np.int16]
+    guess: NDArray[np.int16]
     near: NDArray[np.float32]
 
     def cell(self, x: float, z: float) -> tuple[int, int]:
@@ -73,19 +83,25 @@ class Ground:
         """Return the cheapest paths from a position to all others."""
         a, b = self.cell(x, z)
         start = a * self.cost.shape[1] + b
-        distance, before = ways(self.cost, start)
+        distance, before = cheapest(self.cost, start)
         return Ways(self, distance.reshape(self.cost.shape), before, start)
 
-    def open_between(self, one: F64, other: F64, ignored: float = 0.0, *, tight: bool = True) -> bool:
+    def hopeful_ways_from(self, ways: Ways, room: int) -> Ways:
+        """Return the cheapest paths from the start of `ways` if all unseen cells of a room were open floor."""
+        cost = np.where(self.unseen & ((self.guess == room) | (room < 0)), UNSEEN_COST, self.cost).astype(np.float32)
+        distance, before = cheapest(cost, ways.start)
+        return Ways(self, distance.reshape(cost.shape), before, ways.start)
+
+    def open_between(self, one: F64, other: F64, ignored: float = 0.0, *, among: Bools | None = None) -> bool:
         """Return whether no obstacle is between two positions (2,). The last `ignored` metres of the line are not
         tested.
 
-        tight : whether cells that the agent can't enter count as obstacles, too
+        among : cells (n, m) that count as obstacles; those that the agent can't enter if None
         """
         offset = np.array(self.corner) - HALF
         a, b = one / CELL - offset
         p, q = other / CELL - offset
-        shut = ~self.passable if tight else self.shut
+        shut = ~self.passable if among is None else among
         return line_is_open(shut, float(a), float(b), float(p), float(q), ignored / CELL)
 
 
@@ -124,6 +140,7 @@ class FloorMap:
         size = 2 * HALF
         self._score = np.zeros((size, size), np.int8)
         self._seen = np.zeros((size, size), bool)
+        self._tall = np.zeros((size, size), bool)
         self._bumped = np.zeros((size, size), bool)
         self._near = np.full((size, size), np.inf, np.float32)
         self._region = np.full((size, size), -1, np.int16)
@@ -147,9 +164,11 @@ class FloorMap:
                 view.eye - self._floor,
                 CELL,
                 CLIMB,
+                TALL,
                 HEIGHT,
                 reach,
                 hit,
+                self._tall,
                 clear,
                 self._near,
                 self._region,
@@ -196,11 +215,23 @@ class FloorMap:
         if count:
             sizes = np.bincount(borders.ravel())
             frontier &= sizes[borders] >= LEAST_FRONTIER
-        region = self._region[part]
+        region = guess = self._region[part]
         if (region >= 0).any():
             index = ndimage.distance_transform_edt(region < 0, return_distances=False, return_indices=True)
-            region = np.where(seen, region[tuple(index)], -1).astype(np.int16)
-        return Ground((low[0], low[1]), passable, cost.astype(np.float32), shut, frontier, region, self._near[part])
+            guess = region[tuple(index)]
+            region = np.where(seen, guess, -1).astype(np.int16)
+        return Ground(
+            (low[0], low[1]),
+            passable,
+            cost.astype(np.float32),
+            shut,
+            shut & self._tall[part],
+            unseen,
+            frontier,
+            region,
+            guess,
+            self._near[part],
+        )
 
 
 def _floor_below(look: Look, before: float) -> float:

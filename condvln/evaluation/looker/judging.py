@@ -47,7 +47,7 @@ def holds(predicate: Predicate, thing: Thing, anchors: Sequence[Thing], north: f
         return 45.0 - abs(_turn(_bearing(thing.middle[[0, 2]]) - BEARING_DEGREES[predicate]))
     anchor = anchors[0]
     if predicate == "near":
-        return t.near_false - gap(thing, anchor)
+        return (t.near_true + t.near_false) / 2 - gap(thing, anchor)
     if predicate == "far from":
         return gap(thing, anchor) - t.far
     if predicate in COMPASS:

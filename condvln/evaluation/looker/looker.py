@@ -10,11 +10,11 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
+from condvln.evaluation.looker.approach import Approach, approach
 from condvln.evaluation.looker.eyes import Look
 from condvln.evaluation.looker.floor_map import CELL, FloorMap, Ground, Ways
-from condvln.evaluation.looker.judging import Compared, holds, ranked
+from condvln.evaluation.looker.judging import Compared, gap, holds, ranked
 from condvln.evaluation.looker.memory import Memory, Thing
 from condvln.instructions import parse
 from condvln.instructions.language import LANGUAGES
@@ -22,7 +22,6 @@ from condvln.instructions.text_reading import Phrase, Place, Reading
 from condvln.navigation.follower import FORWARD, LEFT, RIGHT, STOP, VLN_CE
 from condvln.seeding import generator
 from schemas.config import LookerConfig, Thresholds
-from schemas.config.constants import WALL_DETOUR
 from schemas.errors import FormatError
 from schemas.program import BEARINGS, SHAPES
 
@@ -36,14 +35,24 @@ LOOK_EVERY: Final = 0.5
 """Metres that it walks between two views."""
 ARRIVED: Final = 0.2
 """Distance in metres at which a position counts as reached."""
-REACH: Final = 0.5
-"""Distance in metres at which an object counts as reached."""
-FAR_REACH: Final = 1.5
-"""Largest distance in metres at which an object counts as reached if it can't be approached further."""
+LOOKS: Final = 8
+"""Largest number of views near an object by which it looks for a place to stop beside the object."""
+BESIDE: Final = 4.0
+"""Distance in metres at which views count as near an object."""
+TRIES: Final = 4
+"""Largest number of places to stop at that it can't reach before it stops where it is."""
 AHEAD: Final = 2.0
 """Largest length in metres of a shortcut along its path, if the straight line is free."""
 BY_SURFACES: Final = frozenset(("near", "on", "in", "above", "below", "between"))
 """Relations that may become true when more is seen of the same things."""
+TURNS: Final = 3
+"""How often it turns to the same target of exploration before it gives the target up."""
+APART: Final = 1.5
+"""Distance in metres between what is seen of two things at which neither touches or is near the other."""
+TURNING: Final = 0.25
+"""Length in metres of a path that takes as many steps as a turn by one action."""
+FAITHFUL: Final = 1.0
+"""Length in metres by which another target must be nearer than the one before."""
 HALF_TURN: Final = math.radians(VLN_CE.turn) / 2
 PATIENT: Final = 12
 """Number of steps without progress after which it chooses another target."""
@@ -101,9 +110,17 @@ class Looker:
         self._start_room = -1
         self._been: set[int] = set()  # rooms that it has looked around in
         self._given_up: list[F64] = []
+        self._explored: F64 | None = None  # the last target of exploration
+        self._stop: F64 | None = None  # where it wants to stop
+        self._approaching = False  # the target is a place from which to see the floor around an object
+        self._approached: Thing | None = None
+        self._looks_beside = 0
+        self._looked_from: list[F64] = []
+        self._not_reached: list[F64] = []
         self._stopping = False
-        self._before: F64 | None = None
-        self._blocked = 0
+        self._blocked_at: list[F64] = []
+        self._towards_key: tuple[int, int] | None = None
+        self._turned_to: dict[tuple[int, int], int] = {}
         self._best, self._since = math.inf, 0
 
     def act(self, place: F64, heading: float, look: Callable[[], Look], bumped: bool) -> int:
@@ -118,7 +135,6 @@ class Looker:
         self._place, self._heading = place, heading
         if bumped:
             self._bump()
-        self._before = place[[0, 2]].copy()
         flat = place[[0, 2]]
         if self._looked is None or np.hypot(*(flat - self._looked)) >= LOOK_EVERY:
             self._take_in(look())
@@ -155,15 +171,16 @@ class Looker:
     # Perception
 
     def _bump(self) -> None:
-        """Mark the place just ahead as blocked on the map. The more often in a row the agent could not move at all, the
-        wider the marked area.
+        """Mark the place just ahead as blocked on the map. The more often the agent was blocked around here, the wider
+        the marked area.
         """
-        still = self._before is not None and float(np.hypot(*(self._place[[0, 2]] - self._before))) < CELL / 2
-        self._blocked = self._blocked + 1 if still else 1
-        wide = min(self._blocked - 1, 4)
+        here = self._place[[0, 2]]
+        self._blocked_at.append(here)
+        blocked = sum(float(np.hypot(*(here - place))) <= ARRIVED for place in self._blocked_at)
+        wide = min(blocked - 1, 4)
         for k in range(-wide, wide + 1):
             angle = self._heading + math.radians(25.0 * k)
-            for away in (0.2,) if self._blocked < 3 else (0.12, 0.2):
+            for away in (0.2,) if blocked < 3 else (0.12, 0.2):
                 self.map.bump(
                     float(self._place[0]) - away * math.sin(angle), float(self._place[2]) - away * math.cos(angle)
                 )
@@ -177,6 +194,8 @@ class Looker:
         if self._step == 0:
             self._start_room = look.here
         self._been.add(look.here)
+        if self._approaching and self._approached is not None and self._distance(self._approached) <= BESIDE:
+            self._looks_beside += 1
         self._ground = self._aim = None
 
     def _now(self) -> tuple[Ground, Ways]:
@@ -204,18 +223,18 @@ class Looker:
         moves = self.reading.leaves[self.leaf]
         while self._moves_done < len(moves):
             move = moves[self._moves_done]
-            thing, target = self._found(move)
+            thing, target = (self._approached, None) if self._approached is not None else self._found(move)
             if thing is None:
                 if target is not None:
                     self._set_aim(target)
                     return
-                self._moves_done += 1  # not found anywhere: continue with what can be found
+                self._next_move()  # not found anywhere: continue with what can be found
                 continue
-            place = self._stop_at(thing)
-            if place is None:
-                self._moves_done += 1
+            found = self._way_to(thing)
+            if found is None:
+                self._next_move()
                 continue
-            self._set_aim(place, stop=True)
+            self._set_aim(found.place, stop=found.final, beside=not found.final)
             return
         self._aim = None
 
@@ -226,7 +245,9 @@ class Looker:
         phrase = self.reading.conditions[number]
         answer, guess = self._judge(phrase)
         if answer is None:
-            target = self._unseen(phrase) if self._step < self.config.patience * self._limit else None
+            target = (
+                self._unseen(phrase, self.config.close) if self._step < self.config.patience * self._limit else None
+            )
             if target is not None:
                 self._set_aim(target)
                 return None
@@ -259,8 +280,9 @@ class Looker:
         sure = all(self._close(thing) for thing in (*anchors, *things)) and self._room_is_sure(phrase)
         if max(scores) > 0:
             return (True if sure else None), True
-        settled = phrase.definite and predicate not in BY_SURFACES
-        return (False if sure and settled else None), False
+        # More of the same things may be seen, but not so much more.
+        settled = predicate not in BY_SURFACES or min(gap(thing, anchors[0]) for thing in things) > APART
+        return (False if sure and settled and phrase.definite else None), False
 
     def _found(self, move: Phrase) -> tuple[Thing | None, F64 | None]:
         """Return the object of a stop, or else a position from which to look for it."""
@@ -270,14 +292,14 @@ class Looker:
         if move.qualifier is None:
             if things and self._room_is_sure(move):
                 return min(things, key=self._distance), None
-            target = self._unseen(move)
+            target = self._sought(move)
             return (things[0] if things and target is None else self._fallback(move, target)), target
         predicate, labels = move.qualifier
         anchors = () if predicate in (*BEARINGS, "bigger", "smaller") else self._anchors(labels, rooms)
         if predicate in Compared:
             wanted = 2 if predicate != "closest to" else len(things) + 1
             if len(things) < wanted or anchors is None or not all(self._close(thing) for thing in things):
-                target = self._unseen(move)
+                target = self._sought(move)
             if target is None and things:
                 return ranked(predicate, things, anchors)[0] if anchors is not None else things[0], None
             return self._fallback(move, target), target
@@ -292,7 +314,7 @@ class Looker:
                 score, best = max(scored, key=lambda pair: pair[0])
                 if score > 0 and self._close(best) and self._room_is_sure(move):
                     return best, None
-        target = self._unseen(move)
+        target = self._sought(move)
         if target is not None:
             return None, target
         return best or (things[0] if things else self._fallback(move, None)), None
@@ -352,13 +374,20 @@ class Looker:
 
     # Where to go
 
-    def _unseen(self, phrase: Phrase) -> F64 | None:
+    def _sought(self, move: Phrase) -> F64 | None:
+        """Return a position from which the agent may see the object of a stop, which is somewhere: from nearby, if all
+        is seen from farther away.
+        """
+        target = self._unseen(move, self.config.close)
+        return self._unseen(move, self.config.close / 2) if target is None else target
+
+    def _unseen(self, phrase: Phrase, close: float) -> F64 | None:
         """Return a position from which the agent may see something new in the rooms that `phrase` may mean; None if
-        there is none.
+        all is seen from at most `close` metres.
         """
         ground, ways = self._now()
         rooms = self._rooms(phrase)
-        targets = ground.passable & (ground.frontier | (ground.near > self.config.close))
+        targets = ground.passable & (ground.frontier | (ground.near > close))
         open_to = np.ones_like(targets)
         for place in self._given_up:
             a, b = ground.cell(float(place[0]), float(place[1]))
@@ -385,52 +414,68 @@ class Looker:
         return np.asarray(places[int(np.argmin(cost))], np.float64)
 
     def _nearest(self, ways: Ways, targets: Bools) -> F64 | None:
-        cell = ways.nearest(targets)
-        return None if cell is None else ways.ground.places(np.array([cell[0]]), np.array([cell[1]]))[0]
+        """Return the target that takes the fewest steps to reach, counting the turn towards it; one near the target
+        before is preferred.
+        """
+        rows, columns = np.nonzero(targets & np.isfinite(ways.distance))
+        if not len(rows):
+            return None
+        places = ways.ground.places(rows, columns)
+        away = places - self._place[[0, 2]]
+        off = (np.arctan2(-away[:, 0], -away[:, 1]) - self._heading + math.pi) % (2 * math.pi) - math.pi
+        cost = CELL * ways.distance[rows, columns] + TURNING * np.abs(off) / (2 * HALF_TURN)
+        if self._explored is not None:
+            cost -= FAITHFUL * (np.hypot(*(places - self._explored).T) <= FAITHFUL)
+        self._explored = np.asarray(places[int(np.argmin(cost))], np.float64)
+        return self._explored
 
-    def _stop_at(self, thing: Thing) -> F64 | None:
-        """Return the position beside `thing` that is nearest to the previous stop."""
+    def _way_to(self, thing: Thing) -> Approach | None:
+        """Return where to go to reach an object; None if nothing near it can be reached."""
         ground, ways = self._now()
-        rows, columns = np.nonzero(ground.passable & np.isfinite(ways.distance))
-        if not len(rows):
-            return None
-        places = ground.places(rows, columns)
-        flat = thing.points[:, [0, 2]]
-        away = np.asarray(cKDTree(flat).query(places)[0], np.float64)
-        own = ground.region[rows, columns]
-        near = (away <= FAR_REACH) & ((own == thing.room) | (own < 0) | (thing.room < 0))
-        rows, columns, places, away = rows[near], columns[near], places[near], away[near]
-        if not len(rows):
-            return None
-        # Only positions on the side of the object that can be approached most closely.
-        best = ground.ways_from(*places[int(np.argmin(away))].tolist())
-        around = float(np.ptp(flat, axis=0).sum()) + WALL_DETOUR
-        same = best.distance[rows, columns] * CELL <= around
-        rows, columns, places, away = rows[same], columns[same], places[same], away[same]
-        reach = REACH if (away <= REACH).any() else float(away.min()) + 0.2
-        for widest in (reach, FAR_REACH):
-            fits = np.flatnonzero(away <= widest)
-            before = ground.ways_from(float(self._last[0]), float(self._last[1]))
-            cost = before.distance[rows[fits], columns[fits]]
-            for k in fits[np.argsort(np.where(np.isfinite(cost), cost, 1e9), kind="stable")][:400].tolist():
-                face = flat[np.argmin(np.hypot(*(flat - places[k]).T))]
-                if ground.open_between(places[k], face, 0.35, tight=False):
-                    return np.asarray(places[k], np.float64)
-        return np.asarray(places[int(np.argmin(away))], np.float64)
+        looked = self._looked_from if self._looks_beside < LOOKS else None
+        found = approach(thing, ground, ways, self._last, kept=self._stop, given_up=self._not_reached, looked=looked)
+        self._stop = found.place if found is not None and found.final else None
+        self._approached = thing
+        return found
 
-    def _set_aim(self, place: F64, *, stop: bool = False) -> None:
-        self._aim, self._stopping = place, stop
+    def _next_move(self) -> None:
+        self._moves_done += 1
+        self._stop, self._approached, self._looks_beside = None, None, 0
+        self._looked_from, self._not_reached = [], []
+
+    def _set_aim(self, place: F64, *, stop: bool = False, beside: bool = False) -> None:
+        if not (stop or beside):
+            self._turn_to(place)
+        self._aim, self._stopping, self._approaching = place, stop, beside
         self._best, self._since = math.inf, self._step
+
+    def _turn_to(self, place: F64) -> None:
+        """Count how often the agent turns to a target of exploration that it did not reach; the last time, give the
+        target up for later.
+        """
+        key = round(float(place[0])), round(float(place[1]))
+        if key != self._towards_key:
+            self._towards_key = key
+            self._turned_to[key] = self._turned_to.get(key, 0) + 1
+            if self._turned_to[key] > TURNS:
+                self._given_up.append(place)
 
     def _come_there(self, look: Callable[[], Look]) -> None:
         """Handle the agent's arrival at its target, or a target that can't be reached."""
         assert self._aim is not None
         aim, self._aim = self._aim, None
         if self._stopping:
+            arrived = float(np.hypot(*(aim - self._place[[0, 2]]))) <= ARRIVED
+            if not arrived and len(self._not_reached) < TRIES:
+                self._not_reached.append(aim)
+                return
             self._last = self._place[[0, 2]].copy()
-            self._moves_done += 1
+            self._next_move()
             return
-        self._given_up.append(aim)
+        if self._approaching:
+            self._looked_from.append(aim)
+        else:
+            self._given_up.append(aim)
         self._take_in(look())
 
     # Movement

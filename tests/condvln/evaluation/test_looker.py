@@ -14,7 +14,9 @@ from typer.testing import CliRunner
 from condvln.evaluation.export_folder import Export
 from condvln.evaluation.kernels.floor_grid import chart, line_is_open, ways
 from condvln.evaluation.looker import LookingAgent, read_text
+from condvln.evaluation.looker.approach import approach
 from condvln.evaluation.looker.eyes import GHOST, Eyes
+from condvln.evaluation.looker.floor_map import HALF, Ground
 from condvln.evaluation.looker.judging import holds
 from condvln.evaluation.looker.memory import GRAIN, Thing
 from condvln.evaluation.scene_views import SceneViews
@@ -173,13 +175,14 @@ def test_a_wall_ahead_is_where_it_is() -> None:
     with np.errstate(divide="ignore"):
         floor = np.where(rows < 0, 1.25 / -rows, np.inf)
     depth = np.minimum(depth, floor[:, None]).astype(np.float32)
-    hit, clear = np.zeros((size, size), bool), np.zeros((size, size), bool)
+    hit, tall, clear = (np.zeros((size, size), bool) for _ in range(3))
     near, region = np.full((size, size), np.inf, np.float32), np.full((size, size), -1, np.int16)
     rooms = np.full((n, n), 7, np.int16)
     chart(
-        depth, rooms, rays, rows, np.array([0.0, 0.0]), -math.pi / 2, 1.25, 0.1, 0.2, 1.5, 10.0, hit, clear, near,
-        region,
+        depth, rooms, rays, rows, np.array([0.0, 0.0]), -math.pi / 2, 1.25, 0.1, 0.2, 1.0, 1.5, 10.0, hit, tall,
+        clear, near, region,
     )  # fmt: skip
+    np.testing.assert_array_equal(tall, hit)
     a, b = np.nonzero(hit)
     assert (a - 40 + 0.5) * 0.1 == pytest.approx(np.full(len(a), 2.0), abs=0.11)
     assert (b.min() - 40, b.max() - 40) == (-20, 19)
@@ -191,6 +194,65 @@ def test_a_wall_ahead_is_where_it_is() -> None:
     assert not line_is_open(hit, 40.0, 40.0, 75.0, 40.0, 0.0)
     assert line_is_open(hit, 40.0, 40.0, 59.0, 40.0, 0.0)
     assert set(region[clear & (region >= 0)].tolist()) == {7}
+
+
+def floor_with_a_bed(unseen_left: bool) -> Ground:
+    """4 × 4 m of floor around the start with a bed of 1.6 × 2 m, whose left side may be unseen."""
+    size = 40
+    shut, unseen = np.zeros((size, size), bool), np.zeros((size, size), bool)
+    shut[12:28, :20] = True
+    shut[0], shut[-1], shut[:, 0], shut[:, -1] = True, True, True, True
+    if unseen_left:
+        unseen[1:12, 1:20] = True
+    passable = ~(shut | unseen)
+    cost = np.where(passable, 1.0, np.inf).astype(np.float32)
+    tall = shut.copy()
+    tall[12:28, 1:20] = False
+    room = np.zeros((size, size), np.int16)
+    near = np.where(unseen, np.inf, 1.0).astype(np.float32)
+    corner = (HALF - 20, HALF - 20)
+    return Ground(corner, passable, cost, shut, tall, unseen, np.zeros_like(shut), room, room, near)
+
+
+def pillow(left: float) -> Thing:
+    """A pillow of 0.3 × 0.3 m at the head of that bed."""
+    low = np.array([left, 0.5, -1.8])
+    return Thing(3, "pillow", 0, surface(low, low + np.array([0.3, 0.1, 0.3])), 1.0, 0)
+
+
+def test_it_stops_on_the_side_where_it_comes_from() -> None:
+    ground = floor_with_a_bed(unseen_left=False)
+    for x in (-1.5, 1.5):
+        found = approach(pillow(-0.15), ground, ground.ways_from(x, 1.5), np.array([x, 1.5]))
+        assert found is not None
+        assert found.final
+        assert np.sign(found.place[0]) == np.sign(x)
+        # Over a low bed it sees the pillow; nothing nearer to it can be entered.
+        assert abs(found.place[0]) == pytest.approx(0.85, abs=0.21)
+
+
+def test_it_looks_at_the_unseen_side_of_a_bed_before_it_stops() -> None:
+    thing = pillow(-0.6)
+    here = np.array([1.5, 1.5])
+    ground = floor_with_a_bed(unseen_left=True)
+    found = approach(thing, ground, ground.ways_from(*here), here)
+    assert found is not None
+    assert not found.final
+    assert found.place[0] < -0.8
+    # What it has looked at in vain, or may look at no more, it takes as it is.
+    for looked in ([found.place], None):
+        given = approach(thing, ground, ground.ways_from(*here), here, looked=looked)
+        assert given is not None
+        assert given.final
+    seen = floor_with_a_bed(unseen_left=False)
+    found = approach(thing, seen, seen.ways_from(*here), here)
+    assert found is not None
+    assert found.final
+    assert found.place[0] < -0.8
+    # A place that could not be reached is not tried again.
+    other = approach(thing, seen, seen.ways_from(*here), here, given_up=[found.place])
+    assert other is not None
+    assert np.hypot(*(other.place - found.place)) > 0.3
 
 
 def test_the_command_walks_it_with_errors_and_refuses_what_it_cannot_read(
