@@ -19,6 +19,7 @@ from condvln.instructions.rejection import GivenUp
 from condvln.labels import Vocabulary
 from condvln.seeding import Draws
 from schemas.config import SamplingConfig
+from schemas.config.constants import PLAIN_ROOM_WEIGHT
 from schemas.program import BEARINGS, Condition, ObjectRef, Predicate, Program, RoomRef
 
 __all__ = ["ConditionSampler"]
@@ -117,12 +118,14 @@ class ConditionSampler:
             For one condition no statement is left.
         """
         rooms = [room for room in names if room in self._rooms]
+        # "If, in the bedroom that has the desk, the lamp …" is hard to follow: rooms with a plain name are preferred.
+        weights = [PLAIN_ROOM_WEIGHT if names[room].anchor_label is None else 1.0 for room in rooms]
         given = Presupposed.by(stops)
         asked: list[Condition] = []
         for truth in truths:
             claims = [Claim.of(condition) for condition in asked]
             for _ in range(self._sampling.attempts if rooms else 0):
-                room = draws.choice(rooms)
+                room = draws.weighted(rooms, weights)
                 free = bearings > sum(condition.is_bearing for condition in asked)
                 statements = self._statements(room, draws, room == start_room and free)
                 pair = statements and self._pair(names[room], statements, claims, given, draws)

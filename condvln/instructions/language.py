@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from itertools import pairwise
 from typing import Any, Final, Literal
 
 import yaml
@@ -75,11 +76,14 @@ class Template:
     """The sentences of a category, and the names of the voices that use them.
 
     questions : indices of the conditions that are worded as questions
+    whether : indices of the requests to look that are answered by "if so" or "if not". They must be worded with
+        "whether" or "if": "check the kitchen for a lamp; if so" is no English
     """
 
     pieces: tuple[Piece, ...]
     voices: frozenset[str]
     questions: frozenset[int] = frozenset()
+    whether: frozenset[int] = frozenset()
 
     @property
     def length(self) -> int:
@@ -197,7 +201,9 @@ class Language:
 def language(code: str = "en") -> Language:
     """Return the language whose code is `code`, such as "en"."""
     document = _document(code)
-    templates = {c: tuple(_template(t, c) for t in document["templates"][c]) for c in CATEGORIES}
+    templates = {
+        c: tuple(_template(t, c, document["connectives"]) for t in document["templates"][c]) for c in CATEGORIES
+    }
     voices = tuple(_voice(name, own, document["phrases"], templates) for name, own in document["voices"].items())
     return Language(
         code=code,
@@ -277,7 +283,9 @@ def _predicate(document: Mapping[str, Any], predicate: str) -> tuple[str, ...]:
     return tuple(phrase.replace("{direction}", word) for phrase in document["predicates"][predicate])
 
 
-def _template(entry: Mapping[str, str], category: Category) -> Template:
+def _template(
+    entry: Mapping[str, str], category: Category, connectives: Mapping[str, Sequence[str]] | None = None
+) -> Template:
     pieces: list[Piece] = []
     for k, part in enumerate(_SLOT.split(entry["text"])):
         if k % 2:
@@ -291,7 +299,17 @@ def _template(entry: Mapping[str, str], category: Category) -> Template:
     if asked != set(range(len(shape.branches))) or leaves != list(range(shape.leaves)):
         raise AssertionError(f"template does not ask each condition and name each leaf once: {entry['text']}")
     questions = frozenset(slot.index for slot in slots if slot.form == "question")
-    return Template(tuple(pieces), frozenset(entry["voices"].split()), questions)
+    words = connectives or {}
+    answers = tuple(
+        f"{one} {word}" for one in words.get("if", ()) for name in ("so", "not") for word in words.get(name, ())
+    )
+    whether = frozenset(
+        piece.index
+        for piece, after in pairwise(pieces)
+        if isinstance(piece, Slot) and piece.form == "see" and isinstance(after, str)
+        if after.lower().lstrip(".:; ").startswith(tuple(f"{answer}," for answer in answers))
+    )
+    return Template(tuple(pieces), frozenset(entry["voices"].split()), questions, whether)
 
 
 def _slot(text: str) -> Slot:

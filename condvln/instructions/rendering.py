@@ -170,6 +170,7 @@ class _Renderer:
         self._types: Counter[str] = Counter()
         self._introduced: set[RoomRef] = set()
         self._bearing: int | None = None
+        self._whether: frozenset[int] = frozenset()
 
     def program(self, program: Program) -> str:
         rooms = _rooms(program)
@@ -179,6 +180,7 @@ class _Renderer:
         opening = self._scope(rooms)
         templates = (self.voice.short_templates if self.short else self.voice.templates)[program.category]
         template = self.draws.choice(_sayable(templates, program) if not self.short else templates)
+        self._whether = template.whether
         texts = [piece if isinstance(piece, str) else self._slot(piece, program) for piece in template.pieces]
         body = "".join(texts)
         if self._is_room_first:
@@ -245,7 +247,7 @@ class _Renderer:
         if form == "question":
             return self._question(condition)
         if form == "see":
-            return self._see(condition)
+            return self._see(condition, whether=slot.index in self._whether)
         return self._clause(condition, asserted=asserted)
 
     def _is_in_room_asked(self, condition: Condition) -> bool:
@@ -308,9 +310,9 @@ class _Renderer:
         where = self._where(condition.room, named=True)
         return f"{self._filled('is_there', condition)}{self._relation(condition)}{where}?"
 
-    def _see(self, condition: Condition) -> str:
+    def _see(self, condition: Condition, *, whether: bool) -> str:
         plain = not condition.definite and condition.qualifier is None and condition.room.anchor_label is None
-        plain = plain and not self.words.room_first
+        plain = plain and not self.words.room_first and not whether
         if not plain or self._elided(condition.room) or not self._chance(CHECK_SHARE):
             return f"{self._request()} {self._clause(condition, asserted=True)}"
         self._asked_by_exists = False

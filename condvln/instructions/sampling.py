@@ -291,10 +291,13 @@ class ProgramSampler:
         category, wanted = cell.category, cell.composition
         if wanted is None:
             weights = self.sampling.compositions
+            kinds, plain = len(self._rooms_of_type), sum(map(self._is_plain, self._names))
+            # Where too few rooms have a plain name, a text over many rooms is rare: it needs "the bedroom that has …".
+            two, three = (1.0 if plain >= count else 1.0 / PLAIN_ROOM_WEIGHT for count in (2, 3))
             possible: dict[Composition, tuple[bool, float]] = {
                 "C0": (bool(self._roomy(category)), weights.C0),
-                "C1": (len(self._rooms_of_type) > 1, weights.C1),
-                "C2": (len(self._rooms_of_type) > 2, weights.C2),
+                "C1": (kinds > 1, weights.C1 * two),
+                "C2": (kinds > 2, weights.C2 * three),
             }
             options = {name: weight for name, (there_are_rooms, weight) in possible.items() if there_are_rooms}
             if any(options.values()):

@@ -108,9 +108,11 @@ def test_the_lint_finds_what_a_listener_would_take_wrongly(category: Category, t
 
 def test_agreeing_with_a_denial_is_found() -> None:
     """ "Si la caja no está cerca, ve al banco. Si es así, …" agrees that it isn't; so does "if so"."""
-    text = "Si {-A}, {y}. Si {yes A}, {x}."
+    text = "Si {-A}, {y}. Si es así, {x}."
     (finding,) = findings(language("es"), "simple", _template({"voices": "brief", "text": text}, "simple"))
     assert "agrees with the denial" in finding.what
+    said = _template({"voices": "brief", "text": "Si {-A}, {y}. Si {yes A}, {x}."}, "simple")
+    assert not list(findings(language("es"), "simple", said)), "“si lo está” says which"
     so = _template({"voices": "brief", "text": "If {-A}, {y}. If so, {x}."}, "simple")
     (finding,) = findings(language("en"), "simple", so)
     assert "agrees with the denial" in finding.what

@@ -129,6 +129,18 @@ def test_at_most_one_room_is_named_by_a_thing_in_it(sampled) -> None:
         assert set(tags) <= {0, 1}
 
 
+def test_conditions_are_asked_in_rooms_with_a_plain_name(sampled) -> None:
+    """ "If, in the bedroom that has the desk, the lamp is near the bed, …" is hard to follow."""
+    asked = Counter(
+        condition.room.anchor_label is None
+        for _, _, _, programs in sampled
+        for program in programs
+        if any(one.room.anchor_label is None for one in program.named)
+        for condition in program.conditions
+    )
+    assert asked[False] <= 0.05 * asked.total()
+
+
 def test_leaves_begin_with_different_stops_and_a_thing_has_one_name(sampled) -> None:
     for _, _, _, programs in sampled:
         for program in programs:

@@ -67,6 +67,17 @@ def test_an_elliptic_answer_follows_a_question_with_its_verb(sampled) -> None:
     assert met > 50
 
 
+def test_only_a_question_is_answered_by_so_or_not(sampled) -> None:
+    """ "Check the kitchen for a lamp. If so, …": a request to look for a thing has no yes or no."""
+    met = 0
+    for scene, _, _, programs in sampled:
+        for program in programs:
+            text = render(program, 0, instruction_id(scene.family, scene.scene_id, program)).lower()
+            assert not re.search(r"check [^.:;]*? for an? [^.:;]*[.:;] if (?:so|not),", text), text
+            met += "if so," in text
+    assert met > 100
+
+
 @pytest.mark.parametrize("code", LANGUAGES)
 def test_one_condition_has_one_relation_word(sampled, code: str) -> None:
     """ "If there's no rug by the sofa … If there's a rug next to the sofa" sounds like two questions."""
