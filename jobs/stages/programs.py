@@ -72,7 +72,7 @@ class ProgramStage(Stage):
     preamble: bool
     seed: int
     name: str = "programs"
-    version: int = 29
+    version: int = 30
     tables: tuple[str, ...] = ("stops", "candidates", "rejections")
     reads_inputs: bool = True
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "relations", "visibility")
