@@ -152,7 +152,7 @@ def test_what_is_amiss_is_said(export: Path, tmp_path: Path) -> None:
         (ScoreRules(fast_dtw=True), False),
         (ScoreRules(), True),
     ):
-        with pytest.raises(UsageError, match="R2R's rules alone"):
+        with pytest.raises(UsageError, match="scored by R2R's rules"):
             evaluate_split(export, "train", [graph], SplitOptions(rules, assume_stop=stop))
     with pytest.raises(MissingFileError, match="--connectivity"):
         evaluate_split(export, "train", [graph])

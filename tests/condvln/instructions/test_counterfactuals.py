@@ -52,7 +52,7 @@ def test_groups(sampled, prove) -> None:
 
 
 def test_a_sampler_s_groups_take_the_categories_in_turn(make_scene, facts_maker, prove) -> None:
-    scene = make_scene(1, side=8.0)
+    scene = make_scene(1, objects=14, side=8.0)
     facts = facts_maker(scene)
     bits = LabelPriors.of_scene(scene, Thresholds(), 0.3).bits(scene, 0.05)
     wanted = {"simple": 3, "nested": 3, "chain": 3}
