@@ -33,6 +33,7 @@ TECHNICAL = {
     "verify/lookouts.py": {"EVEN"},
     "verify/episode_record.py": {"HEADING"},
     "verify/heading.py": {"UNIT"},
+    "verify/trajectories.py": {"_ANGLE"},
     "verify/ground_truth.py": {"ROUNDED", "SLACK"},
     "verify/footprints.py": {"TOUCHING"},
     "verify/placement.py": {"MILLIMETRE", "ROUNDING"},
