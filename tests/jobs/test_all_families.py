@@ -56,7 +56,8 @@ def test_five_families_generate_export_and_are_proven(repository: Path, real_dat
     assert set(counts) == {"replicacad", "procthor", "ithor"}
     assert min(counts.values()) >= 5
     texts = published(config).table("instructions", partition="gibson")
-    assert texts.num_rows >= 100
+    # In small buildings many things are on the border of two rooms, and text does not name them (decision 21).
+    assert texts.num_rows >= 60
     assert verify_export(config, tmp_path / "export").exit_code == 0
     scenes = published(config).table("scenes").to_pylist()
     assert {row["scene_id"] for row in scenes if row["status"] == "skipped"} == {"empty_stage"}
