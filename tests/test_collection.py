@@ -109,10 +109,13 @@ def test_every_test_of_the_repository_is_run(repository: Path) -> None:
 
 
 def test_ci_runs_the_targets(repository: Path) -> None:
-    """Those of all tests, and the one in whose environment the heavy packages are installed."""
+    """Those of all tests, the one in whose environment the heavy packages are installed, and the one with a browser."""
     lines = (repository / ".ci" / "run").read_text().splitlines()
     targets = [line.removeprefix("make ") for line in lines if line.startswith("make ")]
-    assert targets == [*TARGETS, "agents"]
+    assert targets == [*TARGETS, "agents", "browser"]
+    (line,) = (row for row in output(["make", "--dry-run", "browser"], repository).splitlines() if "-m pytest" in row)
+    assert line.startswith("CONDVLN_BROWSER=1 ")
+    assert line.endswith(" tests/browser")
     (line,) = (row for row in output(["make", "--dry-run", "agents"], repository).splitlines() if "-m pytest" in row)
     (file,) = (word for word in shlex.split(line) if word.endswith(".py"))
     assert "importorskip" in (repository / file).read_text()

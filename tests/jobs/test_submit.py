@@ -219,7 +219,7 @@ def test_every_verb_that_takes_a_configuration_can_be_submitted() -> None:
     }
     assert {*VERBS} <= takes
     # These need what is on this machine: a screen, a file, a path to write to.
-    assert takes - {*VERBS} <= {"submit", "compose", "language", "render"}
+    assert takes - {*VERBS} <= {"submit", "compose", "explore", "language", "render", "trajectories"}
 
 
 def test_words_survive_the_shell() -> None:

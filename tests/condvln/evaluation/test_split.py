@@ -211,7 +211,7 @@ def test_files_in_evaluations_out(
     assert len(there) == len(tasks)
     assert found[0].scores["success"].mean() < 0.2
     assert found[1].scores["success"].mean() == 1
-    with pytest.raises(UsageError, match="one name"):
+    with pytest.raises(UsageError, match="have the same name"):
         evaluate_split(export, "train", [first, first])
 
 

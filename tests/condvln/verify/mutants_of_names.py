@@ -94,10 +94,17 @@ def send_to_another_room(files: Files, rng: np.random.Generator, world: World) -
 
 @mutator
 def change_room_anchor(files: Files, rng: np.random.Generator, world: World) -> bool:
+    """A room is told apart by another object than in the text; where the text needs none, by any object in it."""
     rooms = [c["room"] for c in files.conditions] + [m["room"] for leaf in files.leaves for m in leaf["moves"]]
     anchored = [room for room in rooms if room["anchor_id"]]
     if not anchored:
-        return False
+        room = pick(rng, rooms)
+        inside = [o for o in world.scene.objects if o.room_id == room["room_id"] and o.label in words().nouns]
+        if not inside:
+            return False
+        anchor = pick(rng, inside)
+        room["anchor_id"], room["anchor_label"] = anchor.object_id, anchor.label
+        return True
     room = pick(rng, anchored)
     room["anchor_label"] = pick(rng, {*words().nouns} - {room["anchor_label"]})
     return True
