@@ -1,5 +1,5 @@
-"""Switch off Python's cyclic garbage collector where many rows are created: they have no cycles, and scanning is
-slow.
+"""Switch off Python's cyclic garbage collector while many rows are created: rows contain no reference cycles, and
+scanning them is slow.
 """
 
 from __future__ import annotations

@@ -58,8 +58,8 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def register_warm_up(name: str, run: Callable[[], object]) -> None:
-    """Register a function that :func:`warm_up` calls. `run` must compile the kernels of the group `name` by calling
-    them on little data.
+    """Register `run` as a function that :func:`warm_up` calls. It must compile the kernels of the group `name` by
+    calling each kernel on a small input.
     """
     _warm_ups[name] = run
 

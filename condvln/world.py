@@ -140,8 +140,8 @@ class World:
     def referents(
         self, thresholds: Thresholds | None = None, sampling: SamplingConfig | None = None
     ) -> dict[str, Referents]:
-        """Return the phrases that identify each object, by room id: its label if that is unique, else with a
-        qualifier.
+        """Return, by room id, the phrases that identify each object: the object's label if it is unique in the room,
+        else the label with a qualifier.
         """
         anchor_size = (sampling or SamplingConfig()).anchor_size
         facts = self._facts(thresholds or Thresholds())
@@ -251,7 +251,8 @@ class World:
 
 
 def open_world(source: Source, scene_id: str, agent: AgentConfig | None = None) -> World:
-    """Open a scene with its navmesh: the one that fits the agent, else another shipped one, else one that is built now.
+    """Open a scene with a navmesh: a shipped navmesh that fits the agent, else another shipped navmesh, else a navmesh
+    that is built now.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Opening a store by its address, as a configuration or a command line gives it."""
+"""Open a store by its address, as given in a configuration or on a command line."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Executor that uses Ray only where it pays, for runs that do not configure a number of workers. A small run is done
-inline.
+"""Executor for runs that do not configure a number of workers: a small run is done inline, and only a larger one uses
+Ray.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ clock)."""
 
 
 class AutoExecutor:
-    """Chooses inline or Ray by the estimated cost of the work. If Ray is already running here, or a cluster is
-    configured, it always chooses Ray.
+    """Works inline or with Ray, depending on the estimated cost of the work. If Ray is already running here, or a
+    cluster is configured, Ray is always used.
 
     Only for who has configured neither workers nor an address: those are obeyed, see ``jobs.generate``.
 

@@ -1,4 +1,6 @@
-"""The chain of stages of one unit, walked by planner and workers alike: keys, and the tables that each stage reads."""
+"""The chain of stages of one unit, used by planner and workers alike: the key of each stage, and the tables that it
+reads.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,8 @@ class Upstream(Mapping[str, pa.Table]):
 
 
 class SharedTables:
-    """The pinned aggregates of a run. Their hashes are known; a table is read from the store when a stage asks for it.
+    """The pinned aggregates of a run. Their hashes are known from the start; the table of an aggregate is read from the
+    store when a stage asks for it.
 
     hashes : name of the aggregate → logical hash
     """
@@ -76,7 +79,7 @@ class SharedTables:
 
 
 class Chain:
-    """The stages of one unit that are done, in their order.
+    """The chain of stages of one unit: which of them are done, and what the next one reads.
 
     Stages may be known from a commit, from an earlier snapshot's index, or made just now; in the last case their tables
     are at hand, otherwise they are read from the store when a later stage asks.

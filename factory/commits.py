@@ -69,7 +69,8 @@ class Commits:
                 yield parts[1], parts[3]
 
     def find(self, stage: str, key: str, *, discard: bool = True) -> Committed | None:
-        """Return the commit under this key, or None if it or one of its files is missing, cut or not readable.
+        """Return the commit under this key, or None if the commit or one of its files is missing, truncated or
+        unreadable.
 
         discard : remove a damaged one, so that it is rebuilt; False where nothing may be written
         """
@@ -153,7 +154,7 @@ class Commits:
         return table
 
     def file(self, commit: UnitCommit, name: str) -> bytes:
-        """Read another file of a commit. Raises ``CorruptShardError`` as ``table`` does."""
+        """Read a file of a commit that is not a table. Raises ``CorruptShardError`` as ``table`` does."""
         return bytes(self._verified(f"{self.folder(commit.stage, commit.key)}/{name}", commit.files[name].sha256))
 
     def _verified(self, path: str, sha256: str | None) -> Any:
@@ -173,7 +174,9 @@ class Commits:
         return f"{self.store.url}/{path}"
 
     def discard(self, stage: str, key: str) -> None:
-        """Delete a commit. ``unit.json`` is deleted first, so that no commit ever exists without its files."""
+        """Delete a commit. ``unit.json`` is deleted first, so that a ``unit.json`` never remains without the other
+        files.
+        """
         folder = self.folder(stage, key)
         self.store.delete(f"{folder}/unit.json")
         for entry in [*self.store.list(folder)]:

@@ -14,7 +14,7 @@ __all__ = ["RunContext"]
 
 @dataclass(frozen=True)
 class RunContext:
-    """Parameters of a run that every worker receives once.
+    """Parameters of a run; every worker receives them once.
 
     shared : hashes of the pinned aggregates
     quarantined : (stage, key) pairs not to be tried again

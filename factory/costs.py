@@ -1,5 +1,5 @@
-"""Cost model of units: the measured cost of a unit's last run, else its own estimate, corrected by how accurate earlier
-estimates were.
+"""Cost model of units: the cost measured when the unit was last made, else the unit's own estimate, corrected by how
+accurate earlier estimates were.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ class CostModel:
         self._scales: dict[tuple[str, str], float] = {}
 
     def _learned(self, stage: str, partitions: list[str], numbers: Any) -> dict[str, tuple[float, float]]:
-        """Return (measured CPU seconds, estimated CPU seconds) of a stage, summed by partition. The key '' has the sums
-        over all partitions.
+        """Return, by partition, (measured CPU seconds, estimated CPU seconds) of a stage, summed over the units of the
+        partition. Under the key '' are the sums over all partitions.
         """
         spent, estimated = self._spent[stage], self._estimated[stage]
         both = (spent > 0) & (estimated > 0)
@@ -84,8 +84,8 @@ class CostModel:
         return sum(self.stage_seconds(unit, row, name) for name in self._names[first:until])
 
     def memory(self, unit: Unit, row: int) -> int:
-        """Return the expected peak memory of a unit in bytes: the peak measured last time, with a margin, else the
-        unit's own estimate.
+        """Return the expected peak memory of a unit in bytes: the peak measured when the unit was last made, with a
+        margin, else the unit's own estimate.
         """
         if row >= 0 and self._peak_rss[row] > 0:
             return int(MEMORY_MARGIN * self._peak_rss[row])

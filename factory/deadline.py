@@ -1,4 +1,4 @@
-"""Stopping a unit or a run: a limit on a unit's seconds, and SIGTERM, which schedulers send.
+"""Stop a unit that exceeds its time limit, or a run that receives SIGTERM, the signal that schedulers send.
 
 Python code is interrupted by a signal and quarantined with its traceback. Compiled code that keeps the interpreter
 locked cannot be: there, in a worker process that may die, a watchdog written in C prints where every thread stands
@@ -69,7 +69,7 @@ class Deadline:
 
 @contextlib.contextmanager
 def terminable() -> Iterator[threading.Event]:
-    """Let SIGTERM stop a run as Ctrl-C does: no more work is handed out, and the owner of Ray shuts it down.
+    """Let SIGTERM stop a run as Ctrl-C does: no more work is handed out, and a run that started Ray shuts Ray down.
 
     The event is set as well: what is raised inside a callback of C code may be printed and forgotten there.
     """

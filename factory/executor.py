@@ -49,7 +49,9 @@ class Executor(Protocol):
         ...
 
     def workers_for(self, seconds: float) -> int:
-        """Return how many units would be processed at once in a run of this many expected CPU seconds in total."""
+        """Return how many units would be processed at once in a run whose expected cost is ``seconds`` CPU seconds in
+        total.
+        """
         ...
 
     def busy(self) -> Sequence[Busy]:

@@ -59,7 +59,7 @@ class FaultPlan:
 
     @classmethod
     def from_environment(cls) -> FaultPlan:
-        """Read the plan in ``FACTORY_FAULTS``; empty if it is not set."""
+        """Read the plan in the environment variable ``FACTORY_FAULTS``; an empty plan if the variable is not set."""
         return cls.parse(os.environ.get(ENVIRONMENT, ""))
 
     def reach(self, point: str) -> None:

@@ -80,7 +80,7 @@ class FileHashes:
         return InputFile(relative, stat.st_size, found)
 
     def save(self) -> None:
-        """Write new hashes; a cache that can't be written is not an error."""
+        """Write new hashes to disk. If the cache can't be written, no error is raised."""
         if self._path is None or not self._new:
             return
         try:

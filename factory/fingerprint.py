@@ -1,4 +1,5 @@
-"""Golden keys and output hashes of a small corpus: they show when a stage changed and its version was not raised.
+"""Golden keys and output hashes of a small corpus: they reveal a stage whose output changed although its version was
+not raised.
 
 A stage whose rows change while its key stays would leave old and new rows side by side in every store, for ever. So a
 test makes a small corpus from scratch and compares: under an equal key, the rows must be equal.
@@ -40,7 +41,7 @@ class Drift:
 
 
 def fingerprints(pipeline: Pipeline, units: Iterable[Unit]) -> dict[str, dict[str, dict[str, str]]]:
-    """Process ``units`` from scratch in this process; return their keys and hashes.
+    """Process ``units`` from scratch in this process; return by unit and stage the key, and the hash of each table.
 
     Raises ``ProofError`` when a unit fails.
     """

@@ -23,7 +23,7 @@ _PAUSE: Final = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Busy:
-    """A unit under way, and for how many seconds it has been at its stage.
+    """A unit under way, the stage that it is at, and for how many seconds.
 
     endable : its process may be ended when it is late (a worker of Ray's, not the driver)
     """
@@ -35,8 +35,8 @@ class Busy:
 
 
 def busy_message(busy: Busy, deadline: float | None = None) -> str:
-    """Format one line about a unit that takes long. If it is past its deadline in this process, it is in compiled code,
-    which no signal interrupts.
+    """Format one line about a unit that takes long. If the unit runs in this process and is past its deadline, the line
+    adds that it is in compiled code, which no signal interrupts.
     """
     line = f"{busy.unit_id}: at stage {busy.stage} for {busy.seconds:.0f} s"
     if deadline is not None and busy.seconds > deadline and not busy.endable:
@@ -98,7 +98,7 @@ class Heartbeat:
 
 
 class Place:
-    """The unit and stage of a worker, written by the working thread and read by others."""
+    """The unit and stage that a worker is at, written by the working thread and read by other threads."""
 
     __slots__ = ("_at",)
 

@@ -122,7 +122,9 @@ class IndexWriter:
         self._pending.clear()
 
     def finish(self, carried: pa.Table | None) -> pa.Table:
-        """Return all added rows, and the rows of ``carried`` from an older index, sorted by unit id."""
+        """Return one table of all added rows and the rows of ``carried``, which are taken over from an older index,
+        sorted by unit id.
+        """
         if self._pending:
             self._flush()
         whole = pa.Table.from_batches(self._batches, schema=self._schema)
@@ -281,7 +283,7 @@ class Index:
 
 
 def id_hashes(unit_ids: Sequence[str]) -> Any:
-    """Return the (n,) uint64 hashes of ids: small enough to keep for a million units."""
+    """Return the (n,) uint64 hashes of unit ids; a million of them fit easily in memory."""
     joined = b"".join(
         hashlib.blake2b(text.encode("utf-8", "surrogatepass"), digest_size=8).digest() for text in unit_ids
     )

@@ -1,4 +1,4 @@
-"""Which files of a published state exist, by names and sizes: those of the units and of the snapshot.
+"""Find out by names and sizes which files of a published state exist: the files of the units and of the snapshot.
 
 A ref names a snapshot and a unit index; what these name must be in the store. A unit whose files are missing or cut is
 made again, a missing file of the snapshot is packed again. Bytes that changed while a file's size stayed are found
@@ -51,12 +51,14 @@ class Inventory:
                 self.whole &= ~self._lost[stage]
 
     def lost(self, stage: str, row: int) -> bool:
-        """Whether files that this stage made for the unit in ``row`` are missing or cut."""
+        """Whether files that this stage made for the unit in ``row`` are missing or truncated."""
         return stage in self._lost and bool(self._lost[stage][row])
 
 
 def _lost(commits: Commits, table: pa.Table, stage: str) -> npt.NDArray[np.bool_]:
-    """Return whether files of the stage are missing or cut, for each row of ``table``, as (rows,) bool."""
+    """Return, as (rows,) bool, whether files that the stage made for the unit in each row of ``table`` are missing or
+    truncated.
+    """
     column = table.column(f"{stage}.key").combine_chunks()
     column = column.chunk(0) if isinstance(column, pa.ChunkedArray) else column
     made: npt.NDArray[np.bool_] = column.is_valid().to_numpy(zero_copy_only=False)
@@ -87,7 +89,9 @@ def _lost(commits: Commits, table: pa.Table, stage: str) -> npt.NDArray[np.bool_
 
 
 def _unit_folders(store: Store, stage: str) -> Iterator[tuple[bytes, int]]:
-    """Yield (key, total bytes of files) of every committed unit of a stage. Folders that are not units are skipped."""
+    """Yield (key, total bytes of all files) for every committed unit of a stage. Folders that do not belong to a unit
+    are skipped.
+    """
     for folder, files in store.folders(f"units/{stage}"):
         parts = folder.split("/")
         if len(parts) == 2 and UNIT_FILE in files:
@@ -132,8 +136,9 @@ def glance(store: Store, ref: str) -> list[Any]:
 
 
 def _units_at_a_glance(store: Store) -> list[Any]:
-    """List the folders ``units/<stage>/<key[:2]>`` of a store on disk (about 256 per stage), each with its time and
-    number of links, which change with every unit. For a small store, also list every file with its size.
+    """List the folders ``units/<stage>/<key[:2]>`` of a store on disk (about 256 per stage), each with its modification
+    time and number of links, both of which change when a unit is added or removed. For a small store, also list every
+    file with its size.
     """
     root = store.local_path("units")
     if root is None:

@@ -32,7 +32,7 @@ def _hash(value: JSON) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class StageKey:
-    """The key of one stage of one unit, and the parts from which it is computed. Each has 16 bytes."""
+    """The key of one stage of one unit, and the parts that it is computed from; key and parts have 16 bytes each."""
 
     key: bytes
     code: bytes
@@ -74,11 +74,15 @@ class Keyer:
         return _hash(sorted((file.path, file.size, file.sha256) for file in unit.inputs))
 
     def content(self, unit: Unit) -> bytes:
-        """Hash the unit's bytes alone, without paths, so that the hash stays when a unit is renamed."""
+        """Hash the bytes of the unit's files without their paths, so that the hash stays the same when a unit is
+        renamed.
+        """
         return _hash(sorted((file.size, file.sha256) for file in unit.inputs))
 
     def parameters(self, unit: Unit, at: int) -> bytes:
-        """Hash the parameters. The hash is cached as long as the stage returns the same object."""
+        """Hash the parameters of the stage at position ``at``. The hash is cached as long as the stage returns the same
+        object.
+        """
         value = self._pipeline.stages[at].parameters(unit)
         known = self._remembered[at]
         if known is not None and known[0] is value:
@@ -88,7 +92,8 @@ class Keyer:
         return found
 
     def fingerprint(self, unit: Unit, shared: Mapping[str, str], stages: int | None = None) -> bytes:
-        """Hash everything that the whole chain can depend on. Shared tables enter by their own hashes.
+        """Hash everything that the unit's whole chain of stages can depend on. Of shared tables, their own hashes are
+        used.
 
         Equal fingerprints mean equal keys of every stage, by purity; nothing needs to be read to know it. The converse
         does not hold: a changed shared table may leave every key as it was. A shared table that is not pinned yet makes

@@ -1,4 +1,4 @@
-"""A published snapshot on this machine's disk: in the store's own folder, or as a copy if the store is elsewhere.
+"""Find a published snapshot on this machine's disk: in the store's own folder, or in a copy if the store is elsewhere.
 
 Readers that want files (DuckDB, an export) get them here whatever the store is, and each file as it was published: its
 hash is compared with the manifest, once for each size and time that the file has. A copy is laid out as the original,
@@ -100,7 +100,7 @@ def local_copy(
 
 
 def _forget(folder: Path, used: str) -> None:
-    """Remove copies that were not used recently."""
+    """Remove copies of snapshots that were not used recently."""
 
     def last_use(copy: Path) -> float:
         try:

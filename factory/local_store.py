@@ -189,8 +189,8 @@ class LocalStore:
 
     @contextlib.contextmanager
     def _locked(self, folder: Path) -> Iterator[None]:
-        """Hold the exclusive lock of `folder`. The lock is released when its process ends, so that a killed publisher
-        blocks nobody.
+        """Hold the exclusive lock of `folder`. The lock is released when the process that holds it ends, so that a
+        killed publisher blocks nobody.
         """
         self._make(folder)
         lock = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
@@ -201,7 +201,7 @@ class LocalStore:
             os.close(lock)
 
     def _make(self, folder: Path) -> None:
-        """Create a folder and sync its parents, so that it survives a power cut as its files do."""
+        """Create a folder and sync its parents, so that the folder survives a power cut, as the files in it do."""
         new = []
         at = folder
         while not at.exists():

@@ -1,4 +1,4 @@
-"""Facts about the machine that are recorded but not part of any key: host, versions, peak memory, and a speed test."""
+"""Facts about the machine, which are recorded but are not part of any key: host, versions, memory, and a speed test."""
 
 from __future__ import annotations
 
@@ -99,7 +99,8 @@ def memory_total() -> int:
 
 def memory_available() -> int:
     """Return the bytes that processes can still allocate before the machine or its container runs out; 0 where
-    unknown."""
+    unknown.
+    """
     return max(min([_meminfo("MemAvailable"), *(limit - used for limit, used in container_limits())]), 0)
 
 
@@ -152,13 +153,16 @@ _ROUNDS: Final = 4
 
 def probe() -> float:
     """Measure the CPU seconds of a fixed piece of work: half numpy on small arrays, half plain Python. Takes under 0.2
-    s."""
+    s.
+    """
     return min(_round() for _ in range(_ROUNDS))
 
 
 @functools.cache
 def slowness() -> float:
-    """Return the CPU seconds of this machine for one CPU second of the reference machine; measured once per process."""
+    """Return how many CPU seconds this machine needs for the work of one CPU second on the reference machine; measured
+    once per process.
+    """
     return probe() / REFERENCE_PROBE_SECONDS
 
 

@@ -53,8 +53,8 @@ _SIGNAL: Final = signal.SIGUSR2
 
 
 def share(slots: int) -> int | None:
-    """Return the maximum number of bytes that one of `slots` processes of this machine may hold; None where the system
-    does not report its memory.
+    """Return how many bytes of memory this process may hold if `slots` such processes share the machine; None where the
+    system does not report its memory.
     """
     total, free = machine.memory_total(), machine.memory_available()
     if not total:
@@ -73,7 +73,7 @@ def release() -> None:
 
 
 class MemoryCeiling:
-    """The most memory that this process may hold while it works on a unit.
+    """The limit on the memory that this process may hold while it works on a unit.
 
     ceiling : bytes of resident memory; None for no ceiling
     """
@@ -106,7 +106,7 @@ class MemoryCeiling:
 
     @contextlib.contextmanager
     def armed(self) -> Iterator[None]:
-        """Context, entered inside ``watch``, in which the memory error may be raised. It must not be nested."""
+        """Context in which the memory error may be raised. It must be entered inside ``watch`` and not be nested."""
         if not self._watched or self.ceiling is None:
             yield
             return
@@ -150,7 +150,7 @@ class MemoryCeiling:
 
 
 class _Watcher:
-    """The one thread of this process that checks its memory; it sleeps while nothing is watched."""
+    """The one thread that checks the memory of this process; it sleeps while there is no ceiling to watch."""
 
     def __init__(self) -> None:
         self._ceiling: MemoryCeiling | None = None
@@ -194,8 +194,8 @@ def _limit(limits: tuple[int, int]) -> None:
 
 
 def _lowered(limits: tuple[int, int], ceiling: int) -> tuple[int, int]:
-    """Return memory limits (soft, hard) in bytes. With the soft limit, this process can allocate slightly more than it
-    needs to reach ``ceiling``.
+    """Return ``limits`` (soft, hard) in bytes with the soft limit lowered. Under the new soft limit, this process can
+    still allocate slightly more than what is left below ``ceiling``.
     """
     _, hard = limits
     found = machine.private_memory() + int(_SLACK * max(ceiling - machine.rss(), 0))

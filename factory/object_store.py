@@ -38,7 +38,9 @@ _REFUSED: Final = {"403", "AccessDenied", "InvalidAccessKeyId", "SignatureDoesNo
 
 @functools.lru_cache(maxsize=8)
 def _client(endpoint: str | None, region: str | None) -> Any:
-    """Return the client of this process, shared by its threads; a new one takes a third of a second."""
+    """Return the client for S3 requests, one per process, which all threads share: making a client takes a third of a
+    second.
+    """
     try:
         import boto3
         from botocore.config import Config
@@ -74,7 +76,8 @@ class ObjectStore:
     @classmethod
     def from_url(cls, url: str) -> ObjectStore:
         """Parse ``s3://bucket/prefix[?endpoint=http://host:port][&region=name]``. Raises ``UsageError`` on anything
-        else."""
+        else.
+        """
         parts = urlsplit(url)
         query = parse_qs(parts.query)
         if "@" in parts.netloc or "@" in urlsplit(query.get("endpoint", [""])[-1]).netloc:

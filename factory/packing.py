@@ -50,7 +50,7 @@ _BATCH: Final = 8192
 
 @dataclass(frozen=True, slots=True)
 class PackJob:
-    """One file to write.
+    """One file of a published table to write, and the rows that belong in it.
 
     members : columns unit_id, stage, key, hash, bytes; one row for each unit and stage with rows in it, by unit id
     """
@@ -70,7 +70,7 @@ class PackJob:
 
 @dataclass(frozen=True, slots=True)
 class Packed:
-    """Result of a job: the file, or the units whose damaged files were removed."""
+    """Result of a ``PackJob``: the file written, or the units whose damaged files were removed."""
 
     table: str
     partition: str
@@ -79,7 +79,9 @@ class Packed:
 
 
 def buckets(members: pa.Table, part_bytes: int) -> Iterator[tuple[int, pa.Table]]:
-    """Yield (bucket, members) of one table and partition. If it has no rows at all, yield one empty bucket."""
+    """Yield (bucket, its members) for the ``members`` of one table and partition. If there are no rows at all, yield
+    one empty bucket.
+    """
     count = bucket_count(members, part_bytes)
     if count == 1:
         yield 0, members
@@ -96,7 +98,7 @@ def buckets(members: pa.Table, part_bytes: int) -> Iterator[tuple[int, pa.Table]
 
 
 def bucket_count(members: pa.Table, part_bytes: int) -> int:
-    """Return into how many buckets the rows of one table and partition are divided. It is a power of two."""
+    """Return the number of buckets, a power of two, into which the rows of one table and partition are divided."""
     whole = int(pc.sum(members.column("bytes")).as_py() or 0)
     count = 1
     while count * part_bytes < whole:

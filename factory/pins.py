@@ -1,4 +1,5 @@
-"""Aggregates: tables over all units, built once after a first pass, and then pinned by hash for a ref.
+"""Aggregates: tables over all units, each built once after a first pass over the units, and then pinned by hash for a
+ref.
 
 The pin is one small file, ``pins/<pipeline>/<ref>.json``, replaced atomically; the tables are named by their hash,
 ``aggregates/<name>/<hash>.parquet``. A run that is killed before the pin is written builds the same table again from
@@ -96,7 +97,9 @@ class Pins:
         return found
 
     def restore(self) -> list[str]:
-        """Write missing or damaged files again where their content is known; return their paths."""
+        """Write missing or damaged files of pins and their tables again where their content is known; return the paths
+        of these files.
+        """
         written = []
         for path in self.damaged:
             if path == self._path:
@@ -119,8 +122,8 @@ class Pins:
             return False
 
     def _copy(self, name: str, rows_hash: str) -> bytes | None:
-        """Return the bytes of the table's copy in the published snapshot; None if there is no undamaged copy with this
-        hash.
+        """Return the bytes of the copy of the table ``name`` in the published snapshot; None if there is no undamaged
+        copy with this hash.
         """
         record = None if self._published is None else self._published.shared.get(name)
         if self._published is None or record is None or record.hash != rows_hash:
@@ -169,7 +172,7 @@ class Pins:
 
 
 def _holds(pinned: PinnedTable, aggregate: Aggregate) -> bool:
-    """Whether a pinned table was built by the aggregate's present version and with its present parameters."""
+    """Whether a pinned table was built by the present version of ``aggregate``, with its present parameters."""
     return pinned.version == aggregate.version and pinned.parameters == digest(aggregate.parameters())
 
 
@@ -192,8 +195,8 @@ def build_aggregate(aggregate: Aggregate, commits: Commits, receipts: Iterable[R
 
 
 def discard_damaged(aggregate: Aggregate, commits: Commits, receipts: Iterable[Receipt]) -> int:
-    """Remove every commit that ``aggregate`` could not read, so that another pass rebuilds all of them. Return the
-    number of units affected.
+    """Remove every commit whose tables for ``aggregate`` are damaged, so that another pass rebuilds them all. Return
+    the number of units affected.
     """
     damaged = 0
     for _, tables in _tables(aggregate, commits, receipts):

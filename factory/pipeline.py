@@ -1,4 +1,4 @@
-"""A pipeline: stages in their order, the aggregates between them, and the tables it publishes."""
+"""A pipeline: stages in their order, the aggregates between them, and the tables to publish."""
 
 from __future__ import annotations
 

@@ -75,8 +75,8 @@ class Plan:
 
     @property
     def unchanged(self) -> bool:
-        """Whether a run would publish exactly what is published now. All published files exist, as a listing of the
-        store shows.
+        """Whether a run would publish exactly what is published now. If so, a listing of the store has also shown that
+        all published files exist.
         """
         return self.empty and self.snapshot_id is not None and self.carried == len(self.entries)
 

@@ -110,7 +110,8 @@ class Planner:
 
     def _stands(self, row: int) -> bool:
         """Whether the unit's published result is still valid. A quarantined unit whose record was removed is tried
-        again."""
+        again.
+        """
         if self._statuses[row] != "quarantined":
             return True
         failure = self.index.receipt(row, self.pipeline).failure
@@ -132,7 +133,9 @@ class Planner:
         return unit, id_hashes([unit.unit_id]).tobytes() + id_hashes([str(unit.fault)]).tobytes()
 
     def work(self, units: Iterable[Unit]) -> Iterator[Work]:
-        """Yield the units that a run must process. All other units are marked in ``kept``."""
+        """Yield the units that a run must process. For each unchanged unit, mark its row of the index in ``self.kept``
+        instead.
+        """
         for unit, fingerprint, row, fresh in self.compare(units):
             if not fresh:
                 seconds = self._model.seconds(unit, row, self._made, self.stages)
@@ -167,8 +170,8 @@ class Planner:
         return self._inventory is not None and row >= 0 and self._inventory.lost(stage, row)
 
     def _damaged_entry(self, unit: Unit, old: Receipt, row: int) -> PlanEntry:
-        """Plan a unit whose inputs are unchanged but some of whose files are missing or cut. Only the stages of these
-        files run again, and they give the same rows.
+        """Return the plan for a unit whose inputs are unchanged, but which has files in the store that are missing or
+        cut short. Only the stages that wrote those files run again, and they give the same rows as before.
         """
         lost = {stage.stage for stage in old.stages if self._lost(stage.stage, row)}
         return PlanEntry(
@@ -249,8 +252,8 @@ class Planner:
     def _behind(
         self, unit: Unit, first: int, before: Mapping[str, StageReceipt], reasons: list[Reason]
     ) -> Iterator[tuple[str, StagePlan]]:
-        """Plan the stages from position ``first`` on, which is the first stage that is not done. It will run; later
-        stages may have to run if they read its tables.
+        """Yield (stage name, plan) for each stage from position ``first`` on. The stage at ``first`` is the first one
+        that is not done, so it will run. A later stage may have to run if it reads tables of a stage that runs.
         """
         unsure = {first}
         for at in range(first, self.stages):

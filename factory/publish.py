@@ -79,7 +79,7 @@ class Publisher:
         return published_index(self._pipeline, self._store, self.old)
 
     def look(self) -> None:
-        """Find published files that are missing or cut, by listing them; they will be rebuilt."""
+        """List the store's files to find published files that are missing or cut short. These files will be rebuilt."""
         if self.old is not None:
             self._note(missing_parts(self._store, self.old.snapshot_id), "is missing or cut")
 
@@ -181,7 +181,9 @@ class Publisher:
     def _carry_over(
         self, jobs: Iterable[PackJob], parts: Mapping[tuple[str, str], list[PartRecord]]
     ) -> Iterator[PackJob]:
-        """Reuse files of the published snapshot that hold the same rows as a job would write. Yield the other jobs."""
+        """Yield the jobs whose files must be written. For each other job, a file of the published snapshot already
+        holds the same rows: this file is copied and added to ``parts``.
+        """
         before = self.manifest
         known = {}
         if before is not None:

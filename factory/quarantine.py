@@ -32,7 +32,7 @@ class Failed(Exception):
 
 
 def failed_by(error: BaseException, attempts: int) -> Failed:
-    """Classify an error as a failure.
+    """Return ``error`` as a ``Failed`` that names its cause.
 
     What a signal's handler raised while compiled code ran is handed on by numba's dispatcher as the cause of a
     ``SystemError``. Raises ``KeyboardInterrupt`` again.
@@ -52,8 +52,8 @@ class Quarantine:
         self._commits = commits
 
     def known(self, stage: str, key: str, attempt: int) -> Failure | None:
-        """Return the failure because of which the stage is not tried again, or None. It was recorded by an earlier run,
-        or by this run if an earlier attempt died.
+        """Return the recorded failure that keeps the stage from being tried again, or None if the stage may run. The
+        record is from an earlier run, or from an earlier attempt of this run.
         """
         listed = (stage, key) in self._context.quarantined
         if not listed and attempt == 1:

@@ -28,8 +28,8 @@ _PREFIX: Final = "condvln-busy:"
 
 
 def report_to_board(run: str, place: Place, after: float) -> Callable[[], None]:
-    """Start to report the unit that is at ``place`` whenever it takes long, and return a function that stops this.
-    Worker processes call this.
+    """Start a thread that reports the unit a worker is busy with, as given by ``place``, whenever that unit takes long.
+    Return a function that stops the thread. Worker processes call this.
 
     run : name of the dispatch that the worker serves
     after : seconds at one stage of a unit that are worth a report

@@ -255,7 +255,9 @@ class Dispatch:
         return room if self._most is None else min(room, self._most)
 
     def _bounded(self, memory: float) -> int:
-        """Return ``memory`` in bytes, reduced to what some node can provide. Ray would wait for ever for more."""
+        """Return ``memory`` in whole bytes, but at most what some node can provide. If asked for more, Ray would wait
+        forever.
+        """
         return int(min(memory, self._memory * 0.9)) if self._memory else int(memory)
 
     # ---- failures

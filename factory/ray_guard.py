@@ -73,7 +73,9 @@ class Guard:
 
 
 def watch(logs: str) -> str:
-    """Read lines from the driver until its end. Return the message to print, empty if the driver ended the guard."""
+    """Read the driver's lines from standard input until the input ends. Return the message to print; empty if the
+    driver said goodbye.
+    """
     units = 0
     for line in sys.stdin.buffer:
         if line == _BYE:
@@ -87,7 +89,7 @@ def watch(logs: str) -> str:
 
 
 def _reason(logs: str) -> str:
-    """Return the reason that Ray's node logged for its own end, in one line."""
+    """Return, in one line, why Ray's node ended, as far as the node's log tells."""
     try:
         data = Path(logs, "raylet.out").read_bytes()[-_TAIL:].decode("utf-8", "replace")
     except OSError:

@@ -1,4 +1,4 @@
-"""Metrics of a run for Ray's Prometheus endpoint, kept by the driver from the receipts.
+"""Metrics of a run for Ray's Prometheus endpoint. The driver computes them from the receipts.
 
 In Prometheus the names begin with ``ray_``. Units are in the names, as its conventions ask. The endpoint is part of
 ``ray[default]``; a Ray without it takes the numbers and drops them.

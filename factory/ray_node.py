@@ -76,8 +76,8 @@ def lost(what: str, logs: str = "") -> ClusterError:
 
 
 def _own_processes() -> Iterator[tuple[str, Callable[[], int | None]]]:
-    """Yield (name, function that returns the exit code, None while alive) of each essential process of Ray that this
-    process started. It yields nothing if Ray was joined as a cluster.
+    """Yield (name, function) for each essential process of Ray that this process started. The function returns the exit
+    code of the Ray process, or None while it is alive. If this process joined a running cluster, nothing is yielded.
     """
     try:
         from ray._private import worker

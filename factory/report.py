@@ -189,7 +189,9 @@ class Remaining:
         self._took = 0.0
 
     def unit(self, receipt: Receipt) -> None:
-        """Count a finished unit by its wall-clock time, since other processes may share the machine."""
+        """Count a finished unit. The pace is measured by the wall-clock time of units, since other processes may share
+        the machine.
+        """
         self._done += receipt.expected
         self._took += receipt.seconds
 

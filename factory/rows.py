@@ -105,7 +105,7 @@ def _empty(kind: pa.DataType) -> Any:
 
 
 def _type_name(kind: pa.DataType) -> str:
-    """Return a type's name that does not depend on the version of pyarrow or on the encoding of the values."""
+    """Return a name for the type that is the same in every version of pyarrow and for every encoding of the values."""
     if pa.types.is_dictionary(kind) or pa.types.is_run_end_encoded(kind):
         return _type_name(kind.value_type)
     if isinstance(kind, pa.BaseExtensionType):
@@ -205,7 +205,9 @@ class _Feed:
 def parquet_bytes(
     table: pa.Table, *, sort_keys: tuple[str, ...] = (), metadata: Mapping[str, str] | None = None
 ) -> Any:
-    """Encode ``table`` as one Parquet file by one ``write_table``, so that equal tables give equal bytes."""
+    """Encode ``table`` as one Parquet file, with a single call of ``write_table``, so that equal tables give equal
+    bytes.
+    """
     sink = pa.BufferOutputStream()
     pq.write_table(
         table.replace_schema_metadata(dict(metadata) if metadata else None),

@@ -135,8 +135,8 @@ class Composition:
 
 
 def _members(index: pa.Table, here: pa.Array, table: str, stages: tuple[str, ...]) -> pa.Table:
-    """Return one row for each unit in the mask ``here`` and each of ``stages`` that has rows in ``table``. The rows are
-    sorted by unit id, then by the order of ``stages``.
+    """Return one row for each pair of a unit and a stage that wrote rows of ``table``. The units are those that the
+    mask ``here`` selects; the rows are sorted by unit id, then by the order of ``stages``.
     """
     parts = []
     for order, stage in enumerate(stages):
@@ -249,7 +249,7 @@ class Snapshot:
         return self.manifest.snapshot_id
 
     def paths(self, table: str) -> tuple[str, ...]:
-        """Return the paths in the store of a table's files. Raises ``UsageError`` on an unknown table."""
+        """Return the paths of a table's files, relative to the store. Raises ``UsageError`` on an unknown table."""
         if table not in self.manifest.tables:
             raise UsageError(f"there is no table {table!r}", remedy=f"There are: {', '.join(self.manifest.tables)}.")
         partitions = self.manifest.tables[table].partitions

@@ -64,14 +64,15 @@ class Stage(Protocol):
         return {}
 
     def dependencies(self, unit: Unit, upstream: Mapping[str, pa.Table], shared: Mapping[str, pa.Table]) -> JSON:
-        """Return what this unit's rows depend on in ``shared``; this value is part of the key, in place of the whole
-        shared tables.
+        """Return the part of ``shared`` that this unit's rows depend on. The returned value enters the unit's key in
+        place of the whole shared tables.
         """
         return None
 
     def run(self, unit: Unit, upstream: Mapping[str, pa.Table], shared: Mapping[str, pa.Table]) -> StageOutput:
         """Compute the tables of ``unit``. Any error quarantines the unit, except ``TransientIOError``, which is
-        retried."""
+        retried.
+        """
         ...
 
 

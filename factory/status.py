@@ -93,7 +93,9 @@ def store_status(store: Store, *, sizes: bool = False) -> StoreStatus:
 
 
 def _damage(store: Store, ref: Ref, manifest: SnapshotManifest | None) -> Iterator[str]:
-    """Return missing or damaged files of a published state, found by names and sizes."""
+    """Yield lines about what is missing or damaged in a published state. Files of the snapshot and of units are checked
+    by name and size only; the index and the pinned tables are read.
+    """
     for path in missing_parts(store, ref.snapshot_id):
         yield f"{store.url}/{path} is missing or damaged"
     commits = Commits(store)

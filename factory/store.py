@@ -38,7 +38,7 @@ class Store(Protocol):
 
     @property
     def lists_cheaply(self) -> bool:
-        """Whether a request for a single file costs no more than a listing. This holds on a disk, but not in an object
+        """Whether asking for files one by one is as cheap as listing them. This is true on a disk, but not in an object
         store.
         """
         ...
@@ -81,7 +81,8 @@ class Store(Protocol):
 
     def folders(self, prefix: str) -> Iterator[tuple[str, dict[str, int]]]:
         """Yield every folder below ``prefix`` that has files, as (path, size of each file by name). This is faster than
-        ``list`` for many small folders. Unfinished writes are left out."""
+        ``list`` for many small folders. Unfinished writes are left out.
+        """
         ...
 
     def delete(self, path: str) -> None:

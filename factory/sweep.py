@@ -155,7 +155,9 @@ def _live(store: Store, keep: int) -> _Live:
 
 
 def _latest(store: Store, kind: str) -> frozenset[str]:
-    """Return the names of the latest runs' files; names begin with the time at which the run began."""
+    """Return the names of the files of the latest runs in the folder ``kind``. Sorting by name finds them, since each
+    name begins with the start time of its run.
+    """
     return frozenset(sorted(entry.path.split("/")[1] for entry in store.list(kind))[-RUNS_KEPT:])
 
 

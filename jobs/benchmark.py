@@ -50,7 +50,7 @@ class Benchmark:
 
     @classmethod
     def read(cls, path: Path, overrides: Sequence[str] = (), *, check_roots: bool = True) -> Benchmark:
-        """Read the file and the configuration that it names.
+        """Read the benchmark file at `path`, and the configuration of the run that this file names.
 
         Raises
         ------
@@ -115,7 +115,8 @@ def check_benchmark(
     inline: bool = False,
     console: Console | None = None,
 ) -> Report:
-    """Process your copies of the datasets, which the configuration names, and compare the rows with a published record.
+    """Process your copies of the datasets that the configuration names, and compare the resulting rows with a published
+    record.
 
     The exit code is 3 where the snapshot has another id.
 
@@ -182,7 +183,9 @@ def read_record(path: Path) -> BenchmarkRecord:
 
 
 def _short_lines(file: BenchmarkFile, record: BenchmarkRecord) -> Iterator[str]:
-    """Yield what the benchmark lacks: instructions, and for each split the cells below the floor."""
+    """Yield lines for the report that say what the benchmark lacks: how many instructions, and in each split which
+    cells are below the floor.
+    """
     if record.instructions < file.instructions:
         yield (
             f"SHORT: {record.instructions:,} instructions of {file.instructions:,}; sources of this copy: "
@@ -262,7 +265,7 @@ def _scenes(snapshot: Snapshot) -> Iterator[tuple[str, BenchmarkScene]]:
 
 
 def _portable(config: Config) -> dict[str, Any]:
-    """Return the configuration keys that affect rows, without paths of this machine."""
+    """Return the part of the configuration that affects rows, without paths of this machine."""
     document = config.model_dump(mode="json", exclude=_OF_THIS_MACHINE)
     document["sources"] = [
         {key: value for key, value in source.items() if key not in _PATHS} for source in document["sources"]

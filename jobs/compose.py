@@ -94,7 +94,7 @@ def write_changed(path: Path, data: bytes) -> bool:
 
 
 def shipped_navmesh(scene: Scene) -> NavMeshFile | None:
-    """Return the navmesh that the dataset ships for a scene, as its source chose it; None if it ships none.
+    """Read the navmesh file that the dataset ships for a scene. Return None if the dataset ships none for it.
 
     Raises
     ------

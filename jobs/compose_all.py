@@ -90,8 +90,8 @@ def _composed(family: str) -> bool:
 
 
 def _known(config: Config) -> dict[Name, Source | InputError]:
-    """Return, by name, every scene of the sources that are composed. Each has the reader of its source, or the error
-    that listing the scene raised.
+    """Return, for the name of each scene that can be composed, the source to read it from, or the error that listing
+    the scene raised.
     """
     known: dict[Name, Source | InputError] = {}
     hashed = cache(hash_file)  # scenes share most of their files

@@ -51,14 +51,16 @@ def config_error(error: ValidationError, path: Path) -> ConfigError:
 
 
 def nearest(word: object, known: Iterable[str]) -> str:
-    """Return the most similar known word as a question; empty if none is similar."""
+    """Return the question "did you mean …?" with the known word that is most similar to ``word``; empty if none is
+    similar.
+    """
     spelled = {name.casefold(): name for name in known}
     found = difflib.get_close_matches(str(word).casefold(), spelled, n=1, cutoff=0.8)
     return f"did you mean {spelled[found[0]]}?" if found else ""
 
 
 def _faults(error: ValidationError) -> list[tuple[str, str, str]]:
-    """Yield (key, what is wrong, remedy) of each error, in the order of the keys."""
+    """Return (key, what is wrong, remedy) for each faulty key, in the order in which pydantic reports them."""
     found: dict[str, tuple[str, str, str]] = {}
     faults = error.errors()
     for fault in faults:
@@ -71,16 +73,16 @@ def _faults(error: ValidationError) -> list[tuple[str, str, str]]:
 
 
 def _is_echo(fault: Mapping[str, Any], faults: Sequence[Mapping[str, Any]]) -> bool:
-    """Whether `fault` only follows from the faults of its entries, as when a list is too short because its entries are
-    wrong. Those faults are reported themselves.
+    """Whether `fault` of a list or section only follows from faults inside it, as when a list is too short because its
+    entries are wrong. The faults inside are reported themselves.
     """
     own = fault["loc"]
     return any(other["loc"][: len(own)] == own for other in faults if len(other["loc"]) > len(own))
 
 
 def _location(fault: Mapping[str, Any]) -> tuple[str | int, ...]:
-    """Return the key as the file has it. pydantic's location also names the alternative of a type, and marks keys of
-    mappings.
+    """Return the path of the faulty key as it is in the file. The location that pydantic gives has more parts: the
+    alternative of a union type, and a mark on keys of mappings.
     """
     loc: tuple[str | int, ...] = fault["loc"]
     if loc and loc[0] == "store":
@@ -166,7 +168,7 @@ def _remedy(kind: str, given: Any, location: Sequence[str | int]) -> str:
 
 
 def _choices(expected: str) -> list[str]:
-    """Parse the names in pydantic's "'a', 'b' or 'c'"."""
+    """Return the allowed values, which pydantic lists in one text such as ``'a', 'b' or 'c'``."""
     return expected.replace("'", "").replace(" or ", ", ").split(", ")
 
 
@@ -186,7 +188,7 @@ def _section(annotation: Any) -> Any:
 
 
 def _shown(value: Any) -> str:
-    """Return the beginning of a value. With YAML anchors and aliases, a short file may hold an endless value."""
+    """Format the beginning of a value. With YAML anchors and aliases, even a short file may hold an endless value."""
     if value is None:
         return "nothing"
     if isinstance(value, bool):

@@ -78,8 +78,8 @@ def makes_stale(path: str) -> tuple[str, ...]:
 
 
 def _read(config: Config) -> dict[str, JSON]:
-    """Return, for each stage and aggregate, the part of the configuration that it reads, in the form in which this part
-    enters its key.
+    """Return, for each stage and aggregate by name, the part of the configuration that it reads, in the form that
+    enters the key of the stage or aggregate.
     """
     pipeline = build_pipeline(config)
     unit = Unit("replicacad/x", "replicacad", payload={"scene_id": "x", "navmesh": "navmeshes", "absence": "never"})
@@ -88,8 +88,8 @@ def _read(config: Config) -> dict[str, JSON]:
 
 
 def _sample() -> Config:
-    """Return a configuration with every section, and with a cell whose number of words is bounded. With it, every stage
-    reads all that it may read.
+    """Return a configuration for which every stage reads all the keys that it can ever read. It therefore has every
+    section, and a cell with a bounded number of words.
     """
     return Config(
         name="x",

@@ -97,7 +97,7 @@ def counts_of(family: str, counts: SceneCounts, asked: int) -> dict[str, float]:
 
 
 def stage_costs(family: str, counts: SceneCounts, asked: int) -> dict[str, float]:
-    """Return the CPU seconds on the reference machine of each stage of one scene.
+    """Return, for each stage of one scene, the estimated CPU seconds on the reference machine.
 
     asked : episodes asked of the scene, all categories and counterfactual groups together
     """

@@ -93,8 +93,8 @@ class HandedIn:
 
 
 class EvaluationReport:
-    """The tables of one evaluation, and the episodes that each file of predictions lacks; rich prints them on a
-    terminal.
+    """The tables of one evaluation, and the episodes that each file of predictions lacks. The library rich can print
+    this report on a terminal.
     """
 
     def __init__(

@@ -118,7 +118,9 @@ def write_export(config: Config, *, allow_shrink: bool = False, renewed: bool = 
 
 
 def _check_rows(snapshot: Snapshot, report: ExportReport) -> None:
-    """Check that every episode that the snapshot's manifest counts is in a split or left out for a reason."""
+    """Check the count of episodes: those in splits and those left out for a reason must add up to the number of
+    episodes in the snapshot's manifest.
+    """
     found = sum(report.episodes.values()) + sum(report.left_out.values())
     rows = snapshot.manifest.tables["episodes"].rows
     if found != rows:
@@ -130,7 +132,9 @@ def _check_rows(snapshot: Snapshot, report: ExportReport) -> None:
 
 
 def _left_out(done: ExportReport) -> list[str]:
-    """Format as lines the splits that stayed empty, and the episodes that are in no split, with the reasons."""
+    """Return lines about splits that stayed empty or are lopsided, and about episodes that are in no split, with the
+    reasons.
+    """
     chosen, left = sum(done.episodes.values()), sum(done.left_out.values())
     lines = [f"split {split} is EMPTY: {why}" for split, why in done.empty_splits.items()]
     lines += [
@@ -182,7 +186,9 @@ class _Guard:
             stream.write(self._origin.as_bytes())
 
     def _listed(self) -> set[str] | None:
-        """Return the scenes in the sources now; None where they can't be listed here, as on a machine without them."""
+        """Return the scenes that the sources have now; None where the sources can't be listed, as on a machine without
+        them.
+        """
         try:
             return {unit.unit_id for unit in listed_units(self._config)}
         except (CondVLNError, OSError):

@@ -53,7 +53,9 @@ def alone_in(folder: Path) -> Iterator[None]:
 
 
 def _held(path: Path, here: Path) -> int:
-    """Open and lock the lock file. It is created again if its former holder has removed it in the meantime."""
+    """Open and lock the lock file; return its descriptor. If the former holder has removed the file meanwhile, create
+    it again.
+    """
     for _ in range(_TRIES):
         try:
             opened = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)

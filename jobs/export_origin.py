@@ -1,4 +1,4 @@
-"""The record of what an export was made of, and whether a smaller export is explained by changes since.
+"""The record of what an export was made of, and the check whether later changes explain a smaller export.
 
 ``origin.json`` stands in each export: the configuration, the versions of the code, the priors, and for each scene its
 status, its files' hash, its key and its episodes. The next export is compared with it. A smaller export is accepted
@@ -98,7 +98,7 @@ class Origin(Document):
             return None
 
     def as_bytes(self) -> bytes:
-        """Encode the file."""
+        """Return the content of ``origin.json`` as bytes."""
         document = self.model_dump(mode="json", exclude={"digest"})
         document["digest"] = document_digest(document)
         return orjson.dumps(document, option=orjson.OPT_INDENT_2) + b"\n"
@@ -188,8 +188,8 @@ _KINDS: Final = {
 
 
 def _kind(before: SceneOrigin, here: SceneOrigin, explained: bool) -> str:
-    """Return the kind of change of a scene: ``lost``, ``data``, ``explained``, ``quarantine``, ``skipped`` or
-    ``other``. Returns an empty text if its data are the same and it has no fewer episodes than before.
+    """Return how a scene changed between two exports: ``lost``, ``data``, ``explained``, ``quarantine``, ``skipped`` or
+    ``other``; an empty text if the scene's data are the same and it has at least as many episodes as before.
     """
     fewer = before.episodes > here.episodes
     if fewer and here.status == "ok" and before.key and before.key == here.key:
@@ -206,8 +206,8 @@ def _kind(before: SceneOrigin, here: SceneOrigin, explained: bool) -> str:
 def _gone(
     former: Origin, now: Origin, found: Shrinkage, changed: list[str], listed: Callable[[], set[str] | None] | None
 ) -> None:
-    """Classify the scenes that the snapshot no longer has: removed from the source, lost, or of a missing source. The
-    result is added to `found`.
+    """Classify each scene that the snapshot no longer has as removed from its source, lost, or belonging to a missing
+    source, and add the result to `found`.
     """
     gone = {name for name, scene in former.scenes.items() if scene.episodes and name not in now.scenes}
     if not gone:
@@ -251,7 +251,8 @@ def _scenes(names: set[str] | list[str]) -> str:
 def refuse_losses(
     folder: Path, ref: str, now: Origin, episodes: Mapping[str, int], left_out: Mapping[str, int], **known: Any
 ) -> list[str]:
-    """Raise an error if an export holds less than the one in ``folder`` without a reason; otherwise return the reasons.
+    """Raise an error if a new export holds fewer episodes than the one in ``folder`` and nothing explains why;
+    otherwise return the reasons.
 
     Parameters
     ----------

@@ -15,7 +15,8 @@ __all__ = ["report_bias"]
 
 
 def report_bias(targets: Sequence[Path]) -> Report:
-    """Test one export by its manifests, or files of any VLN dataset by their texts and paths.
+    """Test whether guessing without seeing the scene beats chance, on the manifests of one export, or on the texts and
+    paths in files of any VLN dataset.
 
     The exit code is 3 where a guess beats chance.
 

@@ -86,7 +86,7 @@ def bring_up_to_date(
     warm: bool = True,
     console: Console,
 ) -> RunReport:
-    """Process what changed and publish; leaves the run's record and its log in the store.
+    """Process what changed in the sources, publish the snapshot, and keep the run's record and log in the store.
 
     verify : read every file again that what is published rests on, and make those again that differ from their hash
     warm : compile what scenes need before any is read; not worth it where none is expected to be made
@@ -123,7 +123,8 @@ def bring_up_to_date(
 
 
 def add_export(report: Report, config: Config, *, renewed: bool = False) -> bool:
-    """Export what is published, and add it to `report`. Returns False if the export in place was kept instead.
+    """Export the published snapshot, and add the result to `report`. Returns False if the export in place was kept
+    instead.
 
     The folder is held by the caller (``jobs.export_lock``). renewed : the priors were renewed on purpose
     """
@@ -145,7 +146,7 @@ def add_export(report: Report, config: Config, *, renewed: bool = False) -> bool
 
 
 class CompilationNote:
-    """Prints what is compiled and, before the first kernel that is not cached, how long that takes."""
+    """Prints messages about compilation and, before the first kernel that is not cached, how long compiling takes."""
 
     def __init__(self, console: Console) -> None:
         self._console = console

@@ -17,7 +17,8 @@ CONFIG_SUFFIXES: Final = (".yaml", ".yml")
 
 
 def report_language(target: Path, overrides: Sequence[str] = ()) -> Report:
-    """Report the style of the texts of a configuration's export, of an export, or of a file of instructions.
+    """Report statistics of the wording of instructions. `target` is an export, a configuration that names an export, or
+    a file of instructions.
 
     Raises
     ------

@@ -1,4 +1,6 @@
-"""``condvln benchmark score``: a leaderboard of a split, from predictions alone, with reference rows."""
+"""``condvln benchmark score``: a leaderboard of a split, made from the agents' predictions, with rows of reference
+agents.
+"""
 
 from __future__ import annotations
 

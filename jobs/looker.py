@@ -95,7 +95,7 @@ def looker_config(texts: Sequence[str]) -> LookerConfig:
 def looker_picks(
     export: Path, split: str, datasets: Sequence[str], keys: Sequence[str], roots: Sequence[Path], seed: int
 ) -> dict[str, int]:
-    """Return the leaf that the agent picks in each episode of a split, by the episode's id."""
+    """Return, by episode id, the index of the leaf that the agent ``looker`` picks in each episode of a split."""
     agent = looking_agent(datasets, keys)
     navmeshes = NavmeshFolder((export, *roots, *datasets_of(datasets).values()))
     return {task.episode_id: agent.walk(task, navmeshes(task), seed).leaf for task in split_tasks(export, split)}

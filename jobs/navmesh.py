@@ -23,7 +23,9 @@ ISLAND_COLOURS: Final = ("#7fb3d5", "#f5b041", "#82c785", "#d98880", "#a9a4d0", 
 
 
 def settings_of(pairs: Sequence[str]) -> NavMeshSettings:
-    """Apply ``name=value`` pairs to Habitat's default settings. Raises UsageError on an unknown name or a bad value."""
+    """Return Habitat's default navmesh settings, changed by ``name=value`` pairs. Raises UsageError on an unknown name
+    or a bad value.
+    """
     settings = NavMeshSettings()
     kinds = {f.name: type(getattr(settings, f.name)) for f in fields(settings)}
     for pair in pairs:

@@ -38,7 +38,8 @@ def linear_text(
     preamble: bool,
     leaf: int | None = None,
 ) -> str:
-    """Write one branch of an instruction as a plain instruction, with the same choices of words.
+    """Return one branch of an instruction as a plain instruction; `seed` and `instruction_id` choose the words, as in
+    the instruction's own text.
 
     Parameters
     ----------
@@ -61,7 +62,7 @@ def oracle_split(
     seed: int | None = None,
     picks: Mapping[str, int] | None = None,
 ) -> Report:
-    """Write the twin of a split, its shards and its ground truth.
+    """Write the oracle-linear twin of a split, with the twin's shards and ground truth.
 
     Parameters
     ----------

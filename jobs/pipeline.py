@@ -113,7 +113,7 @@ def scene_payload(source: SourceConfig, scene_id: str) -> dict[str, Any]:
 
 
 def list_units(config: Config, hash_file: HashFile) -> list[Unit]:
-    """List all scenes of all sources as units. A scene that can't be listed becomes a unit that holds its error."""
+    """List all scenes of all sources as units. A scene that can't be listed becomes a unit that holds the error."""
     units = []
     wanted = config.instructions
     asked = sum(cell.count for cell in wanted.wanted) + GROUP_SIZE * wanted.counterfactual_groups
@@ -140,8 +140,8 @@ def list_units(config: Config, hash_file: HashFile) -> list[Unit]:
 
 
 def built_navmeshes(config: Config, snapshot: Snapshot) -> NavmeshBytes:
-    """Return a function that gives the navmesh built for a scene, from its source and its row of the scenes table. It
-    gives None if no navmesh was built.
+    """Return a function that takes the source of a scene and the scene's row of the scenes table, and returns the
+    navmesh built for the scene, or None if none was built.
 
     Asking for one raises ``CorruptShardError`` where the unit's file is missing or damaged: leaving its scene out would
     shrink an export silently.

@@ -1,4 +1,4 @@
-"""A user's own agent for ``condvln walk``: loads it by name, and gives it the visible objects."""
+"""A user's own agent for ``condvln walk``: loads the agent by name, and tells it which objects are visible."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def policy_named(name: str) -> Policy:
 
 
 def eyes_of(config: Config, pathfinder_of: Callable[[Task], Pathfinder]) -> Eyes:
-    """Return eyes that see the objects of the published snapshot.
+    """Return the function that tells an agent which objects of the published snapshot are in view.
 
     Raises
     ------

@@ -129,7 +129,9 @@ class LoggedRun:
         return self._log
 
     def keep(self, done: RunReport) -> None:
-        """Store the log beside the run's record when the run is over. A run that had nothing to do leaves neither."""
+        """Store the log beside the run's record when the run is over. A run that had nothing to do leaves neither
+        record nor log.
+        """
         self._kept = f"{LOGS}/{Path(done.record).stem}.jsonl" if done.record else "-"
         self._log.event(
             "end",

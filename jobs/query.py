@@ -25,7 +25,8 @@ _WRITERS: Final = {".parquet": "PARQUET", ".csv": "CSV", ".json": "JSON", ".json
 
 
 def connect(target: Target, sql: str = "") -> duckdb.DuckDBPyConnection:
-    """Open an in-memory database with VIEWS and a view for each table over exactly the files of the published snapshot.
+    """Open an in-memory database that holds a view of each published table, over exactly the files of the snapshot, and
+    the views of VIEWS.
 
     sql : what will be asked; where the store is elsewhere, only the tables that it reads are fetched. All by default.
     """
@@ -60,7 +61,8 @@ def _quoted(paths: Iterable[str]) -> str:
 
 def _tables_of(sql: str) -> set[str]:
     """Return the published tables that a query reads, directly or through views; all of them if that can't be
-    determined."""
+    determined.
+    """
     try:
         with duckdb.connect(":memory:") as connection:
             named = {name.lower() for name in connection.get_table_names(sql)}
@@ -121,7 +123,7 @@ def list_queries() -> Report:
 
 
 def _write(result: duckdb.DuckDBPyRelation, out: Path) -> Report:
-    """Write rows through Arrow, since the database itself may not open files."""
+    """Write the rows to `out` through Arrow, since the database itself is not allowed to open files."""
     import pyarrow as pa
     import pyarrow.csv
     import pyarrow.parquet

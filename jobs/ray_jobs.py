@@ -109,7 +109,7 @@ class RayJobs:
     def submit(
         self, entrypoint: str, submission_id: str, runtime_env: Mapping[str, Any], metadata: Mapping[str, str]
     ) -> str:
-        """Start a command on the head node (which needs no CPU for it); return the submission id."""
+        """Start a command on the head node, without reserving a CPU for it; return the submission id."""
         body = {
             "entrypoint": entrypoint,
             "submission_id": submission_id,

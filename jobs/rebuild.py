@@ -39,7 +39,7 @@ def run_rebuild(
     inline: bool = False,
     console: Console | None = None,
 ) -> Report:
-    """Bring what is published and exported under `config` up to date.
+    """Bring the published snapshot and the export of `config` up to date.
 
     if_changed : look at names, sizes and times first, and end there when nothing changed since the last rebuild
     renew_priors : build the label priors again

@@ -21,7 +21,7 @@ WIDTH: Final = 100
 
 
 def command_paths() -> list[tuple[str, ...]]:
-    """Return every command as the words that call it, groups before their own commands."""
+    """Return every command as the tuple of words that calls it, and each command group before the commands in it."""
     root = get_command(app)
     return [(), *_below(root, ())]
 

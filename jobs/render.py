@@ -178,7 +178,9 @@ def _write(out: Path, cameras: Cameras, shots: _Shots) -> list[Path]:
 
 
 def _folder(out: Path, cameras: Cameras, shots: _Shots) -> list[Path]:
-    """Write a file for each pose and camera; depth cameras give instances too."""
+    """Write a PNG file for each pose and camera, and for a depth camera a second one of instance numbers; return the
+    paths.
+    """
     renderer = shots.world.renderer
     written: list[Path] = []
     digits = max(3, len(str(len(shots.positions))))

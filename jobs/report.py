@@ -17,8 +17,8 @@ PIPE_WIDTH: Final = 160
 
 
 def terminal() -> Console:
-    """Create the console for reports. In a file or a pipe, which has no width, it gets a fixed one: rich would wrap at
-    80 columns.
+    """Create the console for reports. If the output is a file or a pipe, the console gets a fixed width, since rich
+    would wrap at 80 columns.
     """
     console = Console()
     return console if console.is_terminal else Console(width=PIPE_WIDTH)

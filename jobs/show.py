@@ -90,8 +90,8 @@ def _chosen(snapshot: Snapshot, name: str | None, sample: int) -> list[dict[str,
 
 
 def named_rows(snapshot: Snapshot, episodes: pa.Table, name: str) -> list[dict[str, Any]]:
-    """Return the episodes whose id begins with `name`; if there are none, those of each instruction whose id begins
-    with `name`, or the instruction itself if it has no episode.
+    """Return the rows of the episodes whose id begins with `name`. If there are none, return the rows of all episodes
+    of the instructions whose id begins with `name`; an instruction without episodes is returned itself.
     """
     for column in ("episode_id", "episode_hash"):
         if column not in episodes.column_names:  # a snapshot of a former release, whose ids are hashes
@@ -125,7 +125,7 @@ def _unplaced(instructions: pa.Table) -> list[dict[str, Any]]:
 
 
 def spread(first: Mapping[tuple[str, str], Sequence[Item]], sample: int) -> list[Item]:
-    """Choose a number of items, evenly over categories, and over sources within each category.
+    """Choose `sample` items, evenly over categories, and within each category evenly over sources.
 
     Where a source has no more, the others go on; where a category has none, the other categories do.
     """
@@ -149,9 +149,7 @@ def _programs(snapshot: Snapshot, rows: list[dict[str, Any]]) -> dict[tuple[str,
 
 
 def _seen(row: dict[str, Any]) -> str:
-    """Return the observability class of an episode: O0f if all evidence is in the first view. Returns "not told" for a
-    row without observability.
-    """
+    """Return the observability class of an episode (O0f, O0, O1 or O2); "not told" for a row without observability."""
     if row.get("observability") is None:
         return "not told"
     return str(observability_class(row["observability"], row["evidence_in_view"]))
@@ -180,7 +178,7 @@ def episode_lines(row: dict[str, Any], tree: str) -> list[str]:
 
 
 def _instruction_lines(row: dict[str, Any], tree: str) -> list[str]:
-    """Format an instruction without an episode: it has no start, no heading and no paths."""
+    """Format an instruction for which no episode was placed, so without start, heading and paths, as lines."""
     return [
         f"{row['source']}/{row['scene_id']} · {row['category']} · {row['composition']} · "
         f"instruction {row['instruction_id']} · no episode: {row['no_episode']}",
@@ -206,7 +204,7 @@ def _draw(config: Config, snapshot: Snapshot, row: dict[str, Any], tree: str, fo
 
 
 def _navmesh(config: Config, snapshot: Snapshot, scenes: list[Scene]) -> NavMeshFile:
-    """Return the navmesh of a scene, from any of its family's folders or from the store if it was built."""
+    """Return the navmesh of a scene: from the store if a run built it, else from any folder of the scene's family."""
     kept = built_navmeshes(config, snapshot)
     for scene in scenes:
         if scene.navmesh is None:

@@ -75,7 +75,7 @@ def show_export(
 
 
 def _chosen(export: Path, episode: str | None, sample: int) -> list[ManifestLine]:
-    """Return the lines of the manifests that `episode` names, or else a sample. A sample has the first ids of each
+    """Return the manifest lines of the episode that `episode` names; if it is None, a sample with the first ids of each
     category and source.
     """
     found: list[ManifestLine] = []

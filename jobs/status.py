@@ -1,5 +1,6 @@
 """``condvln status``: print what is published, the quarantine with causes, the last runs, and the drift of the
-priors."""
+priors.
+"""
 
 from __future__ import annotations
 
@@ -95,7 +96,7 @@ def _line(status: RefStatus) -> str:
 
 
 def _tell_damage(report: Report, found: StoreStatus) -> None:
-    """Add missing published files to the report, with the remedy, and set the exit code."""
+    """Report which published files are missing or damaged, with the remedy, and set the exit code."""
     lines = [line for status in found.refs for line in status.damaged]
     lines += [
         f"{found.url}/refs/{name}.json is missing, although a run published it: "

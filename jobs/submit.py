@@ -108,7 +108,7 @@ def run_submit(
 
 
 def entrypoint(verb: str, arguments: Sequence[str] = ()) -> str:
-    """Return the command line of a job, which joins the cluster that it runs on."""
+    """Return the command line of a job; the command uses the Ray cluster on which the job runs."""
     return "exec " + shlex.join(["sh", LAUNCHER, verb, SHIPPED, *arguments, "--set", "ray.address=auto"])
 
 

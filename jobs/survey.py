@@ -1,4 +1,4 @@
-"""The content of a dataset on disk and the expected output of a run, found by reading scenes alone."""
+"""A survey of a dataset on disk: its content, and the expected output of a run, found only by reading scenes."""
 
 from __future__ import annotations
 

@@ -72,8 +72,8 @@ class Target:
 
 
 def find_target(text: str, overrides: Sequence[str] = (), ref: str | None = None) -> Target:
-    """Read the argument CONFIG|STORE. Raises ``UsageError`` if it names neither, ``ConfigError`` if the configuration
-    is faulty.
+    """Return the target that the argument CONFIG|STORE names. Raises ``UsageError`` if it is neither a configuration
+    nor a store, ``ConfigError`` if the configuration is faulty.
     """
     if "://" in text:
         open_store(text)

@@ -122,7 +122,8 @@ def trajectory_config(walks: Sequence[str], keys: Sequence[str]) -> TrajectoryCo
 
 
 def make_trajectories(request: Request, console: Console | None = None) -> Report:
-    """Make the walks of a split's episodes, their images, and the layouts that name them.
+    """Make the walks of a split's episodes, the images along the walks, and the requested layouts, whose files refer to
+    the images.
 
     Raises
     ------
@@ -255,7 +256,7 @@ class _Run:
         return {**counts, "kinds": kinds, "folder": str(self.folder)}
 
     def _views(self) -> Iterator[AbstractContextManager[AddScene]]:
-        """Yield the layouts beside the hub that are asked for."""
+        """Yield the writers of the requested layouts, the hub excepted."""
         for name in self.request.layouts:
             if name in _VIEWS:
                 yield _VIEWS[name](self.folder, self.target.split)
@@ -270,7 +271,7 @@ class _Run:
         kinds: dict[str, int],
         kept: set[str],
     ) -> None:
-        """Hand the scenes to the layouts, and count what they have."""
+        """Pass each scene to the layouts `views`, and add the scene's numbers to `counts`, `kinds` and `kept`."""
         for scene in scenes:
             for add in views:
                 add(scene)
@@ -298,8 +299,8 @@ class _Run:
 
 
 def _forget_damaged(store: LocalStore, folder: Path, state: Path) -> None:
-    """Remove commits whose images are missing, cut, or were overwritten by another commit, so that they are made
-    again.
+    """Remove the commits of images that are missing, truncated or overwritten by another commit, so that the images are
+    made again.
     """
     commits = Commits(store)
     for stage, key in [*commits.committed()]:

@@ -54,7 +54,7 @@ class Target:
 def find_target(
     text: str, split: str, scenes: Sequence[str] = (), roots: Sequence[Path] = (), overrides: Sequence[str] = ()
 ) -> Target:
-    """Read the argument CONFIG|EXPORT.
+    """Return the target that the argument CONFIG|EXPORT names.
 
     scenes : ``FAMILY=FOLDER`` each, the datasets of an export
 
@@ -107,7 +107,7 @@ def _config_of(scenes: Sequence[str]) -> Config:
 
 @dataclass
 class _Lines:
-    """Lines of a manifest that are episodes of one scene."""
+    """The manifest lines of one scene's episodes."""
 
     numbers: list[int] = field(default_factory=list)
     size: int = 0
@@ -165,7 +165,9 @@ def list_units(target: Target, cameras: dict[str, CameraConfig], walks: float, h
 def _handles(
     target: Target, wanted: set[str], hash_file: HashFile
 ) -> dict[tuple[str, str], tuple[SourceConfig, SceneHandle]]:
-    """Return the sources' scenes that the split names. The configuration's own choice of scenes stays."""
+    """Return the scenes of the split that the sources hold, each with its source. Scenes that the configuration
+    excludes are left out.
+    """
     found: dict[tuple[str, str], tuple[SourceConfig, SceneHandle]] = {}
     hashed = cache(hash_file)
     for source in target.config.sources:

@@ -49,7 +49,7 @@ def verify_trajectories(target: Target, folder: Path, *, render_every: int = REN
 
 
 def trajectory_world(target: Target, render_every: int = RENDER_EVERY) -> TrajectoryWorld:
-    """Return what the walks of a target's split are compared with."""
+    """Return the episodes, texts, navmeshes and renderers with which the walks of a target's split are compared."""
     episodes = {int(row.episode_id): row for row in read_manifest(manifest_path(target.export, target.split))}
     texts: Mapping[str, Any] = target.texts
     wording = WordingConfig.model_validate({k: v for k, v in texts.items() if k in WordingConfig.model_fields})

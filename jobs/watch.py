@@ -53,7 +53,9 @@ class Memory(Document):
 
 
 class Watch:
-    """Lists the inputs on construction, so that the next run sees what changed during this one."""
+    """Tells whether anything changed since the last rebuild. The inputs are listed on construction, so that the next
+    run sees what changed during this one.
+    """
 
     def __init__(self, config: Config, store: Store, state: Path) -> None:
         self._config = config
@@ -85,7 +87,8 @@ class Watch:
 
     def export_stands(self, snapshot_id: str | None) -> bool:
         """Whether the export exists, is complete by its files' sizes, and was made of this snapshot with these
-        settings."""
+        settings.
+        """
         if self.memory is None or self.memory.exported != digest([snapshot_id, self._exported]):
             return False
         return self._export_stats() is not None
@@ -113,8 +116,9 @@ class Watch:
         return digest(document)
 
     def _export_stats(self) -> list[Any] | None:
-        """Return (path, size, time) of every file that the export lists; None when one is missing or of another
-        size."""
+        """Return (path, size, time) of every file that the export lists; None when a file is missing or has another
+        size.
+        """
         assert self._config.export is not None
         found: list[Any] = []
         try:

@@ -94,7 +94,9 @@ def file_hashes(config: Config) -> FileHashes:
 
 
 def hasher(hashes: FileHashes) -> HashFile:
-    """Return a function that gives the size and SHA-256 of a file from the cache `hashes`, as sources call it."""
+    """Return a function that takes the path of a file and returns its size and SHA-256, looked up in the cache
+    `hashes`.
+    """
 
     def hash_file(path: Path) -> tuple[int, str]:
         found = hashes.file(path.parent, path.name)
@@ -105,7 +107,8 @@ def hasher(hashes: FileHashes) -> HashFile:
 
 def git_revision() -> str:
     """Return the git revision of this code in a checkout, else an empty text. It is recorded, but is not part of any
-    key."""
+    key.
+    """
     try:
         run = subprocess.run(
             ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"],

@@ -38,7 +38,7 @@ class BenchmarkFile(Document):
         description="minimum number of episodes in each cell split × source × category; smaller cells are reported",
     )
     instructions: Count = Field(
-        description="minimum number of instructions over all sources; a build with fewer reports it"
+        description="minimum number of instructions over all sources; a build with fewer reports the shortfall"
     )
     splits: tuple[Literal["train", "val_seen", "val_unseen", "test"], ...] = Field(
         ("train", "val_seen", "val_unseen", "test"),
@@ -93,7 +93,9 @@ class MeasuredMean(Document):
 
 
 class PairedDifference(Document):
-    """The success of a row minus that of the row above, with the p-value of a paired permutation test by scene."""
+    """The success of a leaderboard row minus the success of the row above it, with the p-value of a paired permutation
+    test by scene.
+    """
 
     above: str
     difference: Finite

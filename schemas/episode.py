@@ -67,7 +67,7 @@ class EpisodeRecord(Document):
     observability: Observability | None = Field(None, description="worst observability of all entries of `evidence`")
     evidence_in_view: bool | None = Field(None, description="whether all evidence is in the first view, 90° wide (O0f)")
     observability_approximate: bool | None = Field(
-        None, description="whether visibility was decided with boxes, since surfaces are missing"
+        None, description="whether visibility was decided with boxes because surfaces are missing"
     )
     evidence: tuple[Evidence, ...] | None = None
     gold_leaf: int = Field(ge=0)

@@ -95,7 +95,7 @@ class UsageError(CondVLNError):
 
 
 class ConfigError(UsageError):
-    """A key of the configuration is unknown, mistyped, or names something that is not there."""
+    """A key of the configuration is unknown, has a wrong value, or names something that is not there."""
 
 
 class InputError(CondVLNError):

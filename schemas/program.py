@@ -307,12 +307,12 @@ class Program(Frozen):
 
     @property
     def depth(self) -> int:
-        """Return the maximum nesting depth of THEN."""
+        """Return how many conditions are nested in one another's THEN part at most, the outermost included."""
         return SHAPES[self.category].depth
 
     @property
     def chain(self) -> int:
-        """Return the number of tests in the top chain."""
+        """Return the number of conditions in the outermost IF … ELSE IF chain."""
         return SHAPES[self.category].chain
 
     @property

@@ -78,7 +78,7 @@ class UnitCommit(VersionedDocument):
 
 
 class QuarantineRecord(VersionedDocument):
-    """``quarantine/<stage>/<key>.json``: why a unit failed. It is retried when its key changes, or on demand."""
+    """``quarantine/<stage>/<key>.json``: why a unit failed. The unit is retried when its key changes, or on demand."""
 
     unit_id: str
     partition: str

@@ -1,4 +1,5 @@
-"""The stock R2R_VLNCE v1-3 document as VLN-CE's strict loader takes it: there, unknown keys raise a TypeError.
+"""The stock R2R_VLNCE v1-3 document in the form that VLN-CE's loader accepts; the loader raises a TypeError on unknown
+keys.
 
 Source of the keys: R2R_VLNCE v1-3 and ``VLNExtendedEpisode``/``InstructionData`` of VLN-CE.
 """

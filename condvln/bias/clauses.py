@@ -83,7 +83,7 @@ def read_clauses(text: str) -> Clauses | None:
 
 
 def motion(clause: str, clauses: Clauses) -> Motion:
-    """Return how far `clause` leads the walker: "stays", "walks" or "changes floor"."""
+    """Return how far `clause`, a part of the text `clauses`, leads the walker: "stays", "walks" or "changes floor"."""
     if _NO_MOVE.search(clause) or _BACK.search(clause) or _returns(clause, clauses.start):
         return "stays"
     ahead = _WALK.search(_START.sub("", clauses.before))  # the shared beginning leads away from the start

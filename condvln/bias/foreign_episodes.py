@@ -29,7 +29,8 @@ _FORWARD: Final = 1
 
 @dataclass(frozen=True, slots=True)
 class ForeignEpisode:
-    """An instruction text of another project's file, with its scene and how far its path leads (None if unknown).
+    """One instruction text of another project's file, with the scene and how far the episode's path leads (None if
+    unknown).
 
     displacement : horizontal metres from its start to its end; rise : height in metres of the end above the start
     """

@@ -145,7 +145,7 @@ def _ends(clauses: Clauses | None) -> tuple[Motion, ...]:
 
 def _clause(ends: tuple[Motion, ...], episode: ForeignEpisode) -> int | None:
     """Return 0 if the episode's path follows the first clause, 1 if it follows the "otherwise" clause, None if the path
-    does not show which clause it follows.
+    does not show which. `ends` says how far each of the two clauses leads; empty if there are not two.
     """
     if len(set(ends)) < 2 or episode.displacement is None:
         return None

@@ -155,7 +155,7 @@ def _findings(views: Sequence[GuesserView]) -> Iterator[Finding]:
 
 
 def _guesses(views: Sequence[GuesserView], source: NDArray[np.str_]) -> dict[str, NDArray[np.int64]]:
-    """Return the guessed leaf of each episode by guesser name. A learner learns and guesses each source separately."""
+    """Return, by guesser name, the guessed leaf of each episode. A learner treats each source separately."""
     found = {name: np.array([guesser(g) for g in views], dtype=np.int64) for name, guesser in FIXED.items()}
     for name, learner in LEARNED.items():
         found[name] = np.full(len(views), NO_GUESS, dtype=np.int64)
@@ -180,7 +180,8 @@ def _parts(
     asked: Mapping[str, NDArray[np.bool_]],
     guessed: NDArray[np.bool_],
 ) -> Iterator[tuple[str, str, str, NDArray[np.int64]]]:
-    """Yield each part of the episodes to test, as (source, category, predicate, indices of the part's episodes).
+    """Yield the parts of the episodes that get a test of their own, each as (source, category, predicate, indices of
+    the part's episodes). Only episodes in the mask `guessed` are included; parts that are too small are left out.
 
     The parts are: all episodes, each source, each category of a source, and each predicate overall and within a source.
     The text states the predicates, so chance level is unchanged among the episodes that use one.

@@ -1,5 +1,5 @@
-"""Guessers that learn from other scenes: the usual leaf, the usual truth of a statement, the words that predict a
-leaf.
+"""Guessers that learn from other scenes: which leaf is usually gold, which statements are usually true, which words
+predict a leaf.
 """
 
 from __future__ import annotations
@@ -135,8 +135,8 @@ def majority_leaf(views: Sequence[GuesserView]) -> Guesses:
 
 
 def _prior(key: Callable[[Asked], tuple[str, ...]]) -> Learner:
-    """Return a learner that picks the likeliest leaf. A leaf is likely if the truths that lead to it were frequent for
-    statements with the same `key`.
+    """Return a learner that picks the likeliest leaf, judged by how often statements with the same `key` were true in
+    the episodes that it learned from.
 
     `key` maps a condition to the statement that is counted. A condition's position in the tree alone changes how often
     it is true, so the estimate uses the ratio of observed to expected counts.
@@ -178,8 +178,8 @@ def _likeliest(
 
 
 def _in_layout(learner: Learner) -> Learner:
-    """Return a learner that applies `learner` to each layout separately, so that it learns only from episodes of the
-    layout that it guesses.
+    """Return a learner that applies `learner` to each layout separately, so that the guesses for a layout are learned
+    only from episodes of the same layout.
     """
 
     def guesser(views: Sequence[GuesserView]) -> Guesses:
@@ -382,8 +382,8 @@ def blocks(scenes: Sequence[str], count: int = BLOCKS) -> list[Indices]:
 
 
 def progressive(scenes: Sequence[str], count: int = BLOCKS) -> Iterator[tuple[Indices, Indices]]:
-    """Yield pairs of episode indices, one pair for each block after the first: those of all earlier blocks, to learn
-    from, and those of the block itself, to guess.
+    """Yield, for each block after the first, two arrays of episode indices: the episodes of all earlier blocks, to
+    learn from, and the episodes of the block itself, to guess.
     """
     parts = blocks(scenes, count)
     for k in range(1, len(parts)):

@@ -41,8 +41,8 @@ class Finding:
 
     @property
     def part(self) -> str:
-        """What limits this part of the episodes: the category, or else the predicate that the conditions of the
-        episodes use.
+        """Name of this part of the episodes: its category; or "asks: " and a predicate, for the episodes that have a
+        condition with this predicate.
         """
         return self.category if self.predicate == ALL else f"asks: {self.predicate}"
 

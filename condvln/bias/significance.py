@@ -79,7 +79,9 @@ def interval(right: Bools, scenes: NDArray[np.int64], confidence: float = CONFID
 
 
 def p_uniform(counts: Sequence[int]) -> float:
-    """Return the p-value of counts at least as uneven as these under equal probabilities (Pearson's χ² test)."""
+    """Return the p-value of Pearson's χ² test: how likely counts at least as uneven as `counts` are if all classes are
+    equally probable.
+    """
     return float(stats.chisquare(counts).pvalue)
 
 

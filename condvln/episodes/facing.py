@@ -119,7 +119,7 @@ class Facings:
 
     def _of_stops(self, program: Program) -> list[Claim]:
         """Return the claims that a program's egocentric stops make. Each stop claims that its object lies in the stated
-        direction, and that no other object lies there that the stop's label might mean.
+        direction, and that no other object that the stop's label might mean lies in this direction.
         """
         found: list[Claim] = []
         for leaf in program.leaves:

@@ -92,8 +92,8 @@ def _whole_floor(scene: Scene, pathfinder: PathfinderProtocol, islands: Sequence
 def _room_floor(
     room: Room, polygon: F64, pathfinder: PathfinderProtocol, islands: Sequence[int]
 ) -> tuple[F64, NDArray[np.bool_]]:
-    """Return grid points (n, 3) inside a room's outline, snapped to the navmesh if possible, and whether each was
-    snapped (n,).
+    """Return grid points (n, 3) inside a room's outline, snapped to the navmesh where possible, and a mask (n,) of the
+    points that were snapped.
 
     Points of a room without navmesh are at the height of the room's floor.
     """

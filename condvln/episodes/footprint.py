@@ -79,8 +79,8 @@ class Footprint:
         return shapely.Polygon(self.center + (np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * self.half) @ self.axes)
 
     def is_beside(self, low: F64, high: F64) -> bool:
-        """Return True only if the footprint is outside the bounds `low` (3,) and `high` (3,), in metres. It may be
-        outside where this is False.
+        """Return whether the footprint is certainly outside the bounds from `low` (3,) to `high` (3,), in metres. The
+        test is coarse: a footprint for which it returns False may still be outside.
         """
         for box in self.parts or (self,):
             reach = math.hypot(*box.half.tolist()) + ROUNDING

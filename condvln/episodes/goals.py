@@ -67,8 +67,8 @@ def is_standable(pathfinder: PathfinderProtocol, points: F64, places: PlacesConf
 def blocked_footprints(
     scene: Scene, pathfinder: PathfinderProtocol, max_climb: float
 ) -> list[tuple[SceneObject, Footprint]]:
-    """Return the objects on the floor that the navmesh ignores, each with its footprint: the navmesh continues below
-    them.
+    """Return the objects that stand on the floor but are ignored by the navmesh, which continues below them; each
+    object with its footprint.
 
     An object is ignored by the navmesh when the floor under the centre of its box can be stood on; furniture that
     the navmesh takes into account leaves a hole there (or is walkable on top). Flat objects that an agent
@@ -130,8 +130,8 @@ def goal_points(
     obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
     view: SceneView | None = None,
 ) -> F64:
-    """Return navigable points (k, 3) around `item`, those nearest to its box first. There are at most ``rules.points``;
-    empty if there are none.
+    """Return at most ``rules.points`` navigable points (k, 3) around `item`, sorted by distance to its box; empty if no
+    point is suitable.
 
     With a `view`, part of the object is visible from each point, to the camera or to a lower eye that can look under a
     table. All points lie on the same side of any wall: their geodesic distance to the point nearest to the box is at
@@ -228,8 +228,8 @@ def _seeing(points: F64, item: SceneObject, view: SceneView, places: PlacesConfi
 
 
 def _spread(points: F64, box: Footprint, count: int) -> F64:
-    """Return up to `count` of `points`, spread out and sorted by distance to `box`. The first point is always chosen,
-    then repeatedly the point farthest from those already chosen (the earliest on ties).
+    """Choose up to `count` of `points` that are spread out, and return them sorted by distance to `box`. The first of
+    `points` is always chosen, then repeatedly the point farthest from all points chosen before (the earliest on ties).
     """
     taken = [0]
     gap = np.linalg.norm(points - points[0], axis=1)

@@ -60,8 +60,8 @@ class NotOnGraph(Exception):
 
 @dataclass(frozen=True, slots=True)
 class GraphLeaf:
-    """One leaf, computed as if it were gold: the viewpoints of its stops, the viewpoints of its path from the start,
-    and its lengths along the graph.
+    """One leaf, computed as if it were gold: the viewpoints of its stops, the viewpoints of the path from the start,
+    and two lengths in metres along the graph, `direct` from start to goal and `length` through all stops.
     """
 
     stops: tuple[str, ...]

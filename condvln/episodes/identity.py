@@ -58,8 +58,8 @@ def colliding(ids: Sequence[int], hashes: Sequence[str]) -> list[int]:
 
 
 def with_numbers(episodes: pa.RecordBatch, columns: Sequence[str] | None = None) -> pa.RecordBatch:
-    """Return rows of the episodes table with the integer id and the hash. In rows of former releases the id is the
-    hash; both are then derived from it.
+    """Return rows of the episodes table with both the integer id and the hash. In rows of earlier releases the id
+    column holds the hash; the integer id is then computed from the hash.
 
     Parameters
     ----------

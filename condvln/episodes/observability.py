@@ -198,8 +198,9 @@ class Observer:
             self._seen.update({(name, key): row for key, row in zip(places_of, seen, strict=True)})
 
     def _known(self, ways: _Needs, eyes: F64, yaw: float | None = None) -> bool:
-        """Return whether a condition's truth can be known from the `eyes`: all evidence of at least one of the `ways`
-        to know it is visible. With a `yaw`, only the view straight ahead counts.
+        """Return whether a condition's truth can be known from the `eyes`. Each of the `ways` is a set of evidence that
+        suffices to know the truth; all evidence of at least one set must be visible. With a `yaw`, only the view
+        straight ahead counts.
         """
         return any(all(self._is_seen(name, eyes, yaw) for name in way) for way in ways)
 

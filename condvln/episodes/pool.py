@@ -175,8 +175,8 @@ class _Filling:
         self._seen: set[int] = set()
 
     def fill(self, tries: Sequence[_Try], most_of_label: int) -> None:
-        """Place candidates in order. Then, where a cell is still short, place the candidates that were postponed for
-        their number of moves, those with the fewest leaves beyond the shares first.
+        """Place candidates in order, but postpone those whose leaves would exceed the share of their number of moves.
+        Then, where a cell is still short, place postponed candidates, those with the fewest excess leaves first.
         """
         for one in tries:
             one.refused = self._turned_away(one, most_of_label) or self._over_its_moves(one) or self._unplaceable(one)
@@ -229,8 +229,8 @@ class _Filling:
         return pool
 
     def _turned_away(self, one: _Try, most_of_label: int) -> str | None:
-        """Return the reason why the candidates `one` are not wanted now; None if they are wanted. A quota is full, or
-        one of the programs is already placed; both may change later.
+        """Return the reason why the candidates `one` are not wanted now: a full quota, or a program that is already
+        placed. Return None if they are wanted. The answer may change when other candidates are placed or dropped.
         """
         cell = one.cell
         if not self._seen.isdisjoint(one.programs):
@@ -247,13 +247,15 @@ class _Filling:
         return None
 
     def _over_its_moves(self, one: _Try) -> str | None:
-        """Return `LATER` if the quota cell of the candidates `one` already has its share of leaves with the same
-        numbers of moves; else None.
+        """Return `LATER` if the candidates `one` must be postponed, since with them the quota cell would exceed its
+        share of leaves with some number of moves; else None.
         """
         return LATER if self._beyond_its_moves(one) else None
 
     def _beyond_its_moves(self, one: _Try) -> int:
-        """Return how many leaves of the candidates `one` would be beyond the shares of their numbers of moves."""
+        """Return how many leaves of the candidates `one` would be in excess: more than the quota cell's share of leaves
+        with that number of moves.
+        """
         cell = one.cell
         if self._move_shares is None or cell is None or cell.moves is not None:
             return 0

@@ -167,7 +167,9 @@ def rejections_table(
     counts: Mapping[tuple[InstructionCell | None, str], int],
     examples: Mapping[tuple[InstructionCell | None, str], str] | None = None,
 ) -> pa.Table:
-    """Return counts by (cell, reason) as REJECTIONS rows."""
+    """Return the numbers of rejections, `counts`, as REJECTIONS rows. `examples` has one rejected program's id for each
+    (cell, reason).
+    """
     rows = [
         {
             "scene_id": scene_id,

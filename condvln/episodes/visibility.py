@@ -1,4 +1,4 @@
-"""Compute which objects can be seen from any position in their room where an agent can stand, at its eye height.
+"""Compute which objects an agent can see, at its eye height, from at least one standing position in the object's room.
 
 An object is *seeable* if so large a share of its surface is visible that other sample points would give the same
 result. It is *unseen* if none of many sample points is visible from any position. In between it is neither: text does

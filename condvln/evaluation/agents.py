@@ -25,7 +25,9 @@ __all__ = ["AGENTS", "Agent", "agent_named", "predict_all", "walk_to_leaf"]
 
 
 class Agent(Protocol):
-    """A reference agent: maps (task, pathfinder, seed) to its prediction, independent of other episodes."""
+    """A reference agent: a function of (task, pathfinder, seed) that returns the agent's prediction for this task. The
+    prediction does not depend on other episodes.
+    """
 
     def __call__(self, task: Task, pathfinder: Pathfinder, seed: int) -> Prediction: ...
 

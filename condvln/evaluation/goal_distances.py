@@ -57,8 +57,8 @@ class Nearness:
         return SnappedPath(positions, snapped, shift > SNAPPED)
 
     def distance(self, point: Points, goals: Points) -> float:
-        """Return metres from ``point`` (3,) to the nearest of ``goals`` (k, 3), as habitat-sim's multi-goal query
-        does.
+        """Return the distance in metres from ``point`` (3,) to the nearest of ``goals`` (k, 3), as habitat-sim's
+        multi-goal query does.
         """
         found = float(self._pathfinder.geodesic_distance(point, goals))
         return found if np.isfinite(found) else float("inf")

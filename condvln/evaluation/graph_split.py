@@ -137,7 +137,9 @@ def _with_branches(episode: GraphEpisode, task: Task | None, graphs: Mapping[str
 
 
 def _row(score: GraphScore, task: Task | None) -> dict[str, float]:
-    """Return the score under the names of the continuous measures; infinite values become undefined (NaN)."""
+    """Return a score as a table row, under the names that its measures have in continuous space; an infinite navigation
+    error becomes undefined (NaN). With a `task`, the row also says which leaf was reached.
+    """
     unreachable = not np.isfinite(score.navigation_error)
     row = {item.name: float(getattr(score, item.name)) for item in fields(score)}
     row |= {"navigation_error": NAN if unreachable else row["navigation_error"], "unreachable": float(unreachable)}

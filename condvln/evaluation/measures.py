@@ -166,8 +166,9 @@ def reached_in_order(nearness: Nearness, path: SnappedPath, subgoals: Points, ra
 
 
 def reached_in_order_euclidean(positions: Points, subgoals: Points, radius: float) -> int:
-    """Return :func:`reached_in_order` as the authors' public evaluator counts it: by straight-line distance in 3-D, at
-    most ``radius``, and at most one subgoal per pose.
+    """Return the number of subgoals reached in order, as the public evaluator of the paper's authors counts them: a
+    subgoal is reached at a straight-line distance in 3-D of at most ``radius`` metres, and one pose reaches at most one
+    subgoal. Compare :func:`reached_in_order`.
     """
     reached = 0
     for position in positions:

@@ -39,7 +39,7 @@ class SeenScene(Protocol):
 
 
 class SceneViews:
-    """Opened scenes with their renderers, by the name ``<source>/<scene id>`` that a task has on the axis ``scene``.
+    """Opened scenes with their renderers, by name: a task's value on the axis ``scene``, ``<source>/<scene id>``.
 
     Parameters
     ----------

@@ -196,8 +196,8 @@ def _reached(task: Task, walk: _Walk, nearness: Nearness, rules: ScoreRules, rad
 
 
 def _subgoal_accuracy(reached: int, subgoals: int, success: bool) -> tuple[float, float]:
-    """Return an episode's subgoal accuracy by two rules: as counted in means over all episodes, and by the paper's
-    rule, which may leave the episode out (NaN).
+    """Return an episode's subgoal accuracy as ``bsa_all`` and as ``bsa`` count it; the second is NaN if the paper's
+    rule leaves the episode out.
     """
     if subgoals:
         return reached / subgoals, reached / subgoals

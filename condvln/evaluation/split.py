@@ -23,7 +23,7 @@ __all__ = ["SplitOptions", "evaluate_split", "split_tasks"]
 
 @dataclass(frozen=True)
 class SplitOptions:
-    """How files are read and scored."""
+    """How prediction files are read and scored."""
 
     rules: ScoreRules = field(default_factory=ScoreRules)
     radii: tuple[float, ...] = ()
@@ -57,7 +57,7 @@ def split_tasks(export: Path, split: str) -> list[Task]:
 def evaluate_split(
     export: Path, split: str, predictions: Sequence[Path], options: SplitOptions | None = None
 ) -> tuple[list[Evaluation], list[Task]]:
-    """Evaluate each file (or folder of ``stats_*.json``); agents are named after the files.
+    """Evaluate each prediction file (or folder of ``stats_*.json``); agents are named after the files.
 
     Paths over viewpoints are scored against the split's R2R file; the returned tasks are then those in this file.
 

@@ -135,14 +135,14 @@ _INTERVALS: Final = "Means with 95 % intervals, scenes drawn with replacement."
 
 
 def main_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Table:
-    """Return the main results by source and agent, and over all sources if there are several."""
+    """Return a table of the main results by source and agent, and over all sources if there are several."""
     return _grouped("main", "Main results", evaluations, ("source",), MAIN_COLUMNS, seed, note=_NOTE)
 
 
 def axis_table(
     evaluations: Sequence[Evaluation], *axes: str, columns: Sequence[Column] = MAIN_COLUMNS, seed: int = 0
 ) -> Table:
-    """Return the results by one or several of :data:`~condvln.evaluation.evaluate.AXES`."""
+    """Return a table of the results by one or several of :data:`~condvln.evaluation.evaluate.AXES`."""
     return _grouped("by_" + "_".join(axes), f"Results by {' and '.join(axes)}", evaluations, axes, columns, seed)
 
 
@@ -152,7 +152,7 @@ def branch_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Table:
 
 
 def sweep_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Table:
-    """Return the results at each success distance of the sweep."""
+    """Return a table of the results at each success distance of the sweep."""
     found = [(e.agent, row) for e in evaluations for row in sweep_summary(e, seed=seed)]
     found.sort(key=lambda pair: pair[1].group["success_distance"])
     columns = (Column("success_distance", "τ", "metres"), _AGENT, *_SWEEP_COLUMNS, _EPISODES)
@@ -170,7 +170,7 @@ def sweep_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Table:
 
 
 def group_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Table:
-    """Return the share of counterfactual groups in which every episode is right."""
+    """Return a table of the share of counterfactual groups in which every episode is right."""
     columns = (
         _AGENT,
         Column("groups", "groups", "count"),
@@ -227,7 +227,9 @@ def comparison_table(
     *,
     seed: int = 0,
 ) -> Table:
-    """Return the difference of each pair of agents, with the p-value of a paired permutation test by scene."""
+    """Return a table of the differences between each two agents, with the p-value of a paired permutation test by
+    scene.
+    """
     columns = (
         Column("first", "agent", "text"),
         Column("second", "against", "text"),

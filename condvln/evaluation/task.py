@@ -89,8 +89,8 @@ class Task:
 
     @property
     def aliases(self) -> tuple[str, ...]:
-        """Other ids of the episode: its hash (the id in former releases), and the number of that hash (its former id
-        in RxR files).
+        """Other ids of the episode: its hash (the id in former releases), and the hash as a number (the id in RxR files
+        of former releases).
         """
         known = self.episode_hash or self.episode_id
         return tuple(name for name in (known, str(numeric_id(known))) if name != self.episode_id)

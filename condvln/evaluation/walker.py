@@ -84,7 +84,7 @@ def labels_in_view(
     sight: float = SIGHT,
     field_of_view: float = FIELD_OF_VIEW,
 ) -> Eyes:
-    """Return a function that tells the labels of the objects in view: those within ``sight`` metres and within the
+    """Return a function that returns the labels of the objects in view: those within ``sight`` metres and within the
     horizontal ``field_of_view`` in degrees.
 
     There is no rendering, so occlusion is estimated: an object is hidden if its geodesic distance is much longer than

@@ -1,4 +1,6 @@
-"""The page that shows scenes, trees, evidence, paths, statistics and agents; it opens from a disk without a server."""
+"""The explorer: a web page of scenes, trees, evidence, paths, statistics and agents, which opens from disk without a
+server.
+"""
 
 from condvln.explorer.episode import episode_document
 from condvln.explorer.plan import plan_document

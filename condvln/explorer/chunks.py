@@ -24,7 +24,7 @@ _PARTS: Final = re.compile(rb'explorer\.receive\("([a-z]+(?:-\d+)?)", "([A-Za-z0
 
 
 def chunk_bytes(name: str, document: Any, level: int = _LEVEL) -> bytes:
-    """Return the script of a chunk; equal documents give equal bytes."""
+    """Return the bytes of the script that holds a chunk; equal documents give equal bytes."""
     if not _NAME.fullmatch(name):
         raise ValueError(f"{name!r} is not the name of a chunk")
     packed = gzip.compress(orjson.dumps(document, option=orjson.OPT_SERIALIZE_NUMPY), level, mtime=0)

@@ -21,7 +21,8 @@ Clause = tuple[int, int, int, int]
 
 
 def clauses(text: str, program: Program) -> list[Clause]:
-    """Return the clauses of a text in its order; none where the text is not in a grammar of ours.
+    """Return the clauses of a text from its first word to its last; an empty list if no grammar of ours can parse the
+    text.
 
     A clause of a condition is a statement, a question or an answer; a clause of a leaf has all its stops.
     """

@@ -55,7 +55,10 @@ class Columns:
         self._extend(self._predicates, "predicate", sorted(asked))
 
     def document(self) -> dict[str, Any]:
-        """Return the columns: ``names`` by column, ``columns``, and ``lists`` of labels and predicates with offsets."""
+        """Return ``columns``, one entry per episode; ``names``, which the numbers in columns refer to; ``lists``, the
+        labels and predicates of all episodes with the offset of each episode; and ``groups``, the number of
+        counterfactual groups.
+        """
         return {
             "names": {column: [*names] for column, names in self._names.items()},
             "columns": self._values,

@@ -1,4 +1,6 @@
-"""An episode as the page shows it, made from its manifest row, whether that was read or built from the tables."""
+"""An episode as the page shows it. It is made from a manifest row, which may be read from a file or built from the
+tables.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What decides a condition: its witnesses or rivals, with the measure that its predicate looks at."""
+"""What decides a condition: its witnesses or rivals, with the measure that the condition's predicate tests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The relation graph of a scene as columns, which the page draws around a chosen object."""
+"""The relation graph of a scene, stored as columns; the page draws the part around a chosen object."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The folder of the page: scripts and styles as they are, and chunks of data, each scene's apart."""
+"""The folder of the page: scripts and styles, copied unchanged, and chunks of data, separate ones for each scene."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ TEXTS_A_CHUNK: Final = 4000
 
 
 class Site:
-    """Writes the page into a folder, scene by scene, so that memory holds one scene and one entry per episode.
+    """Writes the page into a folder, scene by scene: memory holds only the current scene, and one short entry for each
+    episode so far.
 
     The page appears with :meth:`finish`. A folder that holds something else is left alone.
 
@@ -123,7 +124,7 @@ class Site:
         agents: Sequence[AgentResults] = (),
         tables: Sequence[Document] = (),
     ) -> Path:
-        """Write what is about all scenes, then the page itself, and return its path."""
+        """Write the data that cover all scenes, then the page itself. Return the path of the page."""
         self._write_texts()
         columns = self._columns.document()
         index = {
@@ -179,7 +180,7 @@ def _is_ours(out: Path) -> bool:
 
 
 def _by_name(agents: Sequence[AgentResults]) -> dict[str, list[AgentResults]]:
-    """Return the results of each agent, on several splits or one."""
+    """Return the results by agent; an agent has one for each split that it was scored on."""
     found: dict[str, list[AgentResults]] = {}
     for agent in agents:
         found.setdefault(agent.name, []).append(agent)

@@ -29,10 +29,10 @@ QUARTERS: Final = 4
 def first_views(
     episode: Mapping[str, Any], view: SceneView, places: PlacesConfig, rules: EpisodeConfig
 ) -> dict[str, Document]:
-    """Return, by condition of the gold route, the first place on the gold path from which the objects that decide it
-    have been seen: ``at``, and ``walked``, metres from the start.
+    """Return, by condition of the gold route, the first place on the gold path at which the objects that decide the
+    condition have been seen: the position ``at``, and ``walked``, the metres walked from the start.
 
-    A condition has none if it is about an empty room, or if its objects are seen from nowhere on the path.
+    A condition is left out if no object decides it, or if its objects are not all seen from the path.
 
     Parameters
     ----------
@@ -71,7 +71,9 @@ def pictures(episode: Mapping[str, Any], renderer: Renderer) -> Iterator[tuple[s
 
 
 def _deciding(facts: Mapping[str, Any], condition: Mapping[str, Any]) -> list[str]:
-    """Return the objects that must be seen: a witness, or all rivals, and the anchors."""
+    """Return the objects that must be seen: a witness or else all rivals, and in either case the anchors; none if the
+    condition has neither witness nor rivals.
+    """
     witnesses = [thing["id"] for thing in facts["things"] if thing["role"] == "witness"][:1]
     rivals = [thing["id"] for thing in facts["things"] if thing["role"] == "rival"]
     here = witnesses or rivals

@@ -44,7 +44,7 @@ class AgentResults:
 
 
 def outcomes(evaluation: Evaluation) -> NDArray[np.int64]:
-    """Return the number of each episode's outcome in :data:`OUTCOMES`, (n,)."""
+    """Return, for each episode, the index of its outcome in :data:`OUTCOMES`, (n,)."""
     scores = evaluation.scores
     cases = [
         (scores["missing"] == 1, "no prediction"),

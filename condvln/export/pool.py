@@ -1,5 +1,5 @@
-"""The pool: the light columns of all episodes of a snapshot, from which splits are selected. Heavy columns are read on
-writing.
+"""The pool: the light columns of all episodes of a snapshot, from which splits are selected. The other columns are read
+only when the splits are written.
 
 A million episodes must fit in a fraction of a gigabyte, so names are kept as 64-bit hashes. The probability that two of
 a million collide is 3e-8; the effect is only that two programs are kept in one split unnecessarily.
@@ -119,7 +119,7 @@ class _Names:
 
 
 class PoolBuilder:
-    """Collects batches of the tables, source by source.
+    """Builds a pool from batches of the instructions and episodes tables, added source by source.
 
     max_tokens : texts with more tokens are excluded; None or 0 means no limit
     """
@@ -249,7 +249,9 @@ class PoolBuilder:
         return colliding(numbers.tolist(), [name for _, hashes in self._ids for name in hashes.to_pylist()])
 
     def _conditions(self, instructions: Hashes) -> tuple[Codes, Codes, npt.NDArray[np.bool_]]:
-        """Return the conditions of each episode's instruction; empty if unknown."""
+        """Return the conditions of each episode's instruction as ``offsets``, ``conditions`` and ``truths`` of
+        `ExportPool`; an unknown instruction has none.
+        """
         names = _joined([part[0] for part in self._asked], np.uint64)
         if not len(names):
             nothing = np.zeros(0, dtype=np.int64)
@@ -270,8 +272,8 @@ _NUMBERS: Final = ("gold_leaf", "n_leaves", "ground_truth_steps", "max_steps")
 
 
 def _units(column: Mapping[str, list[Any]]) -> list[str]:
-    """Return the unit of each episode, which is its counterfactual group, or else its instruction. A split has all
-    episodes of a unit or none.
+    """Return, for each episode, the name of its unit: its counterfactual group, or its instruction if it is in no
+    group. A split has all episodes of a unit or none.
     """
     pairs = zip(column["group_id"], column["instruction_id"], strict=True)
     return [f"group {group}" if group is not None else f"instruction {instruction}" for group, instruction in pairs]

@@ -35,7 +35,9 @@ class SceneTable:
         return self._rows[source][scene]
 
     def barred(self, source: str) -> dict[str, str]:
-        """Return the scenes whose episodes can't be published, with the reason."""
+        """Return the reason why a scene's episodes can't be published, by scene; scenes without such a reason are left
+        out.
+        """
         reasons = {}
         for scene, row in self._rows[source].items():
             if row["navmesh_path"] is None:

@@ -40,7 +40,7 @@ Terms = list[tuple[int, int]]
 
 @dataclass(frozen=True)
 class SelectionCell:
-    """One split × source × category × gold leaf: number of available, wanted and selected episodes."""
+    """Numbers of available, wanted and selected episodes of one combination: split, source, category and gold leaf."""
 
     split: Split
     source: str
@@ -58,7 +58,9 @@ class SelectionCell:
 
 @dataclass
 class Selection:
-    """The result: ``split[i]`` is the index into :data:`SPLITS` of episode ``i`` of the pool, or :data:`OUT`."""
+    """The result: ``split[i]`` is the split of episode ``i`` of the pool, as an index into :data:`SPLITS`, or
+    :data:`OUT`.
+    """
 
     split: npt.NDArray[np.int8]
     cells: list[SelectionCell] = field(default_factory=list)
@@ -72,8 +74,8 @@ class Selection:
 
 
 def select(pool: ExportPool, config: SplitsConfig) -> Selection:
-    """Select episodes and assign splits; equal pool and configuration give the same result, whatever order the pool's
-    names are in.
+    """Select episodes and assign splits. Equal pools and configurations give equal results, whatever the order of the
+    names in the pool.
     """
     selection = Selection(np.full(len(pool), OUT, dtype=np.int8))
     placed = _place(pool, config, selection.left_out)
@@ -109,7 +111,7 @@ def select(pool: ExportPool, config: SplitsConfig) -> Selection:
 
 
 def _empty_splits(pool: ExportPool, config: SplitsConfig, selection: Selection) -> dict[Split, str]:
-    """Return the reason why a split has no episodes, by split. Splits without a share and without scenes in the
+    """Return, for each empty split, the reason why it has no episodes. Splits without a share and without scenes in the
     configuration are left out.
     """
     groups = Counter(scene_group(family, scene, config) for family, scene in pool.scenes)
@@ -217,7 +219,7 @@ def _with_fitting_groups(pool: ExportPool, block: npt.NDArray[np.int64]) -> npt.
 def _quotas(pool: ExportPool, blocks: dict[int, npt.NDArray[np.int64]], per_cell: int | None) -> dict[int, int]:
     """Return, for each source, how many episodes of each leaf the source contributes.
 
-    It is at most the number for the source's scarcest leaf; the sources share ``per_cell`` evenly.
+    A source contributes at most as many as it has of its scarcest leaf; the sources share ``per_cell`` evenly.
     """
     most = {source: _scarcest_leaf(pool, block) for source, block in blocks.items()}
     if per_cell is None:
@@ -255,7 +257,7 @@ def _scarcest_leaf(pool: ExportPool, block: npt.NDArray[np.int64]) -> int:
 
 
 class _Picker:
-    """Selects ``quota`` episodes of each leaf for one split × source × category."""
+    """Selects ``quota`` episodes of each leaf, for one combination of split, source and category."""
 
     def __init__(self, pool: ExportPool, block: npt.NDArray[np.int64], quota: int, balance: list[int]) -> None:
         self._pool = pool

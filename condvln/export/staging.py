@@ -51,7 +51,9 @@ class _Place:
 
 
 def placed(out: Path) -> Path:
-    """Return the folder that ``out`` refers to: the target of a symbolic link, which is what gets replaced."""
+    """Return the folder that an export to ``out`` replaces: ``out`` itself, or its target if ``out`` is a symbolic
+    link.
+    """
     return Path(os.path.realpath(out))
 
 
@@ -91,10 +93,11 @@ def check_place(out: Path) -> None:
 
 @contextmanager
 def staged(out: Path) -> Iterator[Path]:
-    """Return a context manager of a folder beside ``out`` that replaces ``out`` if the block succeeds.
+    """Return a context manager that yields a new folder beside ``out``. If the block succeeds, the folder replaces
+    ``out``.
 
     If the block fails, ``out`` is unchanged. The caller ensures that only one process at a time writes an ``out``.
-        Everything is flushed to disk before the exchange.
+    Everything is flushed to disk before the exchange.
 
     Raises
     ------

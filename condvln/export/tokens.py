@@ -2,7 +2,7 @@
 
 Texts are tokenised as in habitat-lab's vocabulary (``habitat/datasets/utils.py``): lower case, ``'s`` is a word, commas
 and question marks are dropped, runs of letters, digits, underscores and hyphens are words, and whatever is between two
-words is one token. With this rule, R2R_VLNCE v1-3 gets its own stored tokens.
+words is one token. This rule gives the tokens stored in R2R_VLNCE v1-3.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def tokenize(text: str) -> list[str]:
 
 
 def longer_than(texts: pa.Array, limit: int) -> npt.NDArray[np.bool_]:
-    """Return whether each of ``texts`` has more than ``limit`` tokens.
+    """Return, for each of ``texts``, whether it has more than ``limit`` tokens.
 
     A fast upper bound comes from counting spaces and punctuation (each mark is a token and may separate two words);
     only texts above the limit by this bound are tokenised.

@@ -93,8 +93,8 @@ def _twin(episode: dict[str, Any], text: str, vocabulary: Vocabulary | None) -> 
 
 
 def _tokens(vocabulary: Vocabulary | None, text: str, former: Any) -> list[int]:
-    """Return the tokens of ``text``; an empty list without a vocabulary. If the split's own tokens of the episode,
-    ``former``, are padded, the tokens are padded to the same length.
+    """Return the tokens of ``text``; an empty list without a vocabulary. If ``former``, the episode's tokens in the
+    original split, is padded, the result is padded to the same length.
     """
     if vocabulary is None:
         return []

@@ -1,4 +1,5 @@
-"""The part of an export without continuous episodes: ``viewpoints/R2R_<split>.json`` and its own manifests.
+"""The part of an export whose episodes are on viewpoint graphs: ``viewpoints/R2R_<split>.json``, with manifests of its
+own.
 
 The folder can be read like an export: ``condvln evaluate EXPORT/viewpoints val_unseen …``.
 """

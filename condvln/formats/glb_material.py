@@ -154,7 +154,7 @@ class MaterialReader:
         return made or None
 
     def _image(self, node: JsonNode) -> int | None:
-        """Return the number of an image whose bytes are in the file; None for any other."""
+        """Return the new number of an image; None if the image's bytes are not in the file."""
         index = node.index(len(self._root.array("images")))
         if ("images", index) not in self._number:
             source = self._root.array("images")[index]

@@ -1,7 +1,7 @@
 """Read a GLB file as a part of another one, checked against the actual bytes.
 
-`condvln.formats.gltf_tree` first checks the geometry and rejects unreadable files. Of the rest, the attributes and
-materials that a renderer of static scenes uses are copied; skins, animations, cameras and lights are dropped.
+`condvln.formats.gltf_tree` first checks the geometry and rejects unreadable files. The attributes and materials
+that a renderer of static scenes uses are then copied; skins, animations, cameras and lights are dropped.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ class TextArray(Sequence[Any]):
 
 
 def parse_large(text: str, decoder: json.JSONDecoder) -> Any:
-    """Parse a document like ``decoder.decode``, but return arrays that are values of its top-level object as
+    """Parse a document as ``decoder.decode`` does, except that each array directly below the top-level object becomes a
     `TextArray`.
 
     The whole document is checked: every entry is parsed once and discarded.

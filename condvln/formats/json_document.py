@@ -1,4 +1,4 @@
-"""Parse untrusted JSON with bounds, and access it by type, with the position in the file for error messages."""
+"""Parse untrusted JSON within limits, and read its values by type; errors name the file and the place of the value."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def nesting_depth(data: bytes) -> int:
 
 @dataclass(frozen=True, slots=True)
 class JsonNode:
-    """A value, the file it was read from, and its path in that file."""
+    """A value of a JSON document, with the name of its file and the path to the value inside the document."""
 
     value: Any
     where: str

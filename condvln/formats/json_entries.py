@@ -90,8 +90,8 @@ class _Unpacked:
 
 @contextmanager
 def opened(path: Path) -> Iterator[BinaryIO]:
-    """Open a file for reading bytes, decompressed if the file is gzip; callers must read pieces or lines of a limited
-    size.
+    """Return a context manager of a file opened for reading bytes, which are decompressed if the file is gzip. Callers
+    must read pieces or lines of a limited size.
 
     Raises
     ------
@@ -273,8 +273,8 @@ def parsed(data: bytes, path: Path, place: str, *, item: str = "", nonfinite: bo
 
 
 def nonstandard_number(data: bytes) -> str:
-    """Return the first NaN or infinity in ``data``, which Python writes although JSON has none; empty if there is
-    none.
+    """Return the first NaN or infinity in ``data`` as it is written there; empty if ``data`` has none. Python writes
+    such numbers, although JSON does not allow them.
     """
     seen: list[str] = []
     with suppress(ValueError, RecursionError):
@@ -310,7 +310,7 @@ def _nonfinite(value: Any) -> tuple[tuple[str | int, ...], float] | None:
 
 def _refuse_repeated_keys(value: Any, data: bytes, path: Path, place: str) -> None:
     """Raise a FormatError if an object in `data` repeats a key. The parser keeps only the last of equal keys; counting
-    colons shows that one was lost.
+    colons shows that a key was lost.
     """
     colons = data.count(b":")
     if colons == _own_keys(value):

@@ -1,9 +1,9 @@
 """Lint for ambiguous answers: does each answer word refer to the question that a listener takes it for?
 
 A listener refers "if so", "if not", "if there is one", "if it isn't" to the latest question or supposition, "otherwise"
-to the only "if" of the previous sentence, "neither" and "none of them" to all suppositions so far; and uses "there is
-one" only for an object that may not exist, "it is" only for one that does. A template is valid if these rules lead to
-its category's leaves in every case, so that its text is understood at first reading.
+to the only "if" of the previous sentence, "neither" and "none of them" to all suppositions so far. A listener takes
+"there is one" to be about an object that may not exist, and "it is" about an object that does exist. A template is
+valid if these rules lead to its category's leaves in every case, so that its text is understood at first reading.
 """
 
 from __future__ import annotations

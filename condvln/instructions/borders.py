@@ -1,4 +1,4 @@
-"""Objects of a scan on the border of two rooms.
+"""Find the objects of a scan that are on the border between two rooms.
 
 The rooms of a scan have no walls here, only outlines, which overlap where rooms are open to each other. A bowl on the
 counter between kitchen and dining room is in neither for a person who reads "the dining room".
@@ -43,7 +43,7 @@ NO_BORDER: Final = Border()
 
 
 def borders(scene: Scene) -> Mapping[str, Border]:
-    """Return, by room id, what is on the borders of a room; rooms with certain borders are left out."""
+    """Return, by room id, which objects are on the borders of a room; rooms with no such objects are left out."""
     own: dict[str, set[str]] = {}
     labels: dict[str, set[str]] = {}
     for item, other in _astride(scene):
@@ -55,7 +55,9 @@ def borders(scene: Scene) -> Mapping[str, Border]:
 
 
 def _astride(scene: Scene) -> Iterator[tuple[SceneObject, Room]]:
-    """Yield each object with each other room that it may belong to. Built-in objects show which room they are in."""
+    """Yield each object with each other room that it may belong to. Built-in objects are left out, since it is plain to
+    see which room they are in.
+    """
     if scene.family not in SCANS:
         return
     fixed = labels_with_role("fixed")
@@ -75,8 +77,8 @@ def share_inside(low: F64, high: F64, ring: F64) -> float:
     """Return the share of the rectangle from `low` (2,) to `high` (2,) that is inside the polygon `ring` (n, 2); 0 if
     the rectangle has no area.
 
-    Method: the polygon is clipped at each side of the rectangle (Sutherland & Hodgman 1974), which leaves its area
-    right though edges may double.
+    Method: the polygon is clipped at each side of the rectangle (Sutherland & Hodgman 1974). Edges of the result may
+    coincide, but its area is right.
     """
     area = float((high - low).prod())
     if area <= 0.0 or (ring.max(axis=0) <= low).any() or (ring.min(axis=0) >= high).any():

@@ -29,7 +29,7 @@ Statements = PresencePool | RelationPool
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Asked:
-    """A condition about a room under one of the room's names, and what it claims."""
+    """A condition that calls its room by one of the room's names, and what the condition claims."""
 
     condition: Condition
     claim: Claim
@@ -43,7 +43,9 @@ class _Room:
     bearings: bool = False
 
     def here(self, start: bool) -> tuple[tuple[tuple[Predicate, ...], float], ...]:
-        """Return the groups of predicates that conditions may use; egocentric ones only in the room of the start."""
+        """Return the groups of predicates that conditions may use, with weights; egocentric predicates only if `start`,
+        which says that this is the room of the start.
+        """
         if start or not self.bearings:
             return self.groups
         rest = [(predicates, weight) for predicates, weight in self.groups if predicates[0] not in BEARINGS]
@@ -104,8 +106,8 @@ class ConditionSampler:
         start_room: str | None = None,
         bearings: int = 0,
     ) -> tuple[Condition, ...]:
-        """Draw conditions with the given `truths`, in that order. Taken together, and with the `stops`, they violate no
-        rule.
+        """Draw conditions with the given `truths`, in that order. Together with the `stops` they violate no rule of
+        ``degeneracy``.
 
         Parameters
         ----------
@@ -140,7 +142,7 @@ class ConditionSampler:
         """Return a condition of the opposite truth that can replace condition `index` of `program`; None if there is
         none.
 
-        It is about the same room, of the same kind and predicate and, if possible, of the same label.
+        The replacement is about the same room, and has the same kind, predicate and, if possible, label.
         """
         old = program.conditions[index]
         if old.room.room_id not in self._rooms:

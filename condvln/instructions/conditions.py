@@ -220,8 +220,8 @@ def informative_weights(n_true: int, n_false: int, evidence: int = EVIDENCE) -> 
 
 
 def _informative_tables(referents: Referents, truths: StatementTruths, bits: PriorBits) -> dict[bool, F64] | None:
-    """Return the weights of all statements by truth. They are computed from counts in rooms of this type; None if there
-    is too little data.
+    """Return the weights of all statements by truth, computed from counts in rooms of this type; None if the counts are
+    too small.
     """
     room_type, own = referents.room.label, referents.arrays.labels
     tables = {True: np.zeros(truths.true.shape), False: np.zeros(truths.true.shape)}

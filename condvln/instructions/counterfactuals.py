@@ -46,8 +46,8 @@ def counterfactual_group(
 
 
 def _decisive(program: Program) -> Iterator[tuple[int, int]]:
-    """Yield the index of each condition on the gold path that leads to another leaf when flipped, together with that
-    leaf. The last condition comes first.
+    """Yield (condition, leaf) for each condition on the gold path whose flip leads to another leaf: the index of the
+    condition, and that other leaf. The last condition comes first.
     """
     truths = [condition.truth for condition in program.conditions]
     for index in reversed(program.route()[0]):
@@ -76,6 +76,6 @@ def swapped(program: Program, one: int, other: int) -> Program:
 
 
 def group_id(family: str, scene_id: str, group: Group) -> str:
-    """Return the id of a group, which is the same for each of its programs."""
+    """Return the id of a group; all programs of the group share the id."""
     keys = "\x1f".join(sorted(program_key(program) for program in group))
     return hashlib.sha256(f"{family}\x1f{scene_id}\x1f{keys}".encode()).hexdigest()[:ID_LENGTH]

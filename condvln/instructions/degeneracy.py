@@ -47,7 +47,7 @@ REASONS: Final[dict[str, str]] = {
 class Claim:
     """What a condition's text states: a label in a room, perhaps in relation to one or two anchors.
 
-    presence : it only states that such an object exists
+    presence : the text only states that such an object exists
     """
 
     room_id: str
@@ -58,7 +58,7 @@ class Claim:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Return the labels that the text names for it: its own, those of its anchors and of its room's name."""
+        """Return the labels in the text of the claim: of the object, of its anchors and of its room's anchor."""
         tag = () if self.room_anchor is None else (self.room_anchor,)
         return (self.label, *self.anchors, *tag)
 
@@ -73,11 +73,11 @@ class Claim:
 
 @dataclass(frozen=True)
 class Presupposed:
-    """The presuppositions of the stops' phrases, by room id.
+    """What the phrases of stops presuppose: the objects that they name, and the relations that their qualifiers state.
 
-    stops : labels of stops
-    things : those, and the anchors of their qualifiers and of room names ("the … with the piano")
-    pairs : (label, anchor) stated by a qualifier
+    stops : (room id, label) of each stop
+    things : the same, and (room id, label) of each anchor of a qualifier or room name ("the … with the piano")
+    pairs : (room id, label, label of the anchor) of each relation that a qualifier states
     """
 
     stops: frozenset[tuple[str, str]]
@@ -101,7 +101,7 @@ class Presupposed:
         return {one: frozenset(label for room, label in self.stops if room == one) for one in rooms}
 
     def labels_outside(self, room_id: str) -> frozenset[str]:
-        """Return the labels of everything presupposed in other rooms than `room_id`."""
+        """Return the labels of everything presupposed in all rooms except `room_id`."""
         if room_id not in self._outside:
             self._outside[room_id] = frozenset(label for room, label in self.things if room != room_id)
         return self._outside[room_id]
@@ -168,8 +168,8 @@ def clash(claim: Claim, others: Sequence[Claim], given: Presupposed, vocabulary:
 
 
 def _closes_cycle(claim: Claim, others: Sequence[Claim], vocabulary: Vocabulary) -> bool:
-    """Return whether `claim` closes a cycle of labels with the relations of `others`. Claims in a cycle may decide each
-    other: "a north of b" and "b north of c" make "c north of a" false.
+    """Return whether the relation of `claim`, added to the relations of `others`, closes a cycle of labels. Claims in a
+    cycle may decide each other: "a north of b" and "b north of c" make "c north of a" false.
     """
     reached, grown = set(vocabulary.overlapping(claim.label)), True
     edges = [(o.label, anchor) for o in others for anchor in o.anchors]

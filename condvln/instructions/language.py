@@ -61,7 +61,9 @@ class Noun:
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """A slot of a template: a form of a condition, or a leaf, with its index."""
+    """A slot of a template: the place of a condition, in some form, or of a leaf. `index` is that of the condition or
+    leaf.
+    """
 
     form: Form
     index: int
@@ -120,9 +122,9 @@ class Language:
     predicates : phrases of predicates with anchors; both : the word between two anchors
     lying : words between the noun of a stop and its relation, one of which a text uses ("que está"); none in English
     room_first : whether the room comes before "there is" ("en la cocina hay")
-    bearings : egocentric phrases; a text uses those with one index of each list; bearing_stops : the same after the
-            noun of a stop
-    superlatives : "bigger" and "smaller" by class of noun; superlative_first : before the noun, else after it
+    bearings : egocentric phrases; a text uses the phrases at the same index of all lists; bearing_stops : egocentric
+            phrases that follow the noun of a stop
+    superlatives : "bigger" and "smaller" by class of noun; superlative_first : whether they precede the noun
     voices : the voices that an instruction may use
     nouns_in : by room type, nouns that differ from those in other rooms
     """
@@ -164,7 +166,7 @@ class Language:
         return f"{self.articles['definite'][noun.kind]} {noun.text}"
 
     def compared(self, predicate: Predicate, noun: Noun) -> str:
-        """Return a compared noun: "the bigger lamp"."""
+        """Return a noun with a word that compares sizes: "the bigger lamp"."""
         word = self.superlatives[predicate][noun.kind]
         named = f"{word} {noun.text}" if self.superlative_first else f"{noun.text} {word}"
         return f"{self.articles['definite'][noun.kind]} {named}"

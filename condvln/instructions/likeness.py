@@ -82,7 +82,8 @@ def doubles(arrays: RoomArrays, meant: Bools) -> Bools:
 
 
 def _thin_beside(low: NDArray[np.float64], high: NDArray[np.float64], gap: NDArray[np.float64]) -> Bools:
-    """Return (n, n): whether one of two boxes is thin and directly beside the other, as where a scan has a hole.
+    """Return a mask (n, n): whether one of two boxes is thin and directly beside the other, as next to a hole in a
+    scan.
 
     low, high (n, 3) : millimetres; gap (n, n) : the vertical gap between the boxes
     """
@@ -95,8 +96,8 @@ def _thin_beside(low: NDArray[np.float64], high: NDArray[np.float64], gap: NDArr
 
 
 def look_alikes(arrays: RoomArrays, vague: Bools) -> tuple[frozenset[str], ...]:
-    """Return, for each of n objects in the mask `vague` (n,) of unlabelled objects, the labels of the labelled objects
-    of similar size and height. The result of all other objects is empty.
+    """Return one set of labels for each of n objects. For an unlabelled object, which the mask `vague` (n,) tells, the
+    set holds the labels of the labelled objects of similar size and height; for any other object the set is empty.
     """
     none: frozenset[str] = frozenset()
     if not vague.any():
@@ -134,7 +135,7 @@ def called_side_tables(arrays: RoomArrays) -> Bools:
 
 def parts(arrays: RoomArrays) -> Bools:
     """Return (n,): whether an object is a part of other furniture, such as a compartment of a television stand. A shelf
-    or a drawer is one if most of its box is inside the box of a larger object of another kind.
+    or a drawer counts as such a part if most of its box is inside the box of a larger object of another kind.
     """
     part = _with_role(arrays, "part")
     if not part.any():
@@ -150,8 +151,8 @@ def parts(arrays: RoomArrays) -> Bools:
 
 
 def mistakable(arrays: RoomArrays) -> Bools:
-    """Return (n,): whether the box of a scan may be something else than its label says: a screen that may be a monitor,
-    a chair that may be two.
+    """Return a mask (n,) of the objects that, in a scan, may be something else than their label says: a television that
+    may be a monitor, a chair that may be two.
     """
     low, high = millimetres(arrays.aabb_min), millimetres(arrays.aabb_max)
     ground = (high - low)[:, [0, 2]]
@@ -167,8 +168,8 @@ def mistakable(arrays: RoomArrays) -> Bools:
 
 
 def twins(arrays: RoomArrays, rival: Bools) -> Bools:
-    """Return (n,): whether a rival with the same label is about as high. In a scan, the smaller box of the two may be
-    that of an equal object that was scanned in part.
+    """Return a mask (n,) of the objects that are about as high as a rival with the same label. In a scan, the two may
+    be equally large: the smaller box may show an object that was scanned only in part.
     """
     labels = np.array(arrays.labels, dtype=object)
     height = millimetres(arrays.aabb_max)[:, 1] - millimetres(arrays.aabb_min)[:, 1]

@@ -84,8 +84,8 @@ def grammar_source(words: Language) -> str:
 
 
 class _GrammarWriter:
-    """Writes the grammar of a language. Each phrase is one terminal, even if several slots can have it, so that the
-    lexer takes the longest match.
+    """Writes the grammar of a language. Each phrase is one terminal, even if several slots use the same phrase, so that
+    the lexer takes the longest match.
     """
 
     def __init__(self, words: Language) -> None:
@@ -157,8 +157,8 @@ class _GrammarWriter:
         return "\n".join([*rules, *self._terminal_lines()]) + "\n"
 
     def _either(self, slot: str) -> str:
-        """Return the rule of `slot`. If the slot can have other phrases after a denial, return an alternative of both
-        rules.
+        """Return what the grammar accepts at `slot`: the slot's rule, or either of two rules if the slot has further
+        phrases for use after a denial.
         """
         slots = self.words.slots
         return f"(_{slot} | _{slot}_again)" if set(slots[f"{slot}_again"]) - set(slots[slot]) else f"_{slot}"
@@ -244,7 +244,8 @@ def reading_from_tree(tree: Node, words: Language) -> Reading:
 class _TreeReader:
     """Interprets a tree from left to right, since "there" refers to the room named last.
 
-    asked_room : room of the previous condition, which applies to a definite object that is asked about without a room
+    asked_room : room of the previous condition; also that of the next one if it asks about a definite object and names
+        no room
     """
 
     def __init__(self, words: Language) -> None:

@@ -1,10 +1,11 @@
 """Priors over rooms: which labels are usual, and how often a statement is true, pooled over all sources.
 
-They are a separate unit, made in a first pass and pinned. A scene reads yes/no bits of labels, and of statements how
-evenly they are true and false in rooms of its types. A statement whose truth is predictable from its words ("a pillow
-near the bed") is then rarely used, and as often where it is false as where it is true. If the scene is one of many
-variants of a layout, only variants of this layout count: a statement that is true throughout one layout and false
-throughout another looks balanced in the pool, but is predictable for a guesser that knows the layout.
+The priors are a separate unit, made in a first pass and pinned. For each label, a scene reads only yes/no bits; for
+each statement, it reads how evenly the statement is true and false in rooms of the scene's types. A statement whose
+truth is predictable from its words ("a pillow near the bed") is then rarely used, and as often where it is false as
+where it is true. If the scene is one of many variants of a layout, only variants of this layout count: a statement that
+is true throughout one layout and false throughout another looks balanced in the pool, but is predictable for a guesser
+that knows the layout.
 """
 
 from __future__ import annotations
@@ -67,10 +68,11 @@ class PriorBits:
     single room, it covers all labels.
 
     plausible : by room type, labels found in enough rooms of that type
-    varies : those of them that are also absent from enough rooms of the type, so that their presence is informative
-    counts : number of rooms in which a statement is true and in which it is false, of the scene's layout if there are
-        enough; statements never found are missing
-    staged : room types whose counts are those of the layout
+    varies : the plausible labels that are also absent from enough rooms of the type, so that their presence is
+        informative
+    counts : by statement, the number of rooms in which it is true and of those in which it is false; if the scene's
+        layout has enough rooms, only these are counted; statements never found are missing
+    staged : room types for which only rooms of the scene's layout are counted
     """
 
     plausible: Mapping[str, frozenset[str]]

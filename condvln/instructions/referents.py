@@ -66,10 +66,11 @@ class Facts(Protocol):
 
     A status is +1 where a fact is true with margin, −1 where it is false with margin, 0 in the dead zone.
 
-    status[p][i, j] : of "i p j", for predicates with one anchor
+    status[p][i, j] : status of the fact "i p j", for each predicate p with one anchor
     margin[p][i, j] : distance from the threshold, comparable within one predicate
-    denied[p][i, j] : a condition may use it as false, where that takes more than a status of −1
-    excluded[p][i, j] : a rival that it does not hold for, where that takes more than a status of −1
+    denied[p][i, j] : whether a condition may state the fact as false; only for predicates that need more for this
+        than a status of −1
+    excluded[p][i, j] : whether the fact fails for i, so that it excludes i as a rival; only for such predicates
     """
 
     @property
@@ -86,7 +87,7 @@ class Facts(Protocol):
 
     def between(self, pairs: NDArray[np.intp]) -> tuple[NDArray[np.int8], NDArray[np.float64]]:
         """Return the status and the margin of the statements "object i is between a and b", (n, p) each. Each row of
-        `pairs` (p, 2) has the indices of one a and b.
+        `pairs` (p, 2) holds the indices of one a and one b.
         """
         ...
 
@@ -122,12 +123,12 @@ class Referents:
     double (n,) : may be the same object as a rival, so that no qualifier distinguishes them
     twin (n,) : may be as large as a rival, so that their sizes do not distinguish them
     anchors (a,) : indices of possible anchors: unique, of known extent, neither small nor portable
-    suits (n, n) : j may be the anchor of i: it is fixed, or the larger of the two
+    suits (n, n) : j may be the anchor of i: j is fixed, or the larger of the two
     may_be (n,) : labels that an object may have besides its own, for objects that can only have some labels
-    open (n,) : the same for all objects of known extent, including those that could be anything
+    open (n,) : the same, but for all objects of known extent, including those that could be anything
     sayable : predicates that a qualifier may use
     blocked : labels whose absence can't be claimed, since an unlabelled object may have them
-    unplaced : those among them that an object of unknown extent may have, so that it may be near to anything
+    unplaced : the blocked labels that an object of unknown extent may have; such an object may be near to anything
     """
 
     room: Room
@@ -153,10 +154,10 @@ class Referents:
         return self.room.complete and not meant & self.blocked and meant.isdisjoint(self.arrays.labels)
 
     def decides(self, label: str, vocabulary: Vocabulary) -> bool:
-        """Return whether the statement "a `label` near …" may be claimed to be false.
+        """Return whether a condition may state "a `label` near …" as false.
 
-        This is so if the only object that the label fits is elsewhere, which claims no absence; otherwise only if
-        everything that may have the label, unlabelled objects included, is known and elsewhere.
+        It may if the label fits only one object, since then the statement claims no absence. Otherwise it may only if
+        the room is complete and every unlabelled object that may have the label has a known extent.
         """
         if label in self.unique_labels:
             return True
@@ -164,8 +165,8 @@ class Referents:
 
     @cached_property
     def qualifications(self) -> tuple[tuple[Qualification, ...], ...]:
-        """For each object, the qualifiers that make it unique, best first. There are none if the object needs no
-        qualifier, or if no qualifier makes it unique.
+        """For each object, the qualifiers that make it unique, best first. The result is empty for an object that needs
+        no qualifier, or that no qualifier makes unique.
         """
         return _qualifications(self)
 
@@ -176,9 +177,9 @@ class Referents:
         return np.stack([self.anchors[one], self.anchors[other]], axis=1).astype(np.intp)
 
     def related(self, predicate: Predicate) -> tuple[NDArray[np.intp], NDArray[np.int8], NDArray[np.float64], Bools]:
-        """Return (anchors, status, margin, suits) of a predicate for n objects and a choices of k anchors. `anchors`
-        (a, k) are indices; status, margin and `suits` (n, a) have one entry for each object and choice. `suits` tells
-        whether a phrase may use the choice for the object.
+        """Return (anchors, status, margin, suits) of a predicate. Each row of `anchors` (a, k) is one possible choice
+        of the predicate's k anchors, as indices. status, margin and `suits` (n, a) have one entry for each of n objects
+        and each choice; `suits` tells whether a phrase may use the choice for the object.
         """
         columns = self.anchor_pairs if predicate == "between" else self.anchors[:, None]
         if predicate == "between":
@@ -198,8 +199,8 @@ class Referents:
         return np.asarray(status == -1) if found is None else np.asarray(found[:, self.anchors])
 
     def kept(self, predicate: Predicate, status: NDArray[np.int8]) -> Bools:
-        """Return (n, a): whether an object may still be meant where `predicate` distinguishes a rival of it. `status`
-        (n, a) is the status that `related` returns.
+        """Return a mask (n, a): whether a phrase with `predicate` and a choice of anchors may still mean an object, so
+        that the phrase does not exclude this object as a rival. `status` (n, a) is the status that `related` returns.
         """
         found = self.facts.excluded.get(predicate)
         return np.asarray(status != -1 if found is None else (status != -1) | ~found[:, self.anchors])
@@ -246,7 +247,7 @@ class Referents:
     ) -> Referents:
         """Return the names of all objects of a room.
 
-        family : family whose labels they are; None if each object is only what its label says
+        family : family whose labels the objects have; None if each object is only what its label says
         border : what may belong to two rooms, and so is named in neither
         """
         part = parts(arrays)
@@ -356,8 +357,8 @@ def _nameless(
 
 
 def _suits(sizes: NDArray[np.float64], fixed: Bools) -> Bools:
-    """Return a mask (n, n): whether object j may be the anchor of object i, judging by the `sizes` (n, 3). Object j may
-    be if it is fixed, or if its ground area or its volume is at least that of object i.
+    """Return a mask (n, n): whether object j may be the anchor of object i, judging by the `sizes` (n, 3). It may if
+    object j is fixed, or if its ground area or its volume is at least that of object i.
     """
     area, volume = sizes[:, 0] * sizes[:, 2], sizes.prod(axis=1)
     suits = fixed[None, :] | (area[None, :] >= area[:, None]) | (volume[None, :] >= volume[:, None])

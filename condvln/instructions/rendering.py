@@ -108,7 +108,7 @@ def render(program: Program, seed: int, instruction_id: str, wording: WordingCon
     """Return the text of `program`, which is determined by `seed`, `instruction_id` and `wording`. If `wording` is only
     a language code, all voices of the language are allowed.
 
-    With the length "short" it has the shortest phrases and templates of its voice.
+    If the length in `wording` is "short", the text uses the shortest phrases and templates of its voice.
     """
     said = _wording(wording)
     code = said.language
@@ -251,8 +251,8 @@ class _Renderer:
         return self._clause(condition, asserted=asserted)
 
     def _is_in_room_asked(self, condition: Condition) -> bool:
-        """Return whether a condition is about a known object in the room of the last question. This room then need not
-        be named again.
+        """Return whether a condition is about a definite object ("the lamp") in the room of the last question. This
+        room then need not be named again.
         """
         beside = condition.definite and self._room_asked == condition.room.room_id
         return beside and not self._is_shared(condition)
@@ -420,7 +420,7 @@ class _Renderer:
         return f" {self._phrase(_PREPOSITIONS[kind])} {self._room(room)}"
 
     def _is_set_apart(self, room: RoomRef) -> bool:
-        """Whether a room has to be named by a thing in it."""
+        """Whether a room has to be named by an object in it, as in "the bedroom with the desk"."""
         known = room.anchor_label is None or (room in self._introduced and self._types[room.label] == 1)
         return not known and not self._elided(room)
 
@@ -481,7 +481,7 @@ def _sentences(words: Language, text: str) -> str:
 
 @lru_cache
 def _shortest(phrases: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the renderings with the fewest words."""
+    """Return the phrases with the fewest words."""
     least = min(phrase.count(" ") for phrase in phrases)
     return tuple(phrase for phrase in phrases if phrase.count(" ") == least)
 

@@ -56,8 +56,8 @@ class _Shape:
     """The requested form of a candidate: its composition (None if rooms allow any) and the number of moves of each
     leaf.
 
-    bearings : it may have egocentric statements
-    gold : index of the leaf that its truths lead to
+    bearings : the candidate may have egocentric statements
+    gold : index of the leaf to which the truths of the candidate's conditions lead
     """
 
     composition: str | None
@@ -175,8 +175,8 @@ class ProgramSampler:
         return max(self.wanted.label_cap, 1.0 / max(1, len(self._members)))
 
     def _target_pool(self, category: Category, used: Counter[str]) -> TargetPool:
-        """Return the pool from which goals are drawn. Labels count by their weight and rarity; a label that has reached
-        its maximum share is left out.
+        """Return the pool from which goals are drawn. A label is drawn more often the greater its weight and the less
+        it was used; a label that has reached its maximum share is left out.
         """
         candidates = sum(self.sampling.candidates(cell) for cell in self.wanted.cells_of(category))
         most = max(1.0, self.label_cap * candidates * SHAPES[category].leaves)
@@ -243,8 +243,8 @@ class ProgramSampler:
         return program
 
     def groups(self) -> Iterator[Group]:
-        """Yield distinct counterfactual groups, cycling through categories; each wanted group gets as many
-        candidates as a wanted episode.
+        """Yield distinct counterfactual groups, cycling through categories; as many candidates are drawn for each
+        wanted group as for a wanted episode.
         """
         wanted = self.wanted.counterfactual_groups * self.sampling.candidates_per_episode
         cells = [cells for cells in map(self.wanted.cells_of, CATEGORIES) if cells]
@@ -270,8 +270,8 @@ class ProgramSampler:
 
     @contextmanager
     def _counted(self, cell: InstructionCell | None) -> Iterator[None]:
-        """Return a context manager around one draw. It counts, for `cell`, the reason if the draw is rejected, and the
-        conditions that clashed with others.
+        """Return a context manager around one draw that counts rejections for `cell`: the draw itself, by its reason,
+        if it is rejected, and in any case the conditions that clashed with others.
         """
         try:
             yield
@@ -328,8 +328,8 @@ class ProgramSampler:
         return self._fitting[key]
 
     def _search(self, allowed: int, free: int, n: int, waypoints: int, left: list[int]) -> bool:
-        """Search for the targets that `_fits` asks for. `left` holds one number: how many more targets may be tried. If
-        none may be tried any more, the answer is True.
+        """Return whether the targets that `_fits` asks for exist, by trying one target after the other. `left` holds
+        one number: how many more targets may be tried. When this number is used up, the result is True.
         """
         if not n:
             return not waypoints or self._fits(free, waypoints)
@@ -452,7 +452,7 @@ class ProgramSampler:
 
     def _stops(self, shape: _Shape, allowed: int, draws: Draws, pool: TargetPool) -> list[list[Target]]:
         """Return the stops of all leaves: their goals, and waypoints before them. No word names stops in two rooms.
-        Leaves begin with the same stop only if there is no other, and never all of them.
+        Some leaves may begin with the same stop if no other stop is left, but never all leaves.
         """
         goals = self._goals(shape, allowed, draws, pool)
         for goal in goals:
@@ -497,7 +497,8 @@ class ProgramSampler:
 
     def _moves(self, goal: Target, count: int, allowed: int, used: int, draws: Draws) -> list[Target]:
         """Return the stops of one leaf: first `count` - 1 waypoints among `allowed`, then `goal`. The waypoints are
-        apart from one another. The first is one of `used`, with which other leaves begin, only if no others are left.
+        apart from one another. The first waypoint is one of `used`, the stops with which other leaves begin, only if no
+        other target is left.
         """
         allowed &= ~self._members[goal.label]
         stops: list[Target] = []
@@ -516,7 +517,9 @@ class ProgramSampler:
         return [*stops, goal]
 
     def _room_names(self, rooms: Sequence[str], visited: Sequence[Target], draws: Draws) -> dict[str, RoomRef]:
-        """Return a name of each room. None relies on an object with the label of a stop or of another room's name."""
+        """Return a name of each room. No name relies on an object with the label of a stop, or with a label in another
+        room's name.
+        """
         said = {target.label for target in visited}
         names: dict[str, RoomRef] = {}
         for room_id in rooms:

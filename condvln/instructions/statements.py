@@ -1,6 +1,4 @@
-"""Tables over labels and anchors of the statements about a room that are true, and those that are false, with
-margin.
-"""
+"""Tables of statements about a room, by label and anchors: which are true, and which are false, both with margin."""
 
 from __future__ import annotations
 
@@ -25,11 +23,15 @@ Bools = NDArray[np.bool_]
 class StatementTruths:
     """The truths of all statements "there is a <label> <predicate> the <anchor>" about one room, for one predicate.
 
-    labels (l,) : nameable labels of the room; anchors (a, k) : the statements' a choices of k anchors, as indices exact
-    (l, n) : which visible objects have a label; held (n, a) : which objects are in the relation, with margin true (l,
-    a) : a visible object of exactly this label is in the relation false (l, a) : every object that the label might
-    mean, visible or not, and every unlabelled one that may have it, fails the relation at the loose threshold, for
-    compass words at `sector_denied` Neither is true unless the anchor is fixed or larger than each object of the label.
+    labels (l,) : nameable labels of the room
+    anchors (a, k) : each row is one choice of the k anchors of a statement, as indices
+    exact (l, n) : which visible objects have a label
+    held (n, a) : which objects are in the relation, with margin
+    true (l, a) : a visible object of exactly this label is in the relation
+    false (l, a) : every object that the label might mean, visible or not, and every unlabelled object that may have the
+        label, fails the relation at the loose threshold (for compass words, at `sector_denied`)
+
+    Where an anchor is neither fixed nor larger than each object of the label, both `true` and `false` are unset.
     """
 
     predicate: Predicate
@@ -41,8 +43,8 @@ class StatementTruths:
     false: Bools
 
     def anchor_key(self, column: int, own: Sequence[str]) -> str:
-        """Return the key under which the priors count the anchors of `column`. `own` has the labels of the room's
-        objects.
+        """Return the key under which the priors count the anchors of one `column` of `true` and `false`. `own` has the
+        labels of the room's objects.
         """
         return anchor_key(own[a] for a in self.anchors[column])
 

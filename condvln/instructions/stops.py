@@ -36,11 +36,12 @@ class Stops:
 class Target:
     """An object that may be a stop.
 
-    position : its index among all targets; index : its index among the room's objects
+    position : the object's index among all targets; index : its index among the objects of its room
     apart : the targets that may be stops of the same leaf, or goals of the same program: far enough away, and not in
         `alike`; as bits of an integer
     alike : the targets in other rooms that the same word might name, as bits
-    clear : it has a name other than those used only if nothing else can be named ("the chair away from the desk")
+    clear : the object has a name other than those used only if nothing else can be named ("the chair away from the
+        desk")
     """
 
     object_id: str
@@ -95,7 +96,7 @@ class TargetPool:
 
 
 def apart_by_centres(scene: Scene, places: PlacesConfig) -> Stops:
-    """Return the stops of a scene without computing geodesics. Two objects are apart if the horizontal distance of
+    """Return the stops of a scene without computing geodesics. Two objects are apart if the horizontal distance between
     their centres is large enough.
     """
     ordered = sorted(scene.objects, key=lambda o: o.object_id)
@@ -149,7 +150,7 @@ def _alike(named: Sequence[tuple[str, str]], words: Vocabulary) -> NDArray[np.bo
 
 
 def _is_clear(referents: Referents, index: int, sampling: SamplingConfig) -> bool:
-    """Return whether an object has a name whose predicate has a weight above 0, or needs no predicate."""
+    """Return whether an object has a name without a predicate, or a name whose predicate has a weight above 0."""
     groups = [GROUP_OF[q.predicate] for q in referents.qualifications[index]]
     return bool(referents.unique[index]) or any(getattr(sampling.predicates, group) > 0.0 for group in groups)
 

@@ -4,8 +4,8 @@
 source's own label to a canonical one and name the list that the raw label comes from. A raw label with an empty
 canonical label is deliberately unmapped; ``may_be`` then lists the canonical labels that the object could have. ``*``
 means any label; an empty cell means none, for an object without a word in the vocabulary (a hammer) or a part of an
-object (a door handle). A raw label that is in no list could have any label. Catch-all labels have ``may_be`` in
-``labels.csv``.
+object (a door handle). An object whose raw label is in no list could have any label. Catch-all labels have ``may_be``
+in ``labels.csv``.
 
 ``least`` and ``most`` are generous bounds in metres of the longest side of objects with a label. They only decide which
 labels an unnamed object of known size can't have.
@@ -65,7 +65,7 @@ class LabelEntry:
     """One canonical label.
 
     synonyms : other words for the same object; they may be canonical labels where sources draw the line differently
-    hypernyms : all broader labels, transitively; ``headboard`` has ``bed``, since a speaker may call it that
+    hypernyms : all broader labels, transitively; ``headboard`` has ``bed``, since a speaker may call one a bed
     may_be : for a catch-all label, the labels that such an object could have; ``*`` for any
     least, most : bounds of the longest side in metres
     """
@@ -197,8 +197,8 @@ class Vocabulary:
 
         Parameters
         ----------
-        label : the result of `canonical` for its raw label
-        longest : its longest side in metres if known; labels whose size bounds exclude it are left out
+        label : the result of `canonical` for the object's raw label
+        longest : the object's longest side in metres if known; labels whose size bounds exclude this side are left out
         """
         written = self._written_may_be(label, family)
         if ANYTHING in written:

@@ -35,8 +35,8 @@ def quantise_bounds(lower: Floats, upper: Floats, tile_min: Floats, cell_size: f
 def build_bv_tree(lower: Cells, upper: Cells) -> Records:
     """Return the tree over p boxes, (2p,) of type BV_NODE. The last node stays blank, as in Detour.
 
-    Nodes are in depth-first order; a leaf holds its polygon, an inner node minus the number of nodes to skip. Each
-    node splits its items in the middle after a stable sort by lower bound along the longest axis (ties: x before y
+    Nodes are in depth-first order. A leaf holds its polygon; an inner node holds the number of nodes to skip, negated.
+    Each node splits its items in the middle after a stable sort by lower bound along the longest axis (ties: x before y
     before z). Detour calls ``qsort``, which glibc keeps stable; files built on another platform may order ties
     differently.
 

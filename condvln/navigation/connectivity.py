@@ -49,7 +49,8 @@ class ViewpointGraph:
 def read_connectivity(path: str | os.PathLike[str]) -> ViewpointGraph:
     """Read a connectivity file.
 
-    Camera positions are z-up in metres: (x, y, z) becomes (x, z, −y), and the floor is the camera's ``height`` below.
+    Camera positions are z-up in metres: (x, y, z) becomes (x, z, −y). The floor lies ``height`` metres below the
+    camera.
 
     Raises
     ------

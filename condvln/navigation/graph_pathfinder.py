@@ -144,8 +144,8 @@ class GraphPathfinder:
         return np.where(nearest == NOWHERE, -1, self._islands[nearest]).astype(np.int32)
 
     def island_radius(self, point_or_index: npt.ArrayLike) -> float:
-        """Return the distance in metres from the mean of a connected component to the viewpoint farthest from it. The
-        component is given by its index or by a point in it.
+        """Return the distance in metres from the mean of a connected component's viewpoints to the viewpoint farthest
+        from this mean. The component is given by its index or by a point in it.
         """
         where = np.asarray(point_or_index)
         index = self._island(int(where)) if where.ndim == 0 else self.get_island(where)

@@ -217,7 +217,7 @@ def parse_navmesh(data: bytes, where: str | os.PathLike[str] = "<bytes>") -> Nav
 
 
 class _Reader:
-    """A cursor over ``data`` that never reads beyond its end."""
+    """A cursor over ``data`` that never reads beyond the last byte."""
 
     def __init__(self, data: bytes, where: str) -> None:
         self.data, self.where, self.offset = data, where, 0

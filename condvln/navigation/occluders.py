@@ -117,8 +117,8 @@ class BoxOccluders:
     ----------
     centers, half_extents : (b, 3) metres, Habitat frame
     rotations : (b, 3, 3), their columns the boxes' axes; None for axis-aligned boxes
-    headroom : (b,) height in metres above a box whose points it does not block either, such as things on a table; None
-        for 0
+    headroom : (b,) metres; a box does not block points up to this height above it either, such as things on a table;
+        None for 0
 
     Raises
     ------
@@ -201,7 +201,7 @@ class JoinedOccluders:
 def wall_boxes(
     segments: npt.ArrayLike, bottom: npt.ArrayLike, top: npt.ArrayLike, thickness: float = WALL_THICKNESS
 ) -> BoxOccluders:
-    """Return walls that are known by their lines, as boxes.
+    """Return boxes for walls of which only the lines are known.
 
     Parameters
     ----------

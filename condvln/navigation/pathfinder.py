@@ -40,7 +40,7 @@ class HitRecord:
     Attributes
     ----------
     hit_pos : (3,) the wall's nearest point; zeros if no wall is within the search radius
-    hit_normal : (3,) unit vector from there to the snapped point; NaN if the point is on the wall
+    hit_normal : (3,) unit vector from ``hit_pos`` to the snapped point; NaN if the point is on the wall
     hit_dist : horizontal metres; the search radius if no wall is within it, infinite off the navmesh
     """
 
@@ -258,7 +258,7 @@ class Pathfinder:
         return steps(self.query_mesh, first, second, sliding)
 
     def distance_to_closest_obstacle(self, point: npt.ArrayLike, max_search_radius: float = 2.0) -> float:
-        """Return the horizontal distance in metres to the nearest wall, at most the radius; infinite off the
+        """Return the horizontal distance in metres to the nearest wall, at most ``max_search_radius``; infinite off the
         navmesh.
         """
         return self.closest_obstacle_surface_point(point, max_search_radius).hit_dist

@@ -1,7 +1,7 @@
 """Build a navmesh tile directly from convex polygons, without voxelisation.
 
 For generated scenes, whose free floor is known as polygons, and for tests with closed-form distances. Recast's result
-for the same floor would be coarser (cells of 5 cm); Habitat loads and uses both.
+for the same floor would be coarser (cells of 5 cm); Habitat can use a navmesh of either kind.
 """
 
 from __future__ import annotations

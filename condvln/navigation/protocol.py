@@ -19,8 +19,8 @@ __all__ = ["PathfinderProtocol", "ShortestPath"]
 class PathfinderProtocol(Protocol):
     """Shortest paths and points of one scene: over a navmesh, over a graph of viewpoints, or by habitat-sim itself.
 
-    Points are (3,) and batches (n, 3), metres, Habitat frame. A point that can't be projected snaps to NaN; one that
-    can't be reached has infinite distance.
+    Points are (3,) and batches (n, 3), metres, Habitat frame. A point that can't be projected snaps to NaN; the
+    distance to a point that can't be reached is infinite.
     """
 
     @property
@@ -72,7 +72,9 @@ class PathfinderProtocol(Protocol):
         """Return the component indices (n,) of n points; see :meth:`get_island`."""
 
     def island_radius(self, point_or_index: npt.ArrayLike) -> float:
-        """Return the distance in metres from the mean of a component to its farthest point."""
+        """Return the distance in metres from the mean of a connected component's points to the farthest of them. The
+        component is given by its index or by a point in it.
+        """
 
     def island_area(self, index: int) -> float:
         """Return the area in square metres of one component."""

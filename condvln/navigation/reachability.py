@@ -49,7 +49,7 @@ ON_FLOOR: Final = 0.3
 
 @dataclass(frozen=True, slots=True)
 class Reachability:
-    """Numbers of grid positions reachable by the simulator, by our surfaces, and by both."""
+    """Numbers of grid positions that are reachable in the simulator, on the navmesh of our surfaces, and in both."""
 
     reachable: int
     navigable: int
@@ -57,18 +57,19 @@ class Reachability:
 
     @property
     def precision(self) -> float:
-        """Share of our positions that the simulator also reaches; 1 if we have none."""
+        """Share of our reachable positions that are also reachable in the simulator; 1 if we have none."""
         return self.both / self.navigable if self.navigable else 1.0
 
     @property
     def recall(self) -> float:
-        """Share of the simulator's positions that we also reach; 1 if it has none."""
+        """Share of the simulator's reachable positions that our agent also reaches; 1 if the simulator has none."""
         return self.both / self.reachable if self.reachable else 1.0
 
 
 def reachability(geometry: SceneGeometry, positions: F64, hand: bool = True) -> Reachability:
-    """Return the numbers of grid positions that are reachable by the simulator, on our navmesh of `geometry`, and by
-    both. `positions` (n, 2) are the simulator's, as (x, z) in Habitat's frame; the grid's spacing is `GRID`.
+    """Count the grid positions that are reachable in the simulator, those that are reachable on our navmesh of
+    `geometry`, and those that are reachable in both. `positions` (n, 2) are those reachable in the simulator, as (x, z)
+    in Habitat's frame; the grid's spacing is `GRID`.
 
     Parameters
     ----------
@@ -88,8 +89,8 @@ def reachability(geometry: SceneGeometry, positions: F64, hand: bool = True) -> 
 
 
 def _grid(geometry: SceneGeometry, theirs: set[tuple[int, int]]) -> tuple[NDArray[np.int64], F64]:
-    """Return the points of a grid that covers the scene and the simulator's positions. They are given as integer grid
-    coordinates (n, 2) and as positions (n, 3).
+    """Return the n points of a grid that covers the scene and the simulator's positions: their integer grid coordinates
+    (n, 2), and their positions (n, 3) in metres.
     """
     ground = np.concatenate([geometry.vertices[:, [0, 2]] / GRID, np.array(sorted(theirs)).reshape(-1, 2)])
     low, high = np.floor(ground.min(axis=0)).astype(int), np.ceil(ground.max(axis=0)).astype(int)
@@ -99,7 +100,9 @@ def _grid(geometry: SceneGeometry, theirs: set[tuple[int, int]]) -> tuple[NDArra
 
 
 def _at_hand(geometry: SceneGeometry) -> NDArray[np.int64]:
-    """Return the faces of the floor, and the faces that extend into the heights at which an agent holds its hand."""
+    """Return one array of faces (m, 3): those of the floor, and those that extend into the heights at which an agent
+    holds its hand.
+    """
     heights = geometry.vertices[geometry.faces][:, :, 1]
     low, high = heights.min(axis=1), heights.max(axis=1)
     at_hand = (low <= HAND_HEIGHTS[1]) & (high >= HAND_HEIGHTS[0])

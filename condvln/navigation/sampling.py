@@ -1,7 +1,7 @@
 """Seeded uniform sampling of the floor.
 
-Detour's ``findRandomPoint`` uses libc's ``rand``, whose sequence can't be reproduced elsewhere. Its distribution can:
-choose a polygon by its area in the ground plane, then a uniform point inside it.
+Detour's ``findRandomPoint`` uses libc's ``rand``, whose sequence can't be reproduced elsewhere. Its distribution can be
+reproduced: choose a polygon by its area in the ground plane, then a uniform point inside it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""Choose the navmesh of a scene's episodes: one that its dataset ships, else one built from its surfaces."""
+"""Choose the navmesh for a scene's episodes: one that the dataset ships or, if there is none, one built from the
+scene's surfaces.
+"""
 
 from __future__ import annotations
 
@@ -60,7 +62,8 @@ def built_path(family: str, scene_id: str) -> str:
 
 
 def with_built_navmesh(scene: Scene, geometry: SceneGeometry, agent: AgentConfig) -> tuple[Scene, bytes | None]:
-    """Return the scene with a navmesh built as Habitat would build it, and that navmesh's bytes.
+    """Return the scene with a navmesh built as Habitat would build it, and the bytes of the navmesh (None if it can't
+    be built).
 
     Objects are obstacles. A scene without walkable floor stays without a navmesh and gets the warning
     ``navmesh_not_built``.

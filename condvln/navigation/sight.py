@@ -67,7 +67,7 @@ class SightTarget:
     """An object to look for.
 
     samples : (k, 3) points of its surface
-    own : index of its box occluder, or (k,) that of each sample; -1 for none
+    own : index of the occluder that is the object's own box, or (k,) one index per sample; -1 for none
     """
 
     samples: Points
@@ -155,8 +155,8 @@ def visible_shares(
     view: View | None = None,
     headings: npt.ArrayLike | None = None,
 ) -> Points:
-    """Return a table (n, t) of the shares, from 0 to 1, of each target's samples that each eye sees, computed as one
-    batch.
+    """Return a table (n, t): the share, from 0 to 1, of the samples of each of t targets that each of n eyes sees. All
+    are computed as one batch.
     """
     sizes = np.array([len(target.samples) for target in targets], np.int64)
     if (sizes == 0).any():

@@ -203,7 +203,9 @@ class NavMeshTile:
 
     @property
     def detail_triangles(self) -> tuple[Floats, Ints]:
-        """All detail triangles in polygon order: (n, 3, 3) float32 corners and (n,) int32 polygon."""
+        """All detail triangles in polygon order: their corners (n, 3, 3), float32, and the index of the polygon to
+        which each belongs (n,), int32.
+        """
         counts = self.detail_meshes["tri_count"].astype(np.int64)
         poly = np.repeat(np.arange(len(self.polys)), counts)
         first = np.cumsum(counts) - counts

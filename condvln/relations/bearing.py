@@ -1,8 +1,8 @@
-"""Egocentric directions: whether an object lies left, right, ahead or behind of an agent's pose.
+"""Egocentric directions: whether an object is on the left or right, ahead of or behind an agent in a given pose.
 
-A bearing is an angle in degrees clockwise from the agent's heading, so that right is 90. It is that of the centre of
-the object's box on the ground. The box's angular width counts too: an object that extends from the left to the front is
-neither surely left nor surely not left.
+A bearing is an angle in degrees clockwise from the agent's heading, so that right is 90. The bearing of an object is
+the bearing of its box's centre, seen from above. The box's angular width counts too: an object that extends from the
+left to the front is neither surely left nor surely not left.
 """
 
 from __future__ import annotations

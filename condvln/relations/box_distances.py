@@ -1,7 +1,7 @@
 """Distances of oriented boxes in closed form.
 
-FCL's triangle hierarchies are not used for boxes: its distance of two coplanar triangles is sometimes wrongly 0, and
-the sides of a flat box are such triangles, without area.
+Boxes are not measured with FCL's triangle hierarchies: FCL's distance of two coplanar triangles is sometimes wrongly 0,
+and a flat box has such triangles (its sides have no area).
 """
 
 from __future__ import annotations
@@ -86,7 +86,8 @@ def _corners_to_box(corners: F64, center: F64, half: F64, axes: F64) -> F64:
 
 def _edges(from_a: F64, along_a: F64, from_b: F64, along_b: F64, normal: F64) -> F64:
     """Return the least distance (p,), for each of p pairs of boxes, between four edges of one box and four edges of the
-    other. Only pairs of edges that are nearest at interior points of both count; infinite if there are none.
+    other. A pair of edges counts only if their lines are nearest at points on both edges; the result is infinite if
+    there is no such pair.
 
     from_a, from_b : (p, 4, 3) where they begin; along_a, along_b : (p, 3) vectors to their ends
     normal : (p, 3) perpendicular to both

@@ -21,7 +21,7 @@ Status = NDArray[np.int8]
 
 def closest_facts(distance: F64, labels: Sequence[str], rival: Mask, held: Mask, t: Thresholds) -> tuple[Status, F64]:
     """Return the status and the margin of the statements "object i is the closest to object j", (n, n) each. Object i
-    is compared with all objects that its label might mean.
+    is compared with all other objects that the label of object i might mean.
 
     distance (n, n) : of the boxes, or of their nearest pieces, in millimetres; NaN where one is unknown
     rival (n, n) : j could be meant by i's label; an object without a rival of its own label gets status 0

@@ -111,7 +111,9 @@ def relate_scene(scene: Scene, thresholds: Thresholds, meshes: MeshOf | None = N
 
 
 def _decide(arrays: RoomArrays, metrics: PairMetrics, surface: F64, thresholds: Thresholds) -> RoomRelations:
-    """Return the predicates that follow from metrics and thresholds."""
+    """Return the relations of a room, with the predicates that follow from its metrics, surface distances and
+    thresholds.
+    """
     dy = -metrics.delta[..., 1] + 0.0
     others = ~np.eye(len(arrays), dtype=np.bool_)
     canonical = canonical_codes(metrics.azimuth, metrics.elevation, dy, thresholds.level)

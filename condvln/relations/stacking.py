@@ -118,7 +118,8 @@ def held_by(pieces: Pieces, holding: Holding, s: Stacking, thresholds: Threshold
     """Return two masks (n, n) of pairs of objects: whether the target supports or contains the subject, directly or
     through other objects, and whether the target surrounds most of the subject.
 
-    Stricter than `Stacking.carries`, for which footprints only need to touch: objects that touch side by side are near.
+    The masks are stricter than `Stacking.carries`, for which it is enough that footprints touch: objects that touch
+    side by side are "near".
     """
     t = thresholds
     ends = (s.bottom_rise > exact_mm(t.on_gap_true)) | (s.gap >= -exact_mm(t.on_gap_true))

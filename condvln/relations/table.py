@@ -1,4 +1,4 @@
-"""The flat relations table of a scene; the inverse is `RoomRelations.from_table`."""
+"""Write the relations of a scene as one flat table; `RoomRelations.from_table` reads them back."""
 
 from __future__ import annotations
 

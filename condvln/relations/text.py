@@ -150,8 +150,8 @@ _Fact = tuple[Status, F64]
 
 
 def _fact(true: Mask, false: Mask, when_true: F64, when_false: F64) -> _Fact:
-    """Return the status and margin of a predicate. `true` and `false` are the masks of the pairs for which text may use
-    it as true and as false; `when_true` and `when_false` are its margins in these two cases.
+    """Return the status and margin of a predicate. `true` and `false` are masks of the pairs for which text may use the
+    predicate as true or as false; `when_true` and `when_false` are the margins of these two cases.
     """
     status = true.view(np.int8) - false.view(np.int8)
     np.fill_diagonal(status, 0)
@@ -191,8 +191,8 @@ def _of_objects(pieces: Pieces, fact: _Fact, true: Mask, false: Mask, margin: F6
 
 
 def _said_on(fact: _Fact, holding: Holding) -> _Fact:
-    """Return the fact "on" after adding what the source states. The source decides where boxes leave "on" open; the
-    status is 0 where the source says "on" and the boxes deny it.
+    """Return the fact "on" after adding what the source states. Where the boxes leave "on" undecided, the source
+    decides; where the source says "on" and the boxes deny it, the status is 0.
     """
     status, margin = fact
     true = (status == 1) | (holding.on & (status == 0))
@@ -202,8 +202,8 @@ def _said_on(fact: _Fact, holding: Holding) -> _Fact:
 
 
 def _said_in(fact: _Fact, holding: Holding) -> _Fact:
-    """Return the fact "in" after adding what the source states about open containers. The source decides where boxes
-    leave "in" open; the status is 0 where the source says "in" and the boxes deny it.
+    """Return the fact "in" after adding what the source states about open containers. Where the boxes leave "in"
+    undecided, the source decides; where the source says "in" and the boxes deny it, the status is 0.
     """
     status, margin = fact
     said = holding.inside & holding.open[None, :]
@@ -213,16 +213,16 @@ def _said_in(fact: _Fact, holding: Holding) -> _Fact:
 
 
 def _rising(value: F64, emitted: float, text: float) -> F64:
-    """Return the position of `value` on the scale on which the threshold `emitted` is 0 and the threshold `text`
-    is 1.
+    """Return the position of `value` on a linear scale, which is 0 at the threshold `emitted` and 1 at the threshold
+    `text`.
     """
     scaled: F64 = (value - emitted) * (1.0 / (text - emitted))
     return scaled
 
 
 def _near(s: Stacking, metrics: PairMetrics, radius: F64, surface: F64, t: Thresholds) -> _Fact:
-    """Return status and margin of "near". It is true if two objects are close in space and neither is far above the
-    other. It is false if they are far apart along the ground; a difference in height alone is not enough.
+    """Return status and margin of "near". The fact is true if two objects are close in space and neither is far above
+    the other, and false if they are far apart along the ground; a difference in height alone is not enough.
 
     Footprints, and circles around bounding spheres, enclose their objects and so bound their ground distance; centres
     do not.
@@ -238,10 +238,10 @@ def _near(s: Stacking, metrics: PairMetrics, radius: F64, surface: F64, t: Thres
 
 
 def _unheld(fact: _Fact, held: Mask, around: Mask, holding: Holding) -> _Fact:
-    """Return `fact` ("near") with status 0 where one object is on or in the other: people say neither "near" nor
-    "not near" then.
+    """Return `fact`, which is "near", with its status set to 0 where one object is on or in the other: of such objects
+    people say neither "near" nor "not near".
 
-    The contents of a container are found by the container, and near to nothing else.
+    The contents of a container are found through the container, so text never calls them near to anything.
     """
     status, margin = fact
     boxed = np.asarray((around & holding.container[None, :]).any(axis=1))
@@ -285,8 +285,8 @@ def _under(s: Stacking, t: Thresholds) -> _Fact:
 
 
 def _in(s: Stacking, container: Mask, t: Thresholds) -> _Fact:
-    """Return status and margin of "in". It is true for subjects inside an open container, and false for subjects apart
-    from it; the status is 0 if the anchor is no open container.
+    """Return status and margin of "in". The fact is true for subjects inside an open container, and false for subjects
+    apart from the container; the status is 0 if the anchor is not an open container.
     """
     true = container[None, :] & (s.inside >= t.in_share_true)
     false = container[None, :] & (s.distance > 0.0)
@@ -307,8 +307,8 @@ def _higher(s: Stacking, t: Thresholds) -> _Fact:
 
 
 def _above(s: Stacking, horizontal: F64, footprint_overlap: F64, t: Thresholds) -> _Fact:
-    """Return status and margin of "above". It needs a vertical gap, since an object that rests on another
-    is "on" it.
+    """Return status and margin of "above". A vertical gap is required, since an object that rests on another is "on"
+    it, not "above" it.
     """
     rise, air = exact_mm(t.height_true), exact_mm(t.over_gap_true)
     true = (

@@ -65,7 +65,7 @@ def convex_polygons(floor: shapely.Geometry) -> tuple[NDArray[np.float64], list[
 
 
 def _triangles(floor: shapely.Geometry) -> NDArray[np.float64]:
-    """Return triangle corners (n, 3, 2), in an order that depends only on the geometry."""
+    """Return the corners (n, 3, 2) of triangles that fill `floor`, in an order that depends only on the geometry."""
     parts = shapely.get_parts(shapely.constrained_delaunay_triangles(shapely.normalize(floor)))
     rings = np.array([shapely.get_coordinates(part)[:3] for part in parts])
     return rings[np.lexsort(rings.reshape(len(rings), -1).T[::-1])]

@@ -118,7 +118,9 @@ class PlanRoom:
 
     @property
     def corners(self) -> tuple[tuple[int, int], ...]:
-        """Corners of the union with positive shoelace sum, beginning with the lowest (x, z)."""
+        """Corners (x, z) of the union of the rectangles, in the order in which the shoelace sum is positive, beginning
+        with the lowest (x, z).
+        """
         union = shapely.union_all([rect.polygon for rect in self.rects]).simplify(0)
         ring = shapely.geometry.polygon.orient(union, 1.0).exterior.coords[:-1]
         corners = [(round(x), round(z)) for x, z in ring]
@@ -127,8 +129,8 @@ class PlanRoom:
 
 
 class PlanDoor(NamedTuple):
-    """An opening between the cells `a` and `b`; lengths are in mm. Its wall is at x = `at`, or at z = `at` if
-    `along_x`. Its centre is at `middle` along the wall.
+    """An opening between the cells `a` and `b`; lengths are in mm. The wall that contains the opening is at x = `at`,
+    or at z = `at` if `along_x`; `middle` is the other coordinate of the opening's centre.
     """
 
     a: int
@@ -321,7 +323,9 @@ def _reluctance(one: str, other: str) -> float:
 
 
 def _doors(rng: random.Random, rooms: Sequence[PlanRoom]) -> tuple[PlanDoor, ...] | None:
-    """Return doors that connect all cells without a path through a private room; None if that is impossible."""
+    """Return doors that connect all cells, such that a private room leads to no other room (a bedroom may lead to one
+    bathroom of its own); None if none are found.
+    """
     room_for_door = max(DOOR_WIDTHS) + 2 * DOOR_CORNER_MARGIN
     walls = [wall for wall in _walls(rooms) if wall.high - wall.low >= room_for_door]
     ranked = sorted(

@@ -39,7 +39,9 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """The objects of a room type: `first` in order, `then` in random order."""
+    """The steps that furnish a room of one type: those of `first` in the given order, then those of `then` in random
+    order.
+    """
 
     first: tuple[Step, ...]
     then: tuple[Step, ...]
@@ -115,7 +117,7 @@ def _place_row(rng: random.Random, room: RoomSpace, step: Step) -> bool:
 
 @cache
 def recipes() -> dict[str, Recipe]:
-    """Return the recipes by room type, and the filler recipe."""
+    """Return all recipes by name: one for each room type, and the filler recipe."""
     text = resources.files("condvln.samples").joinpath("recipes.yaml").read_text(encoding="utf-8")
     return {
         label: Recipe(*(tuple(_step(line) for line in recipe.get(part, ())) for part in ("first", "then")))

@@ -1,8 +1,8 @@
 """Write a Matterport3D ``.house`` file (ASCII 1.1) for a layout, with all kinds of records.
 
 Record formats follow the data organisation page of Matterport3D (Chang et al. 2017), checked against a real file: two
-kinds of records begin with P; object boxes are half lengths along axes, the longest first; ``region_index`` gives an
-object's room. Frame: (x, y, z) of the layout becomes (x, −z, y).
+kinds of records begin with P; object boxes are given by half lengths along their axes, the longest first;
+``region_index`` gives an object's room. Frame: (x, y, z) of the layout becomes (x, −z, y).
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def scan_point(x: float, y: float, z: float) -> list[float]:
 
 
 def _box(low: F64, high: F64) -> list[float]:
-    """Return the six numbers of a box in the scan's frame."""
+    """Return the lower and then the upper corner of a box in the scan's frame, as six numbers."""
     return [*scan_point(low[0], low[1], high[2]), *scan_point(high[0], high[1], low[2])]
 
 
@@ -83,7 +83,9 @@ def _text(value: object) -> str:
 
 
 def house_text(name: str, layout: Layout, views: Viewpoints, ids: list[str]) -> bytes:
-    """Return the file's bytes; `ids` : panorama ids of the viewpoints. Records are in the order of the originals."""
+    """Return the bytes of the ``.house`` file, with its records in the order of real files. `ids` are the panorama ids
+    of the viewpoints.
+    """
     number = {room.room_id: i for i, room in enumerate(layout.rooms)}
     regions, surfaces, vertices = _regions(layout)
     panoramas, images = _panoramas(views, ids, number)

@@ -55,9 +55,9 @@ SEED_BITS: Final = 63
 
 @dataclass(frozen=True, slots=True)
 class SampleReport:
-    """What was written: scene names with their numbers of rooms and objects, files and bytes.
+    """What was written: the scenes' names, and the total numbers of rooms, objects, files and bytes.
 
-    family : the source family that reads it
+    family : the source family that reads the files
     parts : the folders for a configuration's source, by key
     """
 
@@ -84,7 +84,8 @@ def make_layouts(scenes: int, seed: int) -> dict[str, Layout]:
 def make_samples(
     folder: str | os.PathLike[str], family: str = "replicacad", scenes: int = 12, seed: int = 0
 ) -> SampleReport:
-    """Write `scenes` generated apartments to `folder` in the native format of `family`, or in another supported form.
+    """Write `scenes` generated apartments to `folder` in the native format of `family`, which may also be the key of
+    another form in `FORMS`.
 
     The bytes depend only on (family, scenes, seed). A folder that already holds the same files is unchanged.
 

@@ -26,7 +26,9 @@ DOOR_SHARE: Final = 0.06
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Model:
-    """A rigid model's asset: centre (3,) of its box and centre of mass (3,), in metres in the asset's own frame."""
+    """A rigid model's asset: its GLB, with the centre (3,) of its box and its centre of mass (3,), in metres in the
+    asset's own frame.
+    """
 
     center: F64
     com: F64
@@ -48,7 +50,7 @@ def model_of(kind: Kind, variant: int) -> Model:
 
 
 def body_size(kind: Kind) -> tuple[float, float, float]:
-    """Return width, height and depth in metres of an articulated body, without the uniform scale of an instance."""
+    """Return width, height and depth in metres of an articulated body before it is scaled uniformly for an instance."""
     width, height, depth = kind.sizes[kind.scales.index(1.0)]
     return width / 1000, height / 1000, depth / 1000
 

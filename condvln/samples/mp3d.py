@@ -58,7 +58,7 @@ def _table(rows: Sequence[Sequence[str]]) -> bytes:
 
 
 def _panorama_id(name: str, number: int) -> str:
-    """Return a panorama id of 32 hexadecimal digits, as Matterport3D's."""
+    """Return a panorama id of 32 hexadecimal digits, like those of Matterport3D."""
     return hashlib.sha256(f"{name}/{number}".encode()).hexdigest()[:32]
 
 

@@ -1,7 +1,7 @@
 """The catalogue's labels in the words of each source family, from ``native_labels.csv``.
 
-If a family has its own class for exactly that object, it is used (AI2-THOR's ``Fridge``, COCO's ``potted plant`` in
-Gibson, Matterport3D's raw categories); otherwise the everyday word in the family's spelling.
+If a family has a class for exactly the labelled object, this class is used (AI2-THOR's ``Fridge``, COCO's ``potted
+plant`` in Gibson, Matterport3D's raw categories); otherwise the everyday word in the family's spelling.
 """
 
 from __future__ import annotations

@@ -190,7 +190,7 @@ def _asset_record(name: str, kind: str, size: tuple[int, int, int], movable: str
 
 
 def primary_property(kind: Kind) -> str:
-    """Return AI2-THOR's primary property: what an agent can do with the object."""
+    """Return AI2-THOR's "primary property" for objects of this kind: what an agent can do with them."""
     if kind.turns:
         return "Moveable"
     if kind.front or kind.hang is not None:

@@ -155,8 +155,8 @@ def _scene_instance(name: str, layout: Layout, models: Mapping[str, Model]) -> J
 
 
 def _placed(piece: Furniture, model: Model, number: int) -> Json:
-    """Return the instance of a piece. Instances alternate between three ways of placement: by centre of mass, by asset
-    origin, and by default.
+    """Return the record of a piece of furniture in the scene instance. Records alternate between three ways of
+    placement: by centre of mass, by asset origin, and by default.
     """
     center = np.array(piece.center)
     asset_origin = center - piece.yaw.matrix @ model.center

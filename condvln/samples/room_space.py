@@ -1,7 +1,7 @@
 """A room while it is being furnished: the pieces placed so far, and whether another piece fits at a position.
 
-All lengths are millimetres. A piece fits if its box overlaps no other, is clear of doorways and of the space that
-others need in front of them, and leaves the floor connected for the agent, with passages for people between all doors.
+All lengths are millimetres. A piece fits if its box overlaps no other box, leaves doorways and the space in front of
+other pieces free, and keeps the floor connected for the agent, with passages for people between all doors.
 """
 
 from __future__ import annotations
@@ -85,7 +85,9 @@ class Edge(NamedTuple):
         return Yaw(25 * nz, 25 * nx)
 
     def point(self, along: int, away: int) -> tuple[int, int]:
-        """Return the point (x, z) at a distance along the wall and away from it."""
+        """Return the point (x, z) that is `along` mm from the start of the wall, measured along it, and `away` mm from
+        the wall.
+        """
         nx, nz = self.normal
         return self.x + self.dx * along + nx * away, self.z + self.dz * along + nz * away
 

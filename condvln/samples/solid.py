@@ -41,7 +41,9 @@ def piece_corners(piece: Furniture) -> F64:
 
 
 def layout_triangles(layout: Layout) -> tuple[F64, NDArray[np.int32]]:
-    """Return vertices (n, 3) in metres and faces (m, 3): floors, walls, then furniture in order."""
+    """Return the vertices (n, 3) in metres and faces (m, 3) of a layout: floors first, then walls, then the furniture
+    in the layout's order.
+    """
     shell = _corners(np.concatenate([floor_boxes(layout), wall_boxes(layout)]))
     boxes = np.concatenate([shell, *(piece_corners(piece) for piece in layout.furniture)])
     faces = FACES[None] + 8 * np.arange(len(boxes), dtype=np.int32)[:, None, None]
@@ -49,7 +51,9 @@ def layout_triangles(layout: Layout) -> tuple[F64, NDArray[np.int32]]:
 
 
 def layout_glb(layout: Layout, frame: F64 | None = None) -> bytes:
-    """Return the whole scene as one GLB, as scans are; `frame` (4, 4) converts Habitat's frame to the file's."""
+    """Return the whole scene as one GLB file, like a scan. `frame` (4, 4) is the transform from Habitat's frame to the
+    file's.
+    """
     parts = {"floor": box_placements(floor_boxes(layout)), "walls": box_placements(wall_boxes(layout))}
     for piece in layout.furniture:
         stand = np.eye(4)

@@ -51,7 +51,7 @@ def _pick(rng: random.Random, low: int, high: int) -> int:
 
 
 def _walls(rng: random.Random, room: RoomSpace, width: int) -> list[Edge]:
-    """Return walls that are long enough, in random order, with longer ones usually first."""
+    """Return the walls with space for a piece `width` millimetres wide, in random order, longer walls usually first."""
     usable = [edge for edge in room.edges if edge.length >= width + 2 * WALL_GAP]
     return sorted(usable, key=lambda edge: -edge.length * rng.uniform(0.2, 1.0))
 
@@ -72,7 +72,7 @@ def along_wall(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, an
 
 
 def wall_middle(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anchor: Piece | None) -> Iterator[Piece]:
-    """Yield positions with the back to a wall, near its middle: beds, sofas."""
+    """Yield positions with the back to a wall, near the wall's middle: for beds and sofas."""
     width = kind.sizes[variant][0]
     walls = _walls(rng, room, width)
     for spread in (0, 200, 500, 900):
@@ -194,7 +194,7 @@ def around(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anchor
 
 
 def hung(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anchor: Piece | None) -> Iterator[Piece]:
-    """Yield positions on a wall, at the height of the kind."""
+    """Yield positions on a wall, at or slightly above the height at which this kind of piece hangs."""
     assert kind.hang is not None
     width = kind.sizes[variant][0]
     for edge in _walls(rng, room, width):
@@ -251,7 +251,7 @@ def _maybe_turned(rng: random.Random, kind: Kind, yaw: Yaw, chance: float = TURN
 
 
 def row_of(rng: random.Random, room: RoomSpace, kinds: list[tuple[Kind, int]]) -> Iterator[list[Piece]]:
-    """Yield whole rows of `kinds` (with variants) side by side along one wall: a kitchen."""
+    """Yield whole rows of pieces, one for each (kind, variant) in `kinds`, side by side at a wall, as in a kitchen."""
     total = sum(kind.sizes[variant][0] + WALL_GAP for kind, variant in kinds)
     for edge in _walls(rng, room, total):
         low, high = WALL_GAP, edge.length - WALL_GAP - total

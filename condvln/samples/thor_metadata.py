@@ -81,7 +81,8 @@ def ithor_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, bytes]]:
 
 
 def robothor_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, bytes]]:
-    """Yield each layout as one scene without rooms, whose walls are panels. The names are those of ``ROBOTHOR_SCENES``.
+    """Yield (file name, content) for each layout: one scene without rooms, with panels as walls, named as in
+    ``ROBOTHOR_SCENES``.
 
     Raises
     ------
@@ -163,7 +164,7 @@ def _id(kind: str, place: Mapping[str, float]) -> str:
 
 
 def _record(kind: str, pivot: Mapping[str, float], rotation: Json, box: F64) -> Json:
-    """Return the keys that all objects have; `box` is in the layout's frame."""
+    """Return an object's record with only the keys that all objects have; `box` is in the layout's frame."""
     frame = UnityFrame()
     low, high = box.tolist()
     corners = [[x, y, -z + 0.0] for x in (high[0], low[0]) for y in (high[1], low[1]) for z in (low[2], high[2])]

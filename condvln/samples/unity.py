@@ -37,9 +37,9 @@ class UnityFrame:
         return {"x": unity_x, "y": round(y, DECIMALS) + 0.0, "z": unity_z}
 
     def center(self, piece: Furniture) -> dict[str, float]:
-        """Return the centre of a piece's box."""
+        """Return the centre of a piece's box in Unity's JSON form."""
         return self.point(*piece.center)
 
     def rotation(self, piece: Furniture) -> dict[str, float]:
-        """Return Euler angles in degrees; yaw is clockwise seen from above."""
+        """Return a piece's rotation as Euler angles in degrees; yaw is clockwise seen from above."""
         return {"x": 0.0, "y": -math.degrees(piece.yaw.radians) % 360, "z": 0.0}

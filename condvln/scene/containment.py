@@ -51,7 +51,8 @@ def is_shut(item: SceneObject) -> bool:
 
 
 def with_containment(objects: Sequence[SceneObject], family: str) -> tuple[SceneObject, ...]:
-    """Return the objects of a scene, already assigned to rooms, with `parent`, `support` and `hidden` set, in order.
+    """Return the objects of a scene in the given order, with `parent`, `support` and `hidden` set; `objects` must
+    already have rooms.
 
     Of several containers the smallest is the parent; any shut one hides. Structure (floors, walls) never contains or
     supports here. Parents and supports form no cycle.
@@ -79,8 +80,8 @@ def with_containment(objects: Sequence[SceneObject], family: str) -> tuple[Scene
 
 
 def stated_holders(objects: Sequence[SceneObject]) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
-    """Return two mappings from the id of an object: to the ids of the objects that it is on, and to the ids of those
-    that it is in. Each mapping has only the objects for which the source states this.
+    """Return two mappings by object id: the ids of what the object is on, and the ids of what the object is in. Each
+    mapping has only the objects for which the source states this.
     """
     links, of = _Links(), {item.object_id: item for item in objects}
     for item in objects:
@@ -100,8 +101,8 @@ class _Links:
 
 
 def _stated(item: SceneObject, of: Mapping[str, SceneObject], links: _Links) -> None:
-    """Add the links that the source states for an object. The rank of a container is its volume, that of a support the
-    distance to its top.
+    """Add the links that the source states for an object. A container's rank is its volume; a support's rank is the
+    vertical distance between its top and the object.
     """
     for name in dict.fromkeys(item.receptacles or ()):
         holder = of.get(name)
@@ -121,7 +122,8 @@ def _stated(item: SceneObject, of: Mapping[str, SceneObject], links: _Links) -> 
 
 
 def _is_inside(item: SceneObject, holder: SceneObject) -> bool:
-    """Return whether an object is in a receptacle that its source names, rather than on top of it.
+    """Return whether an object is inside a receptacle that the source states for the object, rather than on top of the
+    receptacle.
 
     Boxes of cabinets and drawers may cover a door alone, so being below the top suffices.
     """
@@ -136,8 +138,8 @@ def _is_inside(item: SceneObject, holder: SceneObject) -> bool:
 
 
 def _measured(members: Sequence[SceneObject], links: _Links) -> None:
-    """Add the links that follow from the boxes of one room. They give containers and supports to objects for which the
-    source states none.
+    """Add the links that follow from the boxes of one room's objects. The links give containers and supports to objects
+    for which the source states none.
     """
     things = [item for item in members if item.box is not None and not _is_structure(item)]
     if not things:
@@ -229,8 +231,8 @@ def _is_structure(item: SceneObject) -> bool:
 
 
 def _too_large(item: SceneObject, holder: SceneObject) -> bool:
-    """Return whether `item` is too large for the holder that its source states: simulators sometimes name a plate as
-    the receptacle of the counter below it.
+    """Return whether `item` is too large to be in or on `holder`, as the source claims: simulators sometimes name a
+    plate as the receptacle of the counter below the plate.
     """
     if item.box is None or holder.box is None:
         return False

@@ -84,7 +84,7 @@ class MeshLibrary:
         return WorldMesh(vertices, faces, geometry.watertight, geometry, part.transform)
 
     def world_mesh(self, item: SceneObject) -> WorldMesh | None:
-        """Return all parts of an object as one mesh; None if it has none."""
+        """Return all parts of an object as one mesh; None if the object has no mesh."""
         parts = [self.placed(part) for part in item.mesh]
         if len(parts) <= 1:
             return parts[0] if parts else None

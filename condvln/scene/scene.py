@@ -70,7 +70,7 @@ class SceneWarning:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SceneObject:
-    """One object of a scene. Unknown fields of its extent are None.
+    """One object of a scene. Fields that describe its extent are None where they are unknown.
 
     center (3,); aabb (2, 3) as [min, max]; size (3,) full extents; radius of a bounding sphere; all in metres.
     parts : oriented boxes that make up the object where one box is not its shape (a counter with a corner)

@@ -28,7 +28,7 @@ _PANORAMA_HFOV: Final = math.degrees(2 * math.atan(math.tan(math.radians(60.0) /
 
 
 def panorama(width: int = 640, height: int = 480, eye_height: float = 1.25) -> dict[str, CameraConfig]:
-    """Return the cameras of the 36 views of the R2R simulator, ``rgb_00`` to ``rgb_35``.
+    """Return the cameras, by name, of the 36 views of the R2R simulator: ``rgb_00`` to ``rgb_35``.
 
     Three rows of twelve views, the lowest row first, each row from straight ahead to the right. The simulator's views
     are those of an agent that faces north. Depths are metres without a limit.

@@ -42,8 +42,8 @@ def png(image: npt.NDArray[np.generic]) -> bytes:
 
 
 def coloured_depth(depth: npt.NDArray[np.floating], farthest: float = 6.0) -> Bytes:
-    """Return depth (h, w) in metres as grey (h, w, 3): near is dark, `farthest` and beyond is white, nothing seen is
-    black.
+    """Return depth (h, w) in metres as a grey image (h, w, 3): near surfaces are dark, those at `farthest` or beyond
+    are white, and pixels where nothing is seen are black.
     """
     grey = np.clip(depth / farthest, 0, 1) * 255
     return np.repeat(grey.astype(np.uint8)[..., None], 3, axis=-1)
@@ -60,7 +60,9 @@ def coloured_instances(instance: npt.NDArray[np.integer]) -> Bytes:
 def contact_sheet(
     pictures: Sequence[Bytes], captions: Sequence[str], columns: int = 4, heading: Sequence[str] = ()
 ) -> bytes:
-    """Return a PNG file: pictures (h, w, 3) of equal size in rows, each with its caption, below some lines of text."""
+    """Return a PNG file with the lines of `heading` at the top, and below them the pictures (h, w, 3), of equal size,
+    in rows, each with its caption.
+    """
     from PIL import Image, ImageDraw
 
     height, width = pictures[0].shape[:2]

@@ -147,8 +147,8 @@ class SurfaceBuilder:
 
 
 def _along_curve(corners: Floats) -> NDArray[np.int64]:
-    """Return an order of triangles in which neighbours are close together: by the Morton code of their centres. The
-    sort is stable.
+    """Return the indices that sort the triangles by the Morton code of their centres, so that triangles with similar
+    indices are close together in space. The sort is stable.
 
     Large triangles come first, since they have no single location.
     """

@@ -44,8 +44,8 @@ class Body:
     com: F64 | None = field(default_factory=lambda: np.zeros(3))
 
     def to_scene(self, com: F64) -> F64:
-        """Return the (4, 4) transform from the body's frame to the scene's. `com` (3,) is the body's centre of mass, to
-        which its placement may refer.
+        """Return the (4, 4) transform from the body's frame to the scene's. `com` (3,) is the body's centre of mass; it
+        is used only if the scene file gives the position of the centre of mass.
         """
         back = placement(translation=-com if self.placed.origin == "com" else None)
         matrix: F64 = placement(self.placed.rotation, self.placed.translation) @ back

@@ -41,7 +41,7 @@ class Download:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """The number of files of a kind in a folder."""
+    """How many files of one kind a folder holds."""
 
     download: Download
     files: int
@@ -67,7 +67,7 @@ def downloads(family: str) -> tuple[Download, ...]:
 
 
 def look_for(family: str, root: Path, houses: Path | None = None) -> list[Found]:
-    """Return which parts of a family's dataset are in a folder; no file is opened.
+    """Return, for each kind of file of a family's dataset, how many of the files are in a folder; no file is opened.
 
     houses : the folder of the house JSON, if `root` holds Habitat's ProcTHOR scenes
     """

@@ -27,8 +27,8 @@ class FileListing:
     faults: dict[str, InputError] = field(default_factory=dict)
 
     def take(self, root: DatasetRoot, paths: Iterable[str]) -> None:
-        """Add paths to the listing. Of several paths to one real file, only the one without a link is added, else the
-        first.
+        """Add paths to the listing. Of several paths to one real file, only one is added: the path without a symbolic
+        link, or the first if all have links.
 
         A link to a file outside the root is kept; reading it raises an error for that file only. Nothing is listed
         behind a link to a folder outside the root; the link is reported as one fault.

@@ -107,8 +107,8 @@ class GibsonSource(SceneSource):
         self._beside(scene_id, path, ledger)
 
     def _beside(self, scene_id: str, path: str, ledger: InputLedger) -> tuple[tuple[MeshPart, ...], tuple[str, ...]]:
-        """Return the building's mesh and the possible paths of its navmesh. The files are searched beside the
-        annotation and in the root folder.
+        """Return the building's mesh and the possible paths of its navmesh. Both are looked for beside the annotation
+        and in the root folder.
         """
         name, folder = posixpath.basename(scene_id), posixpath.dirname(path)
         folders = list(dict.fromkeys([folder, ""]))
@@ -135,8 +135,8 @@ class GibsonSource(SceneSource):
 
 
 def verified_twin(scene_id: str) -> str | None:
-    """Return the scene id that the verified annotation of the same building has; None if `scene_id` is itself that of a
-    verified annotation.
+    """Return the scene id of the verified annotation of the same building; None if `scene_id` already names a verified
+    annotation.
     """
     kind, _, name = scene_id.rpartition("/")
     return None if kind == VERIFIED else f"{VERIFIED}/{name}"
@@ -156,7 +156,7 @@ def _box(node: JsonNode) -> F64 | None:
 
 
 def _rooms(document: JsonNode, family: str, complete: bool) -> dict[int, Room]:
-    """Return the rooms by their numbers in the file."""
+    """Return the rooms, keyed by the numbers that the file gives them."""
     nodes = document.array("rooms")
     floors = [floor.text() for node in nodes if (floor := node.get("floor_number")) is not None]
     level_of = {letter: level for level, letter in enumerate(sorted(set(floors)))}

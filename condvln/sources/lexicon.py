@@ -36,8 +36,8 @@ class Lexicon:
 def read_descriptors(
     dataset: SceneDataset, scene_name: str, own: JsonNode | None, ledger: InputLedger
 ) -> tuple[Lexicon, tuple[str, JsonNode] | None]:
-    """Return a scene's lexicon, and its region annotations as (path of their file, annotations), or None if there are
-    none.
+    """Return a scene's lexicon and its region annotations. The annotations come as (path of their file, annotations),
+    or as None if the scene has none.
 
     The scene's own semantic descriptor is read first, then the dataset's default one, which fills in what the first
     lacks.

@@ -136,8 +136,8 @@ class Mp3dSource(SceneSource):
         return graph if graph.is_file() else None
 
     def _beside(self, scene_id: str, path: str, ledger: InputLedger) -> tuple[tuple[MeshPart, ...], tuple[str, ...]]:
-        """Return the scan's mesh and the possible paths of its navmesh. The files are searched in the scan's folder and
-        beside its ``.house``.
+        """Return the scan's mesh and the possible paths of its navmesh. Both are looked for in the scan's folder and
+        beside its ``.house`` file.
         """
         folder = posixpath.dirname(path)
         folders = list(dict.fromkeys([folder.removesuffix("/house_segmentations"), folder]))

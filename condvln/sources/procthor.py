@@ -307,8 +307,8 @@ def _unknown_assets(house: House, kinds: dict[str, Asset | None]) -> Iterator[Sc
 
 
 def _rooms_and_assets(data: bytes, where: str) -> tuple[int, list[str]]:
-    """Return the number of rooms of a house, and the asset ids of all its objects. If the quick reading fails, the
-    house is read in full.
+    """Return the number of rooms of a house, and the asset ids of all its objects. If reading just these values fails,
+    the house is read in full.
 
     Raises
     ------

@@ -84,8 +84,8 @@ def _house_id(scene_id: str) -> str:
 
 
 def _turn(house: House, objects: Sequence[SceneObject]) -> int | None:
-    """Return 1 if the objects of house and scene are in the same places, −1 if they are so once the house is turned by
-    180°, None otherwise.
+    """Return 1 if the objects of house and scene are in the same places, −1 if they are in the same places after the
+    house is turned by 180°, None otherwise.
     """
     if not house.objects or not objects:
         return 1

@@ -39,8 +39,8 @@ class HouseRoom:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class HouseWall:
-    """One face of a wall, seen from its room. It extends from `start` to `end`, both (2,) as (x, z), and in height from
-    `bottom` to `top`; metres.
+    """One face of a wall, as seen from the room that the face belongs to. It extends from `start` to `end`, both (2,)
+    as (x, z), and in height from `bottom` to `top`; metres.
 
     exterior : it is the outer face (its room is then the one behind it)
     empty : it was removed, and the rooms on both sides form one space

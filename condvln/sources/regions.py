@@ -83,7 +83,9 @@ class RegionIndex:
         return [(shapely.Polygon(r.polygon), r) for r in self.rooms]
 
     def room_of(self, point: NDArray[np.float64]) -> Room | None:
-        """Return the room that contains a point, else the only one within `NEAREST_REGION` of it."""
+        """Return the room that contains a point, else the nearest room within `NEAREST_REGION` of the point; None if
+        there is none, or another room is about as near.
+        """
         near = self.near(point)
         clear = len(near) == 1 or (len(near) > 1 and near[1][0] - near[0][0] >= CLEAR)
         return self.holding(point) or (near[0][1] if clear and near[0][0] <= NEAREST_REGION else None)
@@ -103,8 +105,8 @@ class RegionIndex:
         return [(metres, room) for metres, _, room in sorted(near, key=lambda n: n[:2]) if metres <= 2 * NEAREST_REGION]
 
     def _around(self, point: NDArray[np.float64]) -> list[tuple[shapely.Polygon, Room]]:
-        """Return the rooms, with their polygons, whose range of heights contains a point or is within `NEAREST_REGION`
-        of it.
+        """Return (polygon, room) of each room at the height of a point: the point is at most `NEAREST_REGION` below the
+        room's floor or above its ceiling.
         """
         return [
             (polygon, r)
@@ -114,7 +116,8 @@ class RegionIndex:
 
 
 def in_rooms(objects: Iterable[SceneObject], rooms: Sequence[Room]) -> tuple[list[SceneObject], list[SceneWarning]]:
-    """Assign each object the room that contains its centre, else the only room near its centre.
+    """Assign each object to the room that contains the object's centre, else to the nearest room, if it is near and no
+    other room is about as near.
 
     A warning ``nearest_room`` names each object whose centre is outside its assigned room, and
     ``object_outside_rooms`` each that is left out. A room without a polygon contains everything.

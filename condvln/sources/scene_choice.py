@@ -21,7 +21,7 @@ class SceneChoice:
         return _fits(scene_id, self.scenes) and not self.excluded(scene_id)
 
     def excluded(self, scene_id: str) -> bool:
-        """Return whether `scene_id` is excluded. It may also be a path at which no scene could be listed."""
+        """Return whether an exclusion matches `scene_id`: a scene's id, or a path at which no scene could be listed."""
         return _fits(scene_id, self.exclude)
 
     def only_names(self) -> bool:
@@ -35,7 +35,7 @@ class SceneChoice:
         return sorted({p for p in self.scenes if _is_pattern(p) and not any(fnmatchcase(s, p) for s in known)})
 
     def idle_exclusions(self, known: Sequence[str]) -> list[str]:
-        """Return the ids and patterns of exclusions that match no scene."""
+        """Return the exclusions, ids or patterns, that match no scene in `known`."""
         return sorted({p for p in self.exclude if not any(fnmatchcase(s, p) for s in known)})
 
     def missing(self, known: Iterable[str]) -> list[str]:

@@ -49,7 +49,7 @@ class Attribute:
 
 @dataclass(frozen=True)
 class Template:
-    """One stage, object or articulated object that scenes place.
+    """The description of a stage, object or articulated object, which scenes place by name.
 
     handle : its name without folder and suffix
     path : its file, relative to the root
@@ -80,7 +80,7 @@ class _Entry:
 
 @dataclass
 class _Index:
-    """The templates of one kind."""
+    """The templates of one kind, such as all stages."""
 
     kind: str
     defaults: JsonNode | None = None
@@ -146,7 +146,7 @@ class SceneDataset:
         return {e.handle if times[e.handle] == 1 else _stem(e.path, ".scene_instance.json"): e.path for e in entries}
 
     def default(self, kind: str, key: str) -> JsonNode | None:
-        """Return a default attribute of a kind."""
+        """Return the dataset's default value of the attribute `key` for a kind of template; None if there is none."""
         defaults = self._indices[kind].defaults
         return None if defaults is None else defaults.get(key)
 

@@ -29,7 +29,7 @@ _REMEDY = "Take the file from its dataset again"
 
 
 def read_scn(data: bytes, where: str) -> JsonNode:
-    """Read the document ``{"objects": [...], "rooms": [...]}``.
+    """Return the document ``{"objects": [...], "rooms": [...]}`` of a ``.scn`` file.
 
     Raises
     ------
@@ -39,8 +39,8 @@ def read_scn(data: bytes, where: str) -> JsonNode:
 
 
 def read_npz(data: bytes, where: str) -> JsonNode:
-    """Read the document that `read_scn` reads, but from the original file: a zip of one array that holds one pickled
-    dictionary.
+    """Return the same document as `read_scn`, but from the original ``.npz`` file: a zip of one array that holds one
+    pickled dictionary.
 
     Only the parts that a scene needs are read. The pickle is read by the restricted reader, which allows plain data and
     arrays.

@@ -147,13 +147,13 @@ class SceneSource(ABC):
         return self.noted(list_files(self.files, patterns))
 
     def noted(self, listing: FileListing) -> list[str]:
-        """Return the paths of a listing, and store its faults and skipped paths for `handles`."""
+        """Return the paths of a listing, and store the listing's faults and skipped paths, which `handles` reports."""
         self._lost = listing.faults
         self._passed_over |= listing.passed_over
         return listing.paths
 
     def pass_over(self, path: str, why: str) -> None:
-        """Record a file that holds no scene, and why it does not."""
+        """Record that a file is skipped because it holds no scene; `why` is the reason."""
         self._passed_over[path] = why
 
     def shipped_navmeshes(

@@ -40,8 +40,8 @@ COVER: Final = 0.6
 def joined_slices(
     objects: Sequence[SceneObject], rooms: Mapping[str, Room], kept_apart: frozenset[str] = frozenset()
 ) -> tuple[list[SceneObject], list[SceneWarning]]:
-    """Return the objects in the given order, and a warning for each merged object. The slices of each cut object are
-    merged into one object.
+    """Merge the slices of each cut object into one object. Return all objects in the given order, and a warning for
+    each merged object.
 
     Parameters
     ----------
@@ -80,8 +80,8 @@ def joined_slices(
 
 
 def _fit(box: F64, others: F64) -> NDArray[np.bool_]:
-    """Return whether each of `others` (n, 2, 3) touches `box` (2, 3) and both have cross-sections that cover each
-    other. The result is (n,) bool.
+    """Return whether each of `others` (n, 2, 3) touches `box` (2, 3) with a cross-section that nearly covers the box's,
+    or is nearly covered by it; (n,) bool.
     """
     shared = np.minimum(box[1], others[:, 1]) - np.maximum(box[0], others[:, 0])  # below zero where they are apart
     # They are side by side on the ground, along the horizontal axis on which they overlap least.

@@ -119,7 +119,9 @@ def _box(node: JsonNode) -> F64:
 
 
 def _oriented(node: JsonNode) -> OrientedBox | None:
-    """Return the oriented box of eight corners; None if the simulator gives none, or the corners form no box."""
+    """Return the oriented box that the object's eight corners form; None if the metadata has no corners, or they form
+    no box.
+    """
     bounds = node.get("objectOrientedBoundingBox")
     if bounds is None:
         return None

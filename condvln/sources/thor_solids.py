@@ -95,8 +95,8 @@ def wall_outline(outline: F64, standing: Sequence[SceneObject], fittings: Sequen
 
 
 def _both(fitted: float, end: float, border: float) -> bool:
-    """Return whether two facts hold at one side of a floor: all objects end inside the floor's `border`, at `end`, and
-    a fitting ends at about the same place, `fitted`.
+    """Return whether, at one side of a floor, the objects end (at `end`) inside the floor's `border`, and a fitting
+    ends (at `fitted`) at about the same place as the objects.
     """
     return border < end and fitted - end <= AT_WALL
 

@@ -34,7 +34,7 @@ N1_SETTINGS: Final[Sequence[tuple[float, float]]] = ((1.25, 0.0), (1.25, 30.0))
 
 @dataclass(frozen=True)
 class Sweep:
-    """Cameras that differ from the main camera: every combination of the values of each list; empty lists keep the main
+    """Variants of the main camera: one for each combination of values from the lists; an empty list keeps the main
     camera's value.
 
     heights : metres above the agent's feet; pitches : degrees below the horizon; hfovs : degrees; sizes : (width,
@@ -75,7 +75,8 @@ def setting(camera: CameraConfig) -> str:
 
 
 def hub_cameras(preset: str, layouts: Iterable[str], sweep: Sweep | None = None) -> dict[str, CameraConfig]:
-    """Return all cameras of a hub: the preset's as `MAIN`, those that the layouts need, and those of the sweep.
+    """Return all cameras of a hub by name: the preset's camera as `MAIN`, those that the layouts need, and those of the
+    sweep.
 
     Raises
     ------
@@ -108,5 +109,5 @@ def is_depth(name: str) -> bool:
 
 
 def modality(name: str) -> str:
-    """Return ``rgb`` or ``depth``."""
+    """Return the modality of the camera with this name: ``rgb`` or ``depth``."""
     return name.partition(".")[0]

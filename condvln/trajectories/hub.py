@@ -1,4 +1,4 @@
-"""The hub of all layouts: StreamVLN's folder, with every pose in ``poses.parquet`` beside it.
+"""The hub, whose images all layouts share: a folder in StreamVLN's layout, with all poses in ``poses.parquet``.
 
 ``annotations.json`` and ``images/<walk>/rgb/001.jpg`` are what StreamVLN's loader reads; other layouts name or link the
 same images.
@@ -46,8 +46,8 @@ class SceneWalks:
 
 
 def annotation(row: Row) -> dict[str, Any]:
-    """Return StreamVLN's entry of a walk: target actions are ``actions[1:] + [0]``, so the first is −1 and the last
-    STOP is left out.
+    """Return a walk's entry in StreamVLN's annotations. The entry's ``actions`` begin with −1 and leave out the final
+    STOP, because the loader trains on ``actions[1:] + [0]``.
     """
     return {
         "id": row["episode_id"],
@@ -61,7 +61,8 @@ def annotation(row: Row) -> dict[str, Any]:
 
 
 def write_hub(folder: Path, scenes: Iterable[SceneWalks]) -> Iterator[SceneWalks]:
-    """Write ``annotations.json`` and the tables as one file each, and yield each scene after it is written.
+    """Write ``annotations.json`` and one Parquet file per table for all scenes; yield each scene after its rows are
+    written.
 
     The files replace older ones when all scenes are done.
     """
@@ -91,7 +92,7 @@ _SOURCE: Final = pa.field(
 
 @contextmanager
 def _parquet(path: Path, name: str) -> Iterator[pq.ParquetWriter]:
-    """Write a Parquet file that is there whole or not at all."""
+    """Yield the writer of a Parquet file; the file appears at `path` only when it is complete."""
     schema = TRAJECTORY_TABLES[name].append(_SOURCE)
     part = path.with_name(f".{path.name}.part")
     try:

@@ -31,7 +31,9 @@ _PART: Final = ".part-"
 
 
 def image_path(trajectory: str, camera: str, frame: int) -> str:
-    """Return the path of an image below the folder of the trajectories; StreamVLN's names count from 001."""
+    """Return the path of an image relative to the folder of the trajectories. As in StreamVLN, file names count from
+    001; `frame` counts from 0.
+    """
     return f"{IMAGES}/{trajectory}/{camera}/{frame + 1:03d}.{'png' if is_depth(camera) else 'jpg'}"
 
 
@@ -55,7 +57,7 @@ def encode_depth(depth: NDArray[np.float32], level: int) -> bytes:
 
 
 class ImageWriter:
-    """Writes the images of walks below a folder. A walk's folder is there whole or not at all.
+    """Writes the images of walks below a folder. A walk's own folder appears only when it is complete.
 
     Parameters
     ----------
@@ -124,8 +126,8 @@ class ImageWriter:
     def draw(
         self, place: NDArray[np.float64], heading: float
     ) -> Iterator[tuple[str, bytes, NDArray[np.float32] | None]]:
-        """Yield each camera's name, image file, and depth if it stores depth; cameras that differ in modality are
-        rendered once.
+        """Yield for each camera: its name, the bytes of its image file, and the depth (h, w) in metres, None for a
+        colour camera. Cameras that differ only in modality are rendered once.
         """
         for view, names in self._views.items():
             frame: Frame = self._renderer.look(view, place, heading, rgb=not all(map(is_depth, names)))
@@ -158,18 +160,18 @@ def _columns(points: pa.ChunkedArray) -> NDArray[np.float64]:
 
 
 def _replace(part: Path, target: Path) -> None:
-    """Put a finished folder in place of an older one of this name."""
+    """Move the finished folder `part` to `target`, in place of an older folder if there is one."""
     if target.exists():
         shutil.rmtree(target)
     os.rename(part, target)
 
 
 def clear_parts(folder: Path) -> None:
-    """Remove what killed writers left behind."""
+    """Remove the unfinished image folders that killed writers left behind."""
     for left in (folder / IMAGES).glob(f"{_PART}*"):
         shutil.rmtree(left, ignore_errors=True)
 
 
 def folders_of(folder: Path) -> Mapping[str, Path]:
-    """Return the folders of walks by name."""
+    """Return the image folder of each walk, by the walk's name."""
     return {path.name: path for path in (folder / IMAGES).glob("*") if path.is_dir()}

@@ -29,7 +29,7 @@ _DEPTH: Final = "observation.images.depth"
 
 @contextmanager
 def internvla_n1(folder: Path, split: str, cameras: Cameras) -> Iterator[AddScene]:
-    """Write a LeRobot v2.1 folder for each scene below ``internvla-n1/``, its images as links.
+    """Write one LeRobot v2.1 folder for each scene below ``internvla-n1/``; the images in it are links to the hub's.
 
     The level camera is the hub's main one if its height is the same.
     """

@@ -40,13 +40,14 @@ Actions = NDArray[np.int8]
 
 
 def usable(row: Row) -> NDArray[np.bool_]:
-    """Return at which frames (n,) of a walk the right action was taken."""
+    """Return for each frame of a walk whether the right action was taken, (n,) bool."""
     found: NDArray[np.bool_] = np.equal(row["actions"], row["executed"])
     return found
 
 
 def merged(actions: Actions, right: NDArray[np.bool_], most: int = MOST_MERGED) -> Iterator[tuple[int, int, int]]:
-    """Yield (first frame, action, number of times) of runs of up to `most` equal actions.
+    """Yield (first frame, action, number of actions) for each run of at most `most` equal actions; STOP is always
+    alone.
 
     A run has no frame of a mistake: what follows a mistake is not what the frames before it lead to.
     """
@@ -61,7 +62,7 @@ def merged(actions: Actions, right: NDArray[np.bool_], most: int = MOST_MERGED) 
 
 
 def navila_answer(action: int, count: int) -> str:
-    """Return NaVILA's sentence for up to three equal actions."""
+    """Return NaVILA's answer sentence for `count` equal actions, at most three."""
     if action == STOP:
         return "The next action is stop."
     if action == FORWARD:
@@ -71,7 +72,8 @@ def navila_answer(action: int, count: int) -> str:
 
 @contextmanager
 def navila(folder: Path, split: str) -> Iterator[AddScene]:
-    """Write NaVILA's rows, one JSON line for each step: ``navila/annotations.json``. Its image folder is ``images/``.
+    """Write NaVILA's samples to ``navila/annotations.json``, as JSON lines. The image paths are relative to
+    ``images/``.
 
     A step joins up to three equal actions; its frames are all frames so far, the present one last.
     """
@@ -106,11 +108,11 @@ _JANUS: Final = {STOP: "STOP", FORWARD: "MOVE_FORWARD", LEFT: "TURN_LEFT", RIGHT
 
 @contextmanager
 def janusvln(folder: Path, split: str) -> Iterator[AddScene]:
-    """Write JanusVLN's samples, ``janusvln/train.json``, whose images are relative to the folder of the trajectories,
-    and its frames by episode, ``janusvln/trajectory_data/R2R/<split>/<episode id>/``, as links.
+    """Write JanusVLN's samples to ``janusvln/train.json``, with image paths relative to the folder of the trajectories.
+    Also link the frames of each episode into ``janusvln/trajectory_data/R2R/<split>/<episode id>/``.
 
-    Frames by episode have the action in their name, and gold walks only, since they are joined by the episode's id.
-    The names end in ``.png``, which the project's script looks for; the content is the hub's JPEG.
+    Only the frames of gold walks are linked, since folders are named by episode alone. A frame's name has the action
+    and ends in ``.png``, which JanusVLN's script looks for; the content is the hub's JPEG.
     """
     target = folder / "janusvln"
     with new_folder(target) as part, atomic_stream(part / "train.json", closing=b"\n]\n") as stream:
@@ -148,7 +150,7 @@ def _image(row: Row, frame: int) -> str:
 
 
 def link(source: Path, target: Path) -> None:
-    """Make `target` a hard link to `source`, or a copy where the disk knows no links.
+    """Make `target` a hard link to `source`, or a copy if the file system has no hard links.
 
     Raises
     ------
@@ -166,7 +168,7 @@ def link(source: Path, target: Path) -> None:
 
 @contextmanager
 def new_folder(target: Path) -> Iterator[Path]:
-    """Yield an empty folder that takes the place of `target` if the block succeeds."""
+    """Yield a new empty folder, which replaces `target` at the end of the block if the block succeeds."""
     part = target.with_name(f".{target.name}.part")
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir(parents=True)

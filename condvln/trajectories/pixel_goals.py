@@ -1,4 +1,4 @@
-"""Pixel goals: the farthest later place of a walk that a camera sees, as InternVLA-N1 is trained on."""
+"""Pixel goals, on which InternVLA-N1 is trained: of the places after a frame, the last that the camera sees."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ class PixelGoal(NamedTuple):
 
 
 def mistake_after(right: NDArray[np.bool_], frame: int) -> int:
-    """Return the end of the frames whose place may be a goal of `frame`: those before the next mistake.
+    """Return the index after the last frame whose place may be the pixel goal at `frame`. This last frame is the one at
+    which the next mistake begins, or the last of the walk.
 
     right : (n,) whether the right action was taken at each frame. In a mistake, no place may be a goal.
     """
@@ -43,7 +44,8 @@ def pixel_goal(
     depth: NDArray[np.float32],
     slack: float,
 ) -> PixelGoal | None:
-    """Return the projection of the farthest place ahead that the camera sees; None if it sees none.
+    """Return the pixel at which the camera sees the last visible place of `ahead`, and the number of frames until the
+    agent is there; None if no such place is visible.
 
     Parameters
     ----------

@@ -18,12 +18,12 @@ __all__ = ["WalkRows", "point_of", "vector"]
 
 
 def vector(values: Iterable[float]) -> dict[str, float]:
-    """Return a point (3,) as a row of the tables holds it."""
+    """Return a point (3,) as the tables store it: ``{x, y, z}``."""
     return dict(zip("xyz", map(float, values), strict=True))
 
 
 def point_of(row: Mapping[str, float]) -> NDArray[np.float64]:
-    """Return a point (3,) from a row of the tables."""
+    """Return the point (3,) that the tables store as ``{x, y, z}``."""
     return np.array([row[axis] for axis in "xyz"], np.float64)
 
 

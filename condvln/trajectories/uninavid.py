@@ -1,4 +1,4 @@
-"""The layout of Uni-NaVid and NaVid: a video of the past and the present frame, and the next four actions."""
+"""The layout of Uni-NaVid and NaVid: a video of all frames up to the present one, and the next four actions."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _PROMPT: Final = (
 
 @contextmanager
 def uninavid(folder: Path, split: str) -> Iterator[AddScene]:
-    """Write Uni-NaVid's samples, ``uninavid/annotations.json``, and a video for each below ``uninavid/nav_videos/``.
+    """Write Uni-NaVid's samples to ``uninavid/annotations.json``, and one video per sample to ``uninavid/nav_videos/``.
 
     A sample is taken at every fourth frame and at the last one. An answer has four actions, the last ones STOP at the
     end of a walk; it never reaches into a mistake.
@@ -71,7 +71,7 @@ def uninavid(folder: Path, split: str) -> Iterator[AddScene]:
 
 
 def samples_of(row: dict[str, Any]) -> Iterator[tuple[int, list[str]]]:
-    """Yield (frame, the next four actions) of a walk."""
+    """Yield (frame, the next four actions as words) for each sample of a walk."""
     right = usable(row)
     count = len(right)
     words = [_WORDS[action] for action in row["actions"]] + [_WORDS[STOP]] * (ACTIONS_AHEAD - 1)

@@ -80,7 +80,7 @@ class LeftOut:
 
 @dataclass(frozen=True, eq=False)
 class _Route:
-    """The gold route of an episode: stops (s, 3), the goal last, and the walk through them."""
+    """The gold route of an episode: its stops (s, 3), of which the goal is the last, and the walk through all stops."""
 
     stops: F64
     walk: FollowedRoute
@@ -126,7 +126,8 @@ def gold_walk(episode: ManifestEpisode, pathfinder: Pathfinder, config: Trajecto
 def recovery_walks(
     episode: ManifestEpisode, pathfinder: Pathfinder, config: TrajectoryConfig
 ) -> Iterator[Walked | LeftOut]:
-    """Yield gold walks with one mistake each, and the way back.
+    """Yield walks along the gold route, each with one mistake and the way back; a `LeftOut` for each that can't be
+    made.
 
     A mistake sets out for another leaf, or takes actions at random. The right action at each frame of the mistake is
     the first one of the way on from there.
@@ -204,7 +205,9 @@ def _walked(
     executed: Actions,
     leaf: NDArray[np.int32],
 ) -> Walked | LeftOut:
-    """Replay the executed actions; the last pose must be within the success distance of the gold leaf."""
+    """Return the walk of the executed actions, replayed on the navmesh; a `LeftOut` if the number of actions is outside
+    the configured limits, or the last pose outside the success distance of the gold leaf's goals.
+    """
     if len(actions) < config.least_actions:
         return LeftOut(kind, number, "fewer actions than least_actions")
     if len(actions) > config.most_actions:
@@ -227,12 +230,14 @@ def _walked(
 
 
 def repeats_of(walked: Walked, config: TrajectoryConfig) -> NDArray[np.int32]:
-    """Return how often each frame (n,) is a sample, by its right action; 0 in a mistake."""
+    """Return how many samples each frame gives, (n,): the configured number for the frame's right action, 0 in a
+    mistake.
+    """
     by_action = np.full(4, config.turn_repeats, np.int32)
     by_action[STOP], by_action[FORWARD] = config.stop_repeats, config.forward_repeats
     return np.where(walked.actions == walked.executed, by_action[walked.actions], 0).astype(np.int32)
 
 
 def twin_of(gold: Walked, episode: ManifestEpisode) -> Walked:
-    """Return the gold walk as the walk of the oracle-linear twin."""
+    """Return a copy of the gold walk, with the name and kind of the walk of the oracle-linear twin."""
     return replace(gold, name=folder_name(episode, "oracle"), kind="oracle")

@@ -132,15 +132,15 @@ class Certificate:
         return not self.disagreements
 
     def same(self, fact: str, claimed: Any, found: Any, place: str = "") -> bool:
-        """Record whether two values are equal."""
+        """Record and return whether two values are equal."""
         return self.holds(fact, claimed == found, claimed, found, place)
 
     def close(self, fact: str, claimed: float, found: float, tolerance: float, place: str = "") -> bool:
-        """Record whether two numbers differ by at most `tolerance`; NaN and infinities never agree."""
+        """Record and return whether two numbers differ by at most `tolerance`; NaN and infinities never agree."""
         return self.holds(fact, abs(claimed - found) <= tolerance, claimed, found, place)
 
     def holds(self, fact: str, agreed: bool, claimed: Any, found: Any, place: str = "") -> bool:
-        """Record whether a fact holds, with both values if it does not."""
+        """Record a check of a fact, with the claimed and the found value if they disagree; return `agreed`."""
         assert fact in FACTS, fact
         self.checked[fact] += 1
         if not agreed:

@@ -14,7 +14,7 @@ __all__ = ["compare_sizes", "is_closest", "lies_between"]
 
 def is_closest(subject: Thing, anchor: Thing, rivals: Sequence[Thing], t: Thresholds) -> Judgement:
     """Return whether the subject is closest to the anchor: true if all rivals are much farther from the anchor, false
-    if some rival is much nearer. At least one rival must have the subject's label.
+    if some rival is much nearer. The verdict is undecided if no rival has the subject's label.
     """
     if subject.box is None or anchor.box is None or anchor in rivals or all(x.label != subject.label for x in rivals):
         return Judgement(UNDECIDED, {"box": None})

@@ -1,4 +1,5 @@
-"""Check that an export is complete: every file as listed in its index, every episode that its counts claim.
+"""Check that an export is complete: every file is as its index lists it, and there are as many episodes as the index
+says.
 
 Proofs of single episodes say nothing about missing ones. This compares the folder with ``export.json``.
 """

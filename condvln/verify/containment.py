@@ -69,7 +69,9 @@ def said_of(items: Sequence[SceneObject], label_of: Callable[[SceneObject], str]
 
 
 class _Holder:
-    """An object that may hold others: its kind of container, whether it is shut, and its boxes in whole millimetres."""
+    """An object that may hold others: the kind of container that it is, whether it is shut, and its boxes in whole
+    millimetres.
+    """
 
     def __init__(self, item: SceneObject, label: str, meaning: Words) -> None:
         self.item = item
@@ -142,7 +144,7 @@ def _bears(holder: _Holder, thing: _Holder) -> bool:
 
 
 def _share_inside(box: _Box, holder: _Box) -> float:
-    """Return the share of a box's volume that is inside another box; each box counts as at least a millimetre thick."""
+    """Return the share of the volume of `box` inside `holder`; each box counts as at least a millimetre thick."""
     share = 1.0
     for k in range(3):
         low, high = box[0][k], max(box[1][k], box[0][k] + 1)

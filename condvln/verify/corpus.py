@@ -50,7 +50,9 @@ class Corpus:
         certificate.holds("program_once", unit == its_unit, "one start", f"another, of {its_unit}")
 
     def _check_group(self, row: ManifestEpisode, group_id: str, split: str, certificate: Certificate) -> None:
-        """Check that members of a group differ only in the truth of one condition and the exchange of two leaves."""
+        """Check that members of a group differ at most in the truth of one condition and in that two leaves are
+        exchanged.
+        """
         shared = (row.source, row.scene_id, split, row.category, row.start_position, row.start_rotation, row.max_steps)
         first_shared, first = self._groups.setdefault(group_id, (shared, row.program))
         certificate.same("group", shared, first_shared, group_id)
@@ -70,8 +72,8 @@ def _number(episode_hash: str) -> int:
 
 
 def _told(program: Program) -> str:
-    """Return a hashable key of a program, unique in its scene. Making it takes a third of the time of making the
-    program's JSON.
+    """Return a text that identifies a program within its scene. Making this text takes a third of the time that the
+    program's JSON would take.
     """
     conditions = [(c.label, c.truth, *_ids(c)) for c in program.conditions]
     leaves = [[(move.object_id, *_ids(move)) for move in leaf.moves] for leaf in program.leaves]

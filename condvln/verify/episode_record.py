@@ -20,7 +20,7 @@ HEADING: Final = 1e-3
 
 
 def check_record(row: ManifestEpisode, record: Mapping[str, Any] | None, certificate: Certificate) -> None:
-    """Check the VLN-CE record of a manifest row against this row."""
+    """Check that the VLN-CE record of an episode agrees with the manifest row of the episode."""
     if record is None:
         certificate.holds("record", False, row.episode_id, "no record")
         return

@@ -74,8 +74,8 @@ class ExportFiles:
             )
 
     def runs(self) -> Iterator[SceneRun]:
-        """Yield the rows of one scene after the other. Each scene occurs once if all files have the same order, as in
-        exports.
+        """Yield the rows, scene by scene. Each scene occurs only once if all files have the same order, as they have in
+        an export.
         """
         cursors = [_SplitCursor(self.folder, split, self.unread) for split in self.splits]
         while waiting := [cursor.scene for cursor in cursors if cursor.scene is not None]:
@@ -143,14 +143,14 @@ class _SplitCursor:
 
 
 class _Lookup:
-    """Looks up entries by name in a stream that has roughly the order of the requests."""
+    """Looks up entries by name in a stream whose order is roughly that of the requests."""
 
     def __init__(self, stream: Iterator[tuple[str, Mapping[str, Any]]]) -> None:
         self._stream = stream
         self._passed: dict[str, list[Mapping[str, Any]]] = {}
 
     def pop(self, name: str) -> Mapping[str, Any] | None:
-        """Return the entry of a name, each entry only once; None if there is no such entry."""
+        """Return the next entry with this name, each entry only once; None if there is none left."""
         if name not in self._passed:
             for other, entry in self._stream:
                 if other == name:
@@ -186,7 +186,7 @@ def _records(path: Path) -> Iterator[tuple[str, Mapping[str, Any]]]:
 
 
 def _elements(path: Path) -> Iterator[bytes]:
-    """Yield the bytes of each entry of the array ``episodes``, which must come first."""
+    """Yield the bytes of each entry of the array ``episodes``, which must be the first item of the file."""
     state, pending, opened_array = new_state(), bytearray(), False
     with opened(path) as file:
         while block := file.read(_BLOCK):

@@ -1,4 +1,4 @@
-"""Footprints of objects: how far points are from them, and which of them a path on the navmesh crosses."""
+"""Footprints of objects: how far points are from a footprint, and which footprints a path on the navmesh crosses."""
 
 from __future__ import annotations
 
@@ -86,8 +86,8 @@ def _below(box: OrientedBox) -> _Rectangle | None:
 
 
 class Reach:
-    """Measures the distance of points from a scene's objects, and whether they are on the object's floor and in its
-    room.
+    """Measures how far points are from an object of the scene, and whether the points are on the object's floor and in
+    the object's room.
 
     Results are cached, since many episodes share an object's goals.
     """
@@ -130,7 +130,7 @@ class Reach:
 
 
 def _in_reach(ground: Ground, room: Room, points: F64) -> NDArray[np.bool_]:
-    """Return whether each of the points (n, 3) is in the room and on the floor from which the object is reached."""
+    """Return for each of the points (n, 3) whether it is in the room, on the floor from which the object is reached."""
     hang = ground.bottom - points[:, 1]
     good = (hang <= HANG) & (hang >= -SINK)
     if room.annotation != "scene":
@@ -141,7 +141,7 @@ def _in_reach(ground: Ground, room: Room, points: F64) -> NDArray[np.bool_]:
 
 
 class Obstacles:
-    """Objects on the floor that the navmesh ignores: it continues beneath them."""
+    """Objects on the floor that the navmesh ignores: the navmesh continues beneath them."""
 
     def __init__(self, scene: Scene, pathfinder: Pathfinder, max_climb: float) -> None:
         standing = [item for item in scene.objects if item.aabb is not None and item.room_id in scene.room_of]
@@ -165,11 +165,13 @@ class Obstacles:
         self._tree = shapely.STRtree([ground.polygon(TOUCHING) for ground in self.grounds])
 
     def holding(self, points: F64) -> list[str | None]:
-        """Return for each of the points (n, 3) the obstacle above it, or None if there is none."""
+        """Return for each of the points (n, 3) the id of the obstacle whose footprint contains it, or None if there is
+        none.
+        """
         return self._met(shapely.points(points[:, [0, 2]]), len(points))
 
     def crossed(self, corners: F64, ends: NDArray[np.int64]) -> list[str | None]:
-        """Return for each path the obstacle that it crosses, or None if there is none.
+        """Return for each path the id of an obstacle that the path crosses, or None if it crosses none.
 
         corners (n, 3) of all paths; ends (k,) : end index of each path in `corners`
         """

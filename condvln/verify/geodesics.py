@@ -1,4 +1,4 @@
-"""Navmesh queries, collected over all episodes of a scene and executed together."""
+"""Navmesh queries of all episodes of a scene, collected first and then executed together."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Geodesics:
                 self._ways.append((way.geodesic_distance, tuple(map(tuple, corners.tolist()))))
 
     def metres(self, pairs: Sequence[int]) -> list[float]:
-        """Return the geodesic distances of registered pairs; infinite if there is no path."""
+        """Return the geodesic distances in metres of registered pairs; infinite where no path exists."""
         return [self._lengths[pair] for pair in pairs]
 
     def way(self, leg: int) -> tuple[float, tuple[Point, ...]]:

@@ -1,4 +1,4 @@
-"""Sample points on the floor of a room, to measure how much of it is visible.
+"""Sample points on the floor of a room, to measure how much of the floor is visible.
 
 For a room with an outline these are the walkable points of a grid of about 256 points, at least 0.2 m apart; all grid
 points if none is walkable. For a room without an outline they are 512 random points on the navmesh, seeded by the
@@ -53,7 +53,7 @@ def ground_points(
 
 
 def _drawn(scene_id: str, pathfinder: Pathfinder, islands: Sequence[int]) -> F64:
-    """Return random points on all islands, with a number for each island in proportion to its area."""
+    """Return random points (n, 3) on all islands; each island gets a number of points in proportion to its area."""
     areas = [pathfinder.island_area(k) for k in islands]
     rng = generator(0, scene_id, "floor")
     places = [np.empty((0, 3))]
@@ -84,6 +84,6 @@ def _grid(polygon: F64, height: float, pathfinder: Pathfinder, islands: Sequence
 
 
 def _line(low: float, high: float, apart: float) -> F64:
-    """Return numbers at equal distances of `apart`, centred in the interval from `low` to `high`."""
+    """Return numbers that are `apart` from one another and centred in the interval from `low` to `high`."""
     count = max(1, int((high - low) / apart))
     return np.asarray((low + high) / 2 + (np.arange(count) - (count - 1) / 2) * apart, dtype=np.float64)

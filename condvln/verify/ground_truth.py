@@ -1,5 +1,5 @@
-"""Check an episode's ground truth: actions are executed on the navmesh, or locations compared with the reference
-path.
+"""Check an episode's ground truth: its actions are executed on the navmesh, or its locations are compared with the
+reference path.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def check_truth(
 
 
 def _check_actions(row: ManifestEpisode, taken: NDArray[np.int8], along: F64, certificate: Certificate) -> None:
-    """Check that actions end with their only STOP, at the goal, after passing the subgoals in order."""
+    """Check that actions contain one STOP, as the last action, and lead past the subgoals in order to the goal."""
     stops = np.flatnonzero(taken == STOP).tolist()
     certificate.same("ground_truth", stops, [len(taken) - 1], "places of STOP")
     certificate.holds(

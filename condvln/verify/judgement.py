@@ -1,4 +1,4 @@
-"""The verdict on one statement, and the numbers that it is based on."""
+"""The verdict on one statement, and the numbers that the verdict is based on."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ TRUE, FALSE, UNDECIDED = 1, -1, 0
 
 
 class Judgement(NamedTuple):
-    """A verdict (true, false, or undecided), and the metres, degrees and shares that it is based on."""
+    """A verdict (true, false, or undecided), and the metres, degrees and shares that the verdict is based on."""
 
     verdict: int
     numbers: Mapping[str, float | None]

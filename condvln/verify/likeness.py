@@ -47,8 +47,8 @@ __all__ = [
 
 
 def may_be_one(one: Thing, other: Thing, family: str) -> bool:
-    """Return whether the boxes of two objects in a scan may belong to one object. The caller passes objects whose
-    labels share a word.
+    """Return whether the boxes of two objects in a scan may belong to one object, by position and shape alone. The
+    caller compares the labels.
     """
     if family not in FROM_SCANS:
         return False
@@ -66,8 +66,8 @@ def may_be_one(one: Thing, other: Thing, family: str) -> bool:
 
 
 def may_be_twins(one: Thing, other: Thing, family: str) -> bool:
-    """Return whether two objects of a scan with one label are about as high, so that the smaller may be an equal one
-    that was scanned in part.
+    """Return whether two objects of a scan have the same label and about the same height. The smaller may then be as
+    large as the other in reality, but scanned only in part.
     """
     if family not in FROM_SCANS or one.label != other.label or one.box is None or other.box is None:
         return False
@@ -88,8 +88,8 @@ def may_be_two(seat: Thing, seats: Container[str], family: str) -> bool:
 def passes_for_another_screen(
     screen: Thing, things: Iterable[Thing], screens: Container[str], desktop: Container[str], family: str
 ) -> bool:
-    """Return whether a screen of a scan may be a monitor where a television is meant: it is taller than wide, or a
-    keyboard is before it.
+    """Return whether a television of a scan may be a computer monitor: it is taller than wide, or a keyboard or mouse
+    is close to it.
     """
     if family not in FROM_SCANS or screen.label not in screens or screen.box is None:
         return False
@@ -100,7 +100,7 @@ def passes_for_another_screen(
 
 
 def is_part(thing: Thing, things: Iterable[Thing], parts: Container[str], named: Container[str]) -> bool:
-    """Return whether a shelf or a drawer is mostly inside a larger piece of other furniture."""
+    """Return whether an object is a shelf or drawer that lies mostly inside a larger piece of other furniture."""
     if thing.label not in parts or thing.box is None:
         return False
     volume = _volume(thing)

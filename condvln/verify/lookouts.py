@@ -27,7 +27,7 @@ rounded.
 
 
 def stands(paths: Sequence[F64]) -> list[F64]:
-    """Return the positions (n, 3) of the agent before its paths diverge, the start first.
+    """Return the positions (n, 3), the start first, at which the agent looks around before its paths diverge.
 
     If the shared length is a multiple of `EYE_SPACING` up to rounding, there are two possible divisions, and both are
     returned.
@@ -40,8 +40,8 @@ def stands(paths: Sequence[F64]) -> list[F64]:
 
 
 def shared_length(paths: Sequence[F64]) -> float:
-    """Return the length in metres that all paths (n, 3) from one start have in common. It ends at the last sample at
-    which they agree.
+    """Return the length in metres of the part that all paths (n, 3) from one start have in common. This part ends at
+    the last sample at which the paths agree.
     """
     return _shared(paths, [_walked(path) for path in paths])
 

@@ -166,8 +166,8 @@ def _check(sight: Sight, one: _Asked, evidence: Evidence, proofs: Proofs, ways: 
 
 
 def _shares(sight: Sight, proofs: Proofs, eyes: F64) -> dict[str, Any]:
-    """Return for each target the visible shares of its points: of this package's own points, and of the published
-    points. A floor has only one set of points.
+    """Return for each target two shares of visible points: of the points that this package chose itself, and of the
+    published points. A floor has only one set of points.
     """
     things = sorted({thing for way in proofs for thing in way})
     return {f"{kind} {name}": sight.shares((kind, name), eyes) for kind, name in things}

@@ -1,4 +1,6 @@
-"""Objects of a scan that lie within the outlines of two rooms, so that people may look for them in either."""
+"""Objects of a scan that lie within the outlines of two rooms, so that people may look for such an object in either
+room.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,7 @@ def astride_rooms(
     scene: Scene, label_of: Callable[[SceneObject], str], meaning: Words
 ) -> list[tuple[SceneObject, frozenset[str]]]:
     """Return each object whose footprint is partly covered by the outline of another room at the same height, with the
-    ids of all such rooms. Objects that text does not name, and fixed ones, are left out.
+    ids of all such rooms. Fixed objects, and objects that text never names, are left out.
     """
     if scene.family not in FROM_SCANS:
         return []

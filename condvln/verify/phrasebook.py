@@ -119,7 +119,7 @@ def _phrases(document: Mapping[str, Any], slot: str) -> list[str]:
 
 
 def _gather(node: Node, words_so_far: int, before: Matches) -> None:
-    """Store in each node the phrases that end on the path from the root to it."""
+    """Store in each node of the trie the phrases that end at this node or at a node above it."""
     found = dict(before)
     for kind, value, classes in node.get(END, ()):
         found[kind] = (*found.get(kind, ()), (words_so_far, value, classes))

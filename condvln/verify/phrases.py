@@ -57,8 +57,8 @@ _STOPS: Final = frozenset(".;:")
 
 
 def _beside(thing: Phrase, before: Phrase) -> Phrase:
-    """Return the stop `thing` with the room of the stop before it. If `thing` has a room or an egocentric direction, it
-    is returned unchanged.
+    """Return the stop `thing` in the room of the previous stop, `before`. If `thing` has a room or an egocentric
+    direction, it is returned unchanged.
     """
     at_start = thing.qualifier is not None and thing.qualifier[0] in BEARINGS
     return thing._replace(room=before.room) if thing.room is None and not at_start else thing
@@ -70,7 +70,9 @@ F = TypeVar("F")
 def _parsed_once(
     parse: Callable[[PhraseReader, int, Named | None], Iterator[F]],
 ) -> Callable[[PhraseReader, int, Named | None], list[F]]:
-    """Make a parser look each position of a text up once: several readings of what is before it come to it."""
+    """Cache the results of a parser, so that each position of a text is parsed once although several readings lead to
+    it.
+    """
     name = parse.__name__
 
     def parsed(self: PhraseReader, at: int, last: Named | None) -> list[F]:
@@ -84,7 +86,7 @@ def _parsed_once(
 
 
 class PhraseReader:
-    """Finds the phrases in one text. Which phrases begin at a word is looked up once for all parses.
+    """Finds the phrases in one text. For each word, the phrases that begin there are looked up only once.
 
     scope : the room named at the beginning of the text, which applies to all objects without a room
     """
@@ -99,7 +101,7 @@ class PhraseReader:
         self._apart: list[tuple[int, Named]] | None = None
 
     def rest(self) -> str:
-        """Return some words from the furthest parsed position."""
+        """Return some words of the text, starting at the furthest position that was parsed."""
         return " ".join(self.tokens[self.furthest : self.furthest + 6])
 
     # -- words and phrases ---------------------------------------------------------------------------------------------
@@ -168,7 +170,9 @@ class PhraseReader:
                     yield stop, Named(label, anchor)
 
     def _set_apart(self) -> Sequence[tuple[int, Named]]:
-        """Return the positions in the text at which a room is named by means of an object in it, each with the room."""
+        """Return (position, room) for each place in the text that names a room by an object, such as "the bedroom with
+        the desk".
+        """
         if self._apart is None:
             self._apart = []
             for at in range(len(self.tokens)):
@@ -321,7 +325,9 @@ class PhraseReader:
 
     @_parsed_once
     def _stops(self, at: int, last: Named | None) -> Iterator[tuple[int, Moves, Named | None]]:
-        """Parse moves to one or more stops, up to the end of a clause. Punctuation must follow directly after them."""
+        """Parse moves to one or more stops, up to the end of a clause. Punctuation must follow directly after the
+        moves.
+        """
         for start, _, _ in self._of(at, "go"):
             ahead: list[tuple[int, Moves, Named | None]] = [
                 (stop, (thing,), named) for stop, thing, named in self._things(start, last)

@@ -1,4 +1,4 @@
-"""Check starts, goals and paths of a scene's episodes against its navmesh and its boxes.
+"""Check starts, goals and paths of a scene's episodes against the scene's navmesh and its objects' boxes.
 
 All leaves are checked by the same rules, as if each were gold.
 """
@@ -196,7 +196,7 @@ class _Checker:
         )
 
     def look_out(self, obstacles: Obstacles) -> None:
-        """Find the points that are off the navmesh, and the points that are inside obstacles."""
+        """Find out which of the registered points are off the navmesh, and which are inside obstacles."""
         blocked = obstacles.holding(self.walks.points)
         self._inside = {p: name for p, name in enumerate(blocked) if name is not None}
         self._astray = set(np.flatnonzero(~(self.walks.moved <= SNAP_TOLERANCE)).tolist())
@@ -305,13 +305,13 @@ class _Checker:
 
 
 def _end(leaf: EpisodeLeaf) -> int:
-    """Return the index of the goal at which a leaf's path ends."""
+    """Return the index, among a leaf's goals, of the goal at which the leaf's path ends."""
     last = leaf.reference_path[-1]
     return min(range(len(leaf.goals)), key=lambda k: math.dist(leaf.goals[k], last))
 
 
 class _Groups:
-    """The number of words of each text, by counterfactual group. The step budgets of a group all follow from its
+    """The number of words of each text, by counterfactual group. All step budgets of a group follow from the group's
     longest text.
     """
 
@@ -322,8 +322,8 @@ class _Groups:
                 self._words.setdefault(row.group_id, []).append(len(row.instruction_text.split()))
 
     def words(self, row: ManifestEpisode, certificate: Certificate) -> int:
-        """Return the number of words that determines a row's step budget: that of the longest text of its group, else
-        of its own text.
+        """Return the number of words that determines a row's step budget: the words of the longest text in the row's
+        group, or of the row's own text if it has no group.
         """
         if row.group_id is None:
             return len(row.instruction_text.split())
@@ -335,7 +335,9 @@ class _Groups:
 def _check_budget(
     row: ManifestEpisode, groups: _Groups, follower: Follower, rules: VerifierRules, certificate: Certificate
 ) -> None:
-    """Check the budget against the configuration, the longest leaf's actions and, if proportional, the words."""
+    """Check the step budget against the configuration, the actions of the longest leaf and, if the budget is
+    proportional to the text, the number of words.
+    """
     yaw = yaw_of(row.start_rotation)
     certificate.holds("start_rotation", yaw is not None, "a turn about the vertical", row.start_rotation)
     if yaw is None:

@@ -145,8 +145,8 @@ def _beside_each_other(found: Judgement, subject: Thing, anchor: Thing, room: Su
 
 
 def _used(one: Thing, other: Thing) -> float:
-    """Return the distance in millimetres between the boxes of two objects, else between their bounding spheres, else
-    between their centres.
+    """Return the distance in millimetres between the boxes of two objects; if a box is unknown, between their bounding
+    spheres, or else between their centres.
     """
     if one.box is not None and other.box is not None:
         gaps = [max(one.box[0][k] - other.box[1][k], other.box[0][k] - one.box[1][k], 0) for k in range(3)]

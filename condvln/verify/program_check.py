@@ -51,8 +51,8 @@ def check_program(row: ManifestEpisode, certificate: Certificate) -> None:
 
 
 def _check_evidence(row: ManifestEpisode, certificate: Certificate) -> None:
-    """Check that evidence is recorded for the conditions on the gold path, and that its worst level is the
-    observability.
+    """Check that evidence is recorded for the conditions on the gold path, and that the worst level of this evidence is
+    the observability of the row.
 
     Whether the evidence is visible is checked with rays in :mod:`condvln.verify.observability`.
     """
@@ -69,7 +69,9 @@ def _check_evidence(row: ManifestEpisode, certificate: Certificate) -> None:
 
 
 def _depth(program: Program, at: int) -> int:
-    """Return the maximum nesting depth of tests inside THEN parts, from the test at `at`, which is counted."""
+    """Return how deep tests are nested in THEN parts at most, counted from the test at index `at`: 1 for this test
+    alone.
+    """
     if at < 0:
         return 0
     branch = program.branches[at]
@@ -118,8 +120,8 @@ def leaf_of(category: Category, truths: tuple[bool, ...]) -> int:
 
 @cache
 def _rivals(category: Category, k: int) -> tuple[tuple[int, int], ...]:
-    """Return all pairs of leaves that differ by the truth of condition `k` alone, for all truths of the other
-    conditions.
+    """Return all pairs (leaf, other leaf) such that the truths of the conditions lead to the first, and the same truths
+    with only condition `k` inverted lead to the second.
     """
     pairs = set()
     for truths in product((True, False), repeat=len(SHAPES[category].branches)):

@@ -395,8 +395,8 @@ class SceneReferents:
 
 
 def _deciding(related: list[tuple[Thing, Judgement]], sure: list[Thing]) -> Mapping[str, float | None]:
-    """Return the measurements of the first witness in `sure`. Without a witness, return those of the first object in
-    `related`.
+    """Return the measurements of the first witness in `sure`. If there is no witness, return the measurements of the
+    first object in `related`.
     """
     for thing, how in related:
         if not sure or thing is sure[0]:
@@ -405,8 +405,8 @@ def _deciding(related: list[tuple[Thing, Judgement]], sure: list[Thing]) -> Mapp
 
 
 def _not_one(view: RoomView, thing: Thing) -> Problem | None:
-    """Return the problem if an object may be the same as one of its rivals, or is not what people expect under its
-    name.
+    """Return a problem if an object may be the same as another box, or may not be what people expect under its name;
+    else None.
     """
     if not view.is_clear(thing):
         return Problem("referent_clear", f"surely a {thing.label} of this room", thing.object_id)

@@ -1,5 +1,5 @@
-"""A room and its objects as words refer to them: what a label might mean, what is visible, what is known to be
-absent.
+"""A room and its objects as words refer to them: which objects a label might mean, which are visible, and which labels
+are known to be absent.
 """
 
 from __future__ import annotations
@@ -95,32 +95,36 @@ class RoomView:
         return tuple(thing for thing in self._called(label) if not self.is_seen(thing))
 
     def is_seen(self, thing: Thing) -> bool:
-        """Return whether an object is visible by itself: it is not inside something shut nor a part of other furniture,
-        and it can be seen from where an agent can stand.
+        """Return whether an object is visible as an object of its own: neither inside something shut nor part of other
+        furniture, and visible from where an agent can stand.
         """
         if thing.object_id in self._hidden or thing.object_id in self._parts:
             return False
         return self._can_be_seen(thing.object_id)
 
     def is_clear(self, thing: Thing) -> bool:
-        """Return whether an object is in this room only, and its box is surely what its label says."""
+        """Return whether an object is surely in this room only, and surely what its label says."""
         return thing.object_id not in self._unclear
 
     def has_twin(self, thing: Thing) -> Thing | None:
-        """Return another object of a scan with which this one can't be compared by size, or None."""
+        """Return another object of the scan that `thing` can't be compared with by size, since one of the two may be
+        scanned only in part; None if there is none.
+        """
         others = (x for x in self.meant(thing.label) if x is not thing and may_be_twins(thing, x, self._family))
         return next(others, None)
 
     def may_be_foreign(self, label: str) -> bool:
-        """Return whether a word for `label` might mean an object on the border of another room and this one."""
+        """Return whether a word for `label` might mean an object of another room that extends into this room."""
         return not self._meaning.meant_by(label).isdisjoint(self.foreign)
 
     def is_itself(self, thing: Thing) -> bool:
-        """Return whether an object is what people expect under its name: it has not fallen over, and is clear."""
+        """Return whether an object is what people expect under its name: it has not fallen over, and it is clear
+        (`is_clear`).
+        """
         return thing.object_id not in self._fallen and self.is_clear(thing)
 
     def double(self, thing: Thing) -> Thing | None:
-        """Return another box that may be the same object, or None."""
+        """Return another object whose box may belong to the same real object as `thing`, or None."""
         for other in self._all:
             if other is thing or not may_be_one(thing, other, self._family):
                 continue

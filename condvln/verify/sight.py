@@ -66,7 +66,7 @@ class _Points:
     least: float
 
     def is_seen(self, seen: Bools) -> bool:
-        """Return whether a target counts as seen. `seen` (k,) tells which of its points are visible."""
+        """Return whether the target counts as seen. `seen` (k,) tells which of the target's points are visible."""
         published = _share(seen[self.own :])
         if self.own:
             ours, enough = _share(seen[: self.own]), much(self.least, self.own)
@@ -79,8 +79,8 @@ class _Points:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Look:
-    """The pending visibility tests of one target from eyes (n, 3) with their cache keys. `seen` (n, k) first marks the
-    points in range, later the visible points.
+    """The pending visibility tests of one target from eyes (n, 3), with a cache key for each eye. `seen` (n, k) marks
+    the points of the target: first those in range, later those that are visible.
     """
 
     sought: Sought
@@ -174,7 +174,9 @@ class Sight:
         self._cast(looks)
 
     def _cast(self, looks: Sequence[_Look]) -> None:
-        """Test which points in range nothing occludes, store the result in `seen` of each of `looks`, and cache it."""
+        """Test which of the points in range are not occluded, store the result in `seen` of each of `looks`, and cache
+        it.
+        """
         if not looks:
             return
         ends = [np.nonzero(look.seen) for look in looks]
@@ -213,15 +215,15 @@ class Sight:
         return seen
 
     def is_seen(self, sought: Sought, eyes: F64, yaw: float | None = None) -> bool:
-        """Return whether enough of a target is visible, each point from any of the eyes (n, 3). With a `yaw`, there is
-        one eye, which looks in that direction.
+        """Return whether enough points of a target are visible; a point counts if any of the eyes (n, 3) sees it. With
+        a `yaw`, there must be one eye, which looks in that direction.
         """
         where = self._where(sought)
         return where is not None and where.is_seen(self._together(sought, where, eyes, yaw))
 
     def shares(self, sought: Sought, eyes: F64) -> list[float]:
-        """Return the visible shares of a target's points: of this package's own points, if there are any, and of the
-        published points.
+        """Return which share of a target's points is visible: first of the points that this package chose itself, if
+        there are any, then of the published points.
         """
         where = self._where(sought)
         if where is None:
@@ -236,7 +238,7 @@ class Sight:
         return seen if yaw is None else seen & in_view(eyes, where.points, self._ahead, [yaw])[0]
 
     def _where(self, sought: Sought) -> _Points | None:
-        """Return the sample points of a target; None if the scene does not have it."""
+        """Return the sample points of a target; None if the target is not in the scene."""
         if sought not in self._points:
             kind, name = sought
             self._points[sought] = self._of_thing(name) if kind == "thing" else self._of_floor(name)
@@ -301,7 +303,7 @@ def _share(seen: Bools) -> float:
 
 
 def evenly(triangles: F64, count: int = OWN_POINTS) -> F64:
-    """Return points (count, 3) on triangles (m, 3, 3), uniform by area and deterministic.
+    """Return points (count, 3) spread evenly over the area of triangles (m, 3, 3); equal triangles give equal points.
 
     Within triangles they follow the R2 sequence (Roberts 2018), mapped from the square to a triangle by the root map.
     """

@@ -1,4 +1,5 @@
-"""Detect objects that an annotation cut at the border of two regions; a text must not treat the pieces as two objects.
+"""Detect objects that an annotation has cut into pieces at the border of two regions; a text must not treat the pieces
+as separate objects.
 
 The source merges such pieces. Here it is checked that none was left, with stricter bounds, so that pieces that the
 source kept apart near its own bounds are not reported.

@@ -1,4 +1,5 @@
-"""Decide whether objects are left, right, ahead or behind of an agent at the start, with this package's own code.
+"""Decide whether objects are to the left or right of an agent at the start, ahead of it or behind it. The code is
+independent of the generator's.
 
 The agent's axes come from its rotation. An object is a rectangle on the ground, a direction is a wedge around one of
 the axes, and the two shapes are tested for intersection.
@@ -46,8 +47,8 @@ class Standpoint(NamedTuple):
         return cls(x, y, z, (-math.sin(yaw), -math.cos(yaw)))
 
     def is_in(self, room: Room) -> bool:
-        """Return whether the start is inside a room's outline and at about the height of its floor. A room without an
-        outline contains every start.
+        """Return whether the start is inside a room's outline and at about the height of the room's floor. A room
+        without an outline contains every start.
         """
         if room.polygon is None:
             return True
@@ -55,7 +56,7 @@ class Standpoint(NamedTuple):
         return inside_outline(self.x, self.z, outline) and abs(self.height - 1000.0 * room.floor_y) <= whole_mm(SINK)
 
     def judge(self, direction: str, thing: Thing, t: Thresholds) -> Judgement:
-        """Return whether `thing` lies in a direction."""
+        """Return the judgement on whether `thing` lies in a direction as seen from the start."""
         if thing.box is None:
             return judged(False, False, distance=None)
         (west, _, north), (east, _, south) = thing.box
@@ -70,8 +71,8 @@ class Standpoint(NamedTuple):
         return found._replace(numbers={**found.numbers, "degrees_off": round(off, 3)})
 
     def _seen(self, x: float, z: float, direction: str) -> _Point:
-        """Return a point's coordinates relative to the start, in millimetres: along the direction, and to the right of
-        it.
+        """Return how far a point lies from the start in millimetres: (forwards in the direction, sideways to the
+        right).
         """
         dx, dz = x - self.x, z - self.z
         ahead = dx * self.forward[0] + dz * self.forward[1]
@@ -81,15 +82,15 @@ class Standpoint(NamedTuple):
 
 
 def _off(point: _Point) -> float:
-    """Return the angle in degrees between a direction and a point, given in millimetres along this direction and to the
-    right of it.
+    """Return the angle in degrees between a direction and a point, whose coordinates are as in `_seen`: (forwards in
+    the direction, sideways to the right).
     """
     return math.degrees(math.atan2(abs(point[1]), point[0]))
 
 
 def _meets(corners: Sequence[_Point], half_width: float) -> bool:
-    """Return whether a rectangle intersects the wedge of ± `half_width` degrees about an axis. The origin is outside
-    the rectangle.
+    """Return whether a rectangle intersects the wedge of ± `half_width` degrees about an axis. The origin must be
+    outside the rectangle.
 
     It does if a corner is in the wedge, or if one of the wedge's two edges crosses one of the rectangle's sides.
     """

@@ -1,5 +1,5 @@
-"""Decide whether an object is on, in, under or above another, or higher, from boxes, possible support, and the source's
-statements. For an object of several pieces, each piece is tested separately.
+"""Decide whether an object is on, in, under, above or higher than another one. The decision uses boxes, possible
+support, and the source's statements. For an object of several pieces, each piece is tested separately.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ _UNKNOWN = Judgement(UNDECIDED, {"box": None})
 
 
 def is_on(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -> Judgement:
-    """Return the judgement on "on": the subject's bottom is at the top of the anchor, whose larger footprint holds most
-    of the subject's.
+    """Return the judgement on "on": the subject's bottom is at the anchor's top, and the anchor's footprint is the
+    larger one and covers most of the subject's footprint.
     """
     if subject.box is None or anchor.box is None:
         return _UNKNOWN
@@ -74,7 +74,7 @@ def is_under(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -
 
 
 def is_in(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -> Judgement:
-    """Return the judgement on "in": most of the subject's volume is inside an open container."""
+    """Return the judgement on "in": most of the subject's volume is inside the anchor, which can be looked into."""
     if subject.box is None or anchor.box is None or not _can_be_looked_into(anchor):
         return _UNKNOWN
     volume = math.prod(high - low for low, high in zip(*subject.box, strict=True))

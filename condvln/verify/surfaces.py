@@ -29,8 +29,8 @@ ORTHOGONAL: Final = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class _Shape:
-    """Triangles in their own frame, with one corner of each (m, 3) and their bounds (2, 3). `solid` tells whether they
-    have an interior.
+    """Triangles in their own frame, with one corner of each triangle (m, 3) and the bounds of all (2, 3). `solid` tells
+    whether the triangles enclose an interior.
     """
 
     mesh: trimesh.Trimesh
@@ -62,7 +62,7 @@ class _Part:
 
 
 class Shapes:
-    """The FCL models of the meshes under one dataset root. They are shared by all scenes, since building them is
+    """The FCL models of the meshes under one dataset root. All scenes share the models, since building one is
     expensive.
     """
 
@@ -124,7 +124,9 @@ class SurfaceGauge:
         self._distances: dict[tuple[str, str], float | None] = {}
 
     def millimetres(self, one: SceneObject, other: SceneObject) -> float | None:
-        """Return whole millimetres between two surfaces; 0 if they touch or one contains the other; None if unknown."""
+        """Return the distance between the surfaces of two objects in whole millimetres: 0 if they touch or one contains
+        the other, None if it is unknown.
+        """
         first, second = sorted((one, other), key=lambda item: item.object_id)
         key = (first.object_id, second.object_id)
         if key not in self._distances:
@@ -173,8 +175,8 @@ def _least(one: _Part, other: _Part) -> float:
 
 
 def _holds(outer: list[_Part], inner: list[_Part]) -> bool:
-    """Return whether some part of `inner` lies inside some part of `outer`. The caller has checked that the surfaces of
-    the two bodies do not touch.
+    """Return whether some part of `inner` lies inside some part of `outer`. The surfaces of the two bodies must not
+    touch, which is not checked here.
     """
     return all(part.shape.solid for part in outer) and any(_contains(one, other) for one in outer for other in inner)
 

@@ -137,7 +137,7 @@ class Surroundings:
         return lower.object_id in self._carriers_of(upper)
 
     def holds(self, outer: Thing, thing: Thing) -> bool:
-        """Return whether `outer` supports an object or surrounds most of it, directly or through others.
+        """Return whether `outer` supports `thing` or surrounds most of `thing`, directly or through other objects.
 
         Footprints must overlap: an object that only touches another one is beside it.
         """
@@ -206,7 +206,7 @@ class Surroundings:
 
 
 def whole_mm(metres: float) -> float:
-    """Return whole millimetres, rounded first to a nanometre, since 1.15 · 1000 is not an integer in binary."""
+    """Convert metres to millimetres, rounded to a nanometre: without rounding, 2.01 m would not be exactly 2010 mm."""
     return round(metres * 1000.0, 6)
 
 
@@ -231,7 +231,9 @@ def _beyond(one: Thing, other: Thing, axes: tuple[int, ...]) -> float:
 
 
 def shared_sides(one: Thing, other: Thing) -> tuple[int, int, int]:
-    """Return the lengths along x, y and z of the overlap of two boxes."""
+    """Return the lengths (x, y, z) of the overlap of two boxes in millimetres; 0 along an axis on which they do not
+    overlap.
+    """
     assert one.box is not None
     assert other.box is not None
     (x, y, z), (x1, y1, z1) = one.box

@@ -1,4 +1,6 @@
-"""Check text against program and scene: the text's conditions, their meaning in the scene, and the gold leaf."""
+"""Check text against program and scene: the text's conditions, the truth of the conditions in the scene, and the gold
+leaf.
+"""
 
 from __future__ import annotations
 
@@ -73,8 +75,8 @@ def _check_heading(row: ManifestEpisode, reading: TextReading, rules: VerifierRu
 def _check_conditions(
     program: Program, reading: TextReading, single_room: bool, certificate: Certificate
 ) -> list[int] | None:
-    """Return for each condition of the program its index among the text's conditions; None if the two do not have the
-    same conditions.
+    """Return for each condition of the program its index among the text's conditions; None if program and text do not
+    have the same conditions.
     """
     claimed = [_phrase(condition, single_room) for condition in program.conditions]
     said = [_unplaced(phrase, single_room) for phrase in reading.conditions]
@@ -87,7 +89,7 @@ def _check_conditions(
 def _check_branches(
     program: Program, reading: TextReading, order: Sequence[int], single_room: bool, certificate: Certificate
 ) -> list[Moves] | None:
-    """Return the text's stops for each leaf of the program. If they differ from the program's stops, record this and
+    """Return the text's stops for each leaf of the program. If these stops differ from the program's, record this and
     return None.
     """
     claimed = [tuple(_phrase(move, single_room) for move in leaf.moves) for leaf in program.leaves]

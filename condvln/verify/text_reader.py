@@ -1,4 +1,4 @@
-"""Find the meaning of a text without the templates that it was made from.
+"""Find the meaning of a text without using the templates that the text was made from.
 
 The text is read clause by clause: each "if", question and answer restricts the cases for which its stops apply. Cases
 are assignments of truth to the conditions named so far (a bit mask), so a reading is a function from truths to stops.
@@ -143,7 +143,9 @@ class _Reader(PhraseReader):
                 yield from self._sentences(after._replace(at=after.at + 1), its_base)
 
     def _clause(self, state: _State, context: int, base: int) -> Iterator[tuple[_State, int]]:
-        """Parse a clause with everything attached to it. Yield the new state, and the base of the following clauses."""
+        """Parse a clause with everything attached to it. Yield the new state, and the cases that the following clauses
+        are about.
+        """
         at = state.at
         for end, _, _ in self._of(at, "filler"):
             yield from self._clause(state._replace(at=end + self._is(end, ",")), context, base)
@@ -205,8 +207,8 @@ class _Reader(PhraseReader):
                     yield from self._but(state._replace(at=end), cases, base)
 
     def _but(self, state: _State, context: int, base: int) -> Iterator[tuple[_State, int]]:
-        """Parse what follows an answer or a claim: its consequences, which one more claim may precede, as in "if not,
-        but there's a chair, …".
+        """Parse what follows an answer or a claim: the consequences, or one more claim and then the consequences, as in
+        "if not, but there's a chair, …".
         """
         yield from self._comma(state, context, base)
         if self._is(state.at, ","):
@@ -233,7 +235,8 @@ class _Reader(PhraseReader):
                 yield state._replace(at=end, room=room, named=named, asks=asking), base
 
     def _condition(self, state: _State, what: Phrase) -> Iterator[tuple[int, tuple[Phrase, ...]]]:
-        """Yield each possible index of the condition `what`, with all conditions named so far, `what` included.
+        """Yield each possible index of the condition `what`, together with all conditions named so far, including
+        `what`.
 
         A known object without a room is in the room of the condition before it.
         """
@@ -248,8 +251,8 @@ class _Reader(PhraseReader):
 
 
 def _is_again(what: Phrase, before: Phrase, latest: bool) -> bool:
-    """Return whether `what` repeats `before` without its room. It must name a relation, or `before` must be the latest
-    question.
+    """Return whether `what` repeats `before` without naming the room. Either `what` must name a relation, or `before`
+    must be the latest question.
     """
     return what.room is None and (latest or what.qualifier is not None) and what == before._replace(room=None)
 
@@ -266,8 +269,8 @@ _ANSWERS: Final = (
 
 
 def _table(state: _State) -> tuple[Moves, ...] | None:
-    """Return the moves for each case, i.e. for each combination of the conditions' truths. None if some case has no
-    moves, or has them twice.
+    """Return the moves for each case, i.e. for each combination of the conditions' truths; None if some case gets no
+    moves, or gets moves twice.
     """
     covered = 0
     for cases, _ in state.rules:

@@ -1,4 +1,5 @@
-"""Prove a folder of trajectories: actions replay to poses, walks end at their goals, images are what the poses show.
+"""Prove a folder of trajectories: replayed actions give the stored poses, walks end at their goals, and images show
+what is visible from the poses.
 
 The tables are read again and compared with the export's manifest, its navmeshes and the scenes. Walks are not planned
 again: what is proven is that each one is a walk of its episode.
@@ -41,7 +42,7 @@ _ANGLE: Final = 1e-9
 
 @dataclass(frozen=True)
 class TrajectoryFault:
-    """What is wrong with a walk, or with the folder where `trajectory` is empty."""
+    """What is wrong with a walk, or with the whole folder if `trajectory` is empty."""
 
     trajectory: str
     what: str
@@ -114,7 +115,7 @@ def prove_trajectories(folder: Path, world: TrajectoryWorld) -> TrajectoryProof:
 
 
 class _Walk:
-    """The row of a walk against its episode and its entry in ``annotations.json``."""
+    """Compares the row of a walk with the walk's episode and with the walk's entry in ``annotations.json``."""
 
     def __init__(self, walk: Row, entry: Row | None, world: TrajectoryWorld) -> None:
         self._walk, self._entry, self._world = walk, entry, world
@@ -344,7 +345,7 @@ def _table(folder: Path, name: str) -> pa.Table:
 
 
 def _walks_of(path: Path) -> Iterator[tuple[str, list[dict[str, Any]]]]:
-    """Yield the poses of each walk; one row group, a scene, is in memory at a time."""
+    """Yield each walk with its poses. Only one row group, which is one scene, is in memory at a time."""
     try:
         with pq.ParquetFile(path) as file:
             for group in range(file.num_row_groups):

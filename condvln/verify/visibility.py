@@ -1,4 +1,4 @@
-"""Check which objects of a scene can be seen at all, with rays cast by this package.
+"""Check which objects of a scene can be seen at all, with rays that are cast again for this check.
 
 An object is visible if enough of this package's points on its surface are visible from positions in its room where an
 agent can stand. The generator requires four times as much before text mentions an object, and zero of many more points
@@ -36,8 +36,8 @@ FEW: Final = 8
 
 
 class Onlookers:
-    """Finds which objects are visible from the positions in their room where an agent can stand. Each object is tested
-    once.
+    """Finds out whether an object is visible from the positions in its room where an agent can stand. Each object is
+    tested once.
 
     hidden : ids of objects inside something shut
     """

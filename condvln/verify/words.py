@@ -1,4 +1,4 @@
-"""The meaning of words, read from the vocabulary's tables by this package's own code.
+"""The meaning of words, read from the vocabulary's tables with code that is independent of the generator's.
 
 The tables are shared with the generator; its code is not, so that a fault in it is detected.
 """
@@ -42,7 +42,7 @@ _COPY_NUMBER: Final = re.compile(r"\s\d+$")
 
 
 def package_data(*parts: str) -> Traversable:
-    """Return the data folder of the package. The path is built from folders, so that none of its modules is
+    """Return the file or folder ``condvln/<parts…>``. The path is built from folders, so that no module on the way is
     imported.
     """
     found: Traversable = files("condvln")
@@ -100,7 +100,8 @@ class Words:
         return label in self._general_rooms
 
     def may_be(self, label: str, family: str, side: float | None) -> tuple[frozenset[str], bool]:
-        """Return the other labels that an object with this label may have, and whether it may be anything of its size.
+        """Return the other labels that an object with this label may have, and whether the object may be anything of
+        its size.
 
         side : its longest side in metres
         """
@@ -114,7 +115,8 @@ class Words:
         return found, ANY in written
 
     def label(self, raw: str, family: str, model: str = "") -> str:
-        """Return the canonical label of a source's own label; the words of `raw` if the tables don't list it.
+        """Return the canonical label for `raw`, a label as the source writes it; the words of `raw` if the tables don't
+        list it.
 
         model : the object's model name; if the tables list it, it takes precedence over `raw`, since some sources label
             a model wrongly
@@ -138,7 +140,7 @@ class Words:
 
 @cache
 def words() -> Words:
-    """Return the vocabulary of this package's tables, read once per process."""
+    """Return the vocabulary, read from the package's tables once per process."""
     labels = {row["label"]: row for row in _rows("labels.csv")}
     said = {label: {label, row["noun"], *filter(None, row["synonyms"].split(";"))} for label, row in labels.items()}
     rooms = {row["label"]: row for row in _rows("rooms.csv")}

@@ -69,13 +69,15 @@ def benchmark_score(
     scenes: Annotated[
         list[str] | None,
         typer.Option(
-            "--scenes", metavar="FAMILY=DIR", help="dataset that looker sees; without it, looker is not walked"
+            "--scenes",
+            metavar="FAMILY=DIR",
+            help="dataset in which the agent looker sees the scenes; without this option, looker is left out",
         ),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Rank agents by their predictions, with confidence intervals and the significance of the difference from the row
-    above.
+    """Rank agents by their predictions, with confidence intervals. For each agent, also give the significance of the
+    difference from the agent ranked above it.
     """
     from jobs.leaderboard import score_benchmark
 

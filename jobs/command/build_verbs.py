@@ -33,8 +33,7 @@ def samples(
         str,
         typer.Option(
             help="native format of the scenes: gibson, ithor, mp3d, procthor, replicacad, robothor or "
-            "ai2thor-hab; ai2thor-hab is ProcTHOR in Habitat's form, with the houses' JSON for its "
-            "rooms"
+            "ai2thor-hab; the last is ProcTHOR in Habitat's format, with rooms from the JSON of its houses"
         ),
     ] = "replicacad",
     scenes: Annotated[int, typer.Option(min=1, help="number of scenes")] = 12,
@@ -53,7 +52,7 @@ def plan(
     every_scene: Annotated[bool, typer.Option("--all", help="print a row for each scene")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Show what differs between the published snapshot and the sources, and its cost. Runs nothing."""
+    """Show what differs between the published snapshot and the sources, and what a run would cost. Runs nothing."""
     from jobs.configuration import load_config
     from jobs.plan import make_plan
 

@@ -135,7 +135,8 @@ def evaluate(
         list[float] | None, typer.Option(help="also report rates at this success distance, metres; may be repeated")
     ] = None,
     oracle_radius: Annotated[
-        float | None, typer.Option(help="distance for OSR in metres, if larger than the success distance (VLN-CE: 3)")
+        float | None,
+        typer.Option(help="success distance of OSR, metres, if it is to be larger than the one of SR (VLN-CE: 3)"),
     ] = None,
     fast_dtw: Annotated[bool, typer.Option("--fast-dtw", help="compute nDTW by FastDTW, as VLN-CE does")] = False,
     assume_stop: Annotated[bool, typer.Option("--assume-stop", help="treat the last pose as STOP")] = False,
@@ -155,12 +156,12 @@ def evaluate(
     plots: Annotated[
         Path | None,
         typer.Option(
-            "--plots", metavar="DIR", help="folder to write plots of SR, BSA and CSR against depth and chain to"
+            "--plots", metavar="DIR", help="folder for plots of SR, BSA and CSR against depth and chain length"
         ),
     ] = None,
     html: Annotated[
         Path | None,
-        typer.Option("--html", metavar="DIR", help="folder to write the page of condvln explore with these agents to"),
+        typer.Option("--html", metavar="DIR", help="folder for a page as condvln explore writes it, with these agents"),
     ] = None,
     strict: Annotated[
         bool, typer.Option("--strict", help="exit with code 3 and print no tables if an episode has no prediction")

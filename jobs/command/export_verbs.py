@@ -113,15 +113,15 @@ def compose(
         typer.Argument(metavar="SCENE", help="scene id; FAMILY/ID if several sources have a scene of this id"),
     ] = None,
     out: Annotated[
-        Path | None, typer.Argument(metavar="OUT.glb", help="file to write; its navmesh goes beside it")
+        Path | None, typer.Argument(metavar="OUT.glb", help="file to write; the scene's navmesh is written beside it")
     ] = None,
     every: Annotated[
         Path | None,
         typer.Option(
             "--all",
             metavar="DIR",
-            help="compose every scene of the export or, without an export, of the sources; each is written "
-            "to the path below DIR that its episodes name; DIR is the loader's data/scene_datasets",
+            help="compose every scene of the export or, without an export, of the sources; DIR is the loader's "
+            "data/scene_datasets, and a scene's path below it is the one that the scene's episodes name",
         ),
     ] = None,
     own_navmesh: Annotated[

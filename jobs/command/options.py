@@ -47,7 +47,7 @@ NavmeshRoots = Annotated[
 ]
 Graphs = Annotated[
     list[Path] | None,
-    typer.Option("--connectivity", help="folder of <scan>_connectivity.json, for discrete R2R"),
+    typer.Option("--connectivity", help="folder of <scan>_connectivity.json files, for discrete R2R"),
 ]
 
 EXIT_CODES: Final = (

@@ -22,7 +22,8 @@ def sources(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """List what is there, what is missing, and which scenes will be skipped and why. Reads scenes, changes nothing.
+    """List what each source has, what it lacks, and which scenes will be skipped and why. Reads scenes, changes
+    nothing.
 
     Exit code 1 if a source can't be used or lacks something that the configuration names.
     """
@@ -40,7 +41,7 @@ def status(
     ref: RefName = None,
     drift: Annotated[
         bool,
-        typer.Option("--drift", help="measure how far the priors differ from what is published; reads every scene"),
+        typer.Option("--drift", help="compare the pinned priors with ones of the published scenes; reads every scene"),
     ] = False,
     sizes: Annotated[bool, typer.Option("--sizes", help="list every file and add up the bytes")] = False,
     as_json: AsJson = False,
@@ -59,7 +60,9 @@ def query(
     target: TargetName,
     sql: Annotated[
         str | None,
-        typer.Argument(metavar="SQL|NAME", help="an SQL query over the tables and views, or the name of a query"),
+        typer.Argument(
+            metavar="SQL|NAME", help="an SQL query over the tables and views, or a query's name from --list"
+        ),
     ] = None,
     overrides: Overrides = None,
     ref: RefName = None,
@@ -69,7 +72,7 @@ def query(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Query the published tables with DuckDB; their column ``source`` names a row's source."""
+    """Query the published tables with DuckDB. In every table, the column ``source`` names the source of the row."""
     from jobs.query import list_queries, query_target
     from jobs.target import find_target
 
@@ -136,8 +139,8 @@ def explore(
         int,
         typer.Option(
             min=0,
-            help="number of episodes of each scene that get pictures along the gold path, and the places from which "
-            "their conditions are first seen; reads the sources' files",
+            help="number of episodes per scene for which the page shows pictures along the gold path, and where their "
+            "conditions are first seen from; reads the sources' files",
         ),
     ] = 0,
     navmesh_root: NavmeshRoots = None,

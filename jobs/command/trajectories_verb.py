@@ -42,7 +42,7 @@ def trajectories(
     scenes: Annotated[
         list[str] | None,
         typer.Option(
-            "--scenes", metavar="FAMILY=DIR", help="dataset of an export's scenes; may be repeated (not with CONFIG)"
+            "--scenes", metavar="FAMILY=DIR", help="dataset of the EXPORT's scenes; may be repeated; not with CONFIG"
         ),
     ] = None,
     navmesh_root: NavmeshRoots = None,

@@ -97,7 +97,7 @@ V = TypeVar("V")
 
 
 class _Latest(Generic[V]):
-    """A cache of one value, which is valid as long as it is requested for the same parts.
+    """A cache of one value, which stays valid as long as every request is made with the same parts.
 
     The stages of one scene follow each other in a process and read the same tables, so one is enough.
     """
@@ -164,7 +164,9 @@ def keep_candidates(table: pa.Table, wanted: Sequence[InstructionCell], candidat
 
 
 def candidates_of(table: pa.Table, wanted: Sequence[InstructionCell]) -> list[Candidate]:
-    """Return the candidates in a table, in its order. `wanted` are the cells for which they were drawn."""
+    """Return the candidates in a table, in the table's order. `wanted` are the cells for which the candidates were
+    drawn.
+    """
     return _candidates.get((table, *wanted), lambda: candidates_from_table(table, wanted))
 
 

@@ -41,7 +41,8 @@ __all__ = ["PriorsAggregate", "ProgramStage"]
 @dataclass
 class PriorsAggregate(Aggregate):
     """Counts which labels are usual in which type of room, and how often a statement is true there, over all scenes of
-    all sources."""
+    all sources.
+    """
 
     thresholds: Thresholds
     anchor_size: float
@@ -61,7 +62,8 @@ class PriorsAggregate(Aggregate):
 @dataclass
 class ProgramStage(Stage):
     """Relations, navmesh and surfaces → goal points of objects, and candidate programs in the order in which they will
-    be tried."""
+    be tried.
+    """
 
     thresholds: Thresholds
     places: PlacesConfig
@@ -140,6 +142,8 @@ class ProgramStage(Stage):
         )
 
     def _graph(self, unit: Unit, scene: Scene) -> GraphPathfinder | None:
-        """Return the viewpoints of a scan without a navmesh; None if there is a navmesh, or no graph."""
+        """Return a pathfinder over the viewpoint graph of a scan that has no navmesh; None if there is a navmesh, or no
+        graph.
+        """
         path = None if scene.navmesh is not None else source_of(unit).connectivity(scene.scene_id)
         return None if path is None else GraphPathfinder.load(path)

@@ -1,4 +1,4 @@
-"""Stage ``text``: words the episodes of a scene."""
+"""Stage ``text``: writes the texts of a scene's episodes."""
 
 from __future__ import annotations
 

@@ -55,7 +55,8 @@ class GoalsConfig(Section):
     reach_at_most: Metres = Field(
         1.0,
         le=10,
-        description="the same maximum distance, for an object that has no navigable point within reach",
+        description="maximum distance of a goal point from the object's box, for an object with no "
+        "navigable point within reach",
     )
     points: int = Field(8, ge=1, le=1000, description="maximum number of goal points of an object")
 
@@ -81,24 +82,29 @@ class EpisodeConfig(Section):
         2.0,
         ge=1,
         allow_inf_nan=False,
-        description="maximum length of the route to any leaf through its stops, where a scene has several "
-        "rooms, as a multiple of the geodesic distance to the leaf; detour_slack is added to it",
+        description="in scenes of several rooms, the route through the stops to any leaf may be at most "
+        "this factor times the geodesic distance to the leaf, plus detour_slack",
     )
     detour_slack: Metres = Field(
         4.0,
-        description="length that the route to a leaf may have in addition to detour_factor × the geodesic "
-        "distance to the leaf",
+        description="length that is added to detour_factor × the geodesic distance to a leaf to give "
+        "the maximum length of the route to the leaf",
     )
-    starts: int = Field(96, ge=1, le=100_000, description="number of starts drawn per scene; its programs share them")
+    starts: int = Field(
+        96,
+        ge=1,
+        le=100_000,
+        description="number of starts drawn per scene; all programs of the scene share these starts",
+    )
     starts_per_program: int = Field(
         24, ge=1, description="maximum number of starts tried for a program before it is given up"
     )
     max_steps: StepBudget = Field(
         STEP_CEILING,
-        description="step budget of every episode: a number, at most VLN-CE's 500, or proportional; the walk "
-        "to each leaf takes at most half of it; proportional = the larger of text.steps_per_word "
-        "× words and twice the number of ground-truth actions, which stock loaders can't "
-        "represent",
+        description="step budget of every episode: a number, at most VLN-CE's 500, or proportional; the "
+        "walk to each leaf takes at most half of the budget; proportional = the larger of "
+        "text.steps_per_word × words and twice the number of ground-truth actions (stock "
+        "loaders can't represent a proportional budget)",
     )
     floor_seen: Share = Field(
         0.8, description="minimum share of a room's floor that must be visible to know that something is absent"
@@ -119,7 +125,7 @@ class EpisodeConfig(Section):
 
     @property
     def step_ceiling(self) -> int:
-        """Return the maximum allowed value of twice the number of ground-truth actions, for any leaf."""
+        """Return the upper limit of twice the number of actions of the ground-truth walk to any leaf."""
         return STEP_CEILING if self.max_steps == "proportional" else self.max_steps
 
     def range(self, single_room: bool) -> tuple[float, float]:

@@ -155,8 +155,8 @@ class InstructionsConfig(WordingConfig):
     )
     cells: tuple[InstructionCell, ...] = Field(
         (),
-        description="number of episodes wanted of single cells; for the categories of these cells they "
-        "replace per_category",
+        description="cells, each with the number of its episodes that are wanted; a category that has "
+        "cells here ignores per_category",
     )
     counterfactual_groups: int = Field(
         2,
@@ -183,8 +183,9 @@ class InstructionsConfig(WordingConfig):
         return self
 
     def cells_of(self, category: Category) -> tuple[InstructionCell, ...]:
-        """Return the cells of a category; without any, one cell with the number of `per_category` and no other
-        bounds."""
+        """Return the configured cells of a category. If there are none, return one cell that wants as many episodes as
+        `per_category` says and fixes nothing else (no cell if that number is 0).
+        """
         asked = tuple(cell for cell in self.cells if cell.category == category)
         count = self.per_category.get(category, 0)
         return asked or ((InstructionCell(category=category, count=count),) if count else ())
@@ -238,11 +239,11 @@ class SamplingConfig(Section):
     )
     moves_drawn: tuple[Share, Share, Share] = Field(
         (0.28, 0.42, 0.3),
-        description="shares as in moves, of the candidates that are drawn: long routes are rejected more often, so "
-        "more of them are drawn than wanted",
+        description="shares as in moves, but among drawn candidates: candidates with long routes are "
+        "rejected more often, so more of these are drawn than are wanted",
     )
     moves_drawn_four_leaves: tuple[Share, Share] = Field(
-        (0.5, 0.5), description="shares as in moves_four_leaves, of the candidates that are drawn"
+        (0.5, 0.5), description="shares as in moves_four_leaves, but among drawn candidates"
     )
     presence_false_share: Share = Field(
         0.2, description="maximum share of label-only conditions among the false conditions, where a scene is one room"
@@ -261,7 +262,9 @@ class SamplingConfig(Section):
         "does not name a room",
     )
     small_target_weight: Weight = Field(
-        0.25, description="weight of a label as a target if all its objects are shorter than anchor_size"
+        0.25,
+        description="weight of a label as a target if the longest side of each object with this label "
+        "is shorter than anchor_size",
     )
     bearings: int = Field(
         2,
@@ -298,11 +301,13 @@ class SamplingConfig(Section):
         return self.moves_four_leaves if SHAPES[category].leaves == 4 else self.moves
 
     def drawn_move_shares(self, category: Category) -> tuple[float, ...]:
-        """Return the shares of leaves with 1, 2, … moves in the candidates that are drawn of a category."""
+        """Return the shares of leaves with 1, 2, … moves among the drawn candidates of a category."""
         return self.moves_drawn_four_leaves if SHAPES[category].leaves == 4 else self.moves_drawn
 
     def candidates(self, cell: InstructionCell) -> int:
-        """Return the number of candidates drawn for a cell. It is larger for a cell whose bounds placing may miss."""
+        """Return the number of candidates drawn for a cell. More are drawn for a cell that fixes the observability or
+        the route, since many placed candidates miss these bounds.
+        """
         return cell.count * self.candidates_per_episode * (SEEN_FACTOR if cell.observability or cell.route else 1)
 
     def label_only(self, single_room: bool) -> float:

@@ -86,8 +86,8 @@ class Thresholds(Section):
     )
     top_true: Metres = Field(
         0.15,
-        description="minimum height of one thing's top above the other's, in the same direction as between "
-        "the centres, at which text may say “higher” and “lower”",
+        description="minimum height of the top of the thing with the higher centre above the other "
+        "thing's top, at which text may say “higher” and “lower”",
     )
     top_false: Metres = Field(
         0.05,
@@ -104,7 +104,7 @@ class Thresholds(Section):
         "may say “on”",
     )
     on_gap_false: Metres = Field(
-        0.15, description="minimum height of the bottom above the other thing's top at which text treats “on” as false"
+        0.15, description="minimum height of a thing's bottom above the other's top at which text treats “on” as false"
     )
     on_footprint_true: Share = Field(
         0.5, description="minimum share of the thing's footprint that must lie over the other's for text to say “on”"

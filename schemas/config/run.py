@@ -68,9 +68,9 @@ class SourceConfig(Section):
     )
     exclude: tuple[str, ...] = Field((), description="scene ids, or patterns with * and ?, that are left out")
     navmesh: str | None = Field(
-        None, min_length=1, description="folder below root in which navmeshes are searched first"
+        None, min_length=1, description="folder below root in which navmeshes are looked for first"
     )
-    regions: Path | None = Field(None, description="side file or folder of user-drawn room zones")
+    regions: Path | None = Field(None, description="file or folder with outlines of rooms that the user has drawn")
     absence: Literal["complete", "never"] = Field(
         "complete",
         description="complete: conditions are asked only in rooms that are annotated completely, where "
@@ -171,7 +171,9 @@ class RayConfig(Section):
         0.5, description="maximum share of scenes that may fail; with more, the run is stopped (exit code 4)"
     )
     deadline_seconds: Seconds = Field(
-        1800.0, description="maximum wall time of one scene; in compiled code only a Ray worker can be stopped"
+        1800.0,
+        description="maximum wall time of one scene; while a scene runs compiled code, it can be "
+        "stopped only in a Ray worker",
     )
     memory_gib: float | None = Field(
         None,
@@ -186,7 +188,8 @@ class KeepConfig(Section):
     """What the sweep after a rebuild keeps in the store. Nothing that a ref names is ever removed."""
 
     sweep: bool = Field(
-        True, description="whether a rebuild that has published a snapshot then removes what no ref needs"
+        True,
+        description="whether a rebuild, after it has published a snapshot, removes from the store what no ref needs",
     )
     snapshots: int = Field(3, ge=1, description="number of snapshots kept for each ref, the published one included")
     grace_hours: Hours = Field(24.0, description="files younger than this are never removed")
@@ -205,7 +208,7 @@ class Config(Section):
     ]
     seed: int = Field(0, description="seed of all random choices")
     store: Path | str = Field(
-        description="units, snapshots and refs: a folder, or s3://bucket/prefix[?endpoint=…&region=…]"
+        description="place of units, snapshots and refs: a folder, or s3://bucket/prefix[?endpoint=…&region=…]"
     )
     export: Path | None = Field(None, description="folder of the export: VLN-CE splits and manifests")
     sources: tuple[SourceConfig, ...] = Field(min_length=1, description="the datasets")

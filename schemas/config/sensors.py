@@ -67,10 +67,10 @@ class NoiseConfig(Section):
         0.0, description="standard deviation of the estimated heading"
     )
     step: Annotated[Finite, Field(ge=0, json_schema_extra={"unit": "share"})] = Field(
-        0.0, description="standard deviation of a step's length, as a share of it"
+        0.0, description="standard deviation of a step's length, as a share of the length"
     )
     turn: Annotated[Finite, Field(ge=0, json_schema_extra={"unit": "share"})] = Field(
-        0.0, description="standard deviation of a turn's angle, as a share of it"
+        0.0, description="standard deviation of a turn's angle, as a share of the angle"
     )
 
 
@@ -91,11 +91,11 @@ class LookerConfig(Section):
         128, description="rows and columns of each of the agent's four cameras, which together cover all directions"
     )
     least_pixels: Annotated[int, Field(ge=1, json_schema_extra={"unit": "px"})] = Field(
-        1, description="minimum number of visible pixels of a thing from which the thing is known"
+        1, description="minimum number of a thing's pixels that an image must show for the agent to notice the thing"
     )
     reach: Metres = Field(10.0, description="maximum distance at which things and floor are seen")
     close: Metres = Field(
-        3.0, description="maximum distance from which a floor must have been seen before a thing counts as absent"
+        3.0, description="a thing counts as absent from a floor only if the floor was seen from at most this distance"
     )
     patience: Share = Field(
         0.7, description="share of the step budget after which the agent answers conditions that are still undecided"

@@ -45,11 +45,19 @@ class TrajectoryConfig(Section):
     )
 
     goal_slack: Share = Field(
-        0.1, description="share by which the seen depth may be less than that of a place that counts as seen"
+        0.1,
+        description="a place counts as visible if the depth measured at its pixel is less than the "
+        "place's own depth by at most this share",
     )
-    stop_repeats: Count = Field(1, description="how often a frame whose right action is STOP is a sample")
-    forward_repeats: Count = Field(1, description="how often a frame whose right action is forward is a sample")
-    turn_repeats: Count = Field(1, description="how often a frame whose right action is a turn is a sample")
+    stop_repeats: Count = Field(
+        1, description="number of training samples made of each frame whose right action is STOP"
+    )
+    forward_repeats: Count = Field(
+        1, description="number of training samples made of each frame whose right action is forward"
+    )
+    turn_repeats: Count = Field(
+        1, description="number of training samples made of each frame whose right action is a turn"
+    )
 
     @model_validator(mode="after")
     def _bounds_rise(self) -> TrajectoryConfig:

@@ -16,7 +16,7 @@ Doubles = npt.NDArray[np.float64]
 
 @compiled
 def passes_through(path: Doubles, center: Doubles, half: Doubles, axes: Doubles) -> bool:
-    """Return whether a segment of a path crosses the interior of a rectangle in the XZ plane (slab test).
+    """Return whether any segment of a path crosses the interior of any of b rectangles in the XZ plane (slab test).
 
     Parameters
     ----------

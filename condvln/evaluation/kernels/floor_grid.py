@@ -1,4 +1,6 @@
-"""Kernels of an agent's own map: enter one view of the floor, find cheapest paths, test straight lines."""
+"""Kernels of an agent's own map: record what one camera view shows of the floor, find cheapest paths, test straight
+lines.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,7 @@ def chart(
     near: F32,
     region: I16,
 ) -> None:
-    """Enter one view into the grid: cells with obstacles, and cells whose floor is open.
+    """Record in the grid what one camera view shows: cells with obstacles, and cells whose floor is open.
 
     Parameters
     ----------

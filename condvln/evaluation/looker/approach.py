@@ -35,7 +35,9 @@ THICKNESS: Final = 0.35
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Approach:
-    """A position (2,) to go to. `final`: the agent may stop there; else it looks from there."""
+    """A position (2,) to go to. `final` says whether the agent may stop at the position; if not, it looks around from
+    it.
+    """
 
     place: F64
     final: bool
@@ -121,8 +123,8 @@ def _unseen_floor(
     seen_from: Callable[[int], bool],
     looked: Sequence[F64],
 ) -> F64 | None:
-    """Return the place on known floor at which the shortest path to unseen floor beside the object leaves it; None if
-    there is no such floor.
+    """Return the last place on known floor along the shortest path to unseen floor beside the object; None if there is
+    too little such floor, or if the agent has already looked from near that place.
     """
     hoped = ground.hopeful_ways_from(ways, thing.room)
     cost = hoped.distance[rows, columns]

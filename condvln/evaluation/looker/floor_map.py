@@ -49,8 +49,8 @@ LEAST_FRONTIER: Final = 3
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Ground:
-    """The part of the map around everything seen, valid until the next view. All arrays are (n, m) with rows along x;
-    `corner` is the cell of the whole map at which they begin.
+    """The rectangle of the map that contains all cells seen so far, valid until the next view. All arrays are (n, m)
+    with rows along x; `corner` is the cell of the whole map at which the arrays begin.
 
     passable : cells that the agent can enter; cost : cost of walking in them, infinite elsewhere
     shut : cells with obstacles; tall : those with obstacles that the agent can't look over
@@ -80,14 +80,16 @@ class Ground:
         return np.stack([rows + self.corner[0] - HALF + 0.5, columns + self.corner[1] - HALF + 0.5], axis=1) * CELL
 
     def ways_from(self, x: float, z: float) -> Ways:
-        """Return the cheapest paths from a position to all others."""
+        """Return the cheapest paths from a position to all cells."""
         a, b = self.cell(x, z)
         start = a * self.cost.shape[1] + b
         distance, before = cheapest(self.cost, start)
         return Ways(self, distance.reshape(self.cost.shape), before, start)
 
     def hopeful_ways_from(self, ways: Ways, room: int) -> Ways:
-        """Return the cheapest paths from the start of `ways` if all unseen cells of a room were open floor."""
+        """Return the cheapest paths from the start of `ways`, as they would be if all unseen cells of a room were open
+        floor.
+        """
         cost = np.where(self.unseen & ((self.guess == room) | (room < 0)), UNSEEN_COST, self.cost).astype(np.float32)
         distance, before = cheapest(cost, ways.start)
         return Ways(self, distance.reshape(cost.shape), before, ways.start)
@@ -192,8 +194,8 @@ class FloorMap:
             self._bumped[a, b] = self._seen[a, b] = True
 
     def ground(self, x: float, z: float) -> Ground:
-        """Return the part of the map around everything seen, for an agent at (x, z). The agent's own cell can always be
-        left.
+        """Return the rectangle of the map that contains all cells seen so far, for an agent at (x, z). The agent can
+        always leave its own cell.
         """
         known = np.nonzero(self._seen)
         low = [max(int(axis.min()) - 2, 0) for axis in known]

@@ -72,8 +72,8 @@ def holds(predicate: Predicate, thing: Thing, anchors: Sequence[Thing], north: f
 
 
 def ranked(predicate: Predicate, things: Sequence[Thing], anchors: Sequence[Thing]) -> list[Thing]:
-    """Sort objects of one label by a relation of `Compared`, such as "bigger": the relation describes the first object
-    of the result.
+    """Sort objects of one label by a relation of `Compared`, such as "bigger". The first object of the result is the
+    one of which the relation is true.
     """
     if predicate == "closest to":
         return sorted(things, key=lambda thing: gap(thing, anchors[0]))

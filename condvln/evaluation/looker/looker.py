@@ -210,7 +210,7 @@ class Looker:
     # Decisions
 
     def _decide(self) -> None:
-        """Choose the next target; None at the end."""
+        """Choose the next target; at the end of the instruction, choose none."""
         shape = SHAPES[self.reading.category]
         at = 0
         while at >= 0:
@@ -260,7 +260,9 @@ class Looker:
         return answer
 
     def _judge(self, phrase: Phrase) -> tuple[bool | None, bool]:
-        """Return the answer that is certain now (None if none is), and the answer to give if nothing more is seen."""
+        """Return two answers to the condition in `phrase`: the certain one (None if what was seen so far is not
+        enough), and the one to give if nothing more can be seen.
+        """
         rooms = self._rooms(phrase)
         things = self._known(phrase.label, rooms)
         if phrase.qualifier is None:
@@ -375,15 +377,15 @@ class Looker:
     # Where to go
 
     def _sought(self, move: Phrase) -> F64 | None:
-        """Return a position from which the agent may see the object of a stop, which is somewhere: from nearby, if all
-        is seen from farther away.
+        """Return a position from which the agent may find the object of a stop. The object is known to exist, so rooms
+        that are already seen completely are searched again from half the distance; None if that is done too.
         """
         target = self._unseen(move, self.config.close)
         return self._unseen(move, self.config.close / 2) if target is None else target
 
     def _unseen(self, phrase: Phrase, close: float) -> F64 | None:
         """Return a position from which the agent may see something new in the rooms that `phrase` may mean; None if
-        all is seen from at most `close` metres.
+        everything in these rooms has been seen from at most `close` metres away.
         """
         ground, ways = self._now()
         rooms = self._rooms(phrase)
@@ -414,8 +416,8 @@ class Looker:
         return np.asarray(places[int(np.argmin(cost))], np.float64)
 
     def _nearest(self, ways: Ways, targets: Bools) -> F64 | None:
-        """Return the target that takes the fewest steps to reach, counting the turn towards it; one near the target
-        before is preferred.
+        """Return the target that takes the least effort to reach, the turn towards it included. Targets near the
+        previously returned one are preferred. None if no target can be reached.
         """
         rows, columns = np.nonzero(targets & np.isfinite(ways.distance))
         if not len(rows):
@@ -450,8 +452,8 @@ class Looker:
         self._best, self._since = math.inf, self._step
 
     def _turn_to(self, place: F64) -> None:
-        """Count how often the agent turns to a target of exploration that it did not reach; the last time, give the
-        target up for later.
+        """Count how often the agent has turned to `place`, a target of its exploration. Give the target up when the
+        count exceeds `TURNS`.
         """
         key = round(float(place[0])), round(float(place[1]))
         if key != self._towards_key:

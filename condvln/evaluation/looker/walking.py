@@ -83,7 +83,9 @@ class LookingAgent:
 
 
 def _from_start(position: F64, heading: float, start: F64, first: float) -> tuple[F64, float]:
-    """Return a pose in the frame of the start pose, whose position is `start` and whose heading `first` becomes −z."""
+    """Convert a pose to the frame of the start pose: the position `start` becomes the origin, and the heading `first`
+    becomes the direction −z.
+    """
     east, up, south = position - start
     c, s = math.cos(first), math.sin(first)
     return np.array([c * east - s * south, up, s * east + c * south]), (heading - first) % (2 * math.pi)

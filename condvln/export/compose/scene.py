@@ -60,7 +60,8 @@ class ComposedScene:
 
 
 def compose_scene(scene: Scene, geometry: SceneGeometry | None, agent: AgentConfig) -> ComposedScene:
-    """Compose a scene from its stage and object meshes, or, without meshes, from its drawn surfaces.
+    """Compose a scene from the meshes of its stage and objects. If it has no meshes, walls and boxes are drawn in their
+    place.
 
     Parameters
     ----------
@@ -145,7 +146,7 @@ def _draw(writer: GlbWriter, scene: Scene, geometry: SceneGeometry) -> None:
 
 
 def _own(geometry: SceneGeometry, rows: NDArray[np.int64]) -> tuple[F64, NDArray[np.int64]]:
-    """Return the vertices and faces of the selected faces `rows`, in their order."""
+    """Return the faces `rows`, in that order, as a mesh: only the vertices that they use, and the renumbered faces."""
     used, corners = np.unique(geometry.faces[rows], return_inverse=True)
     return geometry.vertices[used], corners.reshape(-1, 3).astype(np.int64)
 

@@ -102,8 +102,8 @@ def _without_shards(report: LintReport, file: Path) -> Iterator[Finding]:
 
 
 def _joined(split: Document, shard: Document, file: str) -> Iterator[Finding]:
-    """Merge a shard into its split. Yield a finding for each episode id that both have, and one if their vocabularies
-    differ.
+    """Merge a shard into its split. Yield a finding for each episode id that is in both, and another finding if the
+    vocabularies differ.
     """
     for name in sorted(split.starts.keys() & shard.starts.keys()):
         yield Finding(file, f"episode {name}", "duplicate-id", f"id {name} is in another shard too", name)

@@ -1,7 +1,7 @@
 """Find the navmesh that an episode is checked against.
 
-Our exports name it in the manifest, by path and hash. Other files name only a scene, whose navmesh is beside the mesh,
-as in Habitat's own datasets.
+Our exports name navmeshes in the manifest, by path and hash. Other files name only a scene, whose navmesh is beside the
+mesh, as in Habitat's own datasets.
 """
 
 from __future__ import annotations

@@ -76,7 +76,7 @@ def push(search: Search, node: int) -> None:
 
 @compiled
 def moved_up(search: Search, node: int) -> None:
-    """Restore the heap after the total of ``node`` fell."""
+    """Restore the order of the heap after the total of ``node`` has decreased."""
     for place in range(search.counters[1]):
         if search.heap[place] == node:
             bubble_up(search, place, node)
@@ -85,8 +85,8 @@ def moved_up(search: Search, node: int) -> None:
 
 @compiled
 def pop(search: Search) -> int:
-    """Remove and return the least node. The hole sinks to a leaf first, and the last node rises from there, as in
-    Detour.
+    """Remove and return the node with the least total. As in Detour, the place that it leaves empty sinks to a leaf of
+    the heap first, and the last node of the heap rises from there.
     """
     heap = search.heap
     result = heap[0]
@@ -116,7 +116,7 @@ def edge_to(mesh: QueryMesh, poly: int, other: int) -> int:
 
 @compiled
 def place_at_edge(mesh: QueryMesh, search: Search, poly: int, other: int) -> None:
-    """Put the node of ``other`` at the middle of the edge through which ``poly`` leads to it."""
+    """Set the position of the node ``other`` to the middle of the edge that ``poly`` shares with ``other``."""
     edge = edge_to(mesh, poly, other)
     a = mesh.verts[mesh.poly_verts[poly, edge]]
     b = mesh.verts[mesh.poly_verts[poly, edge + 1 if edge + 1 < mesh.poly_size[poly] else 0]]

@@ -105,7 +105,7 @@ def _turns_to_aim(gait: Gait, heading: int, points: Floats, count: int) -> float
 
 @compiled
 def _candidate(number: int, off: float) -> int:
-    """Return the integer that is nearest to ``off`` if ``number`` is 0, the second nearest if it is 1, and so on."""
+    """Return the integer nearest to ``off`` for ``number`` 0, the second nearest for ``number`` 1, and so on."""
     nearest = math.floor(off + 0.5)
     side = 1 if off >= nearest else -1
     away = (number + 1) // 2
@@ -114,7 +114,9 @@ def _candidate(number: int, off: float) -> int:
 
 @compiled
 def _try_heading(mesh: QueryMesh, gait: Gait, point: Floats, heading: int, reached: Floats) -> bool:
-    """Step along a heading; return True if no wall was hit."""
+    """Step from ``point`` along a heading, and write the end of the step to ``reached``. Return whether no wall was
+    hit.
+    """
     end = point.copy()
     end[0] = end[0] + gait.moves[heading, 0]
     end[2] = end[2] + gait.moves[heading, 1]
@@ -142,8 +144,8 @@ def _best_heading(
 
     The current heading is tried first if it is within one turn of the path's direction, then the headings nearest to
     that direction. The first with good progress is taken, otherwise the one with most progress. In the first case
-    ``tried`` is the end of the step, ``points`` the path from there, and the third value its number of corners;
-    otherwise that is 0.
+    ``tried`` is the end of the step, ``points`` the path from there, and the third value the number of corners of this
+    path; otherwise the third value is 0.
     """
     headings = gait.moves.shape[0]
     best_heading = -1
@@ -174,7 +176,7 @@ def _best_heading(
 def _can_go_on(
     mesh: QueryMesh, search: Search, gait: Gait, point: Floats, distance: np.float32, goal: Goal, points: Floats
 ) -> bool:
-    """Return whether some step from a position at a wall shortens the path."""
+    """Return whether some step from ``point``, a position at a wall, shortens the path to the goal."""
     tried = np.empty(3, np.float32)
     for heading in range(gait.moves.shape[0]):
         _try_heading(mesh, gait, point, heading, tried)
@@ -195,8 +197,8 @@ def _way_around(
     contact: bool,
     points: Floats,
 ) -> Indices:
-    """Return the headings of steps that lead from ``point`` around an obstacle to a position with a shorter path. It is
-    empty if no such steps were found.
+    """Return the headings of steps that lead from ``point`` around an obstacle to a position with a shorter path. The
+    result is empty if no such steps were found.
 
     Best-first search over positions reached by steps, nearest to the goal first.
     """
@@ -271,10 +273,11 @@ def _plan(
     points: Floats,
     tried: Floats,
 ) -> tuple[Indices, np.float32, int]:
-    """Return the headings of the next steps. This is one step that shortens the path, or several steps around an
+    """Return the headings of the next steps: of one step that shortens the path, or of several steps around an
     obstacle; empty if neither exists.
 
-    The other values are those of :func:`_best_heading`: if the last one is not 0, the step has already been made.
+    The other two values are those that :func:`_best_heading` returns. If the last one is not 0, the step has already
+    been made.
     """
     off = _turns_to_aim(gait, heading, path, corners)
     best, after, known = -1, INFINITE, 0

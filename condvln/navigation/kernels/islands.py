@@ -16,7 +16,8 @@ def find_islands(
     """Return the island of each polygon (p,) and the radius of each island in metres.
 
     Flood fill in polygon order, into walkable neighbours only; a polygon that nothing reaches is an island of its own.
-    The radius is the greatest distance of a polygon corner to their mean (with repeats, in the order of the fill).
+    The radius is the greatest distance between a polygon corner of the island and the mean of all its polygon corners
+    (with repeats, in the order of the fill).
     """
     count = poly_size.shape[0]
     island = np.full(count, -1, np.int64)

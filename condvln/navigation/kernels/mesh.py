@@ -56,7 +56,7 @@ class QueryMesh(NamedTuple):
 
 def query_mesh(tile: NavMeshTile, island: Indices, origin: Floats, tile_width: float, tile_height: float) -> QueryMesh:
     """Convert ``tile`` to the arrays for queries. ``origin`` (x, z), ``tile_width`` and ``tile_height`` describe the
-    grid; they are those of the tile's file.
+    grid, as the tile's file states them.
     """
     corners, poly = tile.detail_triangles
     counts = np.bincount(poly, minlength=len(tile.polys))

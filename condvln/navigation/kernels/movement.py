@@ -106,8 +106,8 @@ def move_along_surface(
 
 @compiled
 def _stop_at_wall(mesh: QueryMesh, start: Floats, end: Floats, visited: Indices, count: int, reached: Floats) -> None:
-    """Move ``reached`` back to a wall of the visited polygons: where the segment from ``start`` to ``end`` crosses
-    several walls, to the wall nearest to ``end``.
+    """Move ``reached`` back to the point where the segment from ``start`` to ``end`` crosses a wall of the visited
+    polygons. If it crosses several walls, the crossing nearest to ``end`` is taken.
     """
     best = GREATEST
     for i in range(count):
@@ -168,7 +168,7 @@ def step(mesh: QueryMesh, start: Floats, end: Floats, sliding: bool, reached: Fl
 
 @compiled
 def _nudge_inwards(mesh: QueryMesh, poly: int, point: Floats) -> None:
-    """Move a point on the edge of two islands 0.1 mm towards the middle of its own polygon."""
+    """Move a point on the edge between two islands by 0.1 mm towards the middle of its own polygon."""
     towards = np.zeros(3, np.float32)
     size = mesh.poly_size[poly]
     for i in range(size):
@@ -197,8 +197,9 @@ def nearest_wall(
     """Return the horizontal distance from a snapped point to the nearest wall. Write the nearest point on the wall to
     ``hit``, and the wall's normal to ``normal``.
 
-    Off the mesh the distance is infinite and both are zero. If no wall is within ``max_radius``, the distance is that
-    radius, the wall's point is zero and the normal is computed from it, as in habitat-sim. On a wall the normal is NaN.
+    Off the mesh the distance is infinite, and ``hit`` and ``normal`` are zero. If no wall is within ``max_radius``, the
+    distance is that radius, ``hit`` is zero and ``normal`` is computed from this zero point, as in habitat-sim. On a
+    wall the normal is NaN.
     """
     hit[:] = ZERO
     normal[:] = ZERO

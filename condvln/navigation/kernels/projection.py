@@ -210,7 +210,7 @@ def _too_far(mesh: QueryMesh, poly: int, x: np.float32, z: np.float32, best: np.
 
 @compiled
 def project(mesh: QueryMesh, points: Floats, island: int) -> tuple[Indices, Floats]:
-    """Return the nearest polygon (n,) and the snapped point (n, 3) of each of n points."""
+    """Return, for n points, the nearest polygons (n,) and the snapped points (n, 3)."""
     polys = np.empty(points.shape[0], np.int64)
     snapped = np.empty((points.shape[0], 3), np.float32)
     for i in range(points.shape[0]):

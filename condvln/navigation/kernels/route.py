@@ -84,7 +84,7 @@ def routes(mesh: QueryMesh, starts: Floats, ends: Floats, keep_points: bool) -> 
     """Return the paths of n pairs: lengths (n,), numbers of corners (n,), and the corners of all paths in one array.
     This array is empty unless ``keep_points``.
 
-    A single start or end serves all the others, and is projected once.
+    A single start is paired with every end, and a single end with every start; the single point is projected once.
     """
     n = max(starts.shape[0], ends.shape[0]) if min(starts.shape[0], ends.shape[0]) > 0 else 0
     lengths = np.empty(n, np.float32)

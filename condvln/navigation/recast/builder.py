@@ -81,7 +81,9 @@ def build_scene_navmesh(
 
 
 def _warm_up() -> None:
-    """Build a floor with a pillar, placed so that it makes a hole in a region; this calls all kernels."""
+    """Build the navmesh of a floor with a pillar, so that every kernel is called. The pillar is placed so that it makes
+    a hole in a region.
+    """
     floor = [[-1.5, 0, -1.5], [-1.5, 0, 1.5], [1.5, 0, 1.5], [1.5, 0, -1.5]]
     pillar = [[x, y, z] for y in (0, 2) for x, z in ((0.85, -0.05), (0.85, 0.05), (0.95, 0.05), (0.95, -0.05))]
     sides = [[4 + k, 4 + (k + 1) % 4, 8 + (k + 1) % 4] for k in range(4)]

@@ -74,20 +74,20 @@ class Difference:
 
 
 def first_difference(first: Mapping[str, Array], second: Mapping[str, Array]) -> Difference | None:
-    """Return the first array of :meth:`BuildStages.arrays`, in build order, in which two builds differ; None if they
-    are equal.
+    """Return the first difference, in build order, between the arrays of two builds (see :meth:`BuildStages.arrays`);
+    None if all are equal.
     """
     return _first(first, second, STAGE_OF_ARRAY)
 
 
 def compare_builds(first: BuildStages, second: BuildStages) -> Difference | None:
-    """Return the first stage in which two builds differ; None if they are equal."""
+    """Return the first difference between two builds, in the earliest stage that has one; None if they are equal."""
     return first_difference(first.arrays(), second.arrays())
 
 
 def compare_navmeshes(first: NavMeshFile, second: NavMeshFile) -> Difference | None:
-    """Return the difference in the earliest build stage that the files show to differ; None if they are equal byte for
-    byte.
+    """Return the first difference between two navmesh files, in the order in which a build makes their parts; None if
+    the files are equal byte for byte.
     """
     return _first(_parts(first), _parts(second), STAGE_OF_PART)
 

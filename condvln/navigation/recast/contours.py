@@ -1,8 +1,8 @@
 """Stage 8: outlines of the regions, simplified (``rcBuildContours`` of Recast).
 
 A raw outline follows the cell edges around a region; each of its points stores the region on the other side of the edge
-that ends there. A simplified outline keeps the points where that region changes and, along walls, as many points as are
-needed to stay within ``max_edge_error``.
+that ends at this point. A simplified outline keeps the points where that region changes and, along walls, as many
+points as are needed to stay within ``max_edge_error``.
 """
 
 from __future__ import annotations
@@ -85,8 +85,8 @@ def _open_edges(neighbour: Array, region: Array) -> Array:
 
 @compiled
 def _corner_height(i: int, direction: int, floor: Array, neighbour: Array) -> int:
-    """Return the height of the highest floor among the spans, at most four, that meet at the corner after edge
-    ``direction``.
+    """Return the height of the highest floor among the spans (at most four) that meet at one corner of span ``i``: the
+    corner between the edges ``direction`` and ``direction + 1``.
     """
     height = floor[i]
     turned = (direction + 1) & 3
@@ -166,7 +166,7 @@ def _insert_after(kept: Array, n: int, i: int, value: int) -> None:
 @compiled
 def _corner_stones(raw: Array, n: int, kept: Array) -> int:
     """Write to ``kept`` the indices of the points that a simplified outline must keep; return their number. These are
-    the points where the adjacent region changes, or else two extreme corners.
+    the points where the adjacent region changes or, if it never changes, two extreme corners.
     """
     m = 0
     inner = False
@@ -201,7 +201,7 @@ def _forward(a: Ground, b: Ground) -> bool:
 
 @compiled
 def _simplify(raw: Array, n: int, max_error: np.float32, max_edge_length: int, kept: Array) -> int:
-    """Write the indices of the raw points that the simplified outline keeps to ``kept``; return their number."""
+    """Write to ``kept`` the indices of the raw points that the simplified outline keeps; return their number."""
     m = _corner_stones(raw, n, kept)
     # Add the farthest raw point until all are close enough. Edges between two regions stay straight.
     i = 0

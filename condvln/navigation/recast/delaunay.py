@@ -1,7 +1,7 @@
 """Delaunay triangles of points within a given hull, seen from above (``delaunayHull`` of Recast).
 
-Edges are completed one after the other: for each open side, the point is found whose circle through the edge contains
-no other point. All arithmetic is float32, since decisions near ties are part of the result.
+Edges are completed one after the other: an open side gets a third point, chosen so that the circle through it and the
+ends of the edge contains no other point. All arithmetic is float32, since decisions near ties are part of the result.
 """
 
 from __future__ import annotations
@@ -104,8 +104,8 @@ def _attach(edges: Array, n_edges: int, most: int, s: int, t: int, face: int) ->
 
 @compiled
 def _circle(a: Ground, b: Ground, c: Ground, centre: Array) -> np.float32:
-    """Write the centre of the circle through three points to ``centre`` and return its radius. If the points are
-    collinear, the centre is a and the radius is 0.
+    """Write to ``centre`` the centre of the circle through three points, and return the radius of the circle. If the
+    points are collinear, the centre is a and the radius is 0.
     """
     bx, bz = b[0] - a[0], b[1] - a[1]
     cx, cz = c[0] - a[0], c[1] - a[1]
@@ -145,7 +145,9 @@ def _crosses_any(points: Array, edges: Array, n_edges: int, s: int, t: int) -> b
 
 @compiled
 def _third_point(points: Array, n: int, edges: Array, n_edges: int, s: int, t: int) -> int:
-    """Return the point to the left of s-t whose circle through s and t contains no other point; n if there is none."""
+    """Return the index of a point to the left of edge s-t, chosen so that the circle through s, t and this point
+    contains no other point; n if there is no such point.
+    """
     best = n
     centre = np.zeros(2, np.float32)
     radius = np.float32(-1)
@@ -187,8 +189,8 @@ def _complete(points: Array, n: int, edges: Array, n_edges: int, most: int, face
 
 @compiled
 def _collect(edges: Array, n_edges: int, faces: int, triangles: Array) -> int:
-    """Write the corners of each triangle, collected from its edges, to ``triangles``; return the number of complete
-    triangles. The last triangle takes the place of an incomplete one.
+    """Collect the corners of each triangle from its edges and write them to ``triangles``; return the number of
+    complete triangles. An incomplete triangle is overwritten by the last one.
     """
     for f in range(faces):
         triangles[f, 0] = triangles[f, 1] = triangles[f, 2] = -1

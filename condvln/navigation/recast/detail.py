@@ -1,7 +1,7 @@
 """Stage 11: triangles that follow the height of the surface within each polygon (``rcBuildPolyMeshDetail`` of Recast).
 
-The border of a polygon is sampled and simplified; then the inner sample that is farthest from the triangles is added,
-until all are close enough. All arithmetic is float32 in Recast's order.
+The border of a polygon is sampled and simplified; then samples from inside the polygon are added, each time the one
+that is farthest from the triangles, until all samples are close enough. All arithmetic is float32 in Recast's order.
 """
 
 from __future__ import annotations
@@ -100,8 +100,9 @@ def _boxes(mesh: PolyMesh, counts: Array, width: int, depth: int) -> Array:
 
 @compiled
 def _fan(points: Array, hull: Array, n: int, n_corners: int, triangles: Array) -> int:
-    """Write the triangles of the ring ``hull`` to ``triangles`` and return their number. The first is the corner
-    triangle of least perimeter; each further triangle adds the nearer of the next points on both sides.
+    """Triangulate the ring ``hull``: write its triangles to ``triangles`` and return their number. The first triangle
+    cuts off the corner for which its perimeter is least; each further triangle adds the next point on one of the two
+    sides, whichever is nearer.
     """
     start = 0
     left = 1
@@ -137,7 +138,7 @@ def _fan(points: Array, hull: Array, n: int, n_corners: int, triangles: Array) -
 
 @compiled
 def _on_border(a: Ground, b: Ground, polygon: Array, n: int) -> int:
-    """Return 1 if both points are on one edge of the polygon, seen from above."""
+    """Return 1 if both points are on the same edge of the polygon, seen from above; else 0."""
     j = n - 1
     for i in range(n):
         p, q = ground(polygon, j), ground(polygon, i)

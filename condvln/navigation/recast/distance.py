@@ -47,7 +47,7 @@ def distance_field(field: CompactHeightfield, area: Array) -> tuple[Array, int]:
 
 @compiled
 def _border_distance(neighbour: Array, area: Array, far: int) -> Array:
-    """Return the distance of each span to the nearest span without four neighbours of its own area. It is a chamfer
+    """Return the distance of each span to the nearest span without four neighbours of its own area. This is a chamfer
     distance, computed in two passes.
     """
     spans = len(area)

@@ -1,6 +1,6 @@
 """Stage 2: filters that decide on which spans of the solid heightfield an agent can stand (``RecastFilter.cpp``).
 
-Each returns new area ids, (s,) uint8, and does not change the heightfield.
+Each filter returns new area ids, (s,) uint8, and does not change the heightfield.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def filter_low_hanging_obstacles(field: Heightfield, walkable_climb: int) -> Arr
 def filter_ledges(field: Heightfield, walkable_height: int, walkable_climb: int) -> Array:
     """Mark spans beside a drop of more than a step as not walkable. The border of the grid counts as a drop.
 
-    Also spans whose reachable neighbours differ by more than a step: too steep a slope.
+    Spans whose reachable neighbours differ in height by more than a step are marked too: the slope is too steep.
     """
     return _ledges(
         field.width, field.depth, field.start, field.bottom, field.top, field.area, walkable_height, walkable_climb

@@ -110,11 +110,11 @@ def _cut_row(
 def _cut_cell(
     x: Array, y: Array, source: int, corners: int, line: np.float32, rest: int
 ) -> tuple[int, int, np.float32, np.float32]:
-    """Cut the polygon in row ``source`` of the work arrays at x = ``line``: into the piece in one cell, and the rest,
-    which goes to row ``rest``.
+    """Cut the polygon in row ``source`` of the work arrays at x = ``line``. The part before the line is the piece in
+    one cell; the part after the line is written to row ``rest``.
 
-    Returns the numbers of corners of the cell's piece and of the rest, and the least and greatest y of the piece, for
-    which alone it is needed.
+    Returns the numbers of corners of the piece and of the rest, and the least and greatest y of the piece. Nothing else
+    is needed of the piece, so it is not stored.
     """
     n_piece = 0
     n_rest = 0

@@ -1,7 +1,7 @@
 """Heights of the surface around one polygon, and their sampling (``getHeightData`` and ``getHeight`` of Recast).
 
-A patch is a rectangle of cells around the polygon. It is filled from the spans of the polygon's region; cells that the
-region does not cover are filled outward from there, so that samples on the border find a height.
+A patch is a rectangle of cells around the polygon. It is filled from the spans of the polygon's region; the remaining
+cells are filled outward from these, so that samples on the border find a height.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def fill_patch(
 
 @compiled
 def _cell(i: int, box: Array, width: int, column: Array) -> int:
-    """Return the index of the cell of the patch in which span i lies; -1 if it lies outside the patch."""
+    """Return the index, within the patch, of the cell in which span i lies; -1 if the span lies outside the patch."""
     x = column[i] % width - box[0]
     z = column[i] // width - box[1]
     if x < 0 or z < 0 or x >= box[2] or z >= box[3]:
@@ -96,7 +96,9 @@ def _cell(i: int, box: Array, width: int, column: Array) -> int:
 
 @compiled
 def _nearest_span(box: Array, corners: Array, width: int, start: Array, floor: Array) -> int:
-    """Return the span beside one of the polygon's ``corners`` whose floor is nearest in height to that corner."""
+    """Return the best of the spans beside the polygon's ``corners``: the span whose floor is nearest in height to the
+    corner that it is beside; -1 if there is none.
+    """
     nearest = UNSET
     best = -1
     for n in range(len(corners)):
@@ -182,8 +184,8 @@ def sample_height(
 ) -> int:
     """Return the height of the surface, in cells, at a position in metres from the grid's corner.
 
-    If the patch has none, the surrounding cells are searched in square rings up to ``radius``; of the first ring with
-    heights, the one nearest to ``y`` is returned. UNSET if there is none.
+    If the patch has no height there, the surrounding cells are searched in square rings up to ``radius``; of the first
+    ring with heights, the one nearest to ``y`` is returned. UNSET if there is none.
     """
     w, d = box[2], box[3]
     cx = max(0, min(int(np.floor(x * per_cell + BORDER_SLACK)) - box[0], w - 1))

@@ -13,7 +13,8 @@ __all__ = ["merge_holes"]
 
 
 def merge_holes(contours: Contours) -> Contours:
-    """Return the same contours in the same order; holes that were merged into their region's outline are empty.
+    """Return the contours, in the same order, after merging holes into the outlines of their regions. A merged hole
+    stays in its place as an empty contour.
 
     A hole that can't be merged stays a contour of its own, as in Recast.
     """
@@ -76,8 +77,8 @@ def _blocked(a: Ground, b: Ground, polygon: Array, ignored: int) -> bool:
 
 @compiled
 def _joined(outline: Array, i: int, hole: Array, j: int) -> Array:
-    """Return the outline with the hole inserted. It runs around the outline from corner i back to i, then around the
-    hole from corner j back to j.
+    """Return the outline with the hole inserted. The result runs around the outline from corner i back to i, then
+    around the hole from corner j back to j.
     """
     n, m = len(outline), len(hole)
     out = np.empty((n + m + 2, 4), np.int32)

@@ -47,7 +47,9 @@ def segment_distance(p: Point, a: Point, b: Point) -> np.float32:
 
 @compiled
 def depth_inside(polygon: Array, n: int, p: Ground) -> np.float32:
-    """Return the squared distance to the polygon's border in the ground plane; negative inside."""
+    """Return the squared distance from ``p`` to the polygon's border in the ground plane, with a minus sign if ``p`` is
+    inside.
+    """
     nearest = FAR
     inside = False
     j = n - 1

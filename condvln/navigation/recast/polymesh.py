@@ -89,8 +89,8 @@ def _too_many(what: str, most: int) -> FormatError:
 
 @compiled
 def _vertex(x: int, y: int, z: int, vertices: Array, first: Array, after: Array, count: int) -> int:
-    """Return the index of the vertex at (x, z) with about this height; if several exist, the newest. If none exists,
-    add one and return its index, ``count``.
+    """Return the index of the vertex at (x, z) whose height is about ``y``; of several such vertices, the newest. If
+    there is none, add a vertex and return its index, which is ``count``.
     """
     bucket = (x * 73856093 ^ z * 19349663) % VERTEX_BUCKETS
     i = first[bucket]
@@ -175,8 +175,8 @@ def _shared_edge(p: Array, n: int, q: Array, m: int) -> tuple[int, int]:
 
 @compiled
 def _merge_gain(p: Array, n: int, q: Array, m: int, vertices: Array, most: int) -> int:
-    """Return the squared length of the edge that merging p and q would remove. It is -1 if they share no edge, or if
-    the result would be too large or not convex.
+    """Return the squared length of the edge that merging p and q would remove. The result is -1 if they share no edge,
+    or if the merged polygon would be too large or not convex.
     """
     if n + m - 2 > most:
         return -1
@@ -195,8 +195,8 @@ def _merge_gain(p: Array, n: int, q: Array, m: int, vertices: Array, most: int) 
 
 @compiled
 def _best_partner(j: int, parts: Array, size: Array, n: int, vertices: Array, most: int) -> tuple[int, int]:
-    """Return which of the polygons after j has the largest merge gain with j: its index, and the gain; (-1, 0) if none
-    has any. The first such polygon is taken on ties.
+    """Return the index of the polygon after j that has the largest merge gain with j (on ties the first such polygon),
+    and this gain; (-1, 0) if j can be merged with none of them.
     """
     best = -1
     gain = 0
@@ -210,8 +210,8 @@ def _best_partner(j: int, parts: Array, size: Array, n: int, vertices: Array, mo
 
 @compiled
 def _merge(parts: Array, size: Array, n: int, vertices: Array, most: int) -> int:
-    """Repeatedly merge the two polygons whose merge removes the longest edge, on ties the first such pair. Return the
-    number of polygons left.
+    """Merge pairs of polygons until no pair can be merged; each time the pair that shares the longest edge, on ties the
+    first such pair. Return the number of polygons left.
 
     The best partner of each polygon is cached, so that a merge updates a few rows and not all pairs.
     """
@@ -256,7 +256,9 @@ def _merge(parts: Array, size: Array, n: int, vertices: Array, most: int) -> int
 
 @compiled
 def _join(polygons: Array, n_vertices: int, n_edges: int) -> int:
-    """Fill the second half of ``polygons`` with the neighbours; return the number of distinct edges."""
+    """Write the neighbours of each polygon to the second half of its row in ``polygons``; return the number of distinct
+    edges.
+    """
     most = polygons.shape[1] // 2
     first = np.full(n_vertices, -1, np.int32)
     after = np.empty(n_edges, np.int32)

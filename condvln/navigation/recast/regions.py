@@ -50,8 +50,8 @@ def merge_regions(
 
 
 def _stacked(start: Array, region: Array, count: int, overlaps: Array) -> tuple[Array, Array, Array]:
-    """Return, for each region, the regions that share a column with it, as one list with starts and lengths. Set
-    ``overlaps`` for regions that have two spans in one column.
+    """Return, for each region, the regions that have other spans in its columns: one list, with the start and the
+    length of each region's part. Set ``overlaps`` for regions that have two spans in one column.
     """
     pairs = _column_pairs(start, region)
     pairs = np.unique(pairs[:, 0].astype(np.int64) * (count + 1) + pairs[:, 1])
@@ -85,8 +85,8 @@ def _column_pairs(start: Array, region: Array) -> Array:
 def _survey(
     neighbour: Array, area: Array, region: Array, count: int
 ) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """Return the size and area id of each region, an all-False array for ``overlaps``, and the neighbours along
-    the region's first outline, as one list with starts and lengths.
+    """Return six arrays: the size of each region, its area id, an all-False array for ``overlaps``, and the neighbours
+    along the first outline of each region as one list, with the start and the length of each region's part.
     """
     size = np.zeros(count + 1, np.int32)
     kind = np.zeros(count + 1, np.uint8)

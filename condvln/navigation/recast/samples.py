@@ -35,8 +35,8 @@ def _sample_edge(
     edge: Array,
     kept: Array,
 ) -> int:
-    """Sample the heights along the edge from a to b into ``edge``. Write the indices of the heights that must be kept,
-    with both ends, to ``kept``, and return their number.
+    """Sample the heights along the edge from a to b, and write the sampled points to ``edge``. Write to ``kept`` the
+    indices of the points that must be kept, including both ends, and return their number.
     """
     patch, box = surface
     dx, dy, dz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -147,7 +147,7 @@ def worst_sample(
     samples: Array, count: int, spacing: np.float32, scale: Array, points: Array, triangles: Array, n_triangles: int
 ) -> tuple[int, np.float32, Point]:
     """Return the sample with the greatest vertical distance from the triangles: its index, this distance and its
-    position. The result is (-1, 0, ...) if there is none.
+    position. The result is (-1, 0, ...) if no sample is off the triangles.
     """
     worst = -1
     error = np.float32(0)

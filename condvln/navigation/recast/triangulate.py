@@ -11,7 +11,7 @@ __all__ = ["triangulate"]
 
 @compiled
 def triangulate(points: Array, corner: Array, ear: Array, triangles: Array) -> int:
-    """Write the triangles of a polygon as rows of corner numbers and return their number.
+    """Write the triangles of a polygon as rows of corner numbers; return the number of triangles.
 
     A self-overlapping polygon may give fewer than n - 2.
 
@@ -52,8 +52,8 @@ def triangulate(points: Array, corner: Array, ear: Array, triangles: Array) -> i
 
 @compiled
 def _is_diagonal(i: int, j: int, n: int, points: Array, corner: Array, loose: bool) -> bool:
-    """Return whether the segment between corners i and j is inside the polygon. With ``loose`` it may touch the
-    border.
+    """Return whether the segment between corners i and j is inside the polygon. With ``loose`` the segment may touch
+    the border.
     """
     a, b = ground(points, corner[i]), ground(points, corner[j])
     if not in_cone(ground(points, corner[(i + n - 1) % n]), a, ground(points, corner[(i + 1) % n]), b, loose):
@@ -92,8 +92,9 @@ def _shortest_ear(n: int, points: Array, corner: Array, ear: Array) -> int:
 
 @compiled
 def _shortest_loose_cut(n: int, points: Array, corner: Array) -> int:
-    """Return the corner at which the shortest cut begins under the loose test, which is for outlines whose segments
-    overlap; -1 if there is none. As in Recast, a cut's length is measured to the corner after its end.
+    """Return the corner at which the shortest possible cut begins; -1 if there is none. Cuts may touch the border (the
+    loose test), which is needed for outlines whose segments overlap. As in Recast, a cut's length is measured to the
+    corner after its end.
     """
     best = -1
     shortest = -1

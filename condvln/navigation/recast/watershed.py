@@ -107,8 +107,8 @@ def _watershed(neighbour: Array, area: Array, distance: Array, highest: int) -> 
 
 @compiled
 def _sort_by_level(level: int, area: Array, region: Array, distance: Array, spans: Array, bucket: Array) -> None:
-    """Sort the free spans of the next levels into ``spans``. Level k is ``bucket[k]:bucket[k + 1]``, in the order of
-    spans.
+    """Write the free spans of the next levels to ``spans``, sorted by level. The spans of the k-th of these levels are
+    ``spans[bucket[k]:bucket[k + 1]]``, in ascending order.
     """
     top = level >> LEVEL_SHIFT
     bucket[:] = 0
@@ -195,8 +195,8 @@ def _flood(
     reach: Array,
     stack: Array,
 ) -> bool:
-    """Assign the basin around ``seed``, down to one level below, to the region ``new_id``. Return whether some of its
-    spans are not adjacent to other regions.
+    """Assign to the region ``new_id`` the basin around ``seed``, which extends one level (two half cells) below
+    ``level``. Spans adjacent to other regions are left free; return whether the region has any span.
     """
     floor = max(level - 2, 0)
     region[seed] = new_id
