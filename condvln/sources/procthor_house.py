@@ -99,7 +99,9 @@ class HouseObject:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class House:
-    """A whole house, in file order; `warnings` : the generator's own warnings, by name."""
+    """A whole house: its rooms, walls, openings and objects, each in file order. `warnings` : the generator's own
+    warnings, by name.
+    """
 
     rooms: tuple[HouseRoom, ...]
     walls: tuple[HouseWall, ...]

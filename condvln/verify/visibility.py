@@ -36,8 +36,8 @@ FEW: Final = 8
 
 
 class Onlookers:
-    """Finds out whether an object is visible from the positions in its room where an agent can stand. Each object is
-    tested once.
+    """Finds out whether an object is visible from at least one position in its room where an agent can stand. Each
+    object is tested once.
 
     hidden : ids of objects inside something shut
     """

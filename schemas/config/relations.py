@@ -162,7 +162,7 @@ class Thresholds(Section):
         "“the bigger” of the two",
     )
     sector_true: Degrees = Field(
-        15.0, description="maximum angle off the direction of a compass word at which text may use it"
+        15.0, description="text may use a compass word up to this angle between the word's direction and the true one"
     )
     sector_false: Degrees = Field(
         30.0,

@@ -347,8 +347,8 @@ class Looker:
         return rooms
 
     def _room_is_sure(self, phrase: Phrase) -> bool:
-        """Return whether it is certain which room a phrase means. If the phrase names an object in the room, that
-        object must have been seen in a room of this type.
+        """Return whether it is certain which room a phrase means. A phrase may tell the room by an object in it; then
+        that object must have been seen in a room of the type that the phrase names.
         """
         place = phrase.room
         if place is None or place.anchor is None:
