@@ -67,7 +67,7 @@ def trajectory_world(target: Target, render_every: int = RENDER_EVERY) -> Trajec
             preamble=bool(texts.get("preamble", True)),
         )
 
-    return TrajectoryWorld(episodes.get, text, NavmeshFolder(target.roots), _Renderers(target), render_every)
+    return TrajectoryWorld(episodes, text, NavmeshFolder(target.roots), _Renderers(target), render_every)
 
 
 class _Renderers:

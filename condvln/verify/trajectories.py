@@ -10,8 +10,8 @@ from __future__ import annotations
 import hashlib
 import io
 import math
-from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -55,13 +55,13 @@ class TrajectoryFault:
 class TrajectoryWorld:
     """What walks are compared with.
 
-    episode : the manifest's row of an episode id; None if there is none
+    episodes : the manifest's rows of the split, by episode id
     text : the instruction that a kind of walk of an episode has
     pathfinder, renderer : of an episode's scene
     render_every : of how many images one is rendered again; 0 for none
     """
 
-    episode: Callable[[int], ManifestEpisode | None]
+    episodes: Mapping[int, ManifestEpisode]
     text: Callable[[ManifestEpisode, str], str]
     pathfinder: Callable[[ManifestEpisode], Pathfinder]
     renderer: Callable[[ManifestEpisode], Renderer]
@@ -111,7 +111,24 @@ def prove_trajectories(folder: Path, world: TrajectoryWorld) -> TrajectoryProof:
         frames = _Frames(folder, walk, rows, cameras, images, world)
         proof.faults += [TrajectoryFault(name, what) for what in frames.faults(proof)]
     proof.faults += [TrajectoryFault(name, "the walk has no poses") for name in sorted(set(owners) - seen)]
+    left_out = _table(folder, "left_out").to_pylist()
+    proof.faults += [TrajectoryFault("", what) for what in _unaccounted(world.episodes, images, walks, left_out)]
     return proof
+
+
+def _unaccounted(episodes: Iterable[int], config: Row, walks: Sequence[Row], left_out: Sequence[Row]) -> Iterator[str]:
+    """Yield what is wrong with the number of walks of each episode: every wanted walk is made or left out. An oracle
+    walk has the images of the gold walk, and is left out with it.
+    """
+    made = Counter((walk["episode_id"], walk["kind"]) for walk in walks)
+    out = Counter((row["episode_id"], row["kind"]) for row in left_out)
+    kinds = {*config["walks"]} | ({"gold"} if "oracle" in config["walks"] else set())
+    for episode in sorted(episodes):
+        for kind in sorted(kinds):
+            wanted = config["recoveries"] if kind == "recovery" else 1
+            here, without = made[episode, kind], out[episode, "gold" if kind == "oracle" else kind]
+            if here + without != wanted:
+                yield f"the {kind} walks of episode {episode}: {here} made and {without} left out, of {wanted}"
 
 
 class _Walk:
@@ -122,7 +139,7 @@ class _Walk:
 
     def faults(self, owners: Mapping[str, Row]) -> Iterator[str]:
         walk, entry = self._walk, self._entry
-        episode = self._world.episode(int(walk["episode_id"]))
+        episode = self._world.episodes.get(int(walk["episode_id"]))
         if episode is None:
             yield f"the export has no episode {walk['episode_id']}"
             return
@@ -213,7 +230,7 @@ class _Frames:
             return
         if any(row["episode_id"] != walk["episode_id"] or row["kind"] != walk["kind"] for row in self._rows):
             yield "a pose has another episode or kind than its walk"
-        episode = self._world.episode(int(walk["episode_id"]))
+        episode = self._world.episodes.get(int(walk["episode_id"]))
         if episode is None:
             return
         pathfinder = self._world.pathfinder(episode)

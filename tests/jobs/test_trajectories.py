@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 from PIL import Image
@@ -27,7 +28,7 @@ from jobs.trajectories import LAYOUTS, Request, make_trajectories, trajectory_co
 from jobs.trajectory_units import find_target
 from jobs.verify_trajectories import verify_trajectories
 from schemas.config import CameraConfig, Config, TrajectoryConfig
-from schemas.errors import UsageError
+from schemas.errors import ProofError, UsageError
 
 TINY = CameraConfig(width=32, height=24, hfov=79.0, max_depth=None, normalized=False)
 WALKS = TrajectoryConfig(walks=("gold", "oracle", "recovery"))
@@ -211,6 +212,28 @@ def test_trajectories_are_proven(asked: Request, made: Path) -> None:
     assert report.document["faults"] == []
     assert report.exit_code == 0
     assert report.document["rendered"] > 3
+
+
+def test_a_walk_that_no_file_speaks_of_is_missed(asked: Request, made: Path, tmp_path: Path) -> None:
+    """All tables and annotations agree on fewer walks than the split has."""
+    out = tmp_path / "copy"
+    out.mkdir()
+    for path in made.iterdir():
+        if path.name == "images":
+            (out / "images").symlink_to(path)
+        elif path.is_file():
+            shutil.copy(path, out)
+    lost = rows(made, "trajectories")[0]["episode_id"]
+    for name in ("trajectories", "poses"):
+        table = pq.read_table(made / f"{name}.parquet")
+        pq.write_table(table.filter(pc.not_equal(table["episode_id"], lost)), out / f"{name}.parquet")
+    entries = json.loads((made / "annotations.json").read_bytes())
+    (out / "annotations.json").write_text(json.dumps([entry for entry in entries if entry["id"] != lost]))
+    report = proven(asked, out, render_every=0)
+    assert report.exit_code == ProofError.exit_code
+    assert {fault["what"] for fault in report.document["faults"]} == {
+        f"the {kind} walks of episode {lost}: 0 made and 0 left out, of 1" for kind in ("gold", "oracle", "recovery")
+    }
 
 
 @pytest.mark.soak
