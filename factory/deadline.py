@@ -18,13 +18,19 @@ from typing import Final
 
 from schemas.errors import DeadlineError
 
-__all__ = ["Deadline", "terminable"]
+__all__ = ["Deadline", "Terminated", "terminable", "terminated_by_signal"]
 
 _AGAIN: Final = 1.0
 """Seconds until the signal is sent again, in case a stage has swallowed the error."""
 
 _GRACE: Final = 5.0
 """Seconds past the deadline after which a process whose compiled code does not return is ended."""
+
+
+class Terminated(SystemExit):
+    """Raised in a worker that receives SIGTERM. The worker's unit is not at fault and must not go to quarantine, unlike
+    a unit whose stage raises ``SystemExit`` itself.
+    """
 
 
 class Deadline:
@@ -87,3 +93,15 @@ def terminable() -> Iterator[threading.Event]:
         yield stopped
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def terminated_by_signal() -> None:
+    """Let SIGTERM raise ``Terminated`` in this process from now on. Ray ends workers with it when their driver or their
+    node goes.
+    """
+
+    def stop(signum: int, frame: FrameType | None) -> None:
+        raise Terminated(1)
+
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, stop)

@@ -9,6 +9,7 @@ from typing import Final
 from factory import machine
 from factory.commits import LISTING, Commits
 from factory.context import RunContext
+from factory.deadline import Terminated
 from factory.receipt import Failure
 from factory.unit import Unit
 from schemas.canonical import digest
@@ -35,11 +36,11 @@ def failed_by(error: BaseException, attempts: int) -> Failed:
     """Return ``error`` as a ``Failed`` that names its cause.
 
     What a signal's handler raised while compiled code ran is handed on by numba's dispatcher as the cause of a
-    ``SystemError``. Raises ``KeyboardInterrupt`` again.
+    ``SystemError``. Raises ``KeyboardInterrupt`` and ``Terminated`` again: a process was stopped, the unit is sound.
     """
     while isinstance(error, SystemError) and error.__cause__ is not None:
         error = error.__cause__
-    if isinstance(error, KeyboardInterrupt):
+    if isinstance(error, (KeyboardInterrupt, Terminated)):
         raise error
     return Failed(_cause(error), error, attempts)
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from factory.context import RunContext
+from factory.deadline import terminated_by_signal
 from factory.executor import Task
 from factory.heartbeat import Busy
 from factory.packing import Packed, PackJob, pack
@@ -64,6 +65,7 @@ def _worker(name: str, context: Sequence[Any]) -> Worker:
 
     if name not in _workers:
         _workers.clear()
+        terminated_by_signal()
         for end in _reports:
             end()
         worker = _workers[name] = Worker(ray.get(context[0]), may_exit=True, slots=_slots())

@@ -3,7 +3,8 @@
 The same code runs inline and inside a Ray task. What happens to an error:
 
 * ``TransientIOError`` from a stage: tried again, with growing pauses, then quarantined;
-* a stop (``KeyboardInterrupt``), though compiled code handed it on as another error: no fault of the unit, raised;
+* a stop (``KeyboardInterrupt``, or ``Terminated`` in a worker that receives SIGTERM), though compiled code handed it on
+  as another error: no fault of the unit, raised;
 * ``MemoryError``, or the process outgrew its ceiling (``factory.memory``): handed back once where another try may have
   more memory, so that the driver tries again with the unit alone on a node; then quarantined;
 * the store refusing (``StoreError``, no space left): no fault of the unit, so it is raised and ends the run;

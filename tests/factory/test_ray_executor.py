@@ -95,6 +95,14 @@ def test_a_unit_that_kills_its_worker_is_found_and_the_others_go_on(
     assert run(toys.pipeline(), sound, LocalStore(tmp_path / "other", durable=False)).snapshot_id == report.snapshot_id
 
 
+def test_a_unit_whose_worker_is_ended_is_not_at_fault(executor: RayExecutor, store: LocalStore, tmp_path: Path) -> None:
+    """SIGTERM to a worker is no error of its unit: nothing goes to quarantine, and the unit is run again."""
+    units = [toys.unit("a/struck", 4, trouble=f"terminate-once:{tmp_path / 'once'}"), *toys.units(6)]
+    report = run(toys.pipeline(), units, store, executor=executor)
+    assert [*Commits(store).quarantined()] == []
+    assert (report.exit_code, report.counts["ok"]) == (0, 7)
+
+
 def test_who_ran_out_of_memory_gets_a_node_to_itself(
     executor: RayExecutor, store: LocalStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

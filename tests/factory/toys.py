@@ -82,12 +82,14 @@ def misbehave(unit: Unit) -> None:
         raise OSError(28, "No space left on device")
     # Troubles that end: the named file counts how often they struck.
     kind, _, rest = str(what).partition(":")
-    if kind in ("transient-once", "memory-once", "die-once"):
+    if kind in ("transient-once", "memory-once", "die-once", "terminate-once"):
         flag = Path(rest)
         if not flag.exists():
             flag.touch()
             if kind == "die-once":
                 os._exit(11)
+            if kind == "terminate-once":  # as Ray ends workers whose driver or node goes
+                signal.raise_signal(signal.SIGTERM)
             raise TransientIOError("busy") if kind == "transient-once" else MemoryError
     if unit.payload.get("seconds"):
         time.sleep(float(str(unit.payload["seconds"])))
