@@ -11,6 +11,7 @@ from typing import Any, Final, get_args
 from pydantic import ValidationError
 
 from schemas.config import MOVED, REMOVED, Config
+from schemas.config.section import Section
 from schemas.errors import ConfigError
 
 __all__ = ["config_error", "nearest"]
@@ -39,9 +40,12 @@ _BOUNDS: Final = {
 }
 
 
-def config_error(error: ValidationError, path: Path) -> ConfigError:
-    """Return one error that names every wrong key, the value that it must have, and the value that it has."""
-    faults = _faults(error)
+def config_error(error: ValidationError, path: Path | str, model: type[Section] = Config) -> ConfigError:
+    """Return one error that names every wrong key, the value that it must have, and the value that it has.
+
+    path : the file that holds the keys, or the option of the command that sets them; model : what the keys are of
+    """
+    faults = _faults(error, model)
     if len(faults) == 1:
         place, what, remedy = faults[0]
         return ConfigError(what, where=path, place=place, remedy=remedy)
@@ -59,7 +63,7 @@ def nearest(word: object, known: Iterable[str]) -> str:
     return f"did you mean {spelled[found[0]]}?" if found else ""
 
 
-def _faults(error: ValidationError) -> list[tuple[str, str, str]]:
+def _faults(error: ValidationError, model: type[Section]) -> list[tuple[str, str, str]]:
     """Return (key, what is wrong, remedy) for each faulty key, in the order in which pydantic reports them."""
     found: dict[str, tuple[str, str, str]] = {}
     faults = error.errors()
@@ -68,7 +72,7 @@ def _faults(error: ValidationError) -> list[tuple[str, str, str]]:
             continue
         location = _location(fault)
         place = ".".join(map(str, location))
-        found.setdefault(place, (place, *_said(fault, location)))
+        found.setdefault(place, (place, *_said(fault, location, model)))
     return [*found.values()]
 
 
@@ -92,18 +96,18 @@ def _location(fault: Mapping[str, Any]) -> tuple[str | int, ...]:
     return tuple(part for part in loc if part != _KEY_OF_MAPPING)
 
 
-def _said(fault: Mapping[str, Any], location: tuple[str | int, ...]) -> tuple[str, str]:
+def _said(fault: Mapping[str, Any], location: tuple[str | int, ...], model: type[Section]) -> tuple[str, str]:
     """Return what is wrong with a key, and what to do."""
     kind, given, context = fault["type"], fault.get("input"), fault.get("ctx", {})
     got = f"got {_shown(given)}"
     if kind == "extra_forbidden":
         key = ".".join(map(str, location))
-        if key in REMOVED:
+        if model is Config and key in REMOVED:
             return f"the key is gone: {REMOVED[key]}", "Remove it."
-        moved = MOVED.get(key)
+        moved = MOVED.get(key) if model is Config else None
         if moved is not None:
             return f"the key is called {moved} now", f"Move it to {moved}."
-        allowed = _allowed(location[:-1])
+        allowed = _allowed(location[:-1], model)
         return _unknown(location[-1], allowed)
     if kind == "literal_error" and fault["loc"][-1] == _KEY_OF_MAPPING:
         return _unknown(given, _choices(context["expected"]))
@@ -128,7 +132,7 @@ def _said(fault: Mapping[str, Any], location: tuple[str | int, ...]) -> tuple[st
     if kind == "string_too_long":
         return f"at most {context['max_length']} characters are allowed, got {len(given or '')}", ""
     expected = _EXPECTED.get(kind.split("_")[0])
-    return (f"{expected}, {got}", _remedy(kind, given, location)) if expected else (f"{fault['msg']}, {got}", "")
+    return (f"{expected}, {got}", _remedy(kind, given, location, model)) if expected else (f"{fault['msg']}, {got}", "")
 
 
 def _unknown(name: object, allowed: Sequence[str]) -> tuple[str, str]:
@@ -152,9 +156,9 @@ def _wrong_length(fault: Mapping[str, Any]) -> tuple[str, str]:
     return "the key is missing", ""
 
 
-def _remedy(kind: str, given: Any, location: Sequence[str | int]) -> str:
+def _remedy(kind: str, given: Any, location: Sequence[str | int], model: type[Section]) -> str:
     if given is None:
-        required = len(location) == 1 and Config.model_fields[str(location[0])].is_required()
+        required = len(location) == 1 and model.model_fields[str(location[0])].is_required()
         return "Give it a value." if required else "Give it a value, or remove the key to take its default."
     if kind == "tuple_type" and isinstance(given, str):
         return f"Write [{given}]."
@@ -172,13 +176,13 @@ def _choices(expected: str) -> list[str]:
     return expected.replace("'", "").replace(" or ", ", ").split(", ")
 
 
-def _allowed(location: Sequence[str | int]) -> list[str]:
+def _allowed(location: Sequence[str | int], model: type[Section]) -> list[str]:
     """Return the keys of the section at a location."""
-    model: Any = Config
+    section: Any = model
     for part in location:
         if isinstance(part, str):
-            model = _section(model.model_fields[part].annotation)
-    return [*model.model_fields] if model is not None else []
+            section = _section(section.model_fields[part].annotation)
+    return [*section.model_fields] if section is not None else []
 
 
 def _section(annotation: Any) -> Any:

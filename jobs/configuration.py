@@ -11,6 +11,7 @@ import yaml
 from pydantic import ValidationError
 
 from factory.address import open_store
+from jobs.assignments import put, yaml_value
 from jobs.config_faults import config_error
 from schemas.config import Config
 from schemas.errors import ConfigError, UsageError
@@ -71,12 +72,12 @@ def load_config(
         keys = name.removeprefix(ENVIRONMENT_PREFIX).lower().split("__")
         # Other CONDVLN_ variables exist (paths of tests and caches); only keys of the configuration count.
         if name.startswith(ENVIRONMENT_PREFIX) and keys[0] in Config.model_fields:
-            _put(data, keys, _value(value, name), origin=name)
+            put(data, keys, yaml_value(value, name), origin=name)
     for text in overrides:
         key, equals, value = text.partition("=")
         if not equals or not key:
             raise ConfigError(f"--set {text!r} is not of the form a.b=value", remedy="Example: --set ray.workers=2")
-        _put(data, key.split("."), _value(value, f"--set {key}"), origin=f"--set {text}")
+        put(data, key.split("."), yaml_value(value, f"--set {key}"), origin=f"--set {text}")
     try:
         config = Config.model_validate(data)
     except ValidationError as error:
@@ -98,43 +99,6 @@ def _not_yaml(error: Exception, path: Path) -> ConfigError:
             "the file is not UTF-8 text", where=path, place=f"byte {error.start}", remedy="Save it as UTF-8."
         )
     return ConfigError(f"the file is not YAML: {error}", where=path, remedy="Start from configs/replicacad.yaml.")
-
-
-def _value(text: str, origin: str) -> Any:
-    try:
-        return yaml.safe_load(text)
-    except (yaml.YAMLError, RecursionError) as error:
-        problem = getattr(error, "problem", None) or "it is nested too deeply"
-        raise ConfigError(
-            f"{origin}: the value is not YAML: {problem}", remedy='Put text with special characters in quotes: "…"'
-        ) from None
-
-
-def _put(data: dict[str, Any], keys: Sequence[str], value: Any, origin: str) -> None:
-    at: Any = data
-    for key in keys[:-1]:
-        if isinstance(at, list):
-            at = _item(at, key, origin)
-            continue
-        # A section whose keys are all commented out reads as nothing.
-        inner = {} if at.get(key) is None else at[key]
-        at[key] = inner
-        at = inner
-        if not isinstance(at, dict | list):
-            raise ConfigError(f"{origin}: {key!r} holds a value, not keys", remedy="Name a key inside a section.")
-    if isinstance(at, list):
-        _item(at, keys[-1], origin)
-        at[int(keys[-1])] = value
-    else:
-        at[keys[-1]] = value
-
-
-def _item(items: list[Any], key: str, origin: str) -> Any:
-    if not key.isdigit() or int(key) >= len(items):
-        raise ConfigError(
-            f"{origin}: there is no entry {key!r} in a list of {len(items)}", remedy="Entries count from 0."
-        )
-    return items[int(key)]
 
 
 def _store(address: Path | str, base: Path, path: Path) -> Path | str:

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
-
-import yaml
-from pydantic import ValidationError
+from typing import Final
 
 from condvln.evaluation.looker import LookingAgent
 from condvln.evaluation.scene_views import SceneViews
 from condvln.evaluation.split import split_tasks
 from condvln.navigation.navmesh_folder import NavmeshFolder
+from jobs.assignments import read_section
 from schemas.config import LookerConfig
 from schemas.errors import UsageError
 
-__all__ = ["LOOKER", "datasets_of", "looker_config", "looker_picks", "looking_agent"]
+__all__ = ["LOOKER", "datasets_of", "looker_picks", "looking_agent"]
 
 LOOKER: Final = "looker"
 """Name of the agent, beside those of `condvln.evaluation.agents.AGENTS`."""
@@ -32,14 +30,15 @@ def looking_agent(datasets: Sequence[str], keys: Sequence[str]) -> LookingAgent:
 
     Raises
     ------
-    UsageError : one of them is not of that form, or an unknown key
+    UsageError : a dataset or key is not of that form, an unknown key, or a value that is not allowed
     """
     roots = datasets_of(datasets)
     if not roots:
         raise UsageError(
             f"{LOOKER} sees nothing, since no dataset was named", place="--scenes", remedy="Add --scenes FAMILY=FOLDER."
         )
-    return LookingAgent(SceneViews(roots), looker_config(keys))
+    config = read_section(LookerConfig, keys, option="--looker", example="noise.missed=0.1")
+    return LookingAgent(SceneViews(roots), config)
 
 
 def datasets_of(texts: Sequence[str]) -> dict[str, Path]:
@@ -56,40 +55,6 @@ def datasets_of(texts: Sequence[str]) -> dict[str, Path]:
             raise UsageError(f"{text!r} is not FAMILY=FOLDER", place="--scenes", remedy="Example: procthor=data/houses")
         found[family] = Path(folder)
     return found
-
-
-def looker_config(texts: Sequence[str]) -> LookerConfig:
-    """Return the agent's configuration with some keys set.
-
-    Raises
-    ------
-    UsageError : a text is not of the form ``key=value``, an unknown key, or a value that is not allowed
-    """
-    data: dict[str, Any] = {}
-    for text in texts:
-        key, equals, value = text.partition("=")
-        try:
-            parsed = yaml.safe_load(value)
-        except yaml.YAMLError:
-            parsed = None
-        if not (key and equals) or key.count(".") > 1:
-            raise UsageError(
-                f"{text!r} is not KEY=VALUE", place="--looker", remedy="Example: --looker noise.missed=0.1"
-            )
-        section, _, inner = key.rpartition(".")
-        if section:
-            data.setdefault(section, {})[inner] = parsed
-        else:
-            data[key] = parsed
-    try:
-        return LookerConfig.model_validate(data)
-    except ValidationError as error:
-        fault = error.errors()[0]
-        raise UsageError(
-            f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}",
-            place="--looker",
-            remedy=f"Keys are {', '.join(LookerConfig.model_fields)}; those of noise are written as noise.missed.",
-        ) from None
 
 
 def looker_picks(

@@ -12,8 +12,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import orjson
-import yaml
-from pydantic import ValidationError
 from rich.console import Console
 
 from condvln.compiled import warm_up
@@ -34,6 +32,7 @@ from factory.report import ABORTED
 from factory.run import run
 from factory.snapshot import Snapshot
 from factory.unit import Unit
+from jobs.assignments import read_section
 from jobs.compose import refuse_export
 from jobs.generate import CompilationNote, open_executor, run_report
 from jobs.progress import LoggedRun, RunProgress
@@ -101,24 +100,8 @@ def trajectory_config(walks: Sequence[str], keys: Sequence[str]) -> TrajectoryCo
     ------
     UsageError : a text is not of the form ``key=value``, an unknown key, or a value that is not allowed
     """
-    data: dict[str, Any] = {"walks": list(walks)} if walks else {}
-    for text in keys:
-        key, equals, value = text.partition("=")
-        try:
-            data[key] = yaml.safe_load(value)
-        except yaml.YAMLError:
-            equals = ""
-        if not (key and equals):
-            raise UsageError(f"{text!r} is not KEY=VALUE", place="--walk", remedy="Example: --walk jpeg_quality=80")
-    try:
-        return TrajectoryConfig.model_validate(data)
-    except ValidationError as error:
-        fault = error.errors()[0]
-        raise UsageError(
-            f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}",
-            place="--walk",
-            remedy=f"Keys are {', '.join(TrajectoryConfig.model_fields)}.",
-        ) from None
+    given = {"walks": list(walks)} if walks else {}
+    return read_section(TrajectoryConfig, keys, option="--walk", example="jpeg_quality=80", given=given)
 
 
 def make_trajectories(request: Request, console: Console | None = None) -> Report:
