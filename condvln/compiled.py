@@ -58,8 +58,8 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def register_warm_up(name: str, run: Callable[[], object]) -> None:
-    """Register `run` as a function that :func:`warm_up` calls. It must compile the kernels of the group `name` by
-    calling each kernel on a small input.
+    """Register `run` as a function that :func:`warm_up` calls. `run` must compile the kernels of the group `name` by
+    calling each of these kernels on a small input.
     """
     _warm_ups[name] = run
 
@@ -81,8 +81,8 @@ def warm_up(report: Notify | None = None, only: Collection[str] | None = None) -
 
 @contextmanager
 def compilation_reported_to(report: Notify) -> Iterator[None]:
-    """Within this block, call ``report`` with a line for each kernel that is compiled (not for one loaded from the
-    cache).
+    """Return a context manager. Within its block, ``report`` is called with one line for each kernel that is compiled,
+    but not for kernels that are loaded from the cache.
     """
     before = _announcer.report
     _announcer.report = report

@@ -49,7 +49,7 @@ class Draws:
         return self._block.pop()
 
     def index(self, n: int) -> int:
-        """Return a random index below `n`, uniformly distributed. Its bias of n · 2⁻⁵³ is negligible."""
+        """Return a random index below `n`. All indices are equally likely, except for a negligible bias of n · 2⁻⁵³."""
         return int(self.uniform() * n)
 
     def choice(self, items: Sequence[T]) -> T:
@@ -63,7 +63,9 @@ class Draws:
         return min(bisect_right(sums, self.uniform() * sums[-1]), len(sums) - 1)
 
     def weighted(self, items: Sequence[T], weights: Sequence[float]) -> T:
-        """Return one of `items`, drawn by `weights`, at least one of which is positive."""
+        """Return one of `items`, drawn with probabilities in proportion to `weights`. At least one weight must be
+        positive.
+        """
         return items[self.cumulative(tuple(accumulate(weights)))]
 
     def sample(self, items: Sequence[T], k: int) -> list[T]:

@@ -41,7 +41,8 @@ class Drift:
 
 
 def fingerprints(pipeline: Pipeline, units: Iterable[Unit]) -> dict[str, dict[str, dict[str, str]]]:
-    """Process ``units`` from scratch in this process; return by unit and stage the key, and the hash of each table.
+    """Process ``units`` from scratch in this process. Return, for each unit id and stage name, the stage's key under
+    ``key`` and the hash of each of its tables under the table's name.
 
     Raises ``ProofError`` when a unit fails.
     """

@@ -23,7 +23,7 @@ _PAUSE: Final = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Busy:
-    """A unit under way, the stage that it is at, and for how many seconds.
+    """A unit under way, the stage that the unit is at, and the seconds since this stage began.
 
     endable : its process may be ended when it is late (a worker of Ray's, not the driver)
     """

@@ -122,8 +122,8 @@ class IndexWriter:
         self._pending.clear()
 
     def finish(self, carried: pa.Table | None) -> pa.Table:
-        """Return one table of all added rows and the rows of ``carried``, which are taken over from an older index,
-        sorted by unit id.
+        """Return one table, sorted by unit id, of all added units and the rows of ``carried``, which are taken over
+        from an older index.
         """
         if self._pending:
             self._flush()
@@ -214,7 +214,7 @@ class Index:
         return int(self.table.num_rows)
 
     def rows_of(self, unit_ids: Sequence[str]) -> Any:
-        """Return the (n,) int64 rows of unit ids; -1 where there is none."""
+        """Return the (n,) int64 row of each unit id; -1 for ids that are not in the index."""
         if not len(self):
             return np.full(len(unit_ids), -1, np.int64)
         wanted = id_hashes(unit_ids)

@@ -92,8 +92,8 @@ class Keyer:
         return found
 
     def fingerprint(self, unit: Unit, shared: Mapping[str, str], stages: int | None = None) -> bytes:
-        """Hash everything that the unit's whole chain of stages can depend on. Of shared tables, their own hashes are
-        used.
+        """Hash everything that the unit's whole chain of stages can depend on. The content of shared tables enters by
+        their hashes, given by name in ``shared``.
 
         Equal fingerprints mean equal keys of every stage, by purity; nothing needs to be read to know it. The converse
         does not hold: a changed shared table may leave every key as it was. A shared table that is not pinned yet makes

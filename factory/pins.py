@@ -78,8 +78,8 @@ class Pins:
         return Pin(tables=tables)
 
     def hashes(self, renew: Iterable[str] = ()) -> dict[str, str]:
-        """Return the hashes of the valid aggregates. Valid are those pinned under this version and these parameters,
-        not listed in ``renew``, and present in the store or the snapshot.
+        """Return the hashes of the valid aggregates, by name. An aggregate is valid if it was pinned under its present
+        version and parameters, is not listed in ``renew``, and has an undamaged table in the store or in the snapshot.
         """
         found = {}
         for aggregate in self._aggregates:

@@ -98,7 +98,7 @@ class Pipeline:
         return self._order[stage]
 
     def stage_tables(self, stage: Stage) -> tuple[tuple[str, TableSpec | None], ...]:
-        """Return the tables of ``stage`` with their contract, or None for tables that are not published."""
+        """Return (name, contract) of each table of ``stage``; the contract is None for unpublished tables."""
         return tuple((name, self.tables.get(name)) for name in stage.tables)
 
     def visible(self, at: int) -> tuple[tuple[str, int], ...]:

@@ -1,7 +1,7 @@
 """A plan: which units are missing, stale (and why), fresh or quarantined, and what processing them would cost.
 
-It runs nothing. It is exact for everything that is known before running; a stage behind a stale one is POSSIBLE,
-since an equal output there would spare it (early cut-off).
+Planning runs no stage. A plan is exact for everything that is known before running. A stage behind a stale stage is
+POSSIBLE: if the output of the stale stage turns out equal, the later stage need not run (early cut-off).
 """
 
 from __future__ import annotations
@@ -75,8 +75,8 @@ class Plan:
 
     @property
     def unchanged(self) -> bool:
-        """Whether a run would publish exactly what is published now. If so, a listing of the store has also shown that
-        all published files exist.
+        """Whether a run would publish exactly what is published now. True also means that a listing of the store found
+        every published file.
         """
         return self.empty and self.snapshot_id is not None and self.carried == len(self.entries)
 

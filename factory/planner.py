@@ -80,8 +80,8 @@ class Planner:
         """(rows of the index,) bool: the unit is still in the corpus."""
 
     def compare(self, units: Iterable[Unit]) -> Iterator[tuple[Unit, bytes, int, bool]]:
-        """For each unit, yield (unit, fingerprint, row, unchanged). ``row`` is its position in the index, or -1 if
-        it is not there; ``unchanged`` tells whether its published result can be kept.
+        """For each unit, yield (unit, fingerprint, row, unchanged). ``row`` is the unit's position in the index, or -1
+        if the index lacks the unit; ``unchanged`` tells whether the unit's published result can be kept.
 
         Raises ``UsageError`` on a unit id that comes twice or can't be stored.
         """

@@ -34,7 +34,7 @@ HISTORY: Final = 50
 
 
 def published_index(pipeline: Pipeline, store: Store, ref: Ref | None) -> Index:
-    """Return the unit index behind ``ref``; an empty one where it is missing or damaged.
+    """Return the unit index behind ``ref``, or an empty index if the published one is missing or damaged.
 
     Without it a run is slower, but nothing is lost: the commits are all there.
     """

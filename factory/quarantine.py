@@ -33,7 +33,7 @@ class Failed(Exception):
 
 
 def failed_by(error: BaseException, attempts: int) -> Failed:
-    """Return ``error`` as a ``Failed`` that names its cause.
+    """Return ``error`` wrapped in a ``Failed`` that names the cause of the failure.
 
     What a signal's handler raised while compiled code ran is handed on by numba's dispatcher as the cause of a
     ``SystemError``. Raises ``KeyboardInterrupt`` and ``Terminated`` again: a process was stopped, the unit is sound.

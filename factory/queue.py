@@ -1,4 +1,5 @@
-"""The order of work: largest units first, so that none is left to run alone at the end; tiny units share a task.
+"""The order of work: the largest units first, so that no large unit is left to run alone at the end. Tiny units share a
+task.
 
 One worker alone takes the smallest first.
 """

@@ -1,4 +1,4 @@
-"""Reports about long units, from Ray's workers to the driver through the key-value store of Ray's head.
+"""Reports about units that take long; Ray's workers send them to the driver through the key-value store of Ray's head.
 
 A worker writes only about a unit that has been at one stage for half a minute, so short units cost nothing. Where
 Ray's interface is another, or the store does not answer, there is no word and nothing else is lost.

@@ -1,4 +1,6 @@
-"""What a worker returns for a unit: names and hashes of its results, never rows. At most 2 kB pickled."""
+"""What a worker returns for a unit: names and hashes of its results, never rows. A receipt takes at most 2 kB when
+pickled.
+"""
 
 from __future__ import annotations
 

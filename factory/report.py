@@ -189,8 +189,8 @@ class Remaining:
         self._took = 0.0
 
     def unit(self, receipt: Receipt) -> None:
-        """Count a finished unit. The pace is measured by the wall-clock time of units, since other processes may share
-        the machine.
+        """Count a finished unit. Its wall-clock time, rather than its CPU time, sets the pace, since other processes
+        may share the machine.
         """
         self._done += receipt.expected
         self._took += receipt.seconds

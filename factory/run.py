@@ -250,8 +250,8 @@ class _Run:
     # ---- working off
 
     def _begin(self) -> None:
-        """Reset the counts of units, so that the report has those of the last pass only. Stages are counted over all
-        passes.
+        """Reset the counts of units, so that the report counts only the units of the last pass. Stages are counted over
+        all passes.
         """
         self.report.counts.clear()
         self.report.failures.clear()

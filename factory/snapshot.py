@@ -1,4 +1,5 @@
-"""Snapshots: immutable folders of Parquet files, each named by the hash of its rows, published by moving a ref.
+"""Snapshots: immutable folders of Parquet files. A snapshot is named by the hash of its rows, and published by moving a
+ref.
 
 ``snapshots/<id>/<table>/source=<partition>/part-<bucket>.parquet``, then ``manifest.json``, then the unit index, then
 ``refs/<name>.json``. Until the ref moves, readers see the previous snapshot; a snapshot without manifest is none.
@@ -202,7 +203,9 @@ def read_manifest(store: Store, snapshot_id: str) -> SnapshotManifest | None:
 
 
 def damaged_parts(store: Store, snapshot_id: str) -> Iterator[str]:
-    """Return the paths of a snapshot's files that are missing or differ from the manifest; reads all of them."""
+    """Yield the paths of a snapshot's files that are missing or differ from the manifest. This reads every file of the
+    snapshot.
+    """
     manifest = read_manifest(store, snapshot_id)
     if manifest is None:
         return

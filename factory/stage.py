@@ -77,7 +77,7 @@ class Stage(Protocol):
 
 
 class Aggregate(Protocol):
-    """A table over all units' outputs of one stage, built once and then pinned until it is renewed.
+    """A table computed from the outputs of one stage over all units; built once and then pinned until it is renewed.
 
     name : how stages name it in ``needs``
     version : raised by hand when ``build`` changes

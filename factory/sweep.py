@@ -40,7 +40,7 @@ _KINDS: Final = ("snapshots", "indexes", "units", "aggregates", "quarantine", "r
 @dataclass
 class SweepReport:
     """The result of a sweep: number and bytes of the removed files by folder, and the ids of the kept and the removed
-    snapshots. In a dry run, what would be removed.
+    snapshots. After a dry run, "removed" means what a sweep would remove.
 
     unreadable : indexes and manifests of kept states that are gone or damaged: because of them no unit went
     """
@@ -170,8 +170,8 @@ def _keys(index: pa.Table) -> Iterator[tuple[str, str]]:
 
 
 def _whole(store: Store, kind: str, before: float) -> Iterator[tuple[str, list[Entry]]]:
-    """Yield (name, files) of every unit or snapshot whose files are all older than ``before``. Its commit file is the
-    first of ``files``.
+    """Yield (name, files) of every unit or snapshot whose files are all older than ``before``. The first of ``files``
+    is the commit file (``unit.json`` or ``manifest.json``).
     """
     groups: dict[str, list[Entry]] = {}
     for entry in store.list(kind):

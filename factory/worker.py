@@ -74,7 +74,7 @@ class Worker:
         self.shared = SharedTables(self.commits, context.shared)
 
     def work(self, unit: Unit, until: int, fingerprint: bytes, *, attempt: int = 1, last_try: bool = False) -> Receipt:
-        """Run the stages before position ``until`` that are not committed yet.
+        """Run those stages before position ``until`` that are not committed yet; return the receipt of the unit.
 
         attempt : how many times the unit was given to a worker, this one included
         last_try : running out of memory quarantines it, rather than handing it back

@@ -1,4 +1,5 @@
-"""``condvln benchmark build`` and ``check``: build a version of a benchmark from your own copies of the datasets.
+"""``condvln benchmark build`` and ``check``: build a version of a benchmark from your own copies of the datasets, or
+check that they give the published version.
 
 What a version is made of is frozen in one file. A build writes ``benchmark.json`` into its export: the snapshot's id,
 the versions, and for each scene the hash of its source files and of its rows. `check` makes the rows from other copies
@@ -183,8 +184,8 @@ def read_record(path: Path) -> BenchmarkRecord:
 
 
 def _short_lines(file: BenchmarkFile, record: BenchmarkRecord) -> Iterator[str]:
-    """Yield lines for the report that say what the benchmark lacks: how many instructions, and in each split which
-    cells are below the floor.
+    """Yield report lines about what the benchmark lacks: the number of instructions if there are too few, and the cells
+    of each split that are below the floor.
     """
     if record.instructions < file.instructions:
         yield (

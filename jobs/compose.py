@@ -29,7 +29,8 @@ SHOWN: Final = 5
 
 
 def compose(config: Config, scene_id: str, out: Path, *, own_navmesh: bool = False) -> Report:
-    """Write the scene to `out`, and its navmesh for the configured agent beside it, with the suffix ``.navmesh``.
+    """Write the scene to `out`; beside this file, with the suffix ``.navmesh``, write the scene's navmesh for the
+    configured agent.
 
     Parameters
     ----------

@@ -40,7 +40,8 @@ Name = tuple[str, str]
 
 
 def compose_all(config: Config, folder: Path, *, own_navmesh: bool = False, console: Console | None = None) -> Report:
-    """Write ``<folder>/<scene_id>`` and its navmesh for every scene of the export, or of the sources if there is none.
+    """For every scene of the export, or of the sources if there is no export, write ``<folder>/<scene_id>`` and the
+    scene's navmesh.
 
     Families of single-file scans are left alone: loaders take their own files. A scene whose files are there already,
     byte for byte, is left as it is. A scene that can't be composed is reported and passed over, and the report's exit

@@ -46,7 +46,7 @@ NO_STAGE: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """One configuration key, with N in place of a position in a list: its path, type, unit, default and description."""
+    """One configuration key: its path (with N for a position in a list), type, unit, default and description."""
 
     path: str
     type: str

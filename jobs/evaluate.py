@@ -145,7 +145,7 @@ class EvaluationReport:
         return "\n".join(as_latex(table) for table in self.shown)
 
     def write_csv(self, folder: Path) -> list[Path]:
-        """Write one file per table, with unrounded numbers.
+        """Write one CSV file per table, with unrounded numbers; return the paths of the files.
 
         Raises
         ------
@@ -159,7 +159,7 @@ class EvaluationReport:
         return written
 
     def write_plots(self, folder: Path) -> list[Path]:
-        """Plot SR, BSA and CSR against depth and chain."""
+        """Plot SR, BSA and CSR against depth and chain length; return the paths of the plots."""
         return save_figures(self.evaluations, folder)
 
     def write_scores(self, path: Path) -> None:

@@ -210,7 +210,9 @@ def _ids(manifest: Path) -> Iterator[object]:
 
 
 def _split(path: Path, split_of: Mapping[str, str]) -> str:
-    """Return the split that a file of predictions belongs to: the split of its first episode that the export has."""
+    """Return the split that a file of predictions belongs to: the split of the first episode in the file that the
+    export has.
+    """
     ids = read_episode_stats(path) if is_episode_stats(path) else (one.episode_id for one in read_predictions(path))
     for name in ids:
         if name in split_of:

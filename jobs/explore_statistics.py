@@ -1,4 +1,4 @@
-"""Counts that the page shows besides those of its episodes: funnel, rejections, relations, gate, drift."""
+"""Counts that the page shows in addition to the counts of episodes: funnel, rejections, relations, bias gate, drift."""
 
 from __future__ import annotations
 

@@ -242,8 +242,8 @@ def _linear_text(seed: int, preamble: bool, wording: WordingConfig) -> Callable[
 
 
 def _former(config: Config, snapshot: Snapshot) -> FolderTables | None:
-    """Return the snapshot that the export in the folder was made of, else the snapshot published before this one; None
-    if the store no longer holds it.
+    """Return the snapshot that the export in the folder was made of or, without an export, the one published before
+    `snapshot`; None if the store no longer holds it.
     """
     ref, _ = read_ref(snapshot.store, config.name)
     states = [state for state in (ref.history if ref is not None else ()) if state.snapshot_id != snapshot.snapshot_id]

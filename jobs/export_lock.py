@@ -1,4 +1,6 @@
-"""The lock of an export's folder: one command at a time writes it, and holds the lock before its work begins."""
+"""The lock of an export's folder: only one command at a time writes into the folder; it takes the lock before its work
+begins.
+"""
 
 from __future__ import annotations
 

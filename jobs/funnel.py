@@ -193,7 +193,9 @@ def _rows(table: pa.Table) -> Iterable[dict[str, Any]]:
 
 
 def _explained(flow: Flow) -> str:
-    """Return why a scene has no episodes: its most frequent cause, or the reason that ended its draws."""
+    """Return why a scene has no episodes: the most frequent reason why candidates were rejected or, without candidates,
+    why draws failed.
+    """
     # The science is needed for its words alone, and only here.
     from condvln.episodes.rules import REASONS as PLACING_REASONS
     from condvln.instructions.rejection import REASONS as DRAWING_REASONS

@@ -1,4 +1,4 @@
-"""``condvln language``: statistics of the wording of texts, of CondVLN or of any VLN file."""
+"""``condvln language``: statistics of the wording of instructions, CondVLN's or those of any VLN file."""
 
 from __future__ import annotations
 

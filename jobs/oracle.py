@@ -118,7 +118,9 @@ def _report(done: TwinReport, files: list[Path]) -> Report:
 
 
 def _rendering(export: Path) -> dict[str, Any]:
-    """Return how the export's texts were rendered, from its own record; empty if there is none."""
+    """Return the settings with which the texts of an export were rendered, from the export's record; an empty
+    dictionary if the record lacks them.
+    """
     try:
         found = orjson.loads((export / INDEX).read_bytes())["texts"]
     except (OSError, ValueError, KeyError, TypeError):

@@ -1,4 +1,6 @@
-"""Build the pipeline and its units from a configuration: connects science, factory and contracts."""
+"""Build the pipeline and its units from a configuration; connects the packages ``condvln``, ``factory`` and
+``schemas``.
+"""
 
 from __future__ import annotations
 

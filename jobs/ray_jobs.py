@@ -1,4 +1,4 @@
-"""A small client of Ray's Jobs REST API that needs only the standard library. Source: its OpenAPI page.
+"""A small client of Ray's Jobs REST API, written from the API's OpenAPI page. It needs only the standard library.
 
 Ray's own client comes with ``ray[default]``, some forty packages that a person's machine needs for nothing else.
 https://docs.ray.io/en/latest/cluster/running-applications/job-submission/rest.html (and ``/api/packages/…``, by which

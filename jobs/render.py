@@ -178,8 +178,8 @@ def _write(out: Path, cameras: Cameras, shots: _Shots) -> list[Path]:
 
 
 def _folder(out: Path, cameras: Cameras, shots: _Shots) -> list[Path]:
-    """Write a PNG file for each pose and camera, and for a depth camera a second one of instance numbers; return the
-    paths.
+    """Write a PNG file for each pose and camera, and for a depth camera another PNG file with instance numbers; return
+    the paths.
     """
     renderer = shots.world.renderer
     written: list[Path] = []

@@ -26,7 +26,7 @@ def terminal() -> Console:
 
 @dataclass
 class Section:
-    """A titled table; empty ones are not shown."""
+    """A table with a title. A table without rows is not shown."""
 
     title: str
     columns: Sequence[str]

@@ -44,7 +44,7 @@ class SceneYield:
 
 @dataclass(frozen=True, slots=True)
 class _NoFacts:
-    """A stand-in for the facts about a scene, in which no relation is known: rooms are named by labels alone."""
+    """A stand-in for a scene's facts that knows no relations, so that only labels can name rooms."""
 
     status: Mapping[str, NDArray[np.int8]]
     margin: Mapping[str, NDArray[np.float64]]

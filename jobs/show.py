@@ -40,7 +40,7 @@ _INSTRUCTION_COLUMNS: Final = (
 def show_episodes(
     config: Config, *, episode: str | None = None, sample: int | None = None, picture: Path | None = None
 ) -> Report:
-    """Show one episode by id (or the beginning of it), or a sample spread evenly over categories, then sources.
+    """Show the episode whose id is (or begins with) `episode`, or a sample spread evenly over categories, then sources.
 
     An id may be that of an instruction, and of a source without episodes of a category a sample has instructions.
 
@@ -178,7 +178,7 @@ def episode_lines(row: dict[str, Any], tree: str) -> list[str]:
 
 
 def _instruction_lines(row: dict[str, Any], tree: str) -> list[str]:
-    """Format an instruction for which no episode was placed, so without start, heading and paths, as lines."""
+    """Format an instruction without episodes as lines. It has no start, no heading and no paths."""
     return [
         f"{row['source']}/{row['scene_id']} · {row['category']} · {row['composition']} · "
         f"instruction {row['instruction_id']} · no episode: {row['no_episode']}",

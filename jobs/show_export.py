@@ -1,4 +1,4 @@
-"""``condvln show EXPORT``: print episodes of an export's manifests in the form of published ones.
+"""``condvln show EXPORT``: print episodes from an export's manifests in the same form as episodes of a snapshot.
 
 An export holds no furniture: its pictures have the floor, the start, and the way to every leaf.
 """
@@ -36,7 +36,8 @@ def show_export(
     picture: Path | None = None,
     roots: Sequence[Path] = (),
 ) -> Report:
-    """Show one episode of an export by id (or the beginning of it), or a sample spread over categories and sources.
+    """Show the episode of an export whose id is (or begins with) `episode`, or a sample spread over categories and
+    sources.
 
     Parameters
     ----------

@@ -57,7 +57,7 @@ def alone_in_store(config: Config) -> Iterator[None]:
 
 
 def _opened(state: Path, name: str) -> int | None:
-    """Open the lock file; None if it can't be created because the folder is read-only."""
+    """Open the lock file and return its descriptor; None if the folder is read-only and so no file can be made."""
     path = state / f".rebuild-{name}.lock"
     try:
         state.mkdir(parents=True, exist_ok=True)

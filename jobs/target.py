@@ -1,4 +1,4 @@
-"""The target of a reading verb: a configuration, or a store by its folder or address."""
+"""The target of a verb that only reads: a configuration, or a store given by its folder or address."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["Target", "find_target"]
 
 @dataclass(frozen=True)
 class Target:
-    """A store, the requested ref, and its configuration if there is one.
+    """A store, the requested ref, and the configuration by which the store was named, if any.
 
     address : folder, or ``s3://…``
     name : the ref; None where the store was named and not a ref
@@ -57,8 +57,8 @@ class Target:
         )
 
     def snapshot(self) -> Snapshot:
-        """Open the snapshot that is published under the requested ref; if none was requested, under the only ref or
-        'main'.
+        """Open the snapshot that is published under the requested ref; if no ref was requested, under the store's only
+        ref or 'main'.
 
         Raises ``StoreError`` when nothing is published under it, ``UsageError`` when it is not clear which is meant.
         """

@@ -210,7 +210,7 @@ class _Run:
         )
 
     def _assemble(self, snapshot: Snapshot, pipeline: Pipeline) -> dict[str, Any]:
-        """Write the tables and the layouts from what is published; the record last."""
+        """Write the tables and layouts from the snapshot and, last, the record of the run; return the counts."""
         counts = {"trajectories": 0, "episodes": 0, "frames": 0, "images": 0, "bytes": 0, "left_out": 0}
         kinds: dict[str, int] = {}
         kept: set[str] = set()
@@ -239,7 +239,7 @@ class _Run:
         return {**counts, "kinds": kinds, "folder": str(self.folder)}
 
     def _views(self) -> Iterator[AbstractContextManager[AddScene]]:
-        """Yield the writers of the requested layouts, the hub excepted."""
+        """Yield the writers of the requested layouts. The hub (the layout that is always written) is not among them."""
         for name in self.request.layouts:
             if name in _VIEWS:
                 yield _VIEWS[name](self.folder, self.target.split)

@@ -195,6 +195,6 @@ def _line(certificate: Certificate) -> bytes:
 
 
 def _hashes(export_dir: Path) -> dict[str, str]:
-    """Return the SHA-256 of the files that were verified: certificates hold for these files only."""
+    """Return the SHA-256 of each verified file, by path. Certificates hold for these files only."""
     paths = [*manifest_paths(export_dir), *export_dir.glob("vlnce/*/*.json.gz")]
     return {path.relative_to(export_dir).as_posix(): hash_file(path)[1] for path in sorted(paths)}

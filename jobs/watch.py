@@ -1,4 +1,5 @@
-"""A record of the last rebuild's inputs (names, sizes, times), which shows without reading files that nothing changed.
+"""A record of the last rebuild's inputs (names, sizes, times), by which the next rebuild sees that nothing changed,
+without reading any file.
 
 Two digests are kept in the machine's local state. ``inputs`` covers the configuration, this code and every file below
 the sources' folders; ``outputs`` the published ref and all files that it names (``factory.inventory``), the quarantine,
@@ -42,7 +43,7 @@ _PACKAGES: Final = ("schemas", "condvln", "factory", "jobs")
 
 
 class Memory(Document):
-    """``.rebuild-<name>.json`` in the local state of a store."""
+    """``.rebuild-<name>.json`` in the local state of a store: digests of what the last rebuild read and left behind."""
 
     inputs: Hash64
     outputs: Hash64
@@ -86,8 +87,8 @@ class Watch:
         return memory is not None and memory.inputs == self._inputs and memory.outputs == self._outputs()
 
     def export_stands(self, snapshot_id: str | None) -> bool:
-        """Whether the export exists, is complete by its files' sizes, and was made of this snapshot with these
-        settings.
+        """Whether the export was made of this snapshot with these settings, and all its files exist and have the
+        recorded sizes.
         """
         if self.memory is None or self.memory.exported != digest([snapshot_id, self._exported]):
             return False

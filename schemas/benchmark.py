@@ -49,7 +49,7 @@ class BenchmarkFile(Document):
 
 
 class BenchmarkCell(Document):
-    """Episodes of one split, source and category."""
+    """The number of episodes of one split, source and category, and the shortfall."""
 
     split: str
     source: str
@@ -84,7 +84,7 @@ class BenchmarkRecord(VersionedDocument):
 
 
 class MeasuredMean(Document):
-    """A mean with its 95 % interval over scenes; null where it is not defined."""
+    """A mean and its 95 % confidence interval over scenes; an undefined value is null."""
 
     mean: Finite | None
     low: Finite | None
@@ -125,5 +125,5 @@ class Leaderboard(VersionedDocument):
     draft: bool
     snapshot_id: Hash32
     split: str
-    seed: int = Field(description="seed of the random reference agents and of the intervals")
+    seed: int = Field(description="seed of the random reference agents and of the confidence intervals")
     rows: list[LeaderboardRow]

@@ -140,7 +140,9 @@ class Qualifier(Frozen):
 
 
 class RoomRef(Frozen):
-    """A room as text names it; ``anchor_*`` where its label alone is not unique (``the bedroom with the piano``)."""
+    """A room as text names it. ``anchor_*`` is set where the room's label alone is not unique (``the bedroom with the
+    piano``).
+    """
 
     room_id: str
     label: str
@@ -215,7 +217,7 @@ class Branch(Frozen):
 
 
 class Leaf(Frozen):
-    """One to three moves; the last is the leaf's goal, those before it are its subgoals."""
+    """One to three moves: the last move is the leaf's goal, the earlier ones are the leaf's subgoals."""
 
     moves: tuple[ObjectRef, ...] = Field(min_length=1, max_length=3)
 
@@ -295,7 +297,9 @@ class Program(Frozen):
         return self.route(truths)[1]
 
     def route(self, truths: Sequence[bool] | None = None) -> tuple[tuple[int, ...], int]:
-        """Return the indices of the conditions evaluated on the way, and the leaf reached."""
+        """Return (indices of the conditions evaluated from the root on, index of the leaf reached), for the conditions'
+        own truths or for `truths`.
+        """
         values = [c.truth for c in self.conditions] if truths is None else truths
         asked: list[int] = []
         at = 0
@@ -307,7 +311,7 @@ class Program(Frozen):
 
     @property
     def depth(self) -> int:
-        """Return how many conditions are nested in one another's THEN part at most, the outermost included."""
+        """Return the maximum depth to which conditions are nested in THEN parts; an outermost condition has depth 1."""
         return SHAPES[self.category].depth
 
     @property

@@ -145,7 +145,7 @@ class Ref(Published, VersionedDocument):
 
     @property
     def previous(self) -> str | None:
-        """Return the snapshot that was published before this one."""
+        """Return the id of the snapshot that was published before the current one; None if there was none."""
         return self.history[0].snapshot_id if self.history else None
 
 

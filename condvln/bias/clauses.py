@@ -100,7 +100,7 @@ def _returns(clause: str, start: str) -> bool:
 
 
 def _parted(main: str) -> tuple[str, str]:
-    """Split the conditional part of a text, `main`, and return the condition and what follows the condition."""
+    """Split `main`, the part of a text from its condition on, into the condition and the rest, which may be empty."""
     so = _SO.search(main)
     comma = main.find(",")
     stop = re.search(r"[.;:] ", main)

@@ -90,7 +90,7 @@ class ForeignReport:
 
 
 def judge_files(paths: Sequence[Path]) -> ForeignReport:
-    """Test each file separately; the p-values of all tests are corrected together.
+    """Run the gate on each file separately and return all results; the p-values of all tests are corrected together.
 
     Raises
     ------

@@ -166,7 +166,7 @@ def _guesses(views: Sequence[GuesserView], source: NDArray[np.str_]) -> dict[str
 
 
 def _asked(views: Sequence[GuesserView]) -> dict[str, NDArray[np.bool_]]:
-    """Return, for each predicate, a mask of the episodes that have a condition with it."""
+    """Return, for each predicate, a mask of the episodes in which at least one condition uses this predicate."""
     found: dict[str, NDArray[np.bool_]] = {}
     for k, view in enumerate(views):
         for asked in view.asked:

@@ -15,7 +15,8 @@ __all__ = ["Asked", "GuesserView", "LeafView"]
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """A condition and its truth. The truth is used for learning and hidden for guessing.
+    """A condition and its truth. A guesser may learn from the truths in other episodes, but must not use those in the
+    episode to be guessed.
 
     definite : the condition is about one object that is known to exist
     """

@@ -87,7 +87,7 @@ _Labelled = TypeVar("_Labelled", bound=Labelled)
 
 @cache
 def leaf_truths(category: Category) -> tuple[tuple[tuple[int, bool], ...], ...]:
-    """Return, for each leaf, the (condition index, truth) pairs on the path to it."""
+    """Return, for each leaf, the (condition index, truth) pairs on the path from the root of the tree to the leaf."""
     shape = SHAPES[category]
     found: dict[int, tuple[tuple[int, bool], ...]] = {}
     ahead: list[tuple[int, tuple[tuple[int, bool], ...]]] = [(0, ())]
@@ -193,7 +193,9 @@ def _in_layout(learner: Learner) -> Learner:
 
 
 def _regression(words: Words) -> Learner:
-    """Return a learner that fits one multinomial logistic regression per category."""
+    """Return a learner that fits one multinomial logistic regression per category; the features are what `words` yields
+    for an episode.
+    """
 
     def learner(views: Sequence[GuesserView]) -> Guesses:
         guesses = np.full(len(views), NO_GUESS, dtype=np.int64)
@@ -258,7 +260,9 @@ def _text_words(view: GuesserView) -> Iterator[str]:
 
 
 def _cues(view: GuesserView) -> Iterator[str]:
-    """Yield what each condition states and each leaf names, with the index of the condition or leaf in front."""
+    """Yield features of the content: what each condition states and what each leaf names, each prefixed with the index
+    of the condition or leaf.
+    """
     for k, asked in enumerate(view.asked):
         yield f"{k} {asked.label}"
         yield f"{k} {asked.label} in {asked.room}"
@@ -312,8 +316,8 @@ def _definiteness(view: GuesserView) -> Iterator[str]:
 
 
 def _manner(view: GuesserView) -> Iterator[str]:
-    """Yield features of phrasing, length and definiteness only. None of them, nor all together, may predict the gold
-    leaf.
+    """Yield features of phrasing, length and definiteness only. Neither a single feature nor all of them together may
+    predict the gold leaf.
     """
     yield from _voice(view)
     yield from _length(view)

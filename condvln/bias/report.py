@@ -134,8 +134,8 @@ class BiasReport:
         }
 
     def overview(self) -> list[tuple[str | int | float, ...]]:
-        """Return the table's rows: each guesser in each source, and each category or predicate in which the guesser
-        beats chance.
+        """Return the rows of the report's summary table: one for each guesser in each source, and one for each category
+        or predicate in which the guesser beats chance.
 
         Columns: guesser, source, category or predicate, episodes, accuracy, low, high, chance, corrected p.
         """

@@ -56,7 +56,7 @@ def standing_points(
     islands: Sequence[int],
     obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
 ) -> F64:
-    """Return positions (n, 3) in a room where an agent can stand, spread evenly; empty if there are none.
+    """Return evenly spread positions (n, 3) in `room` at which an agent can stand; empty if there are none.
 
     These are the points of :func:`floor_points` that lie on the navmesh, at floor height.
     """

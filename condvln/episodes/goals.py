@@ -39,8 +39,8 @@ _WIDE: Final[WeakKeyDictionary[PathfinderProtocol, dict[float, tuple[int, ...]]]
 
 
 def wide_islands(pathfinder: PathfinderProtocol, places: PlacesConfig) -> tuple[int, ...]:
-    """Return the islands that episodes may use. They are wide enough and have floor area, which islands of degenerate
-    triangles lack.
+    """Return the islands that episodes may use: those that are wide enough and have floor area. Islands of degenerate
+    triangles have no floor area.
     """
     known = _WIDE.setdefault(pathfinder, {})
     found = known.get(places.island_radius)
@@ -149,15 +149,15 @@ def goal_points(
 
 
 def near_rings(rules: GoalsConfig) -> tuple[float, ...]:
-    """Return the radii of the rings within the reach: how far each ring is from the object, in metres. They are evenly
-    spaced; the last one is 4 % short of the reach, since snapping moves candidates a little.
+    """Return the radii of the rings within the reach: how far each ring is from the object, in metres. The radii are
+    evenly spaced; the largest is 4 % below the reach, since snapping moves candidates a little.
     """
     count = math.ceil(rules.reach / RING_GAP)
     return tuple(round(0.96 * rules.reach * (k + 1) / count, 6) for k in range(count))
 
 
 def far_rings(rules: GoalsConfig) -> tuple[float, ...]:
-    """Return the radii of the rings outside the reach: how far each ring is from the object, in metres. They lie
+    """Return the radii of the rings outside the reach: how far each ring is from the object, in metres. The radii lie
     between 20 and 80 % of the way from the reach to the largest allowed distance.
     """
     span = rules.reach_at_most - rules.reach

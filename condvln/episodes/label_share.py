@@ -33,7 +33,7 @@ def most_leaves(share: float, leaves: int) -> int:
 
 
 def over_share(units: Sequence[Sequence[Counter[str]]], label_cap: float) -> list[int]:
-    """Return the indices of the units to drop so that no label exceeds its share, in the order of dropping.
+    """Return the indices of the units to drop, in the order of dropping, so that no label exceeds its share.
 
     Parameters
     ----------

@@ -181,8 +181,8 @@ class Observer:
         return self._targets[name]
 
     def _look(self, wanted: Iterable[tuple[_Target, F64]]) -> None:
-        """Compute all wanted lines of sight that are not cached; those of one target are computed from all eyes at
-        once.
+        """Compute and cache the wanted lines of sight that are not cached yet; all lines to one target are computed
+        together.
         """
         eyes: dict[_Target, dict[bytes, F64]] = {}
         for name, places in wanted:

@@ -175,8 +175,9 @@ class _Filling:
         self._seen: set[int] = set()
 
     def fill(self, tries: Sequence[_Try], most_of_label: int) -> None:
-        """Place candidates in order, but postpone those whose leaves would exceed the share of their number of moves.
-        Then, where a cell is still short, place postponed candidates, those with the fewest excess leaves first.
+        """Place candidates in order, but postpone those with which the leaves with some number of moves would exceed
+        their share of the cell. Then, where a cell is still short, place postponed candidates, those with the fewest
+        excess leaves first.
         """
         for one in tries:
             one.refused = self._turned_away(one, most_of_label) or self._over_its_moves(one) or self._unplaceable(one)
@@ -188,7 +189,9 @@ class _Filling:
                 self._count(one, 1)
 
     def trim(self, tries: Sequence[_Try], label_cap: float) -> None:
-        """Drop episodes above their label's share; candidates rejected for a full quota take their places."""
+        """Drop episodes so that no label exceeds its share; candidates that were rejected for a full quota take the
+        free places.
+        """
         placed = [one for one in tries if one.refused is None]
         share = allowed_share(label_cap, len(self._labels))
         dropped = over_share([one.labels for one in placed], label_cap)
@@ -247,14 +250,14 @@ class _Filling:
         return None
 
     def _over_its_moves(self, one: _Try) -> str | None:
-        """Return `LATER` if the candidates `one` must be postponed, since with them the quota cell would exceed its
-        share of leaves with some number of moves; else None.
+        """Return `LATER` (place the candidates `one` later) if, with these candidates, the leaves with some number of
+        moves would exceed their share of the quota cell; else None.
         """
         return LATER if self._beyond_its_moves(one) else None
 
     def _beyond_its_moves(self, one: _Try) -> int:
-        """Return how many leaves of the candidates `one` would be in excess: more than the quota cell's share of leaves
-        with that number of moves.
+        """Return how many leaves of the candidates `one` would be too many. Leaves with the same number of moves are
+        limited to a share of the quota cell; leaves beyond this share are too many.
         """
         cell = one.cell
         if self._move_shares is None or cell is None or cell.moves is not None:
@@ -291,7 +294,7 @@ class _Filling:
         return None
 
     def _count(self, one: _Try, by: int) -> None:
-        """Count the candidates `one` in the quotas; with `by` = −1, undo this."""
+        """Add the candidates `one` to the counts that the quotas limit; with `by` = −1, subtract them."""
         if one.cell is None:
             self._groups += by
             for n, count in one.moves.items():

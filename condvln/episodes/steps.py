@@ -66,8 +66,8 @@ class DrawnPrograms:
 
 
 def look_around(scene: Scene, walkable: Walkable, *, eye_height: float, island_radius: float) -> list[Visibility]:
-    """Return which objects are visible from positions in their rooms where an agent can stand. `eye_height` and
-    `island_radius` are in metres.
+    """Return the visibility of every object that is not part of the building, from the positions in its room at which
+    an agent can stand. `eye_height` and `island_radius` are in metres.
     """
     islands = wide_islands(walkable.pathfinder, PlacesConfig(island_radius=island_radius))
     obstacles = blocked_footprints(scene, walkable.pathfinder, walkable.max_climb)

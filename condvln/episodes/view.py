@@ -87,7 +87,9 @@ class SceneView:
         return self._targets[object_id]
 
     def denser_target(self, object_id: str, count: int) -> SightTarget:
-        """Return the target with `count` points on its surface, or on the surface of each of its parts."""
+        """Return a sight target for an object: `count` sample points on the object's surface, or `count` on each of its
+        boxes if the surface is unknown.
+        """
         return self._target(self._scene.object_of[object_id], count)
 
     def _target(self, item: SceneObject, count: int = DEFAULT_SAMPLES) -> SightTarget:

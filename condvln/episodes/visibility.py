@@ -141,8 +141,8 @@ def visibility_table(scene: Scene, found: Iterable[Visibility] | None, words: Vo
 
 
 def sightings_from_table(table: pa.Table) -> Sightings:
-    """Return the ids of the objects that can't be seen, and of those whose visibility is in doubt; both are empty if
-    all values are null.
+    """Return, from the visibility table, the ids of the objects that can't be seen and the ids of those whose
+    visibility is in doubt. Both sets are empty if the table's visibility values are null.
     """
     columns: Mapping[str, list[Any]] = table.select(["object_id", "seeable", "unseen"]).to_pydict()
     rows = list(zip(*columns.values(), strict=True))

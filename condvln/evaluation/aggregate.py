@@ -60,7 +60,7 @@ MEASURES: Final = (
 
 @dataclass(frozen=True)
 class Summary:
-    """Means of one group of episodes."""
+    """Means of the measures over one group of episodes, with confidence intervals."""
 
     group: Mapping[str, Any]
     episodes: int
@@ -119,8 +119,8 @@ def sweep_summary(evaluation: Evaluation, *, seed: int = 0) -> list[Summary]:
 
 @dataclass(frozen=True)
 class GroupAccuracy:
-    """Accuracy over counterfactual groups: episodes with the same text whose conditions differ in truth, and so in gold
-    leaf.
+    """Accuracy over counterfactual groups. The episodes of a group have the same text, but the truths of the conditions
+    in this text differ, and so do the gold leaves.
 
     ``all_right`` is the share of groups in which every episode succeeded; an agent that ignores the conditions succeeds
     in at most one episode of each. ``single`` is the mean success over the same episodes. Intervals resample scenes.

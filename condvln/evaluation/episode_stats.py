@@ -1,6 +1,6 @@
-"""Read per-episode results of other evaluators. They may be ``stats_<id>.json`` files, one object of results by episode
-id, or the lines that StreamVLN, JanusVLN and InternNav write, ``{"scene_id", "episode_id", "success", "spl", "os",
-"ne", …}``.
+"""Read per-episode results of other evaluators. The results may be ``stats_<id>.json`` files, a single JSON object with
+the results by episode id, or the lines that StreamVLN, JanusVLN and InternNav write, ``{"scene_id", "episode_id",
+"success", "spl", "os", "ne", …}``.
 
 They are aggregated into the same tables and intervals as our own scores. Their goals, budgets and success distances are
 those of the other evaluator (see docs/metrics.md before comparing). Numbers that are not finite count as undefined,

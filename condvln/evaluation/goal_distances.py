@@ -48,7 +48,9 @@ class Nearness:
         self._prune = prune
 
     def snap(self, positions: Points) -> SnappedPath:
-        """Return a path together with the snapped position of each point, as the methods below require it."""
+        """Return a path together with the snapped position of each point: the form in which the methods below accept
+        paths.
+        """
         # Turning does not change the position: equal consecutive positions are snapped once.
         fresh = np.concatenate(([True], (np.diff(positions, axis=0) != 0).any(axis=1)))
         once = np.asarray(self._pathfinder.snap_points(positions[fresh]), dtype=np.float64).reshape(-1, 3)
@@ -86,8 +88,8 @@ class Nearness:
         return None
 
     def _candidates(self, path: SnappedPath, goals: Points, radius: float) -> tuple[npt.NDArray[np.intp], Points]:
-        """Return the indices of the positions on ``path`` whose geodesic distance must be computed, and the
-        straight-line distance of every position to the nearest snapped goal.
+        """Return the indices of the positions on ``path`` whose geodesic distance to the goals must be computed, and
+        the straight-line distance of every position on ``path`` to the nearest snapped goal.
         """
         targets = self.snap(goals)
         apart = path.snapped[:, None, :] - targets.snapped[None, :, :]

@@ -57,7 +57,8 @@ def without_repeats(positions: Points) -> Points:
 
 
 def spl(success: bool, shortest: float, length: float) -> float:
-    """Return success weighted by path length: S · L ÷ max(L, P) (Anderson et al. 2018).
+    """Return success weighted by path length (Anderson et al. 2018): S · L ÷ max(L, P), where S is 1 for a success and
+    otherwise 0, L is `shortest` and P is `length`.
 
     An unreachable goal gives 0, and a start at the goal without any step gives S; the plain quotient would give NaN.
     """
@@ -69,7 +70,8 @@ def spl(success: bool, shortest: float, length: float) -> float:
 
 
 def ndtw(path: Points, reference: Points, distance: float = FIDELITY_DISTANCE, *, fast: bool = False) -> float:
-    """Return the normalised dynamic time warping: exp(−DTW(P, R) ÷ (|R| · d)).
+    """Return the normalised dynamic time warping: exp(−DTW(P, R) ÷ (|R| · d)), where P is `path`, R is `reference` and
+    d is `distance` in metres.
 
     Parameters
     ----------
@@ -94,7 +96,7 @@ def cls(path: Points, reference: Points, distance: float = FIDELITY_DISTANCE) ->
 
 
 def length_weighted(coverage: float, reference_length: float, length: float) -> float:
-    """Return CLS from a coverage and the two lengths in metres."""
+    """Return CLS, computed from the coverage and from the lengths in metres of the reference and of the path."""
     expected = coverage * reference_length
     total = expected + abs(expected - length)
     return coverage if total == 0 else coverage * expected / total

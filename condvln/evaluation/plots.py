@@ -69,7 +69,8 @@ def _dress(panel: Any, axis: str, heading: str, evaluations: Sequence[Evaluation
 
 
 def save_figures(evaluations: Sequence[Evaluation], folder: Path, *, seed: int = 0) -> list[Path]:
-    """Write ``depth.png``, ``depth.pdf``, ``chain.png`` and ``chain.pdf``; equal scores give equal bytes.
+    """Write ``depth.png``, ``depth.pdf``, ``chain.png`` and ``chain.pdf`` to `folder` and return their paths; equal
+    scores give equal bytes.
 
     Raises
     ------

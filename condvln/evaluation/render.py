@@ -46,7 +46,7 @@ def written(cell: Cell, column: Column, *, interval: bool = True) -> str:
 
 
 def _narrow(cell: Cell, column: Column) -> str:
-    """Return a cell as :func:`written` does, but with the interval on its own line and with one digit less; for narrow
+    """Return a cell as :func:`written` does, but with the interval on a separate line and one decimal fewer; for narrow
     terminals.
     """
     lines = [written(replace(cell, low=math.nan, high=math.nan, n=cell.total), column)]

@@ -39,7 +39,8 @@ class SeenScene(Protocol):
 
 
 class SceneViews:
-    """Opened scenes with their renderers, by name: a task's value on the axis ``scene``, ``<source>/<scene id>``.
+    """Opens scenes with their renderers, and keeps the latest ones open. A scene is called ``<source>/<scene id>``, the
+    value that its tasks have on the axis ``scene``.
 
     Parameters
     ----------

@@ -104,7 +104,7 @@ def evaluate_split(
 
 
 def _evaluate_stock(stock: Path, predictions: Mapping[str, Path]) -> list[Evaluation]:
-    """Evaluate results of a split that has no manifest, such as R2R_VLNCE's."""
+    """Evaluate per-episode results of a split that has no manifest, such as a split of R2R_VLNCE."""
     episodes = stock_episodes(stock)
     for path in predictions.values():
         if not is_episode_stats(path):

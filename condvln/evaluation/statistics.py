@@ -89,7 +89,8 @@ class PairedTest:
 def paired_test(
     first: Values, second: Values, scenes: Labels, *, seed: int = 0, replicates: int = REPLICATES
 ) -> PairedTest:
-    """Test whether two agents differ: under the null hypothesis their labels can be swapped in any scene.
+    """Test whether the scores of two agents differ. Under the null hypothesis, the scores of the two agents can be
+    swapped in any scene.
 
     Parameters
     ----------

@@ -54,8 +54,8 @@ class Column:
 
 @dataclass(frozen=True)
 class Cell:
-    """One number with its interval, the number of episodes that have a value, and the number of all episodes; or a
-    text.
+    """A cell of a table: either a number with its interval, the number of episodes that have a value and the number of
+    all episodes, or a text.
     """
 
     value: float | int | str | None

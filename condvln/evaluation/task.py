@@ -146,7 +146,7 @@ def task_of(row: ManifestEpisode, locations: Points | None = None) -> Task:
 
 
 def read_tasks(manifest: Path, ground_truth: Path | None = None) -> Iterator[Task]:
-    """Yield the tasks of a split in the order of its manifest; ``ground_truth`` is its ``_gt`` file.
+    """Yield the tasks of a split in the order of its manifest; ``ground_truth`` is the split's ``_gt`` file.
 
     Raises
     ------

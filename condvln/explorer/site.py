@@ -180,7 +180,7 @@ def _is_ours(out: Path) -> bool:
 
 
 def _by_name(agents: Sequence[AgentResults]) -> dict[str, list[AgentResults]]:
-    """Return the results by agent; an agent has one for each split that it was scored on."""
+    """Return the results by the agent's name, one result for each split on which the agent was scored."""
     found: dict[str, list[AgentResults]] = {}
     for agent in agents:
         found.setdefault(agent.name, []).append(agent)

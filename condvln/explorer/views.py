@@ -71,8 +71,8 @@ def pictures(episode: Mapping[str, Any], renderer: Renderer) -> Iterator[tuple[s
 
 
 def _deciding(facts: Mapping[str, Any], condition: Mapping[str, Any]) -> list[str]:
-    """Return the objects that must be seen: a witness or else all rivals, and in either case the anchors; none if the
-    condition has neither witness nor rivals.
+    """Return the ids of the objects that must be seen to decide a condition: one witness, or all rivals if there is no
+    witness, and in either case the anchors. Empty if there are neither witnesses nor rivals.
     """
     witnesses = [thing["id"] for thing in facts["things"] if thing["role"] == "witness"][:1]
     rivals = [thing["id"] for thing in facts["things"] if thing["role"] == "rival"]

@@ -128,8 +128,8 @@ class Generated:
         return cls(pool.episode[order], pool.unfit[order], pool.reasons)
 
     def reason(self, name: int) -> str | None:
-        """Return the reason why an episode can be in no split. It is empty if the episode can be in a split, and None
-        if the snapshot does not have the episode.
+        """Return the reason why an episode can be in no split: empty text if the episode can be in a split, None if the
+        snapshot does not have the episode.
         """
         at = int(np.searchsorted(self.ids, np.uint64(name)))
         if at == len(self.ids) or int(self.ids[at]) != name:
@@ -140,7 +140,7 @@ class Generated:
 
 @dataclass
 class Changes:
-    """Counts by reason, with a few examples of each."""
+    """The differences between two exports: numbers of episodes by reason, with a few examples of each reason."""
 
     former: str
     snapshot: str

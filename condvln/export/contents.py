@@ -98,8 +98,8 @@ def owned_files(folder: Path) -> set[str]:
 
 
 def stale_proofs(folder: Path, files: dict[str, str]) -> set[str]:
-    """Return the paths of the certificates in ``folder`` that no longer hold. Either all hold or none: they hold if
-    each file that they prove has, in ``files``, the hash that they recorded.
+    """Return the paths of the certificates in ``folder`` if they no longer hold, else an empty set. They hold if every
+    file that they prove has, in ``files``, the same hash as in their own record.
     """
     proofs = {path.relative_to(folder).as_posix() for pattern in _PROOFS for path in folder.glob(pattern)}
     try:

@@ -250,7 +250,7 @@ class PoolBuilder:
 
     def _conditions(self, instructions: Hashes) -> tuple[Codes, Codes, npt.NDArray[np.bool_]]:
         """Return the conditions of each episode's instruction as ``offsets``, ``conditions`` and ``truths`` of
-        `ExportPool`; an unknown instruction has none.
+        `ExportPool`; an unknown instruction has no conditions.
         """
         names = _joined([part[0] for part in self._asked], np.uint64)
         if not len(names):

@@ -50,7 +50,7 @@ class SceneTable:
         return reasons
 
     def navmesh(self, source: str, scene: str) -> bytes | None:
-        """Return the built navmesh; None if there is none or its hash differs from the recorded one."""
+        """Return the built navmesh of a scene; None if none was built or if its hash is not the recorded one."""
         row = self._rows[source][scene]
         data = self._navmeshes(source, row) if self._navmeshes is not None else None
         if data is None or hashlib.sha256(data).hexdigest() != row["navmesh_sha256"]:

@@ -139,8 +139,8 @@ def _empty_splits(pool: ExportPool, config: SplitsConfig, selection: Selection) 
 
 
 def _place(pool: ExportPool, config: SplitsConfig, left_out: Counter[str]) -> npt.NDArray[np.int8]:
-    """Return the split of each episode, such that no unit and no program is in two splits. Other episodes get `OUT` and
-    are counted by reason in `left_out`.
+    """Return the split of each episode, such that no unit and no program is in two splits. All episodes that are left
+    out get `OUT` and are counted by reason in `left_out`.
     """
     groups = [scene_group(family, scene, config) for family, scene in pool.scenes]
     by_group = {"train": SPLITS.index("train"), "val_unseen": SPLITS.index("val_unseen"), "test": SPLITS.index("test")}
@@ -171,8 +171,9 @@ def _place(pool: ExportPool, config: SplitsConfig, left_out: Counter[str]) -> np
 
 
 def _seeded_order(pool: ExportPool, seed: int) -> npt.NDArray[np.int64]:
-    """Return the indices of all episodes, ordered by the hash of their id. One episode of each scene comes before the
-    second one of any scene.
+    """Return the indices of all episodes in rounds: first one episode of each scene, then a second one of each scene
+    that has more, and so on. Within a round, and among the episodes of a scene, the order is that of a seeded hash of
+    the id.
     """
     by_hash = np.argsort(fractions(pool.episode, seed, "order"), kind="stable")
     by_scene = by_hash[np.argsort(pool.scene[by_hash], kind="stable")]
@@ -235,8 +236,8 @@ def _quotas(pool: ExportPool, blocks: dict[int, npt.NDArray[np.int64]], per_cell
 
 
 def _wanted(pool: ExportPool, quotas: dict[int, int], per_cell: int | None) -> dict[int, int]:
-    """Return, for each source, the wanted number of episodes of each leaf: its quota, plus a share of what all quotas
-    together are short of ``per_cell``. Over the sources, the numbers add up to ``per_cell``.
+    """Return, for each source, the wanted number of episodes of each leaf: its quota, plus a share of the number by
+    which all quotas together fall short of ``per_cell``. Over the sources, the numbers add up to ``per_cell``.
     """
     wanted = dict(quotas)
     left = (per_cell or 0) - sum(quotas.values())
@@ -321,8 +322,9 @@ class _Picker:
         return rows[0]
 
     def _evenest(self, queue: _Queue) -> list[int] | None:
-        """Remove from the queue, and return, the next candidate that increases Σ (true − false)² least; the earliest
-        one on ties. The sum is over the kinds of condition.
+        """Remove one of the next few candidates from the queue and return its rows; None if the queue is empty. It is
+        the candidate with the least increase of Σ (true − false)², a sum over the kinds of condition; on ties the
+        earliest.
         """
         while queue.waiting and len(queue.window) < LOOKAHEAD:
             rows = queue.waiting.pop()

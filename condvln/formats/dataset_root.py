@@ -29,7 +29,7 @@ class DatasetRoot:
         self._inside: set[str] = set()
 
     def join(self, base: str, path: str, *, where: str = "", place: str = "") -> str:
-        """Return `path`, which a file in the folder `base` refers to, normalised and relative to the root.
+        """Normalise `path`, as written in a file of the folder `base`, and return it relative to the root.
 
         Raises
         ------

@@ -40,8 +40,8 @@ class Image:
 
 
 class MaterialReader:
-    """Reads materials of one file with their textures, samplers and images. Only those that are requested are kept;
-    they are numbered from 0.
+    """Reads materials of one file with their textures, samplers and images. Only what is requested is kept, and each
+    kind is numbered anew from 0.
     """
 
     def __init__(self, root: JsonNode, binary: bytes) -> None:
@@ -58,7 +58,7 @@ class MaterialReader:
         self._asked = {node.text() for node in root.array("extensionsRequired")}
 
     def material(self, node: JsonNode) -> int:
-        """Return the number of the material that `node` refers to by its index in the file.
+        """Return the new number of a material; the integer in `node` is the material's index in the file.
 
         Raises
         ------

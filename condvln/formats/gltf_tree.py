@@ -219,7 +219,7 @@ class _GeometryTree:
 
 
 def _transform(node: JsonNode) -> Tree:
-    """Return a node's own transform, with its numbers checked."""
+    """Check the numbers of a node's own transform and return it."""
     if "matrix" in node:
         return {"matrix": node["matrix"].vector(16, MAX_SCALE).tolist()}
     kept: Tree = {}

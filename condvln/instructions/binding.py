@@ -1,4 +1,4 @@
-"""Lint for ambiguous answers: does each answer word refer to the question that a listener takes it for?
+"""Lint for ambiguous answers: does a listener relate each answer word to the question that it is meant to answer?
 
 A listener refers "if so", "if not", "if there is one", "if it isn't" to the latest question or supposition, "otherwise"
 to the only "if" of the previous sentence, "neither" and "none of them" to all suppositions so far. A listener takes

@@ -61,8 +61,8 @@ class Noun:
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """A slot of a template: the place of a condition, in some form, or of a leaf. `index` is that of the condition or
-    leaf.
+    """A slot of a template: the place where the phrase of a condition (in some form) or of a leaf is filled in. `index`
+    is the index of this condition or leaf.
     """
 
     form: Form
@@ -151,7 +151,9 @@ class Language:
     rooms: Mapping[str, Noun]
 
     def noun(self, label: str, room: str) -> Noun:
-        """Return the noun of `label` in rooms of type `room`: Spanish has two words for "sink"."""
+        """Return the noun of `label` in rooms of type `room`. The room matters where, as for "sink" in Spanish, a
+        language has two words.
+        """
         special = self.nouns_in.get(room) if self.nouns_in else None
         return special[label] if special is not None and label in special else self.nouns[label]
 
@@ -193,7 +195,7 @@ class Language:
         return text
 
     def expanded(self, text: str) -> str:
-        """Return lower-case text with contractions expanded, the inverse of `contracted`."""
+        """Return `text`, which is in lower case, with contractions expanded: the inverse of `contracted`."""
         for apart, together in self.contractions.items():
             text = re.sub(rf"\b{together}\b", apart, text)
         return text

@@ -59,8 +59,8 @@ SCANS: Final = ("gibson", "mp3d")
 
 
 def doubles(arrays: RoomArrays, meant: Bools) -> Bools:
-    """Return a mask (n,) of the objects that may be the same thing as another object, annotated twice with a box each.
-    Two objects count only if a word for one of them might mean the other.
+    """Return a mask (n,) of the objects that may be duplicates: one thing in the room that was annotated as two
+    objects, each with its own box. Two objects count only if a word for one of them might mean the other.
 
     meant (n, n) : a word for i might mean j
     """
@@ -82,8 +82,8 @@ def doubles(arrays: RoomArrays, meant: Bools) -> Bools:
 
 
 def _thin_beside(low: NDArray[np.float64], high: NDArray[np.float64], gap: NDArray[np.float64]) -> Bools:
-    """Return a mask (n, n): whether one of two boxes is thin and directly beside the other, as next to a hole in a
-    scan.
+    """Return a mask (n, n) of the pairs of boxes that are side by side, almost touching, with one much thinner than the
+    other. A hole in a scan can split one object into two such boxes.
 
     low, high (n, 3) : millimetres; gap (n, n) : the vertical gap between the boxes
     """
@@ -96,8 +96,8 @@ def _thin_beside(low: NDArray[np.float64], high: NDArray[np.float64], gap: NDArr
 
 
 def look_alikes(arrays: RoomArrays, vague: Bools) -> tuple[frozenset[str], ...]:
-    """Return one set of labels for each of n objects. For an unlabelled object, which the mask `vague` (n,) tells, the
-    set holds the labels of the labelled objects of similar size and height; for any other object the set is empty.
+    """Return, for each of n objects, the labels of the labelled objects of similar size and height. Only the unlabelled
+    objects, marked in the mask `vague` (n,), get such labels; for all others the set is empty.
     """
     none: frozenset[str] = frozenset()
     if not vague.any():
@@ -113,8 +113,8 @@ def look_alikes(arrays: RoomArrays, vague: Bools) -> tuple[frozenset[str], ...]:
 
 
 def called_counters(arrays: RoomArrays) -> Bools:
-    """Return a mask (n,) of the objects that people may call a counter: long tables that are as high as a counter and
-    as large as the smallest of the room's counters, if any.
+    """Return a mask (n,) of the objects that people may call a counter: long tables that are at least as high as a
+    counter and, if the room has counters, at least as large as the smallest of them.
     """
     low, high = millimetres(arrays.aabb_min), millimetres(arrays.aabb_max)
     worktop = _with_role(arrays, "worktop")
@@ -127,15 +127,15 @@ def called_counters(arrays: RoomArrays) -> Bools:
 
 
 def called_side_tables(arrays: RoomArrays) -> Bools:
-    """Return (n,): whether people may call an object a side table. This holds for short tables of any kind."""
+    """Return a mask (n,) of the objects that people may call a side table: short tables of any kind."""
     sides = (millimetres(arrays.aabb_max) - millimetres(arrays.aabb_min))[:, [0, 2]]
     short = sides.max(axis=1, initial=-np.inf) <= 1000.0 * SIDE_TABLE_LENGTH
     return np.asarray(_with_role(arrays, "worktop") & short)
 
 
 def parts(arrays: RoomArrays) -> Bools:
-    """Return (n,): whether an object is a part of other furniture, such as a compartment of a television stand. A shelf
-    or a drawer counts as such a part if most of its box is inside the box of a larger object of another kind.
+    """Return a mask (n,) of the objects that are parts of other furniture, such as a compartment of a television stand.
+    A shelf or a drawer counts as such a part if most of its box is inside the box of a larger object of another kind.
     """
     part = _with_role(arrays, "part")
     if not part.any():
@@ -168,8 +168,8 @@ def mistakable(arrays: RoomArrays) -> Bools:
 
 
 def twins(arrays: RoomArrays, rival: Bools) -> Bools:
-    """Return a mask (n,) of the objects that are about as high as a rival with the same label. In a scan, the two may
-    be equally large: the smaller box may show an object that was scanned only in part.
+    """Return a mask (n,) of the objects that are about as tall as a rival with the same label. In a scan, two such
+    objects may be equally large in fact: the smaller box may show an object that was scanned only in part.
     """
     labels = np.array(arrays.labels, dtype=object)
     height = millimetres(arrays.aabb_max)[:, 1] - millimetres(arrays.aabb_min)[:, 1]

@@ -195,7 +195,7 @@ class _GrammarWriter:
 
 
 def _split(right: str) -> Iterator[str]:
-    """Yield the sequence of symbols of a template, and its variants in which some colons or semicolons end
+    """Yield a template's sequence of symbols, and the variants of this sequence in which some colons or semicolons end
     a sentence.
     """
     marks = ("SEMICOLON", "COLON")

@@ -87,7 +87,9 @@ class PriorBits:
         return STAGINGS if room_type in self.staged else EVIDENCE
 
     def document(self) -> dict[str, JSON]:
-        """Return these priors as sorted JSON, with the rates replaced by their hash. Equal priors give equal bytes."""
+        """Return these priors as sorted JSON. Instead of the rate at which each statement is true, the JSON holds one
+        hash of all these rates. Equal priors give equal bytes.
+        """
         rates = [(*key, round(RATE_STEPS * t / (t + f))) for key, (t, f) in sorted(self.counts.items())]
         return {
             "plausible": {room_type: sorted(labels) for room_type, labels in sorted(self.plausible.items())},
@@ -109,7 +111,7 @@ class LabelPriors:
 
     @classmethod
     def of_scene(cls, scene: Scene, thresholds: Thresholds, anchor_size: float) -> LabelPriors:
-        """Return the counts of one scene, with boxes for its objects.
+        """Return the counts of one scene, computed from the boxes of its objects.
 
         thresholds, anchor_size : those used for drawing conditions, so that exactly the possible statements are counted
         """

@@ -172,7 +172,7 @@ class Referents:
 
     @cached_property
     def anchor_pairs(self) -> NDArray[np.intp]:
-        """All pairs of anchors (p, 2), in the order of their ids."""
+        """All pairs of anchors as two indices each, (p, 2), in the order of the anchors' ids."""
         one, other = np.triu_indices(len(self.anchors), k=1)
         return np.stack([self.anchors[one], self.anchors[other]], axis=1).astype(np.intp)
 
@@ -199,8 +199,9 @@ class Referents:
         return np.asarray(status == -1) if found is None else np.asarray(found[:, self.anchors])
 
     def kept(self, predicate: Predicate, status: NDArray[np.int8]) -> Bools:
-        """Return a mask (n, a): whether a phrase with `predicate` and a choice of anchors may still mean an object, so
-        that the phrase does not exclude this object as a rival. `status` (n, a) is the status that `related` returns.
+        """Return a mask (n, a): for each object and each choice of anchors, whether the object stays a rival, since a
+        phrase with `predicate` and these anchors may still mean this object. `status` (n, a) is the status that
+        `related` returns.
         """
         found = self.facts.excluded.get(predicate)
         return np.asarray(status != -1 if found is None else (status != -1) | ~found[:, self.anchors])
@@ -357,8 +358,8 @@ def _nameless(
 
 
 def _suits(sizes: NDArray[np.float64], fixed: Bools) -> Bools:
-    """Return a mask (n, n): whether object j may be the anchor of object i, judging by the `sizes` (n, 3). It may if
-    object j is fixed, or if its ground area or its volume is at least that of object i.
+    """Return a mask (n, n): whether object j may be the anchor of object i, judging by the `sizes` (n, 3). It may if it
+    is fixed, or if the ground area or the volume of object j is at least that of object i.
     """
     area, volume = sizes[:, 0] * sizes[:, 2], sizes.prod(axis=1)
     suits = fixed[None, :] | (area[None, :] >= area[:, None]) | (volume[None, :] >= volume[:, None])

@@ -91,7 +91,7 @@ def _wording(wording: WordingConfig | str) -> WordingConfig:
 
 
 def preamble(heading_degrees: float, voice: Voice, code: str = "en") -> str:
-    """Return "You're facing north-east." in the words of a voice."""
+    """Return the sentence that states the start heading ("You're facing north-east.") in the words of a voice."""
     words = language(code)
     return _sentences(words, f"{voice.slots['facing'][0]} {words.directions[heading_name(heading_degrees)]}.")
 
@@ -355,7 +355,9 @@ class _Renderer:
         return f" {relation} {f' {self.words.both} '.join(anchors)}"
 
     def _lying(self) -> str:
-        """Return the words between the noun of a stop and its relation. They are the same throughout a text."""
+        """Return the words between the noun of a stop and the relation after it, such as "que está". They are the same
+        throughout a text.
+        """
         found = self._chosen.get("lying")
         if found is None:
             found = self._chosen["lying"] = self._choice(self.words.lying)
@@ -470,7 +472,9 @@ def _rooms(program: Program) -> set[RoomRef]:
 
 
 def _sentences(words: Language, text: str) -> str:
-    """Return text with contractions, long sentences split, and each sentence capitalised."""
+    """Return `text` with words contracted where the language does so, long sentences split, and each sentence
+    capitalised.
+    """
     text = words.contracted(text)
     if ";" in text or ":" in text:
         text = ". ".join(_split(sentence) for sentence in text.split(". "))

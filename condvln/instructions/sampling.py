@@ -1,5 +1,5 @@
-"""Sample candidate programs of one scene: leaves first, then the gold leaf, then conditions with the truths that lead
-there.
+"""Sample candidate programs of one scene: first the leaves, then which leaf is gold, then conditions whose truths lead
+to the gold leaf.
 
 Therefore nothing about a leaf reveals that it is gold, and neither label, anchor, kind nor predicate of a statement
 reveals its truth. Every draw is seeded by (dataset seed, family, scene, category) only.
@@ -159,7 +159,7 @@ class ProgramSampler:
 
     @cached_property
     def _clear(self) -> int:
-        """The positions of the targets that have a clear name, as bits."""
+        """The positions of the targets that have a clear name (see `Target`), as the set bits of one integer."""
         return sum(1 << target.position for target in self.targets if target.clear)
 
     @cached_property
@@ -270,8 +270,8 @@ class ProgramSampler:
 
     @contextmanager
     def _counted(self, cell: InstructionCell | None) -> Iterator[None]:
-        """Return a context manager around one draw that counts rejections for `cell`: the draw itself, by its reason,
-        if it is rejected, and in any case the conditions that clashed with others.
+        """Return a context manager to put around one draw. It counts for `cell`, by reason, the draw itself if it is
+        rejected and, in any case, the conditions that clashed with others.
         """
         try:
             yield
@@ -316,8 +316,9 @@ class ProgramSampler:
         return tuple(room for room in self.condition_sampler.rooms if self._fits(self._held[room], n))
 
     def _fits(self, allowed: int, n: int, waypoints: int = 0, free: int | None = None) -> bool:
-        """Return whether enough targets exist that have different labels and are pairwise apart: `n` among `allowed`,
-        and `waypoints` more among `free`. Both are sets of targets, as bits; `free` is `allowed` by default.
+        """Return whether `allowed` contains `n` targets that have different labels and are pairwise apart, and `free`
+        contains `waypoints` more such targets, also apart from the first `n`. Both are sets of targets, as bits; `free`
+        is `allowed` by default.
         """
         free = allowed if free is None else free
         if n < 2 and not waypoints:

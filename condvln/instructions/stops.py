@@ -113,7 +113,9 @@ def targets(
     sampling: SamplingConfig,
     words: Vocabulary,
 ) -> tuple[Target, ...]:
-    """Return the usable, reachable objects of the named `rooms`, in order of room and object id."""
+    """Return the objects of the given `rooms` that text can name and that can be reached, in order of room and object
+    id.
+    """
     alone = len(referents) == 1
     row_of = {name: k for k, name in enumerate(stops.object_ids)}
     chosen = [
@@ -143,7 +145,9 @@ def targets(
 
 
 def _alike(named: Sequence[tuple[str, str]], words: Vocabulary) -> NDArray[np.bool_]:
-    """Return (n, n): whether two of the n (room, label) pairs are in different rooms and one word might name both."""
+    """Return a mask (n, n) for n objects, given as (room, label): whether two of them are in different rooms and one
+    word might name both.
+    """
     meant = {label: words.overlapping(label) for _, label in named}
     found = [[room != other and label in meant[one] for other, label in named] for room, one in named]
     return np.array(found, dtype=bool).reshape(len(named), len(named))

@@ -15,7 +15,7 @@ __all__ = ["Phrase", "Place", "Reading", "reading_of"]
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A room as named: its label, and the label of the object that distinguishes it."""
+    """A room as a text names it: the room's label, and the label of the object that distinguishes the room."""
 
     label: str
     anchor: str | None = None

@@ -246,8 +246,8 @@ class Vocabulary:
         return next((self._containers[name] or None for name in names if name in self._containers), None)
 
     def is_frame(self, label: str) -> bool:
-        """Return whether objects with `label` are open frames, whose box does not hide what is in or on it. A hypernym
-        of `label` can decide this.
+        """Return whether objects with `label` are open frames, whose box does not hide what is in or on the frame. It
+        is enough that a hypernym of `label` is listed as a frame; a ``shut`` container is never a frame.
         """
         entry = self._entries.get(label)
         names = {label} if entry is None else {label, *entry.hypernyms}

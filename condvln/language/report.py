@@ -155,8 +155,8 @@ def _share(flags: Iterable[bool]) -> float:
 
 
 def _lint(texts: Sequence[InstructionText]) -> dict[str, int] | None:
-    """Count the texts of our own grammar that do not parse back to their program, and those with findings of the
-    binding lint.
+    """Return the numbers of all `texts`, of the texts that do not parse back to their program, and of the texts with
+    findings of the binding lint; None if there are no texts.
     """
     if not texts:
         return None

@@ -134,7 +134,7 @@ class HabitatPathfinder:
         return bool(self._habitat.is_navigable(one_point(point)[0], max_y_delta))
 
     def get_island(self, point: npt.ArrayLike) -> int:
-        """Return the index of the island that the point snaps to; -1 if there is none."""
+        """Return the index of the island that the point snaps to; -1 if the point is off the navmesh."""
         return int(self._habitat.get_island(one_point(point)[0]))
 
     def get_islands(self, points: npt.ArrayLike) -> Ints:

@@ -17,7 +17,7 @@ INTERNAL_SIDE = 0xFF
 
 
 def link_tile(tile: NavMeshTile) -> NavMeshTile:
-    """Return the tile with new links and with its zero-area polygons disabled: the state in which Habitat saves it.
+    """Return the tile with new links and with its zero-area polygons disabled, as Habitat saves tiles.
 
     Links are taken from the free list in polygon order, each polygon's edges last to first, and each is put at the head
     of its polygon's list; the remaining links stay in the free list.

@@ -1,4 +1,6 @@
-"""Find each episode's navmesh by the manifest's path below some folders, and verify its hash."""
+"""Find each episode's navmesh: search several folders for the relative path in the manifest, and verify the file's
+hash.
+"""
 
 from __future__ import annotations
 

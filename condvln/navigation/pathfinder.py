@@ -170,7 +170,7 @@ class Pathfinder:
         return all_navigable(self.query_mesh, many_points(points), np.float32(max_y_delta))
 
     def get_island(self, point: npt.ArrayLike) -> int:
-        """Return the index of the island that the point snaps to; -1 if there is none."""
+        """Return the index of the island that the point snaps to; -1 if the point is off the navmesh."""
         return int(self.get_islands(one_point(point))[0])
 
     def get_islands(self, points: npt.ArrayLike) -> Ints:
@@ -194,7 +194,7 @@ class Pathfinder:
         return ShortestPath(float(lengths[0]), points, 0 if counts[0] else -1)
 
     def find_paths(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> list[ShortestPath]:
-        """Return the paths of n pairs; a single start or end is paired with all others."""
+        """Return the paths of n pairs. A single start is paired with every end, and a single end with every start."""
         lengths, counts, points = routes(self.query_mesh, *paired_points(starts, ends), True)
         pieces = np.split(points, np.cumsum(counts)[:-1])
         return [
@@ -323,8 +323,8 @@ class Pathfinder:
     # -- pictures ------------------------------------------------------------------------------------------------------
 
     def top_down_view(self, metres_per_pixel: float, height: float, eps: float = MAX_Y_DELTA) -> npt.NDArray[np.bool_]:
-        """Return whether each point of a grid at ``height`` is navigable, within ``eps`` metres in height. Rows run
-        along z, columns along x.
+        """Return a mask of the points of a horizontal grid at ``height`` that are navigable, within ``eps`` metres in
+        height. The mask's rows run along z, its columns along x.
 
         Raises
         ------

@@ -66,7 +66,9 @@ class PathfinderProtocol(Protocol):
         """Return whether the point is navigable."""
 
     def get_island(self, point: npt.ArrayLike) -> int:
-        """Return the index of the connected component that the point snaps to; -1 for none."""
+        """Return the index of the connected component that the point snaps to; -1 if the point is off the navmesh or
+        graph.
+        """
 
     def get_islands(self, points: npt.ArrayLike) -> Ints:
         """Return the component indices (n,) of n points; see :meth:`get_island`."""

@@ -47,8 +47,7 @@ class Sampler:
 
     def draw_near(self, centre: Floats, radius: float, rng: RandomSource, max_tries: int, island: int | None) -> Floats:
         """Return a random point (3,) that is uniform over the floor within ``radius`` metres of ``centre`` in the
-        ground plane. It is NaN if none of ``max_tries`` draws is within the radius.
-        """
+        ground plane. The point is NaN if none of ``max_tries`` draws is within the radius."""
         weights = self._weights_of(island) * self._within(centre, radius)
         nothing = np.full(3, np.nan, np.float32)
         if weights.sum() <= 0:

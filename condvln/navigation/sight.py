@@ -155,8 +155,8 @@ def visible_shares(
     view: View | None = None,
     headings: npt.ArrayLike | None = None,
 ) -> Points:
-    """Return a table (n, t): the share, from 0 to 1, of the samples of each of t targets that each of n eyes sees. All
-    are computed as one batch.
+    """Return a table (n, t) that holds, for each of n eyes and each of t targets, the share (0 to 1) of the target's
+    samples that the eye sees. All shares are computed as one batch.
     """
     sizes = np.array([len(target.samples) for target in targets], np.int64)
     if (sizes == 0).any():

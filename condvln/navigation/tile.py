@@ -203,8 +203,8 @@ class NavMeshTile:
 
     @property
     def detail_triangles(self) -> tuple[Floats, Ints]:
-        """All detail triangles in polygon order: their corners (n, 3, 3), float32, and the index of the polygon to
-        which each belongs (n,), int32.
+        """All detail triangles in polygon order: the corners (n, 3, 3), float32, of each triangle, and the index (n,),
+        int32, of the polygon to which the triangle belongs.
         """
         counts = self.detail_meshes["tri_count"].astype(np.int64)
         poly = np.repeat(np.arange(len(self.polys)), counts)

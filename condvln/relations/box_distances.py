@@ -76,8 +76,8 @@ def _distances(a: F64, half_a: F64, axes_a: F64, b: F64, half_b: F64, axes_b: F6
 
 
 def _corners_to_box(corners: F64, center: F64, half: F64, axes: F64) -> F64:
-    """Return the least distance (p,), for each of p pairs, between the corners (p, 8, 3) of one box and the other
-    box.
+    """Return, for each of p pairs of boxes, the least distance (p,) from one of the `corners` (p, 8, 3) of the first
+    box to the second box.
     """
     beyond = np.maximum(np.abs((corners - center[:, None]) @ axes) - half[:, None], 0.0)
     least: F64 = np.linalg.norm(beyond, axis=-1).min(axis=1)

@@ -91,8 +91,8 @@ def pair_metrics(centers: F64, aabb_min: F64, aabb_max: F64, radius: F64) -> Pai
 
 
 def _between(low: F64, high: F64) -> F64:
-    """Return the gap (n, n) between each two of n intervals along one axis. The gap of intervals that overlap is
-    negative.
+    """Return the gap (n, n) between the intervals of each pair of n intervals along one axis. The gap of intervals that
+    overlap is negative.
     """
     one_way = low[:, None] - high[None, :]
     gap: F64 = np.maximum(one_way, one_way.T)
@@ -100,8 +100,8 @@ def _between(low: F64, high: F64) -> F64:
 
 
 def _footprint_overlap(gap_x: F64, gap_z: F64, sizes: F64) -> F64:
-    """Return, for each two of n rectangles, the ground area that they share, divided by the area of the smaller one.
-    The gaps (n, n) are along x and z; `sizes` (n, 2) are the sides of the rectangles.
+    """Return, for each pair of n rectangles on the ground, the area that the two share, divided by the area of the
+    smaller one. The gaps (n, n) are along x and z; `sizes` (n, 2) are the sides of the rectangles.
     """
     shared_x, shared_z = (
         np.maximum(np.minimum(-gap, np.minimum(size[:, None], size[None, :])), 0.0)

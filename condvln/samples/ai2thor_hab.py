@@ -34,8 +34,8 @@ _LEFT_OUT: Final = ("navmeshes", "configs/semantics/")
 
 
 def ai2thor_hab_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, bytes]]:
-    """Yield all files as (path relative to the folder that holds both parts, bytes). Layout k becomes the scene
-    ``ProcTHOR-Train-<k>``.
+    """Yield all files as (path relative to the folder that holds ``hab/`` and ``houses/``, bytes). Layout k becomes the
+    scene ``ProcTHOR-Train-<k>``.
     """
     for path, content in procthor_files(layouts):
         yield f"{HOUSES}/{path.replace('houses.', 'train.')}", content
@@ -99,8 +99,9 @@ def _lexicon(content: bytes) -> bytes:
 
 
 def _articulated(name: str) -> bytes:
-    """Return the configuration of the articulated body `name`. The semantic id is the position of the body's label
-    among the catalogue's sorted labels, since Habitat's ProcTHOR has no names for such types.
+    """Return the configuration of the articulated body `name`. The configuration's semantic id is the position, counted
+    from 1, of the body's label among the catalogue's sorted labels, since Habitat's ProcTHOR has no names for such
+    types.
     """
     (label,) = {kind.label for kind in catalogue().values() if kind.urdf == name}
     number = sorted({kind.label for kind in catalogue().values()}).index(label) + 1

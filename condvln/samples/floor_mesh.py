@@ -72,7 +72,9 @@ def _triangles(floor: shapely.Geometry) -> NDArray[np.float64]:
 
 
 def _turn(vertices: NDArray[np.float64], a: int, b: int, c: int) -> float:
-    """Return twice the signed area of the triangle a, b, c; positive if it turns left."""
+    """Return twice the signed area of the triangle a, b, c: positive if a, b, c are counter-clockwise in a plot with x
+    to the right and z up.
+    """
     (ax, az), (bx, bz), (cx, cz) = vertices[[a, b, c]]
     return float((bx - ax) * (cz - az) - (bz - az) * (cx - ax))
 

@@ -187,8 +187,8 @@ def _fits(room: PlanRoom) -> bool:
 
 
 def _cut_cells(rng: random.Random, programme: Sequence[str]) -> list[PlanRoom] | None:
-    """Return the rooms made by dividing one rectangle recursively across its longer side, in proportion to their areas.
-    Return None if a room does not fit.
+    """Return the rooms made by dividing one rectangle recursively across its longer side, in proportion to the rooms'
+    areas. Return None if a room does not fit.
     """
     for _ in range(CUT_TRIES):
         labels = rng.sample(programme, len(programme))
@@ -248,8 +248,8 @@ def _corridor_cells(rng: random.Random, programme: Sequence[str]) -> list[PlanRo
 
 
 def _shorten_hallway(rng: random.Random, cells: list[PlanRoom], strip: Rect) -> list[PlanRoom]:
-    """Return the cells with the hallway added. One shared room at its east end may take a part of the hallway and
-    become L-shaped.
+    """Return the cells with the hallway added. A living room, dining room or kitchen at the hallway's east end may take
+    a part of the hallway and become L-shaped.
     """
     ends = [i for i, cell in enumerate(cells) if cell.rects[0].x1 == strip.x1 and cell.label in WIDE]
     taken = None

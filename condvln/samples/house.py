@@ -109,7 +109,7 @@ def house_text(name: str, layout: Layout, views: Viewpoints, ids: list[str]) -> 
 
 
 def _regions(layout: Layout) -> tuple[list[Record], list[Record], list[Record]]:
-    """Return R records, the S record of each region's floor, and the V records of its corners."""
+    """Return the R records of the regions, the S records of their floors, and the V records of the floors' corners."""
     regions: list[Record] = []
     surfaces: list[Record] = []
     vertices: list[Record] = []

@@ -84,8 +84,8 @@ def make_layouts(scenes: int, seed: int) -> dict[str, Layout]:
 def make_samples(
     folder: str | os.PathLike[str], family: str = "replicacad", scenes: int = 12, seed: int = 0
 ) -> SampleReport:
-    """Write `scenes` generated apartments to `folder` in the native format of `family`, which may also be the key of
-    another form in `FORMS`.
+    """Write `scenes` generated apartments to `folder` in the native format of `family`, which is any key of `FORMS`: a
+    source family or ``ai2thor-hab``.
 
     The bytes depend only on (family, scenes, seed). A folder that already holds the same files is unchanged.
 
@@ -112,8 +112,8 @@ def write_replicacad(folder: Path, layouts: Mapping[str, Layout], navmesh: Navme
 
 
 def write_ai2thor_hab(folder: Path, layouts: Mapping[str, Layout]) -> SampleReport:
-    """Write `layouts` as Habitat's form of ProcTHOR, ``hab/``, with their houses, ``houses/``; raises the errors of
-    `make_samples`.
+    """Write `layouts` in Habitat's form of ProcTHOR: the scene dataset to ``hab/``, the houses to ``houses/``. Raises
+    the errors of `make_samples`.
     """
     return _write(folder, HABITAT_PROCTHOR, layouts, ai2thor_hab_files(layouts))
 

@@ -26,7 +26,7 @@ class NativeLabel:
 
 @cache
 def native_labels() -> dict[str, NativeLabel]:
-    """Return the native labels by label of the catalogue."""
+    """Return the native labels, keyed by the catalogue's labels."""
     text = resources.files("condvln.samples").joinpath("native_labels.csv").read_text(encoding="utf-8")
     return {
         row["label"]: NativeLabel(row["ai2thor"], row["gibson"], row["mp3d"], int(row["mpcat40"]))

@@ -125,7 +125,9 @@ def door_record(door: Door, number: Mapping[str, int], walls: list[HouseWall], f
 
 
 def front_door(layout: Layout, number: Mapping[str, int], walls: list[HouseWall], frame: UnityFrame) -> list[Json]:
-    """Return a closed door to the outdoors at a place without furniture; empty if there is no such place."""
+    """Return the record of a closed door to the outdoors, at a place without furniture, as a list of one; the list is
+    empty if there is no such place.
+    """
     taken = shapely.union_all(
         [shapely.Polygon([frame.ground(x, z) for x, z in p.footprint.exterior.coords]) for p in layout.furniture]
     )

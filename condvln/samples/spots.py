@@ -135,7 +135,7 @@ def anywhere(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anch
 
 
 def beside(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anchor: Piece | None) -> Iterator[Piece]:
-    """Yield positions next to the anchor along the wall it stands against, backs aligned."""
+    """Yield positions beside the anchor, at the same wall and with the back in line with the anchor's back."""
     if anchor is None or not anchor.yaw.square:
         return
     width, _, depth = kind.sizes[variant]
@@ -227,7 +227,7 @@ def on_middle(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anc
 
 
 def on_back(rng: random.Random, room: RoomSpace, kind: Kind, variant: int, anchor: Piece | None) -> Iterator[Piece]:
-    """Yield positions at the back of the anchor's top: pillows, screens."""
+    """Yield positions on top of the anchor, at the back: for pillows and screens."""
     for across in (0.0, -0.95, 0.95, -0.5, 0.5):
         yield from _on(rng, kind, variant, anchor, share=(across, -1.0))
 

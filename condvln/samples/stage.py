@@ -59,8 +59,8 @@ def wall_boxes(layout: Layout) -> F64:
 
 
 def _lines(layout: Layout) -> dict[tuple[int, float], list[Span]]:
-    """Return the spans of wall on each centre line; the spans of one line don't touch. The key of a line is (0, z) if
-    it runs along x, and (1, x) if it runs along z.
+    """Return, for each centre line of walls, the separate spans that have a wall. The key of a line is (0, z) if the
+    line runs along x, and (1, x) if the line runs along z.
     """
     pieces: dict[tuple[int, float], list[Span]] = defaultdict(list)
     for room in layout.rooms:

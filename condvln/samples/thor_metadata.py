@@ -52,7 +52,8 @@ F64 = NDArray[np.float64]
 
 
 def ithor_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, bytes]]:
-    """Yield each kitchen, living room, bedroom and bathroom as a separate floor plan, numbered in order of scenes.
+    """Yield (file name, content) of the files of one floor plan for each kitchen, living room, bedroom and bathroom.
+    The floor plans of each room type are numbered in the order of the layouts.
 
     Files: ``FloorPlan<N>.json`` and ``FloorPlan<N>-reachable.npy``, (n, 2) of (x, z) on a 0.25 m grid. Doorways are
     open; what is behind them, and rooms of other types, are left out.
@@ -81,8 +82,8 @@ def ithor_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, bytes]]:
 
 
 def robothor_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, bytes]]:
-    """Yield (file name, content) for each layout: one scene without rooms, with panels as walls, named as in
-    ``ROBOTHOR_SCENES``.
+    """Yield (file name, content) of the files of each layout. Each layout becomes one scene without rooms and with
+    panels as walls; the scenes get the names in ``ROBOTHOR_SCENES``.
 
     Raises
     ------

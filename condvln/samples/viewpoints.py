@@ -1,4 +1,6 @@
-"""Viewpoints in an apartment, and which of them see and reach each other, like Matterport3D's panoramas."""
+"""Viewpoints in an apartment, like Matterport3D's panoramas: their positions, and which of them see and reach each
+other.
+"""
 
 from __future__ import annotations
 
@@ -46,8 +48,8 @@ class Viewpoints:
 
 
 def viewpoints_of(layout: Layout) -> Viewpoints:
-    """Return viewpoints on both sides of every doorway and across the floor, all connected by straight free
-    segments.
+    """Return viewpoints on both sides of every doorway and across the floor. Any two of them are connected by a chain
+    of straight free segments.
     """
     floor = free_floor(layout)
     shapely.prepare(floor)

@@ -1,4 +1,4 @@
-"""What contains an object, what it rests on, and whether a closed container hides it.
+"""Find out for each object what contains the object, what the object rests on, and whether a closed container hides it.
 
 If the source states what an object is in or on, the source decides; otherwise boxes do. A container counts as shut
 unless its source says that it is at least half open. The contents of a shut container can't be known in the room.
@@ -92,8 +92,8 @@ def stated_holders(objects: Sequence[SceneObject]) -> tuple[dict[str, list[str]]
 
 @dataclass(frozen=True, slots=True)
 class _Links:
-    """The containers around each object, and the objects it rests on, by object id. Each is given as (rank, id); the
-    one with the lowest rank comes first.
+    """For each object, by its id: the containers around the object, and the objects that it rests on. Each container or
+    support is given as (rank, id); the lowest rank comes first.
     """
 
     inside: dict[str, list[tuple[float, str]]] = field(default_factory=dict)
@@ -122,8 +122,8 @@ def _stated(item: SceneObject, of: Mapping[str, SceneObject], links: _Links) -> 
 
 
 def _is_inside(item: SceneObject, holder: SceneObject) -> bool:
-    """Return whether an object is inside a receptacle that the source states for the object, rather than on top of the
-    receptacle.
+    """Return whether `item` is inside `holder`, rather than on top of it; `holder` is a receptacle that the source
+    states for `item`.
 
     Boxes of cabinets and drawers may cover a door alone, so being below the top suffices.
     """
@@ -231,8 +231,8 @@ def _is_structure(item: SceneObject) -> bool:
 
 
 def _too_large(item: SceneObject, holder: SceneObject) -> bool:
-    """Return whether `item` is too large to be in or on `holder`, as the source claims: simulators sometimes name a
-    plate as the receptacle of the counter below the plate.
+    """Return whether the source must be wrong in claiming that `item` is in or on `holder`, because `item` is too
+    large: simulators sometimes name a plate as the receptacle of the counter below the plate.
     """
     if item.box is None or holder.box is None:
         return False

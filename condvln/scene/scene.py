@@ -61,7 +61,9 @@ class MeshPart:
 
 @dataclass(frozen=True, slots=True)
 class SceneWarning:
-    """Something missing or odd in the source: its `code`, where it is, and how it was handled."""
+    """A warning about something missing or odd in the source: the `code` of the problem, its place, and how it was
+    handled.
+    """
 
     code: str
     where: str

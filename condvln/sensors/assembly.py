@@ -83,8 +83,8 @@ def _assembled(scene: Scene, words: Vocabulary) -> Surfaces:
 
 
 def _owners_by_box(surfaces: Surfaces, scene: Scene, words: Vocabulary) -> NDArray[np.int32]:
-    """Return for each triangle (m,) the index of the object whose box contains it. If several boxes do, it is the
-    object with the smallest box.
+    """Return for each triangle (m,) the index of the object whose box contains the triangle. If several boxes contain
+    it, the smallest box counts; if none does, the index is `STRUCTURE`.
     """
     corners = surfaces.corners + surfaces.origin
     along = np.argsort(corners[:, 0, 0], kind="stable")

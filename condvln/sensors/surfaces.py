@@ -40,7 +40,8 @@ class Material:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Surfaces:
-    """m triangles, counter-clockwise seen from outside. No two triangles share a corner.
+    """m triangles, counter-clockwise seen from outside. Each triangle's corners are stored separately, not shared by
+    index.
 
     corners : (m, 3, 3) metres in Habitat's frame, relative to `origin` (3,)
     owner : (m,) index into the scene's ``objects`` of each triangle's object, `STRUCTURE` if it has none

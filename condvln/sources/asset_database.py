@@ -62,7 +62,7 @@ class AssetDatabase:
                 self._assets[own] = Asset(own, kind if own_kind is None else own_kind.text(), size)
 
     def asset(self, asset_id: str, ledger: InputLedger) -> Asset | None:
-        """Return an asset; None if it is not in the database (assets from Objaverse)."""
+        """Return an asset; None if the database does not have it, as for assets from Objaverse."""
         found = self._assets.get(asset_id)
         said = None if found is None else [found.object_type, None if found.size is None else found.size.tolist()]
         ledger.entry(self.path, asset_id, said)

@@ -155,8 +155,8 @@ FAMILIES: Final[dict[str, Family]] = {
 
 
 def composed_datasets(scenes: Iterable[str]) -> list[str]:
-    """Return the names of the datasets to which the given scenes (``<family>/<scene>``) belong, sorted by family; only
-    of those that the command ``compose`` combines.
+    """Return the names of the datasets to which the given scenes (``<family>/<scene>``) belong, sorted by family.
+    Datasets that the command ``compose`` does not combine are left out.
     """
     families = sorted({scene.partition("/")[0] for scene in scenes})
     return [FAMILIES[family].name for family in families if family in FAMILIES and FAMILIES[family].composed]

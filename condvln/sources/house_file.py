@@ -81,8 +81,8 @@ class Portal:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class HouseFile:
-    """The parts of a ``.house`` file that a scene needs. `categories` are names by index, in which `#` stands for a
-    blank.
+    """The parts of a ``.house`` file that a scene needs. `categories` are the names of the object categories by index;
+    a `#` in a name stands for a blank.
     """
 
     levels: int

@@ -22,7 +22,9 @@ ROOM_TYPES: Final = (
 
 
 def room_type(name: str) -> str:
-    """Return the room type of a floor plan by its name (``FloorPlan207``); unknown outside the 120 plans."""
+    """Return the room type of the floor plan with this name (``FloorPlan207``); `UNKNOWN_LABEL` if it is none of the
+    120 plans.
+    """
     named = _PLAN.match(name)
     number = int(named[1]) if named is not None else -1
     return next((label for numbers, label in ROOM_TYPES if number in numbers), UNKNOWN_LABEL)

@@ -1,4 +1,4 @@
-"""ProcTHOR: procedurally generated houses, one JSON document each, in files of one house or of one house per line."""
+"""ProcTHOR: procedurally generated houses. Each is one JSON document: a whole file, or one line of a file."""
 
 from __future__ import annotations
 
@@ -284,7 +284,9 @@ class ProcthorSource(SceneSource):
 def _with_parents_rooms(
     objects: list[SceneObject], house: House, rooms: tuple[Room, ...]
 ) -> tuple[list[SceneObject], list[SceneWarning]]:
-    """Assign rooms to objects; an object on or in another object gets that other object's room."""
+    """Return the objects with their rooms, and the warnings. An object on or in another object gets that other object's
+    room.
+    """
     parent_of = {o.object_id: o.parent_id for o in house.objects}
     placed, lost = in_rooms((o for o in objects if parent_of[o.object_id] is None), rooms)
     room_of = {o.object_id: o.room_id for o in placed}

@@ -71,7 +71,9 @@ def _slabs(wall: HouseWall, openings: Sequence[Opening]) -> Piece:
 
 
 def _holes(wall: HouseWall, along: F64, length: float, openings: Sequence[Opening]) -> Iterator[Hole]:
-    """Yield the holes in this wall from all openings on its line, whichever wall they belong to."""
+    """Yield the holes in `wall`: one for each opening that overlaps the wall along the wall's line, even if the file
+    assigns the opening to another wall.
+    """
     if not openings:
         return
     ends = np.array([[o.start, o.end] for o in openings]) - wall.start

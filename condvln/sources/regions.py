@@ -116,8 +116,8 @@ class RegionIndex:
 
 
 def in_rooms(objects: Iterable[SceneObject], rooms: Sequence[Room]) -> tuple[list[SceneObject], list[SceneWarning]]:
-    """Assign each object to the room that contains the object's centre, else to the nearest room, if it is near and no
-    other room is about as near.
+    """Assign each object to the room that contains the object's centre, else to the nearest room, provided that this
+    room is near and no other room is about as near. Return the objects and the warnings.
 
     A warning ``nearest_room`` names each object whose centre is outside its assigned room, and
     ``object_outside_rooms`` each that is left out. A room without a polygon contains everything.

@@ -99,8 +99,8 @@ class SceneSource(ABC):
         return replace(scene, rooms=tuple(replace(room, complete=False, asked=True) for room in scene.rooms))
 
     def geometry(self, scene: Scene) -> SceneGeometry | None:
-        """Return the surfaces of a scene; see `Source.geometry`. This default is for families whose files describe no
-        surfaces.
+        """Return the surfaces of a scene; see `Source.geometry`. This default, for families whose files describe no
+        surfaces, returns None.
         """
         return None
 

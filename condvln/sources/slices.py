@@ -80,8 +80,8 @@ def joined_slices(
 
 
 def _fit(box: F64, others: F64) -> NDArray[np.bool_]:
-    """Return a mask (n,): whether each of `others` (n, 2, 3) touches `box` (2, 3), and one of the two cross-sections at
-    the touching faces nearly covers the other.
+    """Return a mask (n,): whether each of `others` (n, 2, 3) fits `box` (2, 3). Two boxes fit if they touch, and one of
+    the two touching faces nearly covers the other.
     """
     shared = np.minimum(box[1], others[:, 1]) - np.maximum(box[0], others[:, 0])  # below zero where they are apart
     # They are side by side on the ground, along the horizontal axis on which they overlap least.

@@ -64,7 +64,7 @@ class Piece:
 
 
 def joined(pieces: Iterable[Piece], approximate: bool) -> SceneGeometry:
-    """Return all pieces concatenated in order."""
+    """Return the scene geometry of all pieces, concatenated in order; `approximate` is as in `SceneGeometry`."""
     parts = [Piece(np.zeros((0, 3)), np.zeros((0, 3), np.int64), np.zeros(0, np.int64)), *pieces]
     starts = np.cumsum([0, *(len(p.vertices) for p in parts[:-1])])
     return SceneGeometry(

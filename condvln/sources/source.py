@@ -1,4 +1,6 @@
-"""The interface of all source families: a cheap listing of scenes with the inputs of each, and the reading of one."""
+"""The interface of all source families: it lists the scenes, each with its inputs, at little cost, and reads single
+scenes.
+"""
 
 from __future__ import annotations
 
@@ -104,8 +106,8 @@ class Source(Protocol):
         ...
 
     def passed_over(self) -> list[tuple[str, str]]:
-        """Return (path, reason) of everything that the last call of `handles` skipped, sorted. None of it holds a scene
-        that should have been listed.
+        """Return (path, reason) of everything that the last call of `handles` skipped, sorted. No scene that should
+        have been listed is among the skipped files.
         """
         ...
 

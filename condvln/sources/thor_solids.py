@@ -43,7 +43,7 @@ ALWAYS_OPEN: Final = frozenset({"Doorframe"})
 def thor_geometry(
     document: JsonNode, items: Sequence[SceneObject], number: Mapping[str, int], fitted: bool
 ) -> SceneGeometry | None:
-    """Return the surfaces of a scene from controller metadata; None if it has no floor.
+    """Return the surfaces of a scene from controller metadata; None if the metadata has no floor.
 
     Parameters
     ----------
@@ -95,8 +95,8 @@ def wall_outline(outline: F64, standing: Sequence[SceneObject], fittings: Sequen
 
 
 def _both(fitted: float, end: float, border: float) -> bool:
-    """Return whether, at one side of a floor, the objects end (at `end`) inside the floor's `border`, and a fitting
-    ends (at `fitted`) at about the same place as the objects.
+    """Return whether, along an axis that points into the room, the objects on a floor begin (at `end`) beyond the
+    floor's `border`, and a fitting begins (at `fitted`) at about the same place.
     """
     return border < end and fitted - end <= AT_WALL
 

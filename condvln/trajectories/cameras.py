@@ -1,4 +1,6 @@
-"""The cameras of a hub: the one that every layout shares, and those that a layout or a sweep adds."""
+"""The cameras of a hub (see ``hub``): the main camera, whose images all layouts share, and those that a layout or a
+sweep adds.
+"""
 
 from __future__ import annotations
 
@@ -70,7 +72,7 @@ class Sweep:
 
 
 def setting(camera: CameraConfig) -> str:
-    """Return InternVLA-N1's name of a camera's height and pitch, such as ``125cm_30deg``."""
+    """Return the name that InternVLA-N1 gives to a camera's height and pitch, such as ``125cm_30deg``."""
     return f"{round(camera.eye_height * 100)}cm_{camera.look_down:g}deg"
 
 

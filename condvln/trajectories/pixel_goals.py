@@ -24,8 +24,8 @@ class PixelGoal(NamedTuple):
 
 
 def mistake_after(right: NDArray[np.bool_], frame: int) -> int:
-    """Return the index after the last frame whose place may be the pixel goal at `frame`. This last frame is the one at
-    which the next mistake begins, or the last of the walk.
+    """Return the end (exclusive) of the frames whose places may be the pixel goal at `frame`. The last of these frames
+    is the one at which the next mistake begins, or the last of the walk.
 
     right : (n,) whether the right action was taken at each frame. In a mistake, no place may be a goal.
     """

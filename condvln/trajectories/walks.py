@@ -239,5 +239,5 @@ def repeats_of(walked: Walked, config: TrajectoryConfig) -> NDArray[np.int32]:
 
 
 def twin_of(gold: Walked, episode: ManifestEpisode) -> Walked:
-    """Return a copy of the gold walk, with the name and kind of the walk of the oracle-linear twin."""
+    """Return the walk of the episode's oracle-linear twin: a copy of the gold walk with another name and kind."""
     return replace(gold, name=folder_name(episode, "oracle"), kind="oracle")

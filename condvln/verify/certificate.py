@@ -140,7 +140,9 @@ class Certificate:
         return self.holds(fact, abs(claimed - found) <= tolerance, claimed, found, place)
 
     def holds(self, fact: str, agreed: bool, claimed: Any, found: Any, place: str = "") -> bool:
-        """Record a check of a fact, with the claimed and the found value if they disagree; return `agreed`."""
+        """Count one check of a fact. If `agreed` is false, also record the claimed and the found value as a
+        disagreement. Return `agreed`.
+        """
         assert fact in FACTS, fact
         self.checked[fact] += 1
         if not agreed:

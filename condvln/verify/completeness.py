@@ -38,7 +38,9 @@ class Fault:
 
 
 def find_faults(folder: Path) -> Iterator[Fault]:
-    """Yield all differences between a folder and the index of its export; none if it is complete."""
+    """Yield each difference between an export folder and the export's index, ``export.json``. A complete folder yields
+    nothing.
+    """
     index = read_index(folder)
     if index is None:
         yield Fault(INDEX, "is missing or truncated, so the expected content is unknown")

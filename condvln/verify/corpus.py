@@ -50,8 +50,8 @@ class Corpus:
         certificate.holds("program_once", unit == its_unit, "one start", f"another, of {its_unit}")
 
     def _check_group(self, row: ManifestEpisode, group_id: str, split: str, certificate: Certificate) -> None:
-        """Check that members of a group differ at most in the truth of one condition and in that two leaves are
-        exchanged.
+        """Check that the members of a counterfactual group are equal, except that one condition may have the opposite
+        truth and two leaves may be exchanged.
         """
         shared = (row.source, row.scene_id, split, row.category, row.start_position, row.start_rotation, row.max_steps)
         first_shared, first = self._groups.setdefault(group_id, (shared, row.program))

@@ -150,7 +150,7 @@ class _Lookup:
         self._passed: dict[str, list[Mapping[str, Any]]] = {}
 
     def pop(self, name: str) -> Mapping[str, Any] | None:
-        """Return the next entry with this name, each entry only once; None if there is none left."""
+        """Return the next entry with this name that was not returned before; None if no such entry is left."""
         if name not in self._passed:
             for other, entry in self._stream:
                 if other == name:

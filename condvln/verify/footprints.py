@@ -56,7 +56,9 @@ class Ground:
         self.centre: F64 = max(self._rectangles, key=lambda one: float(one.half[0] * one.half[1])).centre
 
     def distances(self, points: F64) -> F64:
-        """Return the horizontal distance (n,) in metres of points (n, 3); 0 over the object."""
+        """Return the horizontal distance (n,) in metres from each of the points (n, 3) to the footprint; 0 for a point
+        over or under the object.
+        """
         away = []
         for centre, half, axes in self._rectangles:
             beyond = np.abs((points[:, _GROUND] - centre) @ axes) - half
@@ -130,7 +132,9 @@ class Reach:
 
 
 def _in_reach(ground: Ground, room: Room, points: F64) -> NDArray[np.bool_]:
-    """Return for each of the points (n, 3) whether it is in the room, on the floor from which the object is reached."""
+    """Return for each of the points (n, 3) whether the point is in `room`, and on the floor from which an agent reaches
+    the object with the footprint `ground`.
+    """
     hang = ground.bottom - points[:, 1]
     good = (hang <= HANG) & (hang >= -SINK)
     if room.annotation != "scene":
@@ -141,7 +145,7 @@ def _in_reach(ground: Ground, room: Room, points: F64) -> NDArray[np.bool_]:
 
 
 class Obstacles:
-    """Objects on the floor that the navmesh ignores: the navmesh continues beneath them."""
+    """Objects that stand on the floor but that the navmesh ignores: it continues beneath these objects."""
 
     def __init__(self, scene: Scene, pathfinder: Pathfinder, max_climb: float) -> None:
         standing = [item for item in scene.objects if item.aabb is not None and item.room_id in scene.room_of]

@@ -84,6 +84,6 @@ def _grid(polygon: F64, height: float, pathfinder: Pathfinder, islands: Sequence
 
 
 def _line(low: float, high: float, apart: float) -> F64:
-    """Return numbers that are `apart` from one another and centred in the interval from `low` to `high`."""
+    """Return evenly spaced numbers, at steps of `apart`, that are centred in the interval from `low` to `high`."""
     count = max(1, int((high - low) / apart))
     return np.asarray((low + high) / 2 + (np.arange(count) - (count - 1) / 2) * apart, dtype=np.float64)

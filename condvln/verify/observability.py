@@ -152,7 +152,8 @@ def _known(sight: Sight, proofs: Proofs, eyes: F64, yaw: float | None = None) ->
 
 
 def _check(sight: Sight, one: _Asked, evidence: Evidence, proofs: Proofs, ways: Sequence[F64]) -> None:
-    """Check the observability level of one condition, and whether its evidence is visible at the start without turning.
+    """Check two published facts about one condition: its observability level, and whether its evidence is visible at
+    the start without turning.
 
     ways : eyes (n, 3) on the shared path, in one or two variants; none if it is visible at the start
     """

@@ -19,8 +19,8 @@ __all__ = ["astride_rooms"]
 def astride_rooms(
     scene: Scene, label_of: Callable[[SceneObject], str], meaning: Words
 ) -> list[tuple[SceneObject, frozenset[str]]]:
-    """Return each object whose footprint is partly covered by the outline of another room at the same height, with the
-    ids of all such rooms. Fixed objects, and objects that text never names, are left out.
+    """Return (object, ids of the other rooms) for each object whose footprint extends into the outlines of other rooms
+    at the same height. Fixed objects, and objects that text never names, are left out.
     """
     if scene.family not in FROM_SCANS:
         return []

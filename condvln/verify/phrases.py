@@ -158,8 +158,8 @@ class PhraseReader:
             yield from self._agreeing(end, kind, classes)
 
     def _rooms(self, at: int) -> Iterator[tuple[int, Named]]:
-        """Parse a room's name: "the bedroom with the desk", or "the bedroom". The latter also means the bedroom with
-        the desk if the text named that before. Yield (end, room).
+        """Parse a room's name: "the bedroom with the desk", or "the bedroom". "The bedroom" also means the bedroom with
+        the desk if the text has named that room before. Yield (end, room).
         """
         for end, label in self._definite(at, "room"):
             before = {room for place, room in self._set_apart() if place < at and room.label == label}

@@ -133,8 +133,8 @@ class Judge:
 
 
 def _beside_each_other(found: Judgement, subject: Thing, anchor: Thing, room: Surroundings) -> Judgement:
-    """Return the judgement on "near". It is undecided if one object is on or in the other, or if "near" holds but one
-    of them is put away.
+    """Return the judgement on "near": that of the distances (`found`), but undecided if one object is on or in the
+    other, or if "near" holds and one of the two objects is put away.
     """
     if room.holds(anchor, subject) or room.holds(subject, anchor):
         return found._replace(verdict=UNDECIDED)

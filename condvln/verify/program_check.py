@@ -1,4 +1,6 @@
-"""Checks of a program alone: its axes, and the rules against degenerate programs."""
+"""Check a program by itself: that its recorded axes are right, and that it breaks none of the rules against degenerate
+programs.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ __all__ = ["check_program", "leaf_of"]
 
 
 def check_program(row: ManifestEpisode, certificate: Certificate) -> None:
-    """Check a program's own axes and the rules against degenerate programs."""
+    """Check the recorded axes of a row's program (category, depth and so on), and that the program breaks none of the
+    rules against degenerate programs.
+    """
     program = row.program
     claimed = (row.category, row.depth, row.chain, row.composition, row.moves)
     moves = len(program.leaves[row.gold_leaf].moves) if 0 <= row.gold_leaf < len(program.leaves) else None
@@ -69,8 +73,8 @@ def _check_evidence(row: ManifestEpisode, certificate: Certificate) -> None:
 
 
 def _depth(program: Program, at: int) -> int:
-    """Return how deep tests are nested in THEN parts at most, counted from the test at index `at`: 1 for this test
-    alone.
+    """Return the greatest depth to which tests are nested in THEN parts, from the test at index `at` on; 1 if no
+    further test follows that one.
     """
     if at < 0:
         return 0

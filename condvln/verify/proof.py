@@ -144,8 +144,8 @@ def _check_words(
 
 
 def find_navmesh(scene: Scene, folder: Path, claimed: str) -> Navmesh:
-    """Return the navmesh of a scene: the file `claimed` of the export if it exists there, else the navmesh that the
-    source ships.
+    """Return the navmesh of a scene: the file `claimed` below the export folder `folder` if it exists, else the navmesh
+    that the source ships.
 
     Raises
     ------

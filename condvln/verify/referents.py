@@ -129,7 +129,8 @@ class SceneReferents:
         return self._rooms[named]
 
     def thing(self, phrase: Phrase, start: Standpoint | None = None) -> Referent | Problem:
-        """Return the one object that a stop's phrase refers to; its qualifier must be necessary and sufficient.
+        """Return the one object that a stop's phrase refers to. Return a `Problem` if there is no such object, or if
+        the phrase has a qualifier that is superfluous or not sufficient.
 
         start : the agent's start pose, for left, right, ahead and behind
         """
@@ -145,7 +146,7 @@ class SceneReferents:
 
     def claim(self, phrase: Phrase, start: Standpoint | None = None) -> Answer | Problem:
         """Return whether the object that `phrase` names certainly exists or certainly does not; a `Problem` if this is
-        not certain. Bearings are those at `start`.
+        not certain. Left, right, ahead and behind are as seen from `start`.
         """
         if phrase.qualifier is not None and phrase.qualifier[0] in BEARINGS:
             return self._claim_at(phrase, start)

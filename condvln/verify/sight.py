@@ -149,7 +149,9 @@ class Sight:
         )
 
     def look(self, wanted: Iterable[tuple[Sought, F64]]) -> None:
-        """Cast the lines of sight of all `wanted` (target, eyes (n, 3)) together. Cached ones are skipped."""
+        """Cast the lines of sight of all `wanted` (target, eyes (n, 3)) together. Those whose result is cached are
+        skipped.
+        """
         places: dict[Sought, dict[bytes, F64]] = {}
         for sought, eyes in wanted:
             known = self._seen.setdefault(sought, {})
@@ -222,8 +224,8 @@ class Sight:
         return where is not None and where.is_seen(self._together(sought, where, eyes, yaw))
 
     def shares(self, sought: Sought, eyes: F64) -> list[float]:
-        """Return which share of a target's points is visible: first of the points that this package chose itself, if
-        there are any, then of the published points.
+        """Return the visible share of each of a target's sets of points: first of the points that this package chose
+        itself, if there are any, then of the published points.
         """
         where = self._where(sought)
         if where is None:
@@ -321,8 +323,8 @@ def evenly(triangles: F64, count: int = OWN_POINTS) -> F64:
 
 @lru_cache(maxsize=16)
 def much(least: float, count: int) -> float:
-    """Return the share of `count` points that must be visible to contradict a second set of points on the same surface.
-    Of the second set, a share smaller than `least` is visible.
+    """Return the share of one set of `count` points that must be visible to contradict another set of points on the
+    same surface, if the visible share of the other set is below `least`.
 
     If both sets were random points on the same surface, such a pair would occur with a probability of at most `ODDS`;
     both sets are spread more evenly than random ones. A result above 1 means that no share is a contradiction.

@@ -24,7 +24,8 @@ CUT_FAMILIES: Final = ("mp3d",)
 
 
 def left_apart(scene: Scene) -> frozenset[str]:
-    """Return the ids of objects that look like pieces of one object, in different regions of one level.
+    """Return the ids of all objects that look like a piece of a larger object whose other pieces are in other regions
+    of the same level.
 
     An object that the source has merged (warning ``object_cut``) is larger than its pieces, and is not compared again.
     """

@@ -1,5 +1,5 @@
-"""Decide whether objects are to the left or right of an agent at the start, ahead of it or behind it. The code is
-independent of the generator's.
+"""Decide whether objects are to the left, to the right, ahead or behind, as seen by an agent at its start pose. The
+code is independent of the generator's.
 
 The agent's axes come from its rotation. An object is a rectangle on the ground, a direction is a wedge around one of
 the axes, and the two shapes are tested for intersection.
@@ -82,8 +82,8 @@ class Standpoint(NamedTuple):
 
 
 def _off(point: _Point) -> float:
-    """Return the angle in degrees between a direction and a point, whose coordinates are as in `_seen`: (forwards in
-    the direction, sideways to the right).
+    """Return by how many degrees a point lies to the side of a direction. The point is given as by `_seen`: (forwards
+    in the direction, sideways to the right).
     """
     return math.degrees(math.atan2(abs(point[1]), point[0]))
 

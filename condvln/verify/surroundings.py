@@ -101,7 +101,7 @@ class Surroundings:
         return (outer.object_id, True) in self._said.get(inner.object_id, ())
 
     def is_said_elsewhere(self, thing: Thing, other: Thing) -> bool:
-        """Return whether the source states that an object is not in or on `other` but elsewhere."""
+        """Return whether the source states where `thing` is, and this is a place other than in or on `other`."""
         if not self._said.get(thing.object_id):
             return False
         receptacles = {x.object_id: x.item.receptacles or () for x in self._things}
@@ -168,8 +168,8 @@ class Surroundings:
         return any(self._bears(below, above) for above in inner.solids() for below in outer.solids())
 
     def _bears(self, lower: Thing, upper: Thing) -> bool:
-        """Return whether, by their boxes, `lower` bears `upper`: the bottom of `upper` is at the top of `lower` or
-        between its bottom and top, and enough of the footprint of `upper` is above `lower`.
+        """Return whether, by their boxes, `lower` bears `upper`: the bottom of `upper` is level with the top of `lower`
+        or between the bottom and the top of `lower`, and enough of the footprint of `upper` is above `lower`.
         """
         area = 0 if upper.box is None else math.prod(upper.ground_sides())
         if upper.box is None or lower.box is None or not area:
@@ -216,7 +216,7 @@ def footprint_gap(one: Thing, other: Thing) -> float:
 
 
 def box_gap(one: Thing, other: Thing) -> float:
-    """Return the distance in millimetres between two boxes; both objects must have one."""
+    """Return the distance in millimetres between the boxes of two objects; both objects must have a box."""
     return _beyond(one, other, (0, 1, 2))
 
 

@@ -183,7 +183,9 @@ def _phrase(named: Condition | ObjectRef, single_room: bool) -> Phrase:
 
 
 def _unplaced(phrase: Phrase, single_room: bool) -> Phrase:
-    """Return the phrase without its room in a scene of one room, where naming the room is optional."""
+    """Return the phrase; if the scene is a single room, return it without the room, since a text need not name that
+    room.
+    """
     return phrase._replace(room=None) if single_room and phrase.room is not None else phrase
 
 

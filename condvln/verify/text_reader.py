@@ -251,8 +251,8 @@ class _Reader(PhraseReader):
 
 
 def _is_again(what: Phrase, before: Phrase, latest: bool) -> bool:
-    """Return whether `what` repeats `before` without naming the room. Either `what` must name a relation, or `before`
-    must be the latest question.
+    """Return whether `what` repeats `before` without naming the room. This is so only if `what` names a relation, or
+    `before` is the latest question (`latest`).
     """
     return what.room is None and (latest or what.qualifier is not None) and what == before._replace(room=None)
 

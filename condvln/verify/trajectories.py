@@ -117,8 +117,8 @@ def prove_trajectories(folder: Path, world: TrajectoryWorld) -> TrajectoryProof:
 
 
 def _unaccounted(episodes: Iterable[int], config: Row, walks: Sequence[Row], left_out: Sequence[Row]) -> Iterator[str]:
-    """Yield what is wrong with the number of walks of each episode: every wanted walk is made or left out. An oracle
-    walk has the images of the gold walk, and is left out with it.
+    """Yield what is wrong with the number of walks of each episode: every wanted walk must be either made or recorded
+    as left out. An oracle walk has the images of the gold walk; if the gold walk is left out, so is the oracle walk.
     """
     made = Counter((walk["episode_id"], walk["kind"]) for walk in walks)
     out = Counter((row["episode_id"], row["kind"]) for row in left_out)

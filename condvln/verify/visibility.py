@@ -77,7 +77,7 @@ class Onlookers:
 
 
 def check_seen(program: Program, onlookers: Onlookers, certificate: Certificate) -> None:
-    """Check that every object that a text presupposes is visible: stops, anchors and witnesses."""
+    """Check that all objects that a text presupposes (stops, anchors and witnesses) are visible."""
     named: set[str | None] = set()
     for condition in program.conditions:
         named |= {*condition.witnesses, condition.room.anchor_id}

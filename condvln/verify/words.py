@@ -224,8 +224,8 @@ def _frames(labels: Mapping[str, Mapping[str, str]]) -> frozenset[str]:
 
 
 def _listed(table: Mapping[tuple[str, str], str], raw: str, family: str) -> str | None:
-    """Return the label that `table` lists for a raw label; None if it lists none. An empty entry means that the label
-    is deliberately unmapped; then its folded form is returned.
+    """Return the label that `table` lists for a raw label; None if the table does not list the raw label. An empty
+    entry means that the raw label is deliberately unmapped; then the folded raw label is returned.
     """
     source = SOURCE_OF_FAMILY.get(family, "")
     exact = table.get((source, raw))

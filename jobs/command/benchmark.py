@@ -17,14 +17,16 @@ group = typer.Typer(
     help="Build, check and score a version of a benchmark.", no_args_is_help=True, rich_markup_mode=None
 )
 
-BenchmarkPath = Annotated[Path, typer.Argument(metavar="BENCHMARK", help="benchmark file, configs/benchmark-v1.yaml")]
+BenchmarkPath = Annotated[
+    Path, typer.Argument(metavar="BENCHMARK", help="benchmark file, such as configs/benchmark-v1.yaml")
+]
 
 
 @group.command("build", epilog=EXIT_CODES)
 def benchmark_build(
     benchmark: BenchmarkPath, overrides: Overrides = None, inline: Inline = False, as_json: AsJson = False
 ) -> None:
-    """Generate and export the benchmark from your copies, and write its record, benchmark.json."""
+    """Generate and export the benchmark from your copies of the datasets, and write its record, benchmark.json."""
     from jobs.benchmark import build_benchmark
 
     report = build_benchmark(benchmark, overrides or (), inline=inline, console=console(quiet=as_json))
@@ -43,7 +45,7 @@ def benchmark_check(
     inline: Inline = False,
     as_json: AsJson = False,
 ) -> None:
-    """Check whether your copies give the published snapshot; if not, name the scenes that differ (exit code 3)."""
+    """Check whether your copies of the datasets give the published snapshot; name scenes that differ (exit code 3)."""
     from jobs.benchmark import check_benchmark
 
     report = check_benchmark(benchmark, record, overrides or (), inline=inline, console=console(quiet=as_json))

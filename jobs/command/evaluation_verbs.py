@@ -31,7 +31,7 @@ def verify(
         typer.Option(
             "--trajectories",
             metavar="DIR",
-            help="verify a folder of condvln trajectories instead: poses, images and instructions",
+            help="verify, instead of an export, a folder that condvln trajectories wrote: poses, images, texts",
         ),
     ] = None,
     split: Annotated[str, typer.Option(help="split of the trajectories' episodes")] = "train",
@@ -70,7 +70,7 @@ def walk(
         str,
         typer.Option(
             help="perfect, oracle, wrong-branch, random-leaf, coin-flip, always-then, always-else, nearest, "
-            "stop-at-start; looker, which reads and looks; or your own module:Class"
+            "stop-at-start; looker, which reads the text and sees the scene; or your own module:Class"
         ),
     ],
     out: Annotated[Path, typer.Option(help="file of predictions to write (VLN-CE's format)")],
@@ -129,14 +129,14 @@ def evaluate(
     ],
     navmesh_root: NavmeshRoots = None,
     distance: Annotated[
-        str, typer.Option(help="subgoal distances: geodesic, or euclidean as in the paper authors' code")
+        str, typer.Option(help="how to measure subgoal distances: geodesic, or euclidean as the paper's code does")
     ] = "geodesic",
     radius: Annotated[
         list[float] | None, typer.Option(help="also report rates at this success distance, metres; may be repeated")
     ] = None,
     oracle_radius: Annotated[
         float | None,
-        typer.Option(help="success distance of OSR, metres, if it is to be larger than the one of SR (VLN-CE: 3)"),
+        typer.Option(help="success distance of OSR in metres, if larger than that of SR (VLN-CE uses 3)"),
     ] = None,
     fast_dtw: Annotated[bool, typer.Option("--fast-dtw", help="compute nDTW by FastDTW, as VLN-CE does")] = False,
     assume_stop: Annotated[bool, typer.Option("--assume-stop", help="treat the last pose as STOP")] = False,
@@ -161,7 +161,9 @@ def evaluate(
     ] = None,
     html: Annotated[
         Path | None,
-        typer.Option("--html", metavar="DIR", help="folder for a page as condvln explore writes it, with these agents"),
+        typer.Option(
+            "--html", metavar="DIR", help="folder to write the page of condvln explore to, with these agents' results"
+        ),
     ] = None,
     strict: Annotated[
         bool, typer.Option("--strict", help="exit with code 3 and print no tables if an episode has no prediction")
@@ -234,7 +236,7 @@ def bias(
     ],
     as_json: AsJson = False,
 ) -> None:
-    """Test whether guessers that see no scene find the branch; exit code 3 if one beats chance."""
+    """Test whether guessers that see no scene find the right branch above chance; exit code 3 if one does."""
     from jobs.foreign_bias import report_bias
 
     report = report_bias(targets)

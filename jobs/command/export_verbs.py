@@ -82,7 +82,7 @@ def oracle(
         typer.Option(
             "--scenes",
             metavar="FAMILY=DIR",
-            help="write the branch that looker picks instead of the gold branch; looker sees the scenes in this "
+            help="in place of the gold branch, write the branch that looker picks when it sees the scenes in this "
             "dataset; may be repeated",
         ),
     ] = None,

@@ -41,7 +41,7 @@ def status(
     ref: RefName = None,
     drift: Annotated[
         bool,
-        typer.Option("--drift", help="compare the pinned priors with ones of the published scenes; reads every scene"),
+        typer.Option("--drift", help="compare the pinned priors with priors counted now; reads every published scene"),
     ] = False,
     sizes: Annotated[bool, typer.Option("--sizes", help="list every file and add up the bytes")] = False,
     as_json: AsJson = False,
@@ -139,8 +139,8 @@ def explore(
         int,
         typer.Option(
             min=0,
-            help="number of episodes per scene for which the page shows pictures along the gold path, and where their "
-            "conditions are first seen from; reads the sources' files",
+            help="number of episodes per scene to illustrate: pictures along the gold path, and the places from which "
+            "the conditions' evidence is first seen; reads the sources' files",
         ),
     ] = 0,
     navmesh_root: NavmeshRoots = None,

@@ -46,9 +46,11 @@ def trajectories(
         ),
     ] = None,
     navmesh_root: NavmeshRoots = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Ray workers; by default as the work needs")] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="number of Ray workers; by default as many as the work needs")
+    ] = None,
     inline: Inline = False,
-    plan: Annotated[bool, typer.Option("--plan", help="print what would be made and what it would cost; stop")] = False,
+    plan: Annotated[bool, typer.Option("--plan", help="only print what would be made and what it would cost")] = False,
     retry_quarantined: RetryQuarantined = False,
     overrides: Overrides = None,
     as_json: AsJson = False,

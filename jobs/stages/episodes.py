@@ -1,4 +1,4 @@
-"""Stage ``episodes``: chooses starts, goal points and paths of programs, and what is visible on the way."""
+"""Stage ``episodes``: chooses starts, goal points and paths for programs, and finds what is visible on the way."""
 
 from __future__ import annotations
 

@@ -130,7 +130,7 @@ _candidates: Final[_Latest[list[Candidate]]] = _Latest()
 
 
 def scene_of(unit: Unit, tables: Tables) -> Scene:
-    """Return the scene of a unit's tables; stages that read the same tables get the same object."""
+    """Return the scene that a unit's tables describe; stages that read the same tables get the same object."""
     root, family = str(unit.payload["root"]), str(unit.payload["family"])
     parts = (root, family, *(tables[name] for name in ("scenes", "rooms", "objects")))
     return _scenes.get(parts, lambda: scene_from_tables(tables, Path(root), family=family))

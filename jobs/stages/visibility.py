@@ -16,7 +16,9 @@ __all__ = ["VisibilityStage"]
 
 @dataclass
 class VisibilityStage(Stage):
-    """Rooms, objects, navmesh and surfaces → which objects can be seen. Rows are null in a scene without a navmesh."""
+    """Rooms, objects, navmesh and surfaces → which objects can be seen. In a scene without a navmesh, the values are
+    null.
+    """
 
     eye_height: float
     island_radius: float

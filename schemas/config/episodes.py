@@ -87,8 +87,8 @@ class EpisodeConfig(Section):
     )
     detour_slack: Metres = Field(
         4.0,
-        description="length that is added to detour_factor × the geodesic distance to a leaf to give "
-        "the maximum length of the route to the leaf",
+        description="constant part of the maximum length of the route to a leaf; the other part is "
+        "detour_factor × the geodesic distance to the leaf",
     )
     starts: int = Field(
         96,
@@ -125,7 +125,9 @@ class EpisodeConfig(Section):
 
     @property
     def step_ceiling(self) -> int:
-        """Return the upper limit of twice the number of actions of the ground-truth walk to any leaf."""
+        """Return the limit on twice the number of actions of a ground-truth walk; the walk to every leaf must keep to
+        this limit.
+        """
         return STEP_CEILING if self.max_steps == "proportional" else self.max_steps
 
     def range(self, single_room: bool) -> tuple[float, float]:

@@ -141,7 +141,7 @@ class WordingConfig(Section):
 
 
 class InstructionsConfig(WordingConfig):
-    """What is wanted of each scene, and its wording."""
+    """The instructions that are wanted of each scene, and their wording."""
 
     directions: Literal["compass", "egocentric", "none"] = Field(
         "compass",
@@ -155,8 +155,8 @@ class InstructionsConfig(WordingConfig):
     )
     cells: tuple[InstructionCell, ...] = Field(
         (),
-        description="cells, each with the number of its episodes that are wanted; a category that has "
-        "cells here ignores per_category",
+        description="cells, each with the number of episodes wanted; per_category is ignored for a category "
+        "that has cells here",
     )
     counterfactual_groups: int = Field(
         2,
@@ -197,7 +197,7 @@ class InstructionsConfig(WordingConfig):
 
 
 class CompositionWeights(Section):
-    """Weights of the compositions, used where the scene has enough rooms and the cell does not fix one."""
+    """Weights of the compositions, used where the scene has enough rooms and the cell does not fix the composition."""
 
     C0: Weight = Field(1.0, description="weight of C0: programs in one room")
     C1: Weight = Field(1.0, description="weight of C1: programs in several rooms that are not C2")
@@ -270,8 +270,8 @@ class SamplingConfig(Section):
         2,
         ge=1,
         le=4,
-        description="maximum number of phrases of a program that use bearings at the start; one start must "
-        "satisfy all of them",
+        description="maximum number of phrases with bearings (left, right, ahead, behind) in a program; all of "
+        "them must hold at one start",
     )
     attempts: int = Field(
         12, ge=1, le=10_000, description="maximum number of draws of a condition before the candidate is given up"
@@ -324,6 +324,6 @@ class TextConfig(Section):
     steps_per_word: int = Field(
         20,
         ge=1,
-        description="number of steps for each word in a proportional step budget, unless twice the ground "
-        "truth is larger",
+        description="number of steps for each word in a proportional step budget, unless twice the number of "
+        "ground-truth actions is larger",
     )

@@ -75,7 +75,7 @@ class SourceConfig(Section):
         "complete",
         description="complete: conditions are asked only in rooms that are annotated completely, where "
         "text may say that things are absent; never: conditions are asked in all rooms, but "
-        "only whether a thing that is there is in a relation, so that no text says that "
+        "only about relations of things that are there, so that no text says that "
         "something is absent (for annotations by detectors, such as Gibson's automated graphs)",
     )
     houses: Path | None = Field(

@@ -28,12 +28,12 @@ class TrajectoryConfig(Section):
     jpeg_quality: Annotated[int, Field(ge=1, le=100)] = Field(90, description="quality of JPEG images")
     png_level: Annotated[int, Field(ge=0, le=9)] = Field(1, description="compression level of depth images")
     least_actions: Annotated[int, Field(ge=1, json_schema_extra={"unit": "actions"})] = Field(
-        4, description="minimum number of actions of a walk; StreamVLN's loader passes shorter ones over"
+        4, description="minimum number of actions of a walk; StreamVLN's loader skips shorter walks"
     )
     most_actions: Annotated[int, Field(ge=1, le=999, json_schema_extra={"unit": "actions"})] = Field(
         498, description="maximum number of actions of a walk; StreamVLN drops longer ones"
     )
-    recoveries: Count = Field(1, description="recovery walks for each episode")
+    recoveries: Count = Field(1, description="number of recovery walks per episode")
     wrong_turns: Share = Field(
         0.5, description="share of recovery walks that set out for another leaf; the others slip at random"
     )
@@ -46,8 +46,8 @@ class TrajectoryConfig(Section):
 
     goal_slack: Share = Field(
         0.1,
-        description="a place counts as visible if the depth measured at its pixel is less than the "
-        "place's own depth by at most this share",
+        description="a place counts as visible if the depth measured at its pixel is at least "
+        "(1 − goal_slack) × the place's own depth",
     )
     stop_repeats: Count = Field(
         1, description="number of training samples made of each frame whose right action is STOP"

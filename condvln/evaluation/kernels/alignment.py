@@ -23,7 +23,9 @@ def _gap(first: Points, i: int, second: Points, j: int) -> float:
 
 @compiled
 def dtw(path: Points, reference: Points) -> float:
-    """Return the least sum of Euclidean distances over all monotone alignments; memory is two rows of the table."""
+    """Return the least sum of Euclidean distances over all monotone alignments. Only two rows of the table are kept in
+    memory.
+    """
     n, m = path.shape[0], reference.shape[0]
     row = np.full(m + 1, np.inf)
     row[0] = 0.0

@@ -1,4 +1,5 @@
-"""Decide whether a relation holds between objects as far as they were seen: a score that is positive if it holds.
+"""Decide whether a relation holds between objects, judged by what was seen of them. The decision is a score that is
+positive if the relation holds.
 
 The limits are between those at which text uses a relation as true and as false (`Thresholds`), since an object is never
 seen completely: distances can only shrink as more is seen.
@@ -72,8 +73,8 @@ def holds(predicate: Predicate, thing: Thing, anchors: Sequence[Thing], north: f
 
 
 def ranked(predicate: Predicate, things: Sequence[Thing], anchors: Sequence[Thing]) -> list[Thing]:
-    """Sort objects of one label by a relation of `Compared`, such as "bigger". The first object of the result is the
-    one of which the relation is true.
+    """Sort objects of one label by a relation of `Compared`, such as "bigger". The relation holds for the first object
+    of the result.
     """
     if predicate == "closest to":
         return sorted(things, key=lambda thing: gap(thing, anchors[0]))

@@ -154,7 +154,7 @@ class Looker:
 
     @property
     def picked(self) -> int:
-        """Return the leaf that the answers so far lead to; current evidence answers the undecided conditions."""
+        """Return the leaf that the answers so far lead to; what was seen so far answers the undecided conditions."""
         if self.leaf is not None:
             return self.leaf
         shape = SHAPES[self.reading.category]
@@ -378,7 +378,8 @@ class Looker:
 
     def _sought(self, move: Phrase) -> F64 | None:
         """Return a position from which the agent may find the object of a stop. The object is known to exist, so rooms
-        that are already seen completely are searched again from half the distance; None if that is done too.
+        that are already seen completely are searched again from half the distance. None if this second search is
+        complete too.
         """
         target = self._unseen(move, self.config.close)
         return self._unseen(move, self.config.close / 2) if target is None else target

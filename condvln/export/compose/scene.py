@@ -146,7 +146,9 @@ def _draw(writer: GlbWriter, scene: Scene, geometry: SceneGeometry) -> None:
 
 
 def _own(geometry: SceneGeometry, rows: NDArray[np.int64]) -> tuple[F64, NDArray[np.int64]]:
-    """Return the faces `rows`, in that order, as a mesh: only the vertices that they use, and the renumbered faces."""
+    """Return the faces `rows`, in that order, as a mesh: only the vertices that these faces use, and the faces
+    renumbered.
+    """
     used, corners = np.unique(geometry.faces[rows], return_inverse=True)
     return geometry.vertices[used], corners.reshape(-1, 3).astype(np.int64)
 

@@ -32,7 +32,9 @@ F64 = NDArray[np.float64]
 
 
 def is_composed(start: bytes) -> bool:
-    """Return whether a file was written by this module, from its first bytes (a few hundred or all)."""
+    """Return whether a file was written by this module, judged by `start`, the first few hundred bytes of the file or
+    more.
+    """
     text = start[_HEADER.size + _CHUNK.size :]
     return start[:4] == b"glTF" and text.startswith(json.dumps({"asset": _ASSET}, separators=(",", ":"))[:-1].encode())
 

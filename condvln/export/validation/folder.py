@@ -184,7 +184,9 @@ def _of_shards(truth: Path, documents: Mapping[Path, Document]) -> Document | No
 
 
 def _check_leaks(splits: Mapping[str, tuple[str, Document]]) -> Iterator[Finding]:
-    """Yield findings about what two splits of one folder must not share."""
+    """Yield a finding for everything that two splits of one folder share but must not, and for vocabularies that differ
+    between them.
+    """
     names = sorted(splits)
     for number, split in enumerate(names):
         file, document = splits[split]

@@ -22,8 +22,8 @@ OPEN, CLOSED = 1, 2
 
 
 class Search(NamedTuple):
-    """Working memory of one thread for searches over p polygons. Each polygon is one node, which is visited if it is
-    marked in the current ``round``.
+    """Working memory of one thread for searches over p polygons. Each polygon is one node. A node counts as visited if
+    its entry in ``round`` is the number of the current search round.
     """
 
     round: Indices
@@ -85,8 +85,8 @@ def moved_up(search: Search, node: int) -> None:
 
 @compiled
 def pop(search: Search) -> int:
-    """Remove and return the node with the least total. As in Detour, the place that it leaves empty sinks to a leaf of
-    the heap first, and the last node of the heap rises from there.
+    """Remove and return the node with the least total, which is the root of the heap. As in Detour, the gap at the root
+    first sinks to a leaf of the heap; then the heap's last node is put into this gap and rises.
     """
     heap = search.heap
     result = heap[0]

@@ -197,8 +197,8 @@ def _way_around(
     contact: bool,
     points: Floats,
 ) -> Indices:
-    """Return the headings of steps that lead from ``point`` around an obstacle to a position with a shorter path. The
-    result is empty if no such steps were found.
+    """Return the headings of steps that lead from ``point`` around an obstacle to a position from which the path to the
+    goal is shorter. The result is empty if no such steps were found.
 
     Best-first search over positions reached by steps, nearest to the goal first.
     """

@@ -42,7 +42,9 @@ def point_to_segment(
 def triangle_area(
     ax: np.float32, az: np.float32, bx: np.float32, bz: np.float32, cx: np.float32, cz: np.float32
 ) -> np.float32:
-    """Return twice the signed area of a, b, c; positive when c is left of a–b in Detour's sense."""
+    """Return twice the signed area of the triangle a, b, c in the ground plane, with the sign of Detour's
+    ``dtTriArea2D``.
+    """
     abx = bx - ax
     abz = bz - az
     acx = cx - ax

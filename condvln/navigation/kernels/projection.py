@@ -1,4 +1,6 @@
-"""Nearest polygon and the point on it: ``findNearestPoly`` and ``closestPointOnPoly`` of Detour."""
+"""The polygon nearest to a point, and the point's projection onto this polygon: ``findNearestPoly`` and
+``closestPointOnPoly`` of Detour.
+"""
 
 from __future__ import annotations
 
@@ -104,7 +106,8 @@ def _cell(value: np.float32) -> int:
 def nearest_polygon(
     mesh: QueryMesh, x: np.float32, y: np.float32, z: np.float32, island: int
 ) -> tuple[int, np.float32, np.float32, np.float32]:
-    """Return the polygon nearest to a point and the point on it; ``NO_POLYGON`` and NaN if none is in reach.
+    """Return the polygon nearest to a point, and the x, y and z of the point's projection onto this polygon;
+    ``NO_POLYGON`` and NaN if no polygon is in reach.
 
     A point above a polygon and within climbing height has distance 0. The first such polygon of the tree ends the
     search, since later ones would have to be strictly nearer.
@@ -248,8 +251,8 @@ def all_navigable(mesh: QueryMesh, points: Floats, max_y_delta: np.float32) -> n
 def top_down_view(
     mesh: QueryMesh, columns: int, rows: int, metres_per_pixel: np.float32, height: np.float32, eps: np.float32
 ) -> npt.NDArray[np.bool_]:
-    """Return whether each point of a horizontal grid is navigable: habitat-sim's ``getTopDownView``. The grid begins at
-    the mesh's lower bound; positions are accumulated in float32.
+    """Return a mask (rows, columns) of the points of a horizontal grid that are navigable: habitat-sim's
+    ``getTopDownView``. The grid begins at the mesh's lower bound; positions are accumulated in float32.
     """
     view = np.empty((rows, columns), np.bool_)
     z = mesh.grid[BMIN + 2]

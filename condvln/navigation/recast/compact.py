@@ -104,8 +104,8 @@ def _walkable(
 def _connect(
     width: int, depth: int, start: Array, column: Array, floor: Array, clearance: Array, height: int, climb: int
 ) -> tuple[Array, int]:
-    """Return the four neighbours (s, 4) of each span, and the highest position within its column of any of these
-    neighbours, counted from 0.
+    """Return the four neighbours (s, 4) of each span, and the greatest index, counted from 0, that any of these
+    neighbours has within its own column.
     """
     neighbour = np.full((len(floor), 4), -1, np.int32)
     highest_layer = 0

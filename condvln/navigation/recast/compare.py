@@ -117,8 +117,8 @@ def _first(first: Mapping[str, Array], second: Mapping[str, Array], stages: Mapp
 
 
 def _unequal(a: Array, b: Array) -> Array:
-    """Return a mask (n,) of the rows of ``a`` that differ from the same row of ``b``. Rows of the same type are
-    compared bitwise, so that NaN equals NaN, and others by value.
+    """Return a mask (n,) of the rows of ``a`` that differ from the same row of ``b``. If both arrays have the same
+    dtype, their rows are compared bitwise, so that NaN equals NaN; otherwise by value.
     """
     count = len(a)
     if count and a.dtype == b.dtype:

@@ -68,8 +68,8 @@ def trace_contours(
 
 @compiled
 def _open_edges(neighbour: Array, region: Array) -> Array:
-    """Return an array (s,), uint8, of bits for each span: bit d is set if the edge in direction d leaves the span's
-    region.
+    """Return the open edges of each span as the bits of one number, (s,) uint8: bit d is set if a step in direction d
+    leaves the span's region.
     """
     edges = np.zeros(len(region), np.uint8)
     for i in range(len(region)):
@@ -112,8 +112,8 @@ def _walk(
     edges: Array,
     out: Array,
 ) -> int:
-    """Write to ``out`` the points of the outline that goes through ``start``, and remove the outline's edges from
-    ``edges``. Return the number of points.
+    """Trace the outline that begins at the first remaining edge of the span ``start``: write the outline's points to
+    ``out``, and remove its edges from ``edges``. Return the number of points.
     """
     i = start
     direction = 0

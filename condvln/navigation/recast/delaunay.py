@@ -85,7 +85,7 @@ def _add_edge(edges: Array, n_edges: int, most: int, s: int, t: int, left: int, 
 
 @compiled
 def _set_left(edges: Array, e: int, s: int, t: int, face: int) -> None:
-    """Set the face to the left of the edge, seen from s to t, unless it is already set."""
+    """Set the face of edge ``e`` that is on the left when going from s to t, unless this face is already set."""
     if edges[e, 0] == s and edges[e, 1] == t and edges[e, 2] == UNDECIDED:
         edges[e, 2] = face
     elif edges[e, 1] == s and edges[e, 0] == t and edges[e, 3] == UNDECIDED:

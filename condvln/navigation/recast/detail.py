@@ -101,8 +101,8 @@ def _boxes(mesh: PolyMesh, counts: Array, width: int, depth: int) -> Array:
 @compiled
 def _fan(points: Array, hull: Array, n: int, n_corners: int, triangles: Array) -> int:
     """Triangulate the ring ``hull``: write its triangles to ``triangles`` and return their number. The first triangle
-    cuts off the corner for which its perimeter is least; each further triangle adds the next point on one of the two
-    sides, whichever is nearer.
+    cuts off one corner, chosen so that the triangle's perimeter is least. Each further triangle adds the ring's next
+    point to the left or to the right of the previous triangle, whichever is nearer.
     """
     start = 0
     left = 1

@@ -58,7 +58,7 @@ class PolyMesh:
 
 
 def build_polymesh(contours: Contours, verts_per_poly: int) -> PolyMesh:
-    """Triangulate contours and merge triangles to convex polygons of at most ``verts_per_poly`` corners.
+    """Triangulate the contours, and merge the triangles into convex polygons of at most ``verts_per_poly`` corners.
 
     Raises
     ------
@@ -210,8 +210,8 @@ def _best_partner(j: int, parts: Array, size: Array, n: int, vertices: Array, mo
 
 @compiled
 def _merge(parts: Array, size: Array, n: int, vertices: Array, most: int) -> int:
-    """Merge pairs of polygons until no pair can be merged; each time the pair that shares the longest edge, on ties the
-    first such pair. Return the number of polygons left.
+    """Merge pairs of polygons until no pair can be merged. Each time, merge the pair that shares the longest edge; on
+    ties, the first such pair. Return the number of polygons left.
 
     The best partner of each polygon is cached, so that a merge updates a few rows and not all pairs.
     """

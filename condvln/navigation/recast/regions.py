@@ -21,7 +21,7 @@ MAX_OUTLINE_STEPS = 40000
 def merge_regions(
     field: CompactHeightfield, area: Array, region: Array, count: int, min_area: int, merge_area: int
 ) -> tuple[Array, int]:
-    """Return regions with ids 1..n in order of their first appearance.
+    """Return the regions that remain, renumbered 1..n in the order of their first appearance.
 
     Parameters
     ----------
@@ -50,8 +50,9 @@ def merge_regions(
 
 
 def _stacked(start: Array, region: Array, count: int, overlaps: Array) -> tuple[Array, Array, Array]:
-    """Return, for each region, the regions that have other spans in its columns: one list, with the start and the
-    length of each region's part. Set ``overlaps`` for regions that have two spans in one column.
+    """Return, for each region, the regions of the spans above and below its own spans (which may be the region itself):
+    one list, and the start and the length of each region's part of this list. Set ``overlaps`` for regions that have
+    two spans in one column.
     """
     pairs = _column_pairs(start, region)
     pairs = np.unique(pairs[:, 0].astype(np.int64) * (count + 1) + pairs[:, 1])
@@ -85,8 +86,8 @@ def _column_pairs(start: Array, region: Array) -> Array:
 def _survey(
     neighbour: Array, area: Array, region: Array, count: int
 ) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """Return six arrays: the size of each region, its area id, an all-False array for ``overlaps``, and the neighbours
-    along the first outline of each region as one list, with the start and the length of each region's part.
+    """Return six arrays: each region's size, each region's area id, an all-False array for ``overlaps``, the neighbours
+    along each region's first outline as one list, and the start and the length of each region's part of this list.
     """
     size = np.zeros(count + 1, np.int32)
     kind = np.zeros(count + 1, np.uint8)

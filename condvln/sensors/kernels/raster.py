@@ -98,8 +98,8 @@ def rasterize(
     inverse: Floats,
     face: Ints,
 ) -> None:
-    """Draw triangles into the images `inverse` (h, w), the inverse depth, and `face` (h, w), the index of the nearest
-    front face.
+    """Draw triangles into two images: `inverse` (h, w), the inverse depth of each pixel, and `face` (h, w), the index
+    of the nearest front face at each pixel.
 
     corners : (m, 3, 3) triangles, counter-clockwise seen from outside; others are not drawn
     lows, highs : (b, 3) bounds of each block of `block_size` triangles

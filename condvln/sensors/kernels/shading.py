@@ -39,8 +39,8 @@ def resolve(inverse: Floats, face: Ints, owner: Ints, depth: Floats, instance: I
 
 @compiled
 def _wrapped(index: int, size: int, mode: int) -> int:
-    """Return the index of a texel inside a texture of `size` texels. An `index` beyond the border is mapped by the wrap
-    mode.
+    """Return `index` along one side of a texture as a valid index, 0 to `size` − 1: an index beyond the border is
+    mapped back by the wrap mode.
     """
     if 0 <= index < size:
         return index
