@@ -71,7 +71,7 @@ def cameras_of(preset: str) -> Mapping[str, CameraConfig]:
 
     Raises
     ------
-    UsageError : there is no preset of this name
+    UsageError : no preset has this name
     """
     if preset not in PRESETS:
         raise UsageError(f"there is no camera preset {preset!r}", remedy=f"Choose one of {', '.join(sorted(PRESETS))}")

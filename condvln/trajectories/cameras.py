@@ -82,7 +82,7 @@ def hub_cameras(preset: str, layouts: Iterable[str], sweep: Sweep | None = None)
 
     Raises
     ------
-    UsageError : there is no preset of this name
+    UsageError : no preset has this name
     """
     if preset not in PRESETS:
         raise UsageError(

@@ -80,7 +80,7 @@ class LeftOut:
 
 @dataclass(frozen=True, eq=False)
 class _Route:
-    """The gold route of an episode: its stops (s, 3), of which the goal is the last, and the walk through all stops."""
+    """The gold route of an episode: its stops (s, 3), the last of which is the goal, and the walk through all stops."""
 
     stops: F64
     walk: FollowedRoute
