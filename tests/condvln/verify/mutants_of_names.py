@@ -94,7 +94,7 @@ def send_to_another_room(files: Files, rng: np.random.Generator, world: World) -
 
 @mutator
 def change_room_anchor(files: Files, rng: np.random.Generator, world: World) -> bool:
-    """Name another object as the one that distinguishes a room. Where the text names none, name any object in the room."""
+    """Name another object as the one that distinguishes a room, or any object in the room if the text names none."""
     rooms = [c["room"] for c in files.conditions] + [m["room"] for leaf in files.leaves for m in leaf["moves"]]
     anchored = [room for room in rooms if room["anchor_id"]]
     if not anchored:
