@@ -1,8 +1,8 @@
 """``condvln submit``: run a verb as a Ray Job on a cluster, follow its log, and return its exit code.
 
-The configuration is read and checked here and shipped resolved, so that environment and ``--set`` of this machine count
-and its folders are absolute: each must exist under that path on the cluster, the store too unless it is an object
-store. Secrets are not shipped; the cluster has its own.
+The configuration is read, checked and resolved on this machine, with its environment variables and ``--set`` options.
+Folders are shipped as absolute paths. Each folder must exist under the same path on the cluster, and so must the store
+unless it is an object store. Secrets are not shipped; the cluster has its own.
 """
 
 from __future__ import annotations

@@ -88,8 +88,8 @@ def ndtw(path: Points, reference: Points, distance: float = FIDELITY_DISTANCE, *
 def cls(path: Points, reference: Points, distance: float = FIDELITY_DISTANCE) -> float:
     """Return the coverage weighted by length score (CLS).
 
-    Coverage is the mean over the reference of exp(−distance to the path ÷ d). The length score compares the path's
-    length with coverage × the reference's length. If both lengths are 0, the score is the coverage.
+    Coverage is the mean over the reference of exp(−distance to the path ÷ `distance`). The length score compares the
+    path's length with coverage × the reference's length. If both lengths are 0, the score is the coverage.
     """
     near = coverage_distances(np.ascontiguousarray(path, dtype=np.float64), np.ascontiguousarray(reference))
     return length_weighted(float(np.exp(-near / distance).mean()), path_length(reference), path_length(path))

@@ -38,7 +38,8 @@ class PublishedEpisodes:
 
     Attributes
     ----------
-    names : (n,) ids; ``ids``, ``text`` and ``geometry`` are 64-bit hashes (n,)
+    names : (n,) episode ids
+    ids, text, geometry : (n,) 64-bit hashes of each episode's id, of its text, and of its start, path and goals
     scene : (n,) indices into ``scenes``, each ``<source>/<scene>``; ``split`` (n,) into the splits
     navmeshes : SHA-256 by scene
     """

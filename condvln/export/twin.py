@@ -26,8 +26,8 @@ LinearText = Callable[[ManifestEpisode], str]
 
 @dataclass(frozen=True)
 class TwinReport:
-    """The result of writing a twin: number of episodes, words of their texts before and after, and words that are not
-    in the split's own vocabulary.
+    """What was written as the oracle twin of a split: the number of episodes, how many words their texts had before and
+    have now, and how many words of the new texts the split's vocabulary lacks.
     """
 
     episodes: int

@@ -62,7 +62,7 @@ class Primitive:
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """A node: its own glTF transform, its mesh, its children; all numbered within the part."""
+    """A node: its local glTF transform, and the indices, within the part, of its mesh and its children."""
 
     transform: dict[str, list[float]]
     mesh: int | None

@@ -118,14 +118,14 @@ class Referents:
     """The possible names of one room's objects.
 
     rival (n, n) : j is visible and could be meant by i's label
-    nameable (n,) : visible, the label is fit for text, and no word for it might mean a doubtful object
+    nameable (n,) : visible, with a label fit for text that no object of uncertain label might share
     unique (n,) : nameable without rivals; small (n,) : shorter than the anchor size
     double (n,) : may be the same object as a rival, so that no qualifier distinguishes them
     twin (n,) : may be as large as a rival, so that their sizes do not distinguish them
     anchors (a,) : indices of possible anchors: unique, of known extent, neither small nor portable
     suits (n, n) : j may be the anchor of i: j is fixed, or the larger of the two
-    may_be (n,) : labels that an object may have besides its own, for objects that can only have some labels
-    open (n,) : the same, but for all objects of known extent, including those that could be anything
+    may_be (n,) : for each object whose label is uncertain but one of a few, the other labels that it may have
+    open (n,) : for each object of known extent, the other labels that it may have, even if it could be anything
     sayable : predicates that a qualifier may use
     blocked : labels whose absence can't be claimed, since an unlabelled object may have them
     unplaced : the blocked labels that an object of unknown extent may have; such an object may be near to anything

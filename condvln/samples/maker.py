@@ -58,7 +58,7 @@ class SampleReport:
     """What was written: the scenes' names, and the total numbers of rooms, objects, files and bytes.
 
     family : the source family that reads the files
-    parts : the folders for a configuration's source, by key
+    parts : folders to enter under ``sources`` in a configuration, by key, such as ``root``
     """
 
     folder: Path

@@ -1,4 +1,4 @@
-"""Verbs that write files for agents and loaders: exports, oracle twins, composed scenes."""
+"""Verbs that write files for agents and loaders: exports, oracle twins (texts without conditions), composed scenes."""
 
 from __future__ import annotations
 

@@ -86,8 +86,8 @@ class Thresholds(Section):
     )
     top_true: Metres = Field(
         0.15,
-        description="minimum height of the top of the thing with the higher centre above the other "
-        "thing's top, at which text may say “higher” and “lower”",
+        description="minimum difference in height between the tops of two things at which text may say “higher” "
+        "and “lower”; the thing with the higher centre must have the higher top",
     )
     top_false: Metres = Field(
         0.05,
