@@ -15,6 +15,7 @@ from rich.text import Text
 
 from condvln.evaluation.agents import agent_named, predict_all
 from condvln.evaluation.evaluate import Evaluation
+from condvln.evaluation.measures import DistanceMode
 from condvln.evaluation.plots import save_figures
 from condvln.evaluation.predictions import write_predictions
 from condvln.evaluation.render import as_csv, as_document, as_latex, as_markdown, as_rich
@@ -63,7 +64,7 @@ class Question:
     oracle: tuple[Path, ...] = ()
     roots: tuple[Path, ...] = ()
     connectivity: tuple[Path, ...] = ()
-    euclidean: bool = False
+    distance: DistanceMode = "geodesic"
     radii: tuple[float, ...] = ()
     assume_stop: bool = False
     oracle_radius: float | None = None
@@ -239,7 +240,7 @@ def evaluate_predictions(asked: Question) -> EvaluationReport:
         if not (math.isfinite(radius) and radius > 0):
             raise UsageError(f"{option} {radius:g}", remedy="Success distances are positive numbers of metres.")
     rules = ScoreRules(
-        distance="euclidean" if asked.euclidean else "geodesic",
+        distance=asked.distance,
         oracle_success_distance=asked.oracle_radius,
         fast_dtw=asked.fast_dtw,
     )

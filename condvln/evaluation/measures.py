@@ -27,6 +27,7 @@ __all__ = [
     "length_weighted",
     "ndtw",
     "path_length",
+    "reached_in_any_order_euclidean",
     "reached_in_order",
     "reached_in_order_euclidean",
     "spl",
@@ -146,9 +147,9 @@ def first_divergence(program: Program, gold: int, committed: int) -> int | None:
     return next(place for place, (a, b) in enumerate(zip(right, taken, strict=False)) if a != b)
 
 
-DistanceMode = Literal["geodesic", "euclidean"]
-"""How the distance to a subgoal is measured: geodesically (a ball would reach through walls), or as in the authors'
-code.
+DistanceMode = Literal["geodesic", "euclidean", "euclidean-any-order"]
+"""How subgoals are judged: in order by geodesic distance (a ball would reach through walls), in order by straight lines
+as in the authors' fork of Open-Nav, or in any order by straight lines as in their fork of VLN-Zero.
 """
 
 
@@ -168,9 +169,9 @@ def reached_in_order(nearness: Nearness, path: SnappedPath, subgoals: Points, ra
 
 
 def reached_in_order_euclidean(positions: Points, subgoals: Points, radius: float) -> int:
-    """Return the number of subgoals reached in order, as the public evaluator of the paper's authors counts them: a
-    subgoal is reached at a straight-line distance in 3-D of at most ``radius`` metres, and one pose reaches at most one
-    subgoal. Compare :func:`reached_in_order`.
+    """Return the number of subgoals reached in order, as the authors' fork of Open-Nav counts them: a subgoal is
+    reached at a straight-line distance in 3-D of at most ``radius`` metres, and one pose reaches at most one subgoal.
+    Compare :func:`reached_in_order`.
     """
     reached = 0
     for position in positions:
@@ -178,3 +179,13 @@ def reached_in_order_euclidean(positions: Points, subgoals: Points, radius: floa
             break
         reached += bool(np.sqrt(np.square(position - subgoals[reached]).sum()) <= radius)
     return reached
+
+
+def reached_in_any_order_euclidean(positions: Points, subgoals: Points, radius: float) -> int:
+    """Return the number of subgoals that some pose is near, as the authors' fork of VLN-Zero counts them: straight
+    lines in 3-D of at most ``radius`` metres, in any order, and one pose may reach several subgoals.
+    """
+    if len(subgoals) == 0:
+        return 0
+    squares = np.square(positions[:, None] - subgoals).sum(axis=2)
+    return int((np.sqrt(squares) <= radius).any(axis=0).sum())

@@ -18,6 +18,7 @@ from condvln.evaluation.measures import (
     first_divergence,
     ndtw,
     path_length,
+    reached_in_any_order_euclidean,
     reached_in_order,
     reached_in_order_euclidean,
     spl,
@@ -43,7 +44,7 @@ class ScoreRules:
     """How episodes are scored; the defaults are those of docs/metrics.md. Lengths in metres."""
 
     distance: DistanceMode = "geodesic"
-    """How distances to subgoals are measured. Distances to goals are always geodesic, as in Habitat."""
+    """How subgoals are judged. Distances to goals are always geodesic, as in Habitat."""
     success_distance: float | None = None
     """Overrides each episode's own success distance."""
     oracle_success_distance: float | None = None
@@ -192,6 +193,8 @@ def _judged(task: Task, prediction: Prediction, nearness: Nearness, rules: Score
 def _reached(task: Task, walk: _Walk, nearness: Nearness, rules: ScoreRules, radius: float) -> int:
     if rules.distance == "euclidean":
         return reached_in_order_euclidean(walk.path.positions, task.gold.subgoals, radius)
+    if rules.distance == "euclidean-any-order":
+        return reached_in_any_order_euclidean(walk.path.positions, task.gold.subgoals, radius)
     return reached_in_order(nearness, walk.path, task.gold.subgoals, radius)
 
 

@@ -129,7 +129,11 @@ def evaluate(
     ],
     navmesh_root: NavmeshRoots = None,
     distance: Annotated[
-        str, typer.Option(help="how to measure subgoal distances: geodesic, or euclidean as the paper's code does")
+        str,
+        typer.Option(
+            help="how to judge subgoals: geodesic, euclidean as the paper's Open-Nav does, or euclidean-any-order as "
+            "its VLN-Zero does"
+        ),
     ] = "geodesic",
     radius: Annotated[
         list[float] | None, typer.Option(help="also report rates at this success distance, metres; may be repeated")
@@ -179,8 +183,10 @@ def evaluate(
     """Score agents' predictions: SR, SPL, nDTW, BSA, CSR and the branch taken, with confidence intervals."""
     from jobs.evaluate import ALL_TABLES, Question, evaluate_predictions
 
-    if distance not in ("geodesic", "euclidean"):
-        raise UsageError(f"--distance {distance!r} is not a distance", remedy="Say geodesic or euclidean.")
+    if distance not in ("geodesic", "euclidean", "euclidean-any-order"):
+        raise UsageError(
+            f"--distance {distance!r} is not a distance", remedy="Say geodesic, euclidean or euclidean-any-order."
+        )
     asked = Question(
         export,
         split,
@@ -188,7 +194,7 @@ def evaluate(
         tuple(oracle or ()),
         roots=tuple(navmesh_root or ()),
         connectivity=tuple(connectivity or ()),
-        euclidean=distance == "euclidean",
+        distance=distance,
         radii=tuple(radius or ()),
         assume_stop=assume_stop,
         oracle_radius=oracle_radius,

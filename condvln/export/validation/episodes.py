@@ -21,6 +21,8 @@ __all__ = ["WITHHELD", "EpisodeChecks"]
 _REQUIRED: Final = frozenset(
     {"episode_id", "trajectory_id", "scene_id", "start_position", "start_rotation", "instruction"}
 )
+_NOT_IN_RXR: Final = frozenset({"trajectory_id"})
+"""Keys that RxR's loader does not require: followers' episodes have no trajectory."""
 WITHHELD: Final = frozenset({"goals", "reference_path"})
 """Keys without which habitat-lab's loader fails, and VLN-CE's only when it scores. All episodes of a test split may
 lack both.
@@ -87,7 +89,8 @@ class EpisodeChecks:
         self._length: int | None = None
         self._id_named = False
         ansr = {"subgoals"} if document.kind == "ansr" else set()
-        self._required = _REQUIRED | (frozenset() if withheld else WITHHELD) | ansr
+        rxr = _NOT_IN_RXR if document.kind == "rxr" else frozenset()
+        self._required = (_REQUIRED - rxr) | (frozenset() if withheld else WITHHELD) | ansr
         self._withheld = withheld
         self._allowed = _ALLOWED | ansr
         self._instruction_keys = _RXR_INSTRUCTION if document.kind == "rxr" else _INSTRUCTION
@@ -219,8 +222,8 @@ class EpisodeChecks:
             self._report.add(f"{place}.info", "wrong-type", f"not an object but {type(info).__name__}")
             return
         place = f"{place}.info.geodesic_distance"
-        if self._withheld and (not info or "geodesic_distance" not in info):
-            return
+        if (self._withheld or self._document.kind == "rxr") and (not info or "geodesic_distance" not in info):
+            return  # RxR never has it
         if not info or "geodesic_distance" not in info:
             self._report.add(place, "missing-geodesic", "is missing")
             return

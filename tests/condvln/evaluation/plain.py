@@ -87,6 +87,14 @@ def bsa_authors(path: Sequence[Point], subgoals: Sequence[Point], tau: float) ->
     return pointer / len(subgoals)
 
 
+def bsa_any_order(path: Sequence[Point], subgoals: Sequence[Point], tau: float) -> float:
+    reached = [False] * len(subgoals)
+    for p in path:
+        for number, subgoal in enumerate(subgoals):
+            reached[number] = reached[number] or euclid(p, subgoal) <= tau
+    return sum(reached) / len(reached)
+
+
 def leaf_of(stopped: bool, end: Point, leaves: Sequence[Sequence[Point]], tau: float, distance: Distance) -> int:
     if not stopped:
         return -1
@@ -106,7 +114,7 @@ def judge(
     tau: float,
     max_steps: int | None,
     distance: Distance,
-    euclidean: bool = False,
+    mode: str = "geodesic",
 ) -> dict[str, float]:
     """Every measure of one episode."""
     if max_steps is not None and len(path) - 1 > max_steps:
@@ -118,7 +126,11 @@ def judge(
         bsa_all = float(success)
         bsa = 1.0 if success else math.nan
     else:
-        bsa = bsa_all = bsa_authors(path, subgoals, tau) if euclidean else bsa_geodesic(path, subgoals, tau, distance)
+        bsa = bsa_all = {
+            "geodesic": lambda: bsa_geodesic(path, subgoals, tau, distance),
+            "euclidean": lambda: bsa_authors(path, subgoals, tau),
+            "euclidean-any-order": lambda: bsa_any_order(path, subgoals, tau),
+        }[mode]()
     leaf = leaf_of(stopped, path[-1], [leaf["goals"] for leaf in leaves], tau, distance)
     near = ndtw(path, reference, 3.0)
     return {

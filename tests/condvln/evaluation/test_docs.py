@@ -5,15 +5,19 @@ from __future__ import annotations
 import re
 from dataclasses import fields
 from pathlib import Path
+from typing import get_args
 
+import numpy as np
 import pytest
 
 from condvln.evaluation.agents import AGENTS
 from condvln.evaluation.discrete import ERROR_MARGIN
-from condvln.evaluation.goal_distances import SLACK, SNAPPED
-from condvln.evaluation.measures import FIDELITY_DISTANCE
-from condvln.evaluation.score import START_TOLERANCE, Score
+from condvln.evaluation.goal_distances import SLACK, SNAPPED, Nearness
+from condvln.evaluation.measures import FIDELITY_DISTANCE, DistanceMode
+from condvln.evaluation.predictions import Prediction
+from condvln.evaluation.score import START_TOLERANCE, Score, ScoreRules, score
 from condvln.evaluation.statistics import REPLICATES
+from tests.condvln.evaluation.conftest import OpenPlain, task_with
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +46,24 @@ def test_constants_are_those_of_the_code(text: str) -> None:
     )
     for phrase in ("· 3 m))", "nearer than 3 m", "more than 0.25 m", "τ + 1 cm", "more than 1 cm", "10,000 draws"):
         assert phrase in text, phrase
+
+
+def test_the_warnings_about_the_authors_forks_name_what_the_code_has(text: str) -> None:
+    warning = next(p for p in text.split("\n* ") if p.startswith("**Open-Nav's log**"))
+    for phrase in ("≤ 3 m", "`SUCCESS_DISTANCE`", "stops at the start", "from its result files"):
+        assert phrase in warning, phrase
+    assert [f"`--distance {mode}`" in text for mode in get_args(DistanceMode)] == [False, True, True], "the default"
+
+
+def test_at_three_metres_an_agent_that_stays_succeeds() -> None:
+    """Why the page warns of Open-Nav's log: its fixed 3 m are more than many routes are long."""
+    task = task_with([{"goals": [[2.5, 0, 0]]}, {"goals": [[0, 0, 6]]}])
+    stays = Prediction("e", np.zeros((1, 3)), stopped=True, counts_actions=True)
+    found = [
+        score(task, stays, Nearness(OpenPlain()), ScoreRules(success_distance=distance)).success
+        for distance in (None, 3.0)
+    ]
+    assert found == [0, 1]
 
 
 def test_every_table_is_a_table(text: str) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, replace
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from condvln.evaluation.goal_distances import Nearness
+from condvln.evaluation.measures import DistanceMode
 from condvln.evaluation.predictions import Prediction
 from condvln.evaluation.score import Score, ScoreRules, score
 from condvln.navigation.pathfinder import Pathfinder
@@ -61,7 +62,7 @@ def cases(draw: st.DrawFn) -> dict[str, Any]:
         "reference": draw(st.lists(point, min_size=1, max_size=6)),
         "tau": draw(st.sampled_from([0.5, 1.0, 3.0])),
         "max_steps": draw(st.integers(1, 12)),
-        "euclidean": draw(st.booleans()),
+        "mode": draw(st.sampled_from(get_args(DistanceMode))),
     }
 
 
@@ -79,7 +80,7 @@ def judged(case: dict[str, Any], prune: bool = True) -> Score:
         max_steps=case["max_steps"],
     )
     prediction = Prediction("e", np.array(case["path"], float), case["stopped"], case["counts"])
-    rules = ScoreRules(distance="euclidean" if case["euclidean"] else "geodesic")
+    rules = ScoreRules(distance=case["mode"])
     return score(task, prediction, Nearness(OPEN, prune=prune), rules)
 
 
@@ -95,7 +96,7 @@ def check(case: dict[str, Any]) -> None:
         tau=case["tau"],
         max_steps=case["max_steps"] if case["counts"] else None,
         distance=straight,
-        euclidean=case["euclidean"],
+        mode=case["mode"],
     )
     for name, value in theirs.items():
         assert ours[name] == pytest.approx(value, rel=1e-9, abs=1e-12, nan_ok=True), name
@@ -194,6 +195,16 @@ def test_subgoals_count_in_order() -> None:
     leaves = [{"goals": [[9, 0, 0]], "subgoals": [[6, 0, 0], [3, 0, 0]]}, TWO[1]]
     assert scored(walk([0, 0, 0], [3, 0, 0], [6, 0, 0], [9, 0, 0]), leaves=leaves).bsa == 0.5
     assert scored(walk([0, 0, 0], [6, 0, 0], [3, 0, 0], [9, 0, 0]), leaves=leaves).bsa == 1
+
+
+def test_the_authors_forks_disagree_on_the_order_of_subgoals() -> None:
+    open_nav, vln_zero = (ScoreRules(distance=mode) for mode in ("euclidean", "euclidean-any-order"))
+    leaves = [{"goals": [[9, 0, 0]], "subgoals": [[6, 0, 0], [3, 0, 0]]}, TWO[1]]
+    backwards = walk([0, 0, 0], [3, 0, 0], [6, 0, 0], [9, 0, 0])
+    assert (scored(backwards, open_nav, leaves=leaves).bsa, scored(backwards, vln_zero, leaves=leaves).bsa) == (0.5, 1)
+    close = [{"goals": [[9, 0, 0]], "subgoals": [[3, 0, 0], [3.5, 0, 0]]}, TWO[1]]
+    one_pose = walk([0, 0, 0], [3.2, 0, 0], [9, 0, 0])
+    assert (scored(one_pose, open_nav, leaves=close).bsa, scored(one_pose, vln_zero, leaves=close).bsa) == (0.5, 1)
 
 
 def test_without_subgoals_the_paper_leaves_failures_out() -> None:

@@ -6,9 +6,11 @@ import csv
 import io
 import json
 import re
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rich.console import Console
 
@@ -70,6 +72,27 @@ def test_main_table_says_what_the_scores_say(evaluations: list[Evaluation]) -> N
     bsa = row[headings.index("BSA (paper)")]
     assert (bsa.n, bsa.total) == (int((scores["bsa"] == scores["bsa"]).sum()), 120)
     assert [cell.value for cell in main_table(evaluations).rows[0]] == [cell.value for cell in table.rows[0]]
+
+
+def test_no_table_shows_more_conditional_success_than_success(tables: list[Table]) -> None:
+    """By the paper's rule an agent that always takes the first branch has CSR above SR: that column is named so."""
+    seen = 0
+    for table in tables:
+        headings = [column.heading for column in table.columns]
+        assert not {"BSA", "CSR"} & {*headings}, table.name
+        if "CSR-all" not in headings:
+            continue
+        for row in table.rows:
+            success, honest = (row[headings.index(name)] for name in ("SR", "CSR-all"))
+            assert honest.value <= success.value, table.name  # type: ignore[operator]
+            assert (honest.n, honest.total) == (success.n, success.total), "over the same episodes"
+            if "CSR (paper)" in headings:
+                place = headings.index("CSR (paper)")
+                paper = row[place]
+                assert headings.index("CSR-all") < place
+                assert (f"({paper.n:,})" in written(paper, table.columns[place])) == (paper.n != paper.total)
+                seen += paper.value > success.value  # type: ignore[operator]
+    assert seen, "the case that misleads is among the rows"
 
 
 def test_several_sources_get_a_row_of_all(evaluations: list[Evaluation]) -> None:
@@ -199,6 +222,17 @@ def test_plots_show_the_means_and_repeat(evaluations: list[Evaluation], tmp_path
     lines = figure.axes[0].get_lines()
     oracle = next(line for line in lines if len(line.get_ydata()) == 3)
     assert list(oracle.get_ydata()) == [100, 100, 100]
+    assert [panel.get_title() for panel in figure.axes] == ["SR", "BSA-all", "CSR-all"], "none by the paper's rule"
+    counts = Counter(evaluations[0].axes["depth"])
+    for panel in figure.axes:
+        assert [tick.get_text() for tick in panel.get_xticklabels()] == [
+            f"{depth}\nn = {counts[depth]:,}" for depth in sorted(counts)
+        ]
+    ceiling, floor = (
+        next(line for line in figure.axes[panel].get_lines()[::-1] if len(line.get_ydata()) == 3).get_ydata()
+        for panel in (0, 2)
+    )
+    assert (np.asarray(floor) <= np.asarray(ceiling)).all()
     paths = save_figures(evaluations, tmp_path / "a")
     again = save_figures(evaluations, tmp_path / "b")
     assert [path.name for path in paths] == ["depth.png", "depth.pdf", "chain.png", "chain.pdf"]

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from condvln.export.validation import Finding
+from tests.strict_loader import read
 
 
 def write(path: Path, document: Any) -> Path:
@@ -22,3 +23,19 @@ def codes(findings: list[Finding]) -> set[str]:
 
 def errors(findings: list[Finding]) -> list[Finding]:
     return [finding for finding in findings if finding.severity == "error"]
+
+
+def rxr_as_published(exported: Path) -> Any:
+    """Our guide file of the test split with what RxR-VLN-CE's own have: timed words, a role, no geodesic."""
+    document = read(exported / "rxr" / "test" / "test_guide.json.gz")
+    for number, episode in enumerate(document["episodes"]):
+        episode["info"] = {"role": "guide"}
+        words = episode["instruction"]["instruction_text"].split()[:2]
+        episode["instruction"] = {
+            **episode["instruction"],
+            "annotator_id": "0",
+            "edit_distance": 0.08,
+            "instruction_id": str(number),
+            "timed_instruction": [{"word": word, "start_time": 1.0, "end_time": 1.5} for word in words],
+        }
+    return document

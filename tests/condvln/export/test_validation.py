@@ -13,7 +13,7 @@ from condvln.export.validation import CODES, Options, validate
 from condvln.formats import streams
 from condvln.navigation.graph_pathfinder import GraphPathfinder
 from schemas.errors import UsageError
-from tests.condvln.export.findings import codes, errors, write
+from tests.condvln.export.findings import codes, errors, rxr_as_published, write
 from tests.strict_loader import read
 
 # -- sound files -------------------------------------------------------------------------------------------------------
@@ -133,6 +133,24 @@ def test_the_vocabulary_of_bert_is_lawful_beside_its_tokens(exported: Path, tmp_
     document["episodes"][0]["instruction"]["instruction_tokens"][1] = 2065
     document["instruction_vocab"]["UNK_INDEX"] = 1
     assert codes(validate(write(tmp_path / "unk.json.gz", document))) == {"vocabulary-inconsistent"}
+
+
+def test_followers_of_rxr_are_lawful(exported: Path, tmp_path: Path) -> None:
+    """As RxR-VLN-CE's files: guides without a geodesic, followers without a trajectory, a challenge without goals."""
+    guides = rxr_as_published(exported)
+    followers = copy.deepcopy(guides)
+    for number, episode in enumerate(followers["episodes"]):
+        del episode["trajectory_id"]
+        episode["episode_id"] = str(60_000 + number)
+        metrics = {"ndtw": 0.99, "ne": 0.42, "sdtw": 0.99, "spl": 1.0, "sr": 1.0}
+        episode["info"] = {"metrics": metrics, "demonstration_id": "1", "role": "follower"}
+    write(tmp_path / "test" / "test_guide.json.gz", guides)
+    write(tmp_path / "test" / "test_follower.json.gz", followers)
+    assert validate(tmp_path) == []
+    for episode in guides["episodes"]:
+        del episode["goals"], episode["reference_path"]
+    (finding,) = validate(write(tmp_path / "challenge" / "test_challenge_guide.json.gz", guides))
+    assert (finding.code, finding.severity) == ("goals-withheld", "warning")
 
 
 # -- across splits -----------------------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from condvln.export.validation import validate
-from tests.condvln.export.findings import codes, write
+from tests.condvln.export.findings import codes, rxr_as_published, write
 from tests.strict_loader import read
 
 Rng = np.random.Generator
@@ -81,17 +81,13 @@ def other_tokens(rng: Rng, document: Any) -> None:
     tokens[0] = tokens[0] + 1 if tokens[0] + 1 < document["instruction_vocab"]["num_vocab"] else 2
 
 
-CORRUPTIONS: list[tuple[str, Callable[[Rng, Any], None]]] = [
+COMMON: list[tuple[str, Callable[[Rng, Any], None]]] = [
     ("unknown-key", put("gold_leaf", 1)),
-    ("unknown-key", put("instruction", "language", "en")),
     ("unknown-key", put("goals", 0, "object_id", "sofa")),
-    ("missing-key", drop("trajectory_id")),
     ("missing-key", drop("scene_id")),
     ("missing-key", drop("start_rotation")),
     ("missing-key", drop("reference_path")),
     ("missing-key", drop("instruction", "instruction_text")),
-    ("missing-vocabulary", no_vocabulary),
-    ("vocabulary-inconsistent", shuffled_words),
     ("wrong-type", put("episode_id", 1.5)),
     ("wrong-type", put("start_position", [1.0, 2.0])),
     ("wrong-type", put("goals", [])),
@@ -107,15 +103,25 @@ CORRUPTIONS: list[tuple[str, Callable[[Rng, Any], None]]] = [
     ("reference-goal", put("reference_path", -1, [99.0, 0.0, 99.0])),
     ("goal-radius", put("goals", 0, "radius", -3.0)),
     ("geodesic-invalid", put("info", "geodesic_distance", None)),
-    ("geodesic-too-short", swapped_axes),
     ("empty-text", put("instruction", "instruction_text", " ,")),
+    ("scene-prefix", put("scene_id", "data/scene_datasets/mp3d/a/a.glb")),
+]
+"""What is wrong in every format."""
+
+CORRUPTIONS: list[tuple[str, Callable[[Rng, Any], None]]] = [
+    *COMMON,
+    ("unknown-key", put("instruction", "language", "en")),
+    ("missing-key", drop("trajectory_id")),
+    ("missing-vocabulary", no_vocabulary),
+    ("vocabulary-inconsistent", shuffled_words),
+    ("geodesic-too-short", swapped_axes),
     ("token-range", put("instruction", "instruction_tokens", 3, 99_999)),
     ("token-length", put("instruction", "instruction_tokens", [2, 3, 4, 0])),
     ("token-mismatch", other_tokens),
     ("missing-geodesic", drop("info")),
-    ("scene-prefix", put("scene_id", "data/scene_datasets/mp3d/a/a.glb")),
     ("wrong-type", put("instruction", "instruction_tokens", ["go"])),
 ]
+"""What is wrong in R2R's files; RxR's have no vocabulary and no geodesic, and followers no trajectory."""
 
 
 def check_corruption(stock: Any, folder: Path, code: str, spoil: Callable[[Rng, Any], None], seed: int) -> None:
@@ -145,6 +151,29 @@ def test_corruptions_of_the_real_sample_are_named(
 ) -> None:
     stock = read(real_data / "vlnce" / "val_seen_sample.json.gz")
     check_corruption(stock, tmp_path, code, spoil, 0)
+
+
+RXR: list[tuple[str, Callable[[Rng, Any], None]]] = [
+    *COMMON,
+    ("unknown-key", put("instruction", "path", [])),
+    ("missing-key", drop("instruction")),
+    ("missing-key", drop("goals")),
+    ("missing-key", drop("start_position")),
+    ("missing-key", drop("episode_id")),
+    ("wrong-type", put("instruction", "instruction_text", 5)),
+    ("wrong-type", put("start_rotation", [0.0, 0.0, 1.0])),
+    ("wrong-type", put("info", [])),
+    ("wrong-type", put("trajectory_id", [1])),
+    ("wrong-type", put("goals", 0, "position", [1.0, 2.0])),
+    ("reference-short", put("reference_path", [])),
+]
+
+
+def test_corruptions_of_rxr_are_named(exported: Path, tmp_path: Path) -> None:
+    stock = rxr_as_published(exported)
+    for seed, (code, spoil) in enumerate(RXR):
+        check_corruption(stock, tmp_path, code, spoil, seed)
+    assert len(RXR) >= 30
 
 
 def first(truths: Any) -> Any:
