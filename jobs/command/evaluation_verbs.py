@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 import typer
 
@@ -181,6 +181,7 @@ def evaluate(
     as_json: AsJson = False,
 ) -> None:
     """Score agents' predictions: SR, SPL, nDTW, BSA, CSR and the branch taken, with confidence intervals."""
+    from condvln.evaluation.measures import DistanceMode
     from jobs.evaluate import ALL_TABLES, Question, evaluate_predictions
 
     if distance not in ("geodesic", "euclidean", "euclidean-any-order"):
@@ -194,7 +195,7 @@ def evaluate(
         tuple(oracle or ()),
         roots=tuple(navmesh_root or ()),
         connectivity=tuple(connectivity or ()),
-        distance=distance,
+        distance=cast(DistanceMode, distance),
         radii=tuple(radius or ()),
         assume_stop=assume_stop,
         oracle_radius=oracle_radius,
